@@ -1,0 +1,375 @@
+"""Effects that a case contains and does not declare, as dictionaries.
+
+    {"effect": "backlash", "axis": "X", "size_um": 9}
+    {"effect": "thermal_tilt", "axis": "Y", "component": "B", "urad_per_K": 40}
+
+A key may end in a unit (or be one); `in_si` turns it into SI and drops the unit, a key without a
+unit is SI as it stands.  On an axis, x is the axis's command, T its scale's temperature, dir its
+last direction of travel, t the time, and the effect adds to the error twist of the joint, in the
+joint's own frame, with the same sign on either side of the bed.  `component` is a direction X, Y,
+Z (translation) or A, B, C (rotation); along the axis itself when it is left out.
+
+| effect | adds | keys (SI) |
+|---|---|---|
+| backlash | size/2 dir along the axis | axis, size |
+| lateral_reversal, angular_reversal | size/2 dir across it | axis, component, size |
+| jump | size for t >= t0 | axis, component, size, t0 |
+| scale_growth | coefficient (T - 20) x along the axis | axis, coefficient (1/K) |
+| thermal_offset, thermal_tilt | coefficient (T - 20) | axis, component, coefficient (per K) |
+| squareness_temperature | coefficient (T - 20) x across | axis, component, coefficient (rad/K) |
+| warm_up | size (1 - exp(-t/tau)) | axis, component, size, tau |
+| drift | coefficient t | axis, component, coefficient (per s) |
+| screw_cyclic, scale_interpolation | amplitude sin(2 pi x/pitch + phase) | axis and these |
+| cross_axis | size u^p v^r, u, v in [-1, 1] of axis, other | axis, other, component, size, powers |
+| dent | -depth exp(-(x - at)^2 / 2 sigma^2) | axis, component, depth, at, sigma |
+| tool_offset | a constant at the tool | vector |
+| station_drift | frame twist x time | translation (m/s), rotation (rad/s) |
+| range_scale | offset + coefficient r | offset, coefficient |
+| encoder_eccentricity | amplitude sin(az + phase) on the azimuth | amplitude, phase |
+| tracker_axes | tilt tan(el) + collimation / cos(el) on the azimuth | tilt, collimation |
+| ball_error | a ball lies off its certificate | ball, vector |
+| artefact_bending | -Z sag shape(s) cos(tilt) | size |
+| artefact_expansion | coefficient (T_air - 20) ball centre | coefficient (1/K) |
+
+Arms: `joint` counts from 0; backlash (rad), gear_harmonic (amplitude, order, phase),
+joint_coupling (other, coefficient), joint_compliance (coefficient rad/(N m), mass, centre),
+jump (size, t0), readback_lag (share), station_drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .kinematics import (
+    AXES,
+    COMPONENTS,
+    Arm,
+    Array,
+    Machine,
+    arm_frames,
+    compose,
+    error_motions,
+    normalised,
+    rotation_matrix,
+)
+
+Effect = Mapping[str, Any]
+REFERENCE_TEMPERATURE = 20.0
+
+UNITS = {
+    "um_per_m_K": 1e-6,
+    "urad_per_K": 1e-6,
+    "urad_per_h": 1e-6 / 3600,
+    "urad_per_s": 1e-6,
+    "um_per_m": 1e-6,
+    "um_per_K": 1e-6,
+    "um_per_h": 1e-6 / 3600,
+    "um_per_s": 1e-6,
+    "ppm_per_K": 1e-6,
+    "ppm": 1e-6,
+    "urad": 1e-6,
+    "deg": np.pi / 180,
+    "rad": 1.0,
+    "um": 1e-6,
+    "mm": 1e-3,
+    "kg": 1.0,
+    "s": 1.0,
+    "h": 3600.0,
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was commanded and under which conditions; n observations, axes X, Y, Z."""
+
+    q: Array
+    """Axis positions (n, 3) in m."""
+    direction: Array
+    """Last direction of travel (n, 3), +1 or -1."""
+    t: Array
+    """Time (n,) in s."""
+    temperature: Array
+    """Of the axes' scales (n, 3) in degC."""
+    air: Array
+    """Of the air (n,) in degC."""
+    pose: NDArray[np.int64] | None = None
+    """Index of the artefact's pose (n,)."""
+    ball: NDArray[np.int64] | None = None
+    """Index of the ball (n,)."""
+
+    def at(self, q: Array) -> Run:
+        """Return the same run at other axis positions."""
+        return replace(self, q=q)
+
+
+def in_si(effect: Effect) -> dict[str, Any]:
+    """Return an effect with its units taken off the keys: size_um -> size in m.
+
+    A key that is nothing but a unit becomes `coefficient`.
+    """
+    out: dict[str, Any] = {}
+    for key, value in effect.items():
+        for unit, factor in UNITS.items():
+            if key == unit or key.endswith("_" + unit):
+                stem = "coefficient" if key == unit else key[: -len(unit) - 1]
+                out[stem] = np.asarray(value, dtype=float) * factor
+                break
+        else:
+            out[key] = value
+    return out
+
+
+# --- effects on an axis: what they add along their component, (n,) -------------------------------
+
+
+def _along(effect: dict[str, Any], machine: Machine, run: Run, i: int) -> Array:
+    name, x = effect["effect"], run.q[:, i]
+    warm = run.temperature[:, i] - REFERENCE_TEMPERATURE
+    match name:
+        case "backlash" | "lateral_reversal" | "angular_reversal":
+            return 0.5 * effect["size"] * run.direction[:, i]
+        case "jump":
+            return effect["size"] * (run.t >= effect["t0"])
+        case "scale_growth" | "squareness_temperature":
+            return effect["coefficient"] * warm * x
+        case "thermal_offset" | "thermal_tilt":
+            return effect["coefficient"] * warm
+        case "warm_up":
+            return effect["size"] * -np.expm1(-run.t / effect["tau"])
+        case "drift":
+            return effect["coefficient"] * run.t
+        case "screw_cyclic" | "scale_interpolation":
+            phase = 2 * np.pi * x / effect["pitch"] + effect.get("phase", 0.0)
+            return effect["amplitude"] * np.sin(phase)
+        case "cross_axis":
+            u, v = normalised(machine, run.q)[:, [i, AXES.index(effect["other"])]].T
+            p, r = effect.get("powers", (1, 1))
+            return effect["size"] * u**p * v**r
+        case "dent":
+            return -effect["depth"] * np.exp(-0.5 * ((x - effect["at"]) / effect["sigma"]) ** 2)
+    raise ValueError(f"no such effect on an axis: {name!r}")
+
+
+ON_AXIS = {
+    # name: (components allowed, the default; "=" the axis itself, "x" any translation across it)
+    "backlash": ("=", "="),
+    "lateral_reversal": ("x", None),
+    "angular_reversal": ("ABC", None),
+    "jump": ("XYZABC", "="),
+    "scale_growth": ("=", "="),
+    "squareness_temperature": ("x", None),
+    "thermal_offset": ("XYZ", "="),
+    "thermal_tilt": ("ABC", None),
+    "warm_up": ("XYZABC", "="),
+    "drift": ("XYZABC", "="),
+    "screw_cyclic": ("=", "="),
+    "scale_interpolation": ("=", "="),
+    "cross_axis": ("XYZABC", "="),
+    "dent": ("XYZABC", None),
+}
+ON_TRACKER = ("station_drift", "range_scale", "encoder_eccentricity", "tracker_axes")
+ON_BALLS = ("ball_error", "artefact_bending", "artefact_expansion")
+ON_ARM = (
+    "backlash",
+    "gear_harmonic",
+    "joint_coupling",
+    "joint_compliance",
+    "jump",
+    "readback_lag",
+    "station_drift",
+)
+ALLOWED = {
+    "laser_tracker": (*ON_AXIS, "tool_offset", *ON_TRACKER),
+    "ball_array": (*ON_AXIS, "tool_offset", *ON_BALLS),
+    "reflectors": ON_ARM,
+}
+
+
+def checked(effects: Iterable[Effect], instrument: str) -> list[dict[str, Any]]:
+    """Return the effects in SI, or raise ValueError for one the instrument does not have."""
+    if instrument not in ALLOWED:
+        raise ValueError(f"unknown instrument {instrument!r}; expected one of {', '.join(ALLOWED)}")
+    out = [in_si(e) for e in effects]
+    for effect in out:
+        if effect["effect"] not in ALLOWED[instrument]:
+            raise ValueError(
+                f"effect {effect['effect']!r} does not exist for {instrument!r}; "
+                f"expected one of {', '.join(ALLOWED[instrument])}"
+            )
+    return out
+
+
+def component(effect: dict[str, Any]) -> int:
+    """Return the index in X Y Z A B C into which an effect on an axis adds."""
+    allowed, default = ON_AXIS[effect["effect"]]
+    axis = effect["axis"]
+    where = {"=": axis, "x": AXES.replace(axis, "")}.get(allowed, allowed)
+    wanted = effect.get("component", axis if default == "=" else None)
+    if wanted is None or wanted not in where:
+        raise ValueError(
+            f"{effect['effect']} on {axis} needs a component out of {where!r}, got {wanted!r}"
+        )
+    return COMPONENTS.index(wanted)
+
+
+def twists(machine: Machine, run: Run, effects: Iterable[Effect]) -> tuple[Array, Array]:
+    """Return the joints' error translations and rotations (n, axis, 3), effects included."""
+    t, r = error_motions(machine, run.q)
+    for raw in effects:
+        effect = in_si(raw)
+        if effect["effect"] not in ON_AXIS:
+            continue
+        i, j = AXES.index(effect["axis"]), component(effect)
+        target = t if j < 3 else r
+        target[:, i, j % 3] += _along(effect, machine, run, i)
+    return t, r
+
+
+def tool_point(
+    machine: Machine, run: Run, effects: Iterable[Effect] = (), small_angle: bool = False
+) -> Array:
+    """Return the true tool point in the workpiece frame, (n, 3) m."""
+    effects = [in_si(e) for e in effects]
+    tool = machine.tool_offset.copy()
+    for effect in effects:
+        if effect["effect"] == "tool_offset":
+            tool = tool + effect["vector"]
+    return compose(machine, run.q, *twists(machine, run, effects), tool, small_angle)
+
+
+# --- effects on an instrument --------------------------------------------------------------------
+
+
+def frame_drift(effects: Iterable[Effect], t: Array) -> tuple[Array, Array]:
+    """Return what the instrument's frame has moved by time t: d (n, 3) m and R (n, 3, 3)."""
+    d, w = np.zeros((t.size, 3)), np.zeros((t.size, 3))
+    for effect in map(in_si, effects):
+        if effect["effect"] == "station_drift":
+            d += t[:, None] * np.asarray(effect.get("translation", np.zeros(3)))
+            w += t[:, None] * np.asarray(effect.get("rotation", np.zeros(3)))
+    return d, rotation_matrix(w)
+
+
+def bend_readings(readings: Array, effects: Iterable[Effect]) -> Array:
+    """Return range, azimuth, elevation (n, 3) with the tracker's own errors added."""
+    distance, azimuth, elevation = readings.T
+    out = readings.copy()
+    for effect in map(in_si, effects):
+        match effect["effect"]:
+            case "range_scale":
+                out[:, 0] += effect.get("offset", 0.0) + effect.get("coefficient", 0.0) * distance
+            case "encoder_eccentricity":
+                out[:, 1] += effect["amplitude"] * np.sin(azimuth + effect.get("phase", 0.0))
+            case "tracker_axes":
+                out[:, 1] += effect.get("tilt", 0.0) * np.tan(elevation)
+                out[:, 1] += effect.get("collimation", 0.0) / np.cos(elevation)
+    return out
+
+
+def sag_shape(s: Array, supports: tuple[float, float]) -> Array:
+    """Return the deflection of a uniform beam at shares s of its length, downwards positive.
+
+    Simply supported at the shares a < b, E I w'''' = load; zero at the supports and scaled so that
+    the largest deflection within [0, 1] has modulus one.
+    """
+    a, b = supports
+    right = (0.5 - a) / (b - a)  # reaction at b as a share of the weight
+    left = 1 - right
+
+    def raw(x: Array) -> Array:
+        past_a, past_b = np.clip(x - a, 0, None), np.clip(x - b, 0, None)
+        return x**4 / 24 - left * past_a**3 / 6 - right * past_b**3 / 6
+
+    ends = raw(np.array([a, b]))
+    slope = (ends[1] - ends[0]) / (b - a)
+
+    def deflection(x: Array) -> Array:
+        return raw(x) - ends[0] - slope * (x - a)
+
+    grid = deflection(np.linspace(0, 1, 2001))
+    return deflection(np.asarray(s, dtype=float)) / np.abs(grid).max()
+
+
+def ball_positions(
+    balls: Array,
+    run: Run,
+    rotation: Array,
+    origin: Array,
+    effects: Iterable[Effect] = (),
+    supports: tuple[float, float] = (0.22, 0.78),
+) -> Array:
+    """Return the true ball centre of every observation in the workpiece frame, (n, 3) m.
+
+    balls (b, 3) in the artefact's frame (its beam along x), rotation (pose, 3, 3) and origin
+    (pose, 3): R_pose (ball + expansion + error) + o_pose, less the sag along -Z.
+    """
+    if run.pose is None or run.ball is None:
+        raise ValueError("a ball array's run needs pose and ball")
+    effects = [in_si(e) for e in effects]
+    own = balls.copy()
+    for effect in effects:
+        if effect["effect"] == "ball_error":
+            own[effect["ball"]] += np.asarray(effect["vector"])
+    p = own[run.ball]
+    r = rotation[run.pose]
+    fall = np.zeros(run.t.size)
+    for effect in effects:
+        if effect["effect"] == "artefact_expansion":
+            warm = run.air - REFERENCE_TEMPERATURE
+            p = p * (1 + effect["coefficient"] * warm[:, None])
+        if effect["effect"] == "artefact_bending":
+            along = balls[:, 0] - balls[0, 0]
+            shape = sag_shape(along / along[-1], supports)[run.ball]
+            fall += effect["size"] * shape * np.hypot(r[:, 0, 0], r[:, 1, 0])
+    out = np.einsum("nij,nj->ni", r, p) + origin[run.pose]
+    out[:, 2] -= fall
+    return out
+
+
+# --- effects on an arm ---------------------------------------------------------------------------
+
+
+def joint_angles(arm: Arm, q: Array, t: Array, effects: Iterable[Effect]) -> Array:
+    """Return the joint values (n, j) that the arm takes for the commands q in time order."""
+    true = q.copy()
+    before = np.vstack([np.zeros(q.shape[1]), q[:-1]])
+    for effect in map(in_si, effects):
+        j = int(effect.get("joint", 0))
+        match effect["effect"]:
+            case "backlash":
+                true[:, j] += 0.5 * effect["size"] * np.sign(q[:, j] - before[:, j])
+            case "gear_harmonic":
+                phase = effect["order"] * q[:, j] + effect.get("phase", 0.0)
+                true[:, j] += effect["amplitude"] * np.sin(phase)
+            case "joint_coupling":
+                true[:, j] += effect["coefficient"] * q[:, int(effect["other"])]
+            case "jump":
+                true[:, j] += effect["size"] * (t >= effect["t0"])
+            case "joint_compliance":
+                true[:, j] += effect["coefficient"] * gravity_torque(
+                    arm, q, j, effect.get("mass", 1.0), effect.get("centre", np.zeros(3))
+                )
+    return true
+
+
+def gravity_torque(arm: Arm, q: Array, joint: int, mass: float, centre: Array) -> Array:
+    """Return z_j . ((c - o_j) x g) in N m for a mass at `centre` in the last frame, g along -Z."""
+    frames, origins = arm_frames(arm, q)
+    c = origins[:, -1] + frames[:, -1] @ np.asarray(centre, dtype=float)
+    weight = np.array([0.0, 0.0, -9.81 * mass])
+    moment = np.cross(c - origins[:, joint], weight)
+    return np.sum(frames[:, joint, :, 2] * moment, axis=-1)
+
+
+def read_back(q: Array, true: Array, effects: Iterable[Effect]) -> Array:
+    """Return the joint values the controller reads: `share` of the last move is still to come."""
+    out = true.copy()
+    for effect in map(in_si, effects):
+        if effect["effect"] == "readback_lag":
+            out -= effect["share"] * (q - np.vstack([q[:1], q[:-1]]))
+    return out

@@ -1,0 +1,421 @@
+"""Whole synthetic cases: draw a machine, plan, measure, and write the folder that vcal reads."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .effects import Effect, Run, checked, tool_point
+from .instruments import (
+    BallNoise,
+    Tracker,
+    draw_arm_errors,
+    measure_balls,
+    measure_reflectors,
+    measure_tracker,
+)
+from .kinematics import (
+    AXES,
+    TABLE,
+    TABLE_COLUMNS,
+    Arm,
+    Array,
+    ErrorTable,
+    Machine,
+    draw_machine,
+    nominal_machine,
+)
+from .plans import (
+    ArmPlan,
+    BallPlan,
+    arm_plan,
+    ball_plan,
+    check_plan,
+    example_arm,
+    tracker_plan,
+)
+
+# travel (m) and tool offset (m) by chain, as in the practice cases; anything else takes the first
+SIZES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
+    "w X b Y Z t": ((2.0, 1.0, 0.6), (0.0, 0.0, -0.15)),
+    "w b X Y Z t": ((3.0, 1.5, 1.3), (0.0, 0.0, -0.2)),
+    "w Y b X Z t": ((1.2, 0.8, 0.5), (0.0, 0.0, -0.12)),
+}
+EULER_DEG = (0.034, 0.034, 59.5)
+Columns = dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One synthetic study: what is declared, what was measured, and what is true.
+
+    Exactly one of the pairs (tracker, run), (balls, run), (arm, arm_run) is set beside the rest.
+    """
+
+    name: str
+    instrument: str
+    effects: list[dict[str, Any]]
+    """Undeclared effects, as they were given."""
+    data: Columns
+    """data.csv: column name -> values, in the units of the name."""
+    check: Columns | None = None
+    """check.csv, likewise."""
+    artefact: Columns | None = None
+    """artefact.csv, likewise."""
+    machine: Machine | None = None
+    """The true machine; its nominal values and table are what is declared."""
+    run: Run | None = None
+    """Positions as in data.csv (found, for a ball array), SI."""
+    readings: Array | None = None
+    """Tracker: (n, 3) range, azimuth, elevation; reflectors: (n, m, 3); SI, with noise."""
+    check_run: Run | None = None
+    check_tcp: Array | None = None
+    """True tool points in the workpiece frame at the check points (k, 3), m."""
+    tracker: Tracker | None = None
+    """The true station."""
+    station_mm: tuple[float, ...] = ()
+    """The nominal station that is declared."""
+    euler_xyz_deg: tuple[float, ...] = ()
+    balls: BallPlan | None = None
+    """True balls, poses and nominal positions."""
+    ball_noise: BallNoise | None = None
+    arm: Arm | None = None
+    """The true arm."""
+    arm_run: ArmPlan | None = None
+    declared: list[dict[str, Any]] = field(default_factory=list)
+    """Rows for [[model.effect]]."""
+    sigma: float = 0.0
+    """Declared noise of a reflector's coordinate, m."""
+    link_sizes: tuple[float, float] = (5e-4, 2e-3)
+    """Declared one-sigma sizes of an arm's constant link errors, m and rad."""
+    truth: dict[str, Any] = field(default_factory=dict)
+    """Further true values for truth.json."""
+
+    @property
+    def nominal(self) -> Machine:
+        """The machine as declared, without errors."""
+        if self.machine is None:
+            raise ValueError(f"a case of {self.instrument!r} has no three-axis machine")
+        m = self.machine
+        return replace(nominal_machine(m.chain, m.travel, m.tool_offset), table=m.table)
+
+
+def run_columns(run: Run) -> Columns:
+    """Return a run's columns x_mm ... T_air_degC in file units."""
+    out: Columns = {f"{a.lower()}_mm": 1e3 * run.q[:, i] for i, a in enumerate(AXES)}
+    out |= {f"dir_{a.lower()}": run.direction[:, i] for i, a in enumerate(AXES)}
+    out["t_s"] = run.t
+    out |= {f"T_{a.lower()}_degC": run.temperature[:, i] for i, a in enumerate(AXES)}
+    return out | {"T_air_degC": run.air}
+
+
+def make_case(
+    instrument: str,
+    chain: str = "w X b Y Z t",
+    seed: int = 0,
+    effects: Sequence[Effect] = (),
+    noise_factor: float = 1.0,
+    *,
+    travel: Sequence[float] | None = None,
+    tool_offset: Sequence[float] | None = None,
+    table: ErrorTable = TABLE,
+    error_size: float = 1.0,
+    plan: Mapping[str, Any] | None = None,
+    n_check: int = 400,
+    declared: Sequence[Mapping[str, Any]] = (),
+    name: str | None = None,
+    folder: str | Path | None = None,
+    **noise: Any,
+) -> Case:
+    """Draw a machine, plan, measure, and write the study if a folder is given.
+
+    Machine, plan, noise, check points and station come from five streams of the seed: two cases
+    with the same seed differ by what was asked to differ, e.g. by their effects, only.
+
+    Args:
+        instrument: "laser_tracker", "ball_array" or "reflectors" (the chain is then unused).
+        effects: undeclared effects, see the table in effects.py.
+        noise_factor: true noise / declared noise.
+        travel: upper ends of the travels, m.
+        tool_offset: m.
+        table: declared half widths, um and urad; error_size scales the drawn errors only.
+        plan: keyword arguments of tracker_plan, ball_plan or arm_plan.
+        declared: rows for [[model.effect]] with their units in the keys (written, not applied).
+        noise: laser_tracker: range_sigma, range_sigma_per_m, angle_sigma, station_mm,
+            euler_xyz_deg, station_scatter (m, rad) about the nominal; ball_array: probe_sigma,
+            ball_position_u, supports; reflectors: arm, sigma, link_sizes (m, rad).
+    """
+    streams = np.random.SeedSequence(seed).spawn(5)
+    for_machine, for_plan, for_noise, for_check, for_station = map(np.random.default_rng, streams)
+    given = [dict(e) for e in effects]
+    si, plan = checked(given, instrument), dict(plan or {})
+    name = name or f"{instrument}_{seed}"
+    truth: dict[str, Any] = {"seed": seed, "noise_factor": noise_factor}
+    rows = [dict(d) for d in declared]
+
+    if instrument == "reflectors":
+        arm = noise.pop("arm", None) or example_arm()
+        sigma, sizes = noise.pop("sigma", 10e-6), noise.pop("link_sizes", (5e-4, 2e-3))
+        if noise:
+            raise TypeError(f"unexpected arguments for reflectors: {', '.join(noise)}")
+        arm = draw_arm_errors(arm, for_machine, *np.multiply(error_size, sizes))
+        arm_run = arm_plan(arm, for_plan, **plan)
+        got = measure_reflectors(arm, arm_run, for_noise, sigma, si, noise_factor)
+        data: Columns = {"pose": np.arange(len(arm_run.t), dtype=float)}
+        for kind, q in (("cmd", arm_run.q), ("read", got.read)):
+            data |= {f"q{j + 1}_{kind}_deg": np.rad2deg(q[:, j]) for j in range(arm.joints)}
+        for kind, p in (("smr", got.tool), ("base", got.base)):
+            for m in range(p.shape[1]):
+                for i, a in enumerate("xyz"):
+                    data[f"{kind}{m + 1}_{a}_mm"] = 1e3 * p[:, m, i]
+        links = {"link_translation_um": arm.translation, "link_rotation_urad": arm.rotation}
+        truth |= {k: (1e6 * v).tolist() for k, v in links.items() if v is not None}
+        truth |= {"tool_mm": (1e3 * arm_run.tool).tolist()}
+        case = Case(
+            name, instrument, given, data, readings=got.tool, arm=arm, arm_run=arm_run,
+            declared=rows, sigma=sigma, link_sizes=sizes, truth=truth,
+        )  # fmt: skip
+        if folder is not None:
+            write_study(folder, case)
+        return case
+
+    size, offset = SIZES.get(chain, SIZES["w X b Y Z t"])
+    nominal = nominal_machine(chain, travel or size, offset if tool_offset is None else tool_offset)
+    machine = draw_machine(nominal, for_machine, table, error_size)
+    check_run = check_plan(machine, for_check, n_check)
+    check_tcp = tool_point(machine, check_run, si)
+    check = run_columns(check_run)
+    check |= {f"tcp_{a.lower()}_mm": 1e3 * check_tcp[:, i] for i, a in enumerate(AXES)}
+    truth["error_motions"] = machine.coefficients()
+    shared: dict[str, Any] = {
+        "check": check, "machine": machine, "check_run": check_run, "check_tcp": check_tcp,
+        "declared": rows, "truth": truth,
+    }  # fmt: skip
+
+    if instrument == "laser_tracker":
+        run = tracker_plan(machine, for_plan, **plan)
+        length = machine.travel[:, 1]
+        place = np.round(1e3 * length * [-0.45, 0.3, 1.2] - [0, 0, 20], -2)
+        station_mm = tuple(noise.pop("station_mm", place.tolist()))
+        euler_xyz_deg = tuple(noise.pop("euler_xyz_deg", EULER_DEG))
+        scatter = noise.pop("station_scatter", (5e-4, 2e-4))
+        off, tilt = np.reshape(scatter, (2, 1)) * for_station.standard_normal((2, 3))
+        tracker = Tracker(
+            np.multiply(1e-3, station_mm) + off, np.deg2rad(euler_xyz_deg) + tilt, **noise
+        )
+        readings = measure_tracker(machine, run, tracker, for_noise, si, noise_factor)
+        data = {"point": np.arange(len(run.t), dtype=float)} | run_columns(run)
+        data |= {
+            "range_mm": 1e3 * readings[:, 0],
+            "azimuth_rad": readings[:, 1],
+            "elevation_rad": readings[:, 2],
+        }
+        truth["station_mm"] = (1e3 * tracker.station).tolist()
+        truth["euler_xyz_deg"] = np.rad2deg(tracker.euler).tolist()
+        case = Case(
+            name, instrument, given, data, run=run, readings=readings, tracker=tracker,
+            station_mm=station_mm, euler_xyz_deg=euler_xyz_deg, **shared,
+        )  # fmt: skip
+    else:
+        balls, ball_noise = ball_plan(machine, for_plan, **plan), BallNoise(**noise)
+        found, _, calibrated = measure_balls(
+            machine, balls, ball_noise, for_noise, si, noise_factor
+        )
+        run = balls.run.at(found)
+        data = {"pose": np.asarray(run.pose, float), "ball": np.asarray(run.ball, float)}
+        data |= run_columns(run)
+        artefact = {"ball": np.arange(len(calibrated), dtype=float)}
+        artefact |= {f"{a}_mm": 1e3 * calibrated[:, i] for i, a in enumerate("xyz")}
+        truth["balls_mm"] = (1e3 * balls.balls).tolist()
+        case = Case(
+            name, instrument, given, data, artefact=artefact, run=run, balls=balls,
+            ball_noise=ball_noise, **shared,
+        )  # fmt: skip
+    if folder is not None:
+        write_study(folder, case)
+    return case
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def write_csv(path: Path, columns: Columns) -> None:
+    """Write columns with 10 significant digits."""
+    np.savetxt(
+        path,
+        np.stack(list(columns.values()), axis=1),
+        fmt="%.10g",
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
+    )
+
+
+def write_study(folder: str | Path, case: Case) -> Path:
+    """Write setup.toml, data.csv, truth.json and, as they apply, errors, check, artefact.csv.
+
+    truth.json lists the undeclared effects as they were given (SI where a key has no unit).
+    """
+    out = Path(folder)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "setup.toml").write_text(setup_text(case), encoding="utf-8")
+    write_csv(out / "data.csv", case.data)
+    for name, columns in (("check", case.check), ("artefact", case.artefact)):
+        if columns is not None:
+            write_csv(out / f"{name}.csv", columns)
+    if case.machine is not None:
+        rows = [",".join(("component", *TABLE_COLUMNS))]
+        rows += [",".join([k, *(f"{v:g}" for v in row)]) for k, row in case.machine.table.items()]
+        (out / "errors.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    truth = {"undeclared": case.effects, **case.truth}
+    text = json.dumps(truth, indent=1, default=lambda a: np.asarray(a).tolist())
+    (out / "truth.json").write_text(text + "\n", encoding="utf-8")
+    return out
+
+
+def setup_text(case: Case) -> str:
+    """Return setup.toml of a case."""
+    lines = [f"name = {json.dumps(case.name)}", ""]
+    lines += _arm_lines(case) if case.arm is not None else _machine_lines(case)
+    for row in case.declared:
+        lines += ["", "[[model.effect]]"]
+        lines += [f"{k} = {json.dumps(v)}" for k, v in row.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(values: ArrayLike) -> str:
+    return "[" + ", ".join(f"{v:.10g}" for v in np.asarray(values)) + "]"
+
+
+def _machine_lines(case: Case) -> list[str]:
+    machine = case.machine
+    assert machine is not None
+    lines = [
+        "[machine]",
+        f"chain = {json.dumps(machine.chain)}",
+        f"tool_offset_mm = {_numbers(1e3 * machine.tool_offset)}",
+        "[machine.travel_mm]",
+        *(f"{a} = {_numbers(1e3 * machine.travel[i])}" for i, a in enumerate(AXES)),
+        "",
+        "[instrument]",
+        f"kind = {json.dumps(case.instrument)}",
+    ]
+    if case.tracker is not None:
+        lines += [
+            f"range_sigma_um = {1e6 * case.tracker.range_sigma:.6g}",
+            f"range_sigma_um_per_m = {1e6 * case.tracker.range_sigma_per_m:.6g}",
+            f"angle_sigma_urad = {1e6 * case.tracker.angle_sigma:.6g}",
+            f"station_mm = {_numbers(case.station_mm)}   # nominal, to be identified",
+            f"euler_xyz_deg = {_numbers(case.euler_xyz_deg)}   # nominal, to be identified",
+        ]
+    if case.ball_noise is not None:
+        lines += [
+            'artefact = "artefact.csv"',
+            f"probe_sigma_um = {1e6 * case.ball_noise.probe_sigma:.6g}",
+            f"ball_position_u_um = {1e6 * case.ball_noise.ball_position_u:.6g}"
+            "   # standard uncertainty of a calibrated coordinate",
+            f"supports = {_numbers(case.ball_noise.supports)}   # of its length",
+        ]
+    return [*lines, "", "[model.geometric]", 'family = "fourier"', 'table = "errors.csv"']
+
+
+def _arm_lines(case: Case) -> list[str]:
+    arm, plan = case.arm, case.arm_run
+    assert arm is not None
+    assert plan is not None
+    lines = ["[machine]", 'base = "unknown pose in the tracker\'s frame, to be identified"']
+    for j in range(arm.joints):
+        slides = arm.prismatic is not None and arm.prismatic[j]
+        lines += [
+            "[[machine.joint]]",
+            f"type = {json.dumps('prismatic' if slides else 'revolute')}",
+            f"a_mm = {1e3 * arm.a[j]:.10g}",
+            f"alpha_deg = {np.rad2deg(arm.alpha[j]):.10g}",
+            f"d_mm = {1e3 * arm.d[j]:.10g}",
+            f"theta_deg = {np.rad2deg(arm.theta[j]):.10g}",
+        ]
+    return [
+        *lines,
+        "",
+        "[instrument]",
+        'kind = "reflectors"',
+        f"tool_reflectors = {len(plan.tool)}",
+        f"base_reflectors = {len(plan.base)}",
+        f"sigma_um = {1e6 * case.sigma:.6g}",
+        'joints = "commanded"',
+        "",
+        "[model.geometric]",
+        'family = "smooth"',
+        f"link_translation_um = {1e6 * case.link_sizes[0]:.6g}",
+        f"link_rotation_urad = {1e6 * case.link_sizes[1]:.6g}",
+    ]
+
+
+@dataclass(frozen=True)
+class Study:
+    """A three-axis study read back from its folder, SI."""
+
+    setup: dict[str, Any]
+    nominal: Machine
+    """Without errors; its table is what is declared."""
+    run: Run
+    data: Columns
+    check_run: Run
+    check_tcp: Array
+    artefact: Array | None
+    """Calibrated balls (b, 3), m."""
+
+
+def read_csv(path: str | Path) -> Columns:
+    """Return the numeric columns of a file by name."""
+    table = np.genfromtxt(path, delimiter=",", names=True, deletechars="")
+    return {n: np.atleast_1d(table[n]) for n in table.dtype.names or ()}
+
+
+def read_study(folder: str | Path) -> Study:
+    """Read a tracker or ball-array study with the oracle's own reader."""
+    home = Path(folder)
+    setup = tomllib.loads((home / "setup.toml").read_text(encoding="utf-8"))
+    machine = setup["machine"]
+    travel = 1e-3 * np.array([machine["travel_mm"][a] for a in AXES], dtype=float)
+    nominal = nominal_machine(machine["chain"], travel, 1e-3 * np.array(machine["tool_offset_mm"]))
+    rows = (home / "errors.csv").read_text(encoding="utf-8").split()[1:]
+    table = {r.split(",")[0]: tuple(float(v) for v in r.split(",")[1:]) for r in rows}
+    nominal = replace(nominal, table=table)
+    data, check = read_csv(home / "data.csv"), read_csv(home / "check.csv")
+
+    def xyz(columns: Columns, pattern: str) -> Array:
+        return np.stack([columns[pattern.format(a)] for a in "xyz"], axis=1)
+
+    def run(columns: Columns) -> Run:
+        groups = [columns[g].astype(int) if g in columns else None for g in ("pose", "ball")]
+        return Run(
+            1e-3 * xyz(columns, "{}_mm"), xyz(columns, "dir_{}"), columns["t_s"],
+            xyz(columns, "T_{}_degC"), columns["T_air_degC"], *groups,
+        )  # fmt: skip
+
+    artefact = None
+    if (home / "artefact.csv").exists():
+        artefact = 1e-3 * xyz(read_csv(home / "artefact.csv"), "{}_mm")
+    tcp = 1e-3 * xyz(check, "tcp_{}_mm")
+    return Study(setup, nominal, run(data), data, run(check), tcp, artefact)
+
+
+def as_study(case: Case) -> Study:
+    """Return what a reader of the case's folder would have, without writing it."""
+    if case.machine is None or case.run is None:
+        raise ValueError(f"a case of {case.instrument!r} has no three-axis study")
+    assert case.check_run is not None
+    assert case.check_tcp is not None
+    balls = None
+    if case.artefact is not None:
+        balls = 1e-3 * np.stack([case.artefact[f"{a}_mm"] for a in "xyz"], axis=1)
+    setup = tomllib.loads(setup_text(case))
+    return Study(setup, case.nominal, case.run, case.data, case.check_run, case.check_tcp, balls)

@@ -1,0 +1,24 @@
+"""Everything that can disturb a measurement, one leaf file per family; importing the package fills
+the catalogue."""
+
+from . import arm, artefact, coupling, cyclic, events, geometric, reversal, thermal, tracker
+from .base import Effect, Setup
+from .registry import CATALOGUE, effect_class, load_effects, register
+
+__all__ = [
+    "CATALOGUE",
+    "Effect",
+    "Setup",
+    "arm",
+    "artefact",
+    "coupling",
+    "cyclic",
+    "effect_class",
+    "events",
+    "geometric",
+    "load_effects",
+    "register",
+    "reversal",
+    "thermal",
+    "tracker",
+]

@@ -1,0 +1,135 @@
+"""Effects of a ball artefact: a wrong ball, bending under gravity, thermal expansion."""
+
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..parameters import Parameter
+from ..plan import Plan
+from .base import Effect, Response, Setup
+from .registry import register
+from .thermal import REFERENCE_DEGC
+
+
+@register
+class BallError(Effect):
+    """One ball is not where its certificate says: a constant displacement of that ball."""
+
+    name = "ball_error"
+    summary = "wrong calibrated position of one ball"
+    where = "instrument"
+    ball: int = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(c, "um", sigma=10.0) for c in "XYZ")
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("ball",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        here = jnp.where(jnp.asarray(plan.groups["ball"]) == self.ball, 1.0, 0.0)
+        return {(f"ball.{c}", c): here for c in "XYZ"}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        if "ball.X" in setup.layout and "ball" in setup.plan.groups:
+            for ball in np.unique(np.asarray(setup.plan.groups["ball"])):
+                yield cls(ball=int(ball), placement=f"ball {ball}")
+
+
+def beam_deflection(along: Array, supports: tuple[float, float]) -> Array:
+    """Deflection of a uniform beam under its own weight on two supports, per unit of w L^4/(E I).
+
+    Euler-Bernoulli: y'''' = 1 with reactions at the supports, y = 0 there. `along` and `supports`
+    are shares of the length; positive is downwards.
+    """
+    a, b = supports
+    right = (0.5 - a) / (b - a)
+    left = 1.0 - right
+
+    def free(s):
+        ramp_a, ramp_b = jnp.maximum(s - a, 0.0), jnp.maximum(s - b, 0.0)
+        return s**4 / 24.0 - left * ramp_a**3 / 6.0 - right * ramp_b**3 / 6.0
+
+    ya, yb = free(jnp.asarray(a)), free(jnp.asarray(b))
+    return free(along) - ya - (yb - ya) * (along - a) / (b - a)
+
+
+@register
+class ArtefactBending(Effect):
+    """The artefact sags as a beam on its two supports, in proportion to the transverse gravity.
+
+    Displacement of a ball = sag w(s) g_t, with w the beam's deflection scaled to a largest value
+    of one and g_t the part of the unit vector of gravity across the beam (length cos(tilt)).
+    """
+
+    name = "artefact_bending"
+    summary = "sag of the artefact under its own weight"
+    where = "instrument"
+    supports: tuple[float, float] = eqx.field(static=True)
+    beam: tuple[float, float, float] = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("sag", "um", sigma=5.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("along_beam", "gravity_x", "gravity_y", "gravity_z")
+
+    @property
+    def betrayed_by(self) -> tuple[str, ...]:
+        return ("along_beam", "tilt")
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        line = beam_deflection(jnp.linspace(0.0, 1.0, 201), self.supports)
+        w = beam_deflection(jnp.asarray(plan.covariate("along_beam")), self.supports)
+        w = w / jnp.max(jnp.abs(line))
+        gravity = [plan.covariate(f"gravity_{c}") for c in "xyz"]
+        lengthwise = sum(g * u for g, u in zip(gravity, self.beam, strict=True))
+        return {
+            (f"ball.{c}", "sag"): w * (g - lengthwise * u)
+            for c, g, u in zip("XYZ", gravity, self.beam, strict=True)
+        }
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        if setup.artefact is not None:
+            yield cls(supports=setup.artefact.supports, beam=setup.artefact.beam)
+
+
+@register
+class ArtefactExpansion(Effect):
+    """The artefact expands with the air: alpha (T_air - 20 degC) d, d from its centre."""
+
+    name = "artefact_expansion"
+    summary = "thermal expansion of the artefact"
+    where = "instrument"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("alpha", "um/(m K)", sigma=10.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("T_air", "ball_x", "ball_y", "ball_z")
+
+    @property
+    def betrayed_by(self) -> tuple[str, ...]:
+        return ("T_air", "along_beam")
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        excess = plan.covariate("T_air") - REFERENCE_DEGC
+        return {
+            (f"ball.{c}", "alpha"): excess * plan.covariate(f"ball_{c.lower()}") for c in "XYZ"
+        }
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        if "ball.X" in setup.layout:
+            yield cls()

@@ -1,0 +1,147 @@
+"""What an effect is.
+
+An effect is anything that makes reality differ from nominal. It says which ports it disturbs
+(`vcal.ports`) and by how much per unit of each of its parameters; everything else - prediction,
+derivatives, screening, evidence, reporting - is the engine's work.
+"""
+
+import abc
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..chain import Chain
+from ..parameters import Parameter
+from ..plan import Plan
+from ..ports import PortLayout
+
+Response = Mapping[tuple[str, str], Float[Array, "..."]]
+"""(port, amplitude) -> deviation of that port per SI unit of that amplitude, one value per row."""
+
+Kind = Literal["systematic", "nuisance", "random"]
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """What effects may know of a measured artefact."""
+
+    supports: tuple[float, float]
+    """Places of its supports as shares of its length."""
+    beam: tuple[float, float, float]
+    """Direction of its long axis, in its own frame."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a class of effects may look at to say where it could be placed."""
+
+    chain: Chain
+    layout: PortLayout
+    plan: Plan
+    declared: tuple["Effect", ...] = ()
+    artefact: Artefact | None = None
+
+
+class Effect(eqx.Module):
+    """Base class of all effects; subclasses are final.
+
+    Class attributes: `name` (the identifier used in files and reports), `summary` (one line), and
+    `kind`: *systematic* (a parameter with a prior), *nuisance* (no interest in itself: a station,
+    the pose of an artefact) or *random* (a fresh draw per row with the parameters' sigma, which
+    enters the covariance of the readings).
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str] = ""
+    kind: ClassVar[Kind] = "systematic"
+    where: ClassVar[Literal["machine", "instrument"]] = "machine"
+    """Whether it moves the tool point, or only what the instrument sees."""
+
+    placement: str = eqx.field(static=True, default="", kw_only=True)
+    """Where it sits: an axis or joint such as ``"Y"`` or ``"J2"``; empty where it has no place."""
+
+    given: tuple[tuple[str, float, float], ...] = eqx.field(static=True, default=(), kw_only=True)
+    """Declared values: (parameter, mean, sigma) in the parameter's unit; sigma 0 means known."""
+
+    @property
+    @abc.abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitudes (they enter linearly) and shape parameters, with units and priors."""
+
+    @abc.abstractmethod
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        """Deviation per unit of each amplitude at given shape values (SI).
+
+        Must be elementwise over the rows: `shape` values may arrive with a leading axis, (g, 1)
+        against rows (n,), when a whole grid is evaluated at once.
+        """
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Covariates, groups or axes of the plan without which it cannot be evaluated."""
+        return ()
+
+    @property
+    def betrayed_by(self) -> tuple[str, ...]:
+        """Covariates against which its residual shows, most telling first (for pictures)."""
+        return self.needs
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        """Grid of each shape parameter (SI), dense enough that no peak is missed."""
+        del plan
+        return {}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable["Effect"]:
+        """The instances the loop may try on this machine and plan; none by default."""
+        del setup
+        return ()
+
+    @property
+    def amplitudes(self) -> tuple[Parameter, ...]:
+        """The parameters that enter linearly, with the declared values in place."""
+        return tuple(p for p in self._declared_parameters() if not p.shape)
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        """The parameters that enter non-linearly, with the declared values in place."""
+        return tuple(p for p in self._declared_parameters() if p.shape)
+
+    def _declared_parameters(self) -> tuple[Parameter, ...]:
+        given = {name: (mean, sigma) for name, mean, sigma in self.given}
+        return tuple(
+            p.with_prior(*given[p.name]) if p.name in given else p for p in self.parameters
+        )
+
+    @property
+    def key(self) -> str:
+        """Identifier with placement, such as ``"backlash Y"``."""
+        return f"{self.name} {self.placement}".strip()
+
+
+def along(chain: Chain, axis: str) -> tuple[str, str]:
+    """Port of the motion of a joint itself and its unit: ``("EYY", "um")``, ``("ECJ2", "urad")``.
+
+    Linear axes move along their own letter, revolute and DH joints along or about their z.
+    """
+    joint = chain.joint(axis)
+    if joint.kind == "revolute":
+        return f"EC{axis}", "urad"
+    letter = "XYZ"[int(np.argmax(np.abs(joint.direction)))]
+    return f"E{letter}{axis}", "um"
+
+
+def across(chain: Chain, axis: str) -> tuple[str, ...]:
+    """The error translations of a joint other than its own motion."""
+    own, _ = along(chain, axis)
+    return tuple(f"E{c}{axis}" for c in "XYZ" if f"E{c}{axis}" != own)
+
+
+def harmonic_summary(sine: float, cosine: float) -> tuple[float, float]:
+    """Amplitude and phase (rad) of ``sine*sin(u) + cosine*cos(u) = A sin(u + phase)``."""
+    return math.hypot(sine, cosine), math.atan2(cosine, sine)

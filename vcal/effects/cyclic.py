@@ -1,0 +1,94 @@
+"""Periodic effects: screws, gears."""
+
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..parameters import Parameter
+from ..plan import Plan
+from .base import Effect, Response, Setup, along
+from .registry import register
+
+SHORTEST_PITCH_M = 4e-3
+"""The finest pitch of a positioning screw that is looked for."""
+
+
+@register
+class ScrewCyclic(Effect):
+    """Error of a screw within one turn: a sin(2 pi x/p) + b cos(2 pi x/p) along the axis.
+
+    The pitch p is scanned in steps of 1/(4 L) in 1/p, L the travel really covered: wider steps
+    lose the peak between two of them. Pitches longer than a quarter of the travel belong to the
+    geometry.
+    """
+
+    name = "screw_cyclic"
+    summary = "periodic error of a screw or rack, pitch unknown"
+    port: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("sine", "um", sigma=3.0),
+            Parameter("cosine", "um", sigma=3.0),
+            Parameter("pitch", "mm", shape=True, coordinate="reciprocal"),
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (self.placement,)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        phase = 2.0 * jnp.pi * plan.x(self.placement) / shape["pitch"]
+        return {(self.port, "sine"): jnp.sin(phase), (self.port, "cosine"): jnp.cos(phase)}
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        covered = float(np.ptp(np.asarray(plan.x(self.placement)))) or 1.0
+        lowest, highest = 4.0 / covered, 1.0 / SHORTEST_PITCH_M
+        if highest <= lowest:
+            return {"pitch": np.array([covered / 4.0])}
+        return {"pitch": 1.0 / np.arange(lowest, highest, 0.25 / covered)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for joint in setup.chain.joints:
+            if joint.kind == "prismatic":
+                port, _ = along(setup.chain, joint.name)
+                yield cls(port=port, placement=joint.name)
+
+
+@register
+class GearHarmonic(Effect):
+    """Harmonic n of a revolute joint's angle: a sin(n q) + b cos(n q) about the joint, n = 1..4."""
+
+    name = "gear_harmonic"
+    summary = "eccentric gear or encoder of a revolute joint"
+    order: int = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"{wave}{self.order}", "urad", sigma=200.0) for wave in ("sine", "cosine")
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (self.placement,)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        phase = self.order * plan.x(self.placement)
+        port = f"EC{self.placement}"
+        return {
+            (port, f"sine{self.order}"): jnp.sin(phase),
+            (port, f"cosine{self.order}"): jnp.cos(phase),
+        }
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for joint in setup.chain.joints:
+            if joint.kind == "revolute":
+                for order in (1, 2, 3, 4):
+                    yield cls(order=order, placement=joint.name)

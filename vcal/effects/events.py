@@ -1,0 +1,56 @@
+"""Effects of single events: a collision, a clamp that slipped."""
+
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..parameters import Parameter
+from ..plan import Plan
+from .base import Effect, Response, Setup
+from .registry import register
+
+
+@register
+class Jump(Effect):
+    """A step at an unknown moment: the tool point, or the instrument's frame, is displaced after.
+
+    Deviation = (t > t0) times a translation (tool) or a translation and a rotation (frame). The
+    moment is scanned over the gaps between successive rows; it has no derivative.
+    """
+
+    name = "jump"
+    summary = "sudden displacement at an unknown moment"
+    ports: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        sizes = tuple(
+            Parameter(port.split(".")[1], "um" if port[-1] in "XYZ" else "urad", sigma=20.0)
+            for port in self.ports
+        )
+        return (*sizes, Parameter("at", "s", shape=True, smooth=False))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("t",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        after = jnp.where(plan.covariate("t") > shape["at"], 1.0, 0.0)
+        return {(port, port.split(".")[1]): after for port in self.ports}
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        t = np.unique(np.asarray(plan.covariate("t")))
+        if len(t) < 2:
+            return {"at": t}
+        gaps = 0.5 * (t[1:] + t[:-1])
+        # At most 200 moments: neighbours this close give nearly the same step.
+        return {"at": gaps[np.unique(np.linspace(0, len(gaps) - 1, 200).astype(int))]}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        yield cls(ports=("tool.X", "tool.Y", "tool.Z"), placement="tool")
+        if "frame.X" in setup.layout:
+            yield cls(ports=tuple(f"frame.{c}" for c in "XYZABC"), placement="frame")

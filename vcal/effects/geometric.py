@@ -1,0 +1,161 @@
+"""The geometric errors of ISO 230-1: six error motions per joint and the location errors."""
+
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array
+
+from ..basis import Basis, Constant, Legendre
+from ..chain import Chain
+from ..parameters import Parameter
+from ..plan import Plan
+from .base import Effect, Response, Setup
+from .registry import register
+
+TRANSLATIONS = "XYZ"
+
+
+class ErrorMotion(eqx.Module):
+    """One error motion of one joint: a port, the axis it depends on, and its family."""
+
+    name: str = eqx.field(static=True)
+    """ISO 230-1 name, such as ``"EXY"``."""
+    axis: str = eqx.field(static=True)
+    basis: Basis
+
+    @property
+    def unit(self) -> str:
+        """``"um"`` for translations, ``"urad"`` for rotations."""
+        return "um" if self.name[1] in TRANSLATIONS else "urad"
+
+
+class LocationError(eqx.Module):
+    """Squareness of a linear axis: a tilt of its direction, E(A|B|C)0(axis), ISO 230-1.
+
+    The axis moves along axis + tilt x axis: with EC0Y, y moves by (-EC0Y y, y, 0).
+    """
+
+    name: str = eqx.field(static=True)
+    axis: str = eqx.field(static=True)
+    sigma: float
+    """Prior standard deviation, rad."""
+    column: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    """Error translation per radian and metre of travel: ((port, factor), ...)."""
+
+    @classmethod
+    def of(cls, chain: Chain, name: str, sigma: float) -> "LocationError":
+        """From an ISO name such as ``"EC0Y"``."""
+        axis = name[3:]
+        joint = chain.joint(axis)
+        about = np.eye(3)["ABC".index(name[1])]
+        tilt = joint.sign * np.cross(about, joint.direction)
+        column = tuple(
+            (f"E{c}{axis}", float(v)) for c, v in zip("XYZ", tilt, strict=True) if v != 0.0
+        )
+        return cls(name, axis, sigma, column)
+
+
+class GeometricErrors(Effect):
+    """Error motions E.. as functions of their own axis, and location errors, with their family.
+
+    E(x) = sum_k theta_k f_k(x) with f_k and the prior of theta_k from the declared family
+    (`vcal.basis`). ISO 230-1:2012, 3.4; error = actual - nominal, in the joint's own frame.
+    """
+
+    name = "geometric"
+    summary = "error motions and location errors of the declared family"
+    motions: tuple[ErrorMotion, ...] = ()
+    locations: tuple[LocationError, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"{m.name}.{label}", m.unit, sigma=float(sigma) / 1e-6)
+            for m in self.motions
+            for label, sigma in zip(m.basis.labels, m.basis.sigma, strict=True)
+        ) + tuple(Parameter(e.name, "urad", sigma=float(e.sigma) / 1e-6) for e in self.locations)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        columns = {}
+        for m in self.motions:
+            values = m.basis.functions(plan.x(m.axis))
+            for k, label in enumerate(m.basis.labels):
+                columns[m.name, f"{m.name}.{label}"] = values[:, k]
+        for e in self.locations:
+            for port, factor in e.column:
+                columns[port, e.name] = factor * plan.x(e.axis)
+        return columns
+
+
+def link_errors(chain: Chain, translation_m: float, rotation_rad: float) -> GeometricErrors:
+    """Six constant errors per joint of an arm, with their prior standard deviations."""
+    motions = tuple(
+        ErrorMotion(
+            f"E{c}{axis}", axis, Constant(translation_m if c in TRANSLATIONS else rotation_rad)
+        )
+        for axis in chain.axes
+        for c in "XYZABC"
+    )
+    return GeometricErrors(motions=motions)
+
+
+@register
+class GeometricOrder(Effect):
+    """Two Legendre degrees more of one error motion than its declared family can follow.
+
+    E(x) += a P_n(u) + b P_(n+1)(u), n one above the highest wave of the family. More than that,
+    or something narrower, is not geometry refined but *unexplained*.
+    """
+
+    name = "geometric_order"
+    summary = "two more Legendre degrees of one error motion"
+    motion: str = eqx.field(static=True)
+    axis: str = eqx.field(static=True)
+    basis: Basis
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        unit = "um" if self.motion[1] in TRANSLATIONS else "urad"
+        return tuple(Parameter(label, unit, sigma=10.0) for label in self.basis.labels)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (self.axis,)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        values = self.basis.functions(plan.x(self.axis))
+        return {
+            (self.motion, label): values[:, k] for k, label in enumerate(self.basis.labels)
+        }
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for effect in setup.declared:
+            if not isinstance(effect, GeometricErrors):
+                continue
+            for m in effect.motions:
+                low, high = setup.chain.joint(m.axis).travel
+                if not (np.isfinite(low) and np.isfinite(high)):
+                    x = np.asarray(setup.plan.x(m.axis))
+                    low, high = x.min(), x.max()
+                degree = _resolved_degree(m.basis, low, high)
+                yield cls(
+                    motion=m.name,
+                    axis=m.axis,
+                    basis=Legendre((low, high), (degree + 1, degree + 2), 1.0),
+                    placement=m.name,
+                )
+
+
+def _resolved_degree(basis: Basis, low: float, high: float) -> int:
+    """Highest Legendre degree n such that the family follows every degree up to n to 10 %."""
+    x = np.linspace(low, high, 201)
+    family = np.asarray(basis.functions(x)) if basis.labels else np.zeros((201, 0))
+    family = np.column_stack([family, np.ones(201), x])
+    q, _ = np.linalg.qr(family)
+    for degree in range(2, 12):
+        p = np.asarray(Legendre((low, high), (degree,), 1.0).functions(x))[:, 0]
+        if np.linalg.norm(p - q @ (q.T @ p)) > 0.1 * np.linalg.norm(p):
+            return degree - 1
+    return 11

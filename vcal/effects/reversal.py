@@ -1,0 +1,113 @@
+"""Effects of the direction of approach: backlash, lateral and angular reversal errors."""
+
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array
+
+from ..parameters import Parameter
+from ..plan import Plan
+from .base import Effect, Response, Setup, across, along
+from .registry import register
+
+
+def _half_sign(plan: Plan, axis: str) -> Array:
+    return 0.5 * plan.covariate(f"dir_{axis}")
+
+
+@register
+class Backlash(Effect):
+    """Reversal value along the axis: b/2 sgn(direction of approach), ISO 230-2:2014, 3.10.
+
+    In the joint's own frame, signed: a positive b is a lead. For a revolute joint it is an angle.
+    """
+
+    name = "backlash"
+    summary = "reversal error along (or about) the axis"
+    port: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("size", self.unit, sigma=10.0 if self.unit == "um" else 100.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (f"dir_{self.placement}",)
+
+    @property
+    def betrayed_by(self) -> tuple[str, ...]:
+        return (f"dir_{self.placement}", self.placement)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {(self.port, "size"): _half_sign(plan, self.placement)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for axis in setup.chain.axes:
+            port, unit = along(setup.chain, axis)
+            yield cls(port=port, unit=unit, placement=axis)
+
+
+@register
+class LateralReversal(Effect):
+    """Reversal error across the axis: b/2 sgn(direction of approach) on one straightness."""
+
+    name = "lateral_reversal"
+    summary = "reversal error across a linear axis"
+    port: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter(f"size_{self.port}", "um", sigma=5.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (f"dir_{self.placement}",)
+
+    @property
+    def betrayed_by(self) -> tuple[str, ...]:
+        return (f"dir_{self.placement}", self.placement)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {(self.port, f"size_{self.port}"): _half_sign(plan, self.placement)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for joint in setup.chain.joints:
+            if joint.kind == "prismatic":
+                for port in across(setup.chain, joint.name):
+                    yield cls(port=port, placement=joint.name)
+
+
+@register
+class AngularReversal(Effect):
+    """Reversal error of a rotation: b/2 sgn(direction of approach) on roll, pitch or yaw."""
+
+    name = "angular_reversal"
+    summary = "roll, pitch or yaw that depends on the direction of approach"
+    port: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter(f"size_{self.port}", "urad", sigma=10.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (f"dir_{self.placement}",)
+
+    @property
+    def betrayed_by(self) -> tuple[str, ...]:
+        return (f"dir_{self.placement}", self.placement)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {(self.port, f"size_{self.port}"): _half_sign(plan, self.placement)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for axis in setup.chain.axes:
+            own, _ = along(setup.chain, axis)
+            for c in "ABC":
+                if f"E{c}{axis}" != own:
+                    yield cls(port=f"E{c}{axis}", placement=axis)

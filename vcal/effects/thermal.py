@@ -1,0 +1,167 @@
+"""Effects of temperature: growth of scales, thermal offsets and tilts, warming up."""
+
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..parameters import Parameter
+from ..plan import Plan
+from .base import Effect, Response, Setup, along
+from .registry import register
+
+REFERENCE_DEGC = 20.0
+"""ISO 1: the reference temperature for length."""
+
+
+def _excess(plan: Plan, axis: str) -> Array:
+    return plan.covariate(f"T_{axis}") - REFERENCE_DEGC
+
+
+@register
+class ScaleGrowth(Effect):
+    """A scale that expands: alpha (T_axis - 20 degC) x along the axis, in the joint's frame."""
+
+    name = "scale_growth"
+    summary = "thermal expansion of an axis's scale or screw"
+    port: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("alpha", "um/(m K)", sigma=10.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (f"T_{self.placement}", self.placement)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        growth = _excess(plan, self.placement) * plan.x(self.placement)
+        return {(self.port, "alpha"): growth}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for joint in setup.chain.joints:
+            if joint.kind == "prismatic":
+                port, _ = along(setup.chain, joint.name)
+                yield cls(port=port, placement=joint.name)
+
+
+@register
+class ThermalOffset(Effect):
+    """A structure that grows: k (T_axis - 20 degC) as one translation of the joint's frame."""
+
+    name = "thermal_offset"
+    summary = "translation of a joint with its temperature"
+    port: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter(f"k_{self.port}", "um/K", sigma=10.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (f"T_{self.placement}",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {(self.port, f"k_{self.port}"): _excess(plan, self.placement)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for axis in setup.chain.axes:
+            for c in "XYZ":
+                yield cls(port=f"E{c}{axis}", placement=axis)
+
+
+@register
+class ThermalTilt(Effect):
+    """A structure that bends: k (T_axis - 20 degC) as one rotation of the joint's frame."""
+
+    name = "thermal_tilt"
+    summary = "rotation of a joint with its temperature (column bending)"
+    port: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter(f"k_{self.port}", "urad/K", sigma=20.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (f"T_{self.placement}",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {(self.port, f"k_{self.port}"): _excess(plan, self.placement)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for axis in setup.chain.axes:
+            for c in "ABC":
+                yield cls(port=f"E{c}{axis}", placement=axis)
+
+
+@register
+class WarmUp(Effect):
+    """An axis that warms up: A (1 - exp(-t / tau)) on one of its error motions, t from the start.
+
+    tau is scanned in equal steps of its logarithm, from a twentieth of the run to twice the run.
+    """
+
+    name = "warm_up"
+    summary = "exponential approach to a steady state"
+    port: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter(f"size_{self.port}", self.unit, sigma=20.0),
+            Parameter("tau", "h", shape=True, coordinate="log"),
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("t",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        t = plan.covariate("t")
+        elapsed = t - jnp.min(t)
+        return {(self.port, f"size_{self.port}"): 1.0 - jnp.exp(-elapsed / shape["tau"])}
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        span = float(np.ptp(np.asarray(plan.covariate("t")))) or 1.0
+        return {"tau": np.geomspace(span / 20.0, span * 2.0, 16)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for axis in setup.chain.axes:
+            for c in "XYZABC":
+                yield cls(port=f"E{c}{axis}", unit="um" if c in "XYZ" else "urad", placement=axis)
+
+
+@register
+class Drift(Effect):
+    """A joint that drifts in proportion to time: A t on one of its error motions."""
+
+    name = "drift"
+    summary = "linear drift of a joint with time"
+    port: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter(f"rate_{self.port}", f"{self.unit}/h", sigma=20.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("t",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        t = plan.covariate("t")
+        return {(self.port, f"rate_{self.port}"): t - jnp.mean(t)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for axis in setup.chain.axes:
+            for c in "XYZABC":
+                yield cls(port=f"E{c}{axis}", unit="um" if c in "XYZ" else "urad", placement=axis)

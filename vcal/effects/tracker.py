@@ -1,0 +1,98 @@
+"""Effects of a laser tracker: its range, its encoders, its station."""
+
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..parameters import Parameter
+from ..plan import Plan
+from ..ports import COMPONENTS
+from .base import Effect, Response, Setup
+from .registry import register
+
+
+@register
+class RangeScale(Effect):
+    """Range offset and scale of a tracker: a + b r."""
+
+    name = "range_scale"
+    summary = "offset and scale error of the range"
+    where = "instrument"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("offset", "um", sigma=10.0), Parameter("scale", "um/m", sigma=5.0))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("range",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        r = plan.covariate("range")
+        return {("read.range", "offset"): jnp.ones_like(r), ("read.range", "scale"): r}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        if "read.range" in setup.layout:
+            yield cls()
+
+
+@register
+class EncoderEccentricity(Effect):
+    """Eccentric angle encoder: e sin(angle + phase) added to the azimuth or the elevation."""
+
+    name = "encoder_eccentricity"
+    summary = "once-per-turn error of an angle encoder of the tracker"
+    where = "instrument"
+    angle: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("sine", "urad", sigma=10.0), Parameter("cosine", "urad", sigma=10.0))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (self.angle,)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        angle = plan.covariate(self.angle)
+        port = f"read.{self.angle}"
+        return {(port, "sine"): jnp.sin(angle), (port, "cosine"): jnp.cos(angle)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for angle in ("azimuth", "elevation"):
+            if f"read.{angle}" in setup.layout:
+                yield cls(angle=angle, placement=angle)
+
+
+@register
+class StationDrift(Effect):
+    """The instrument's frame drifts in proportion to time: three translations, three rotations."""
+
+    name = "station_drift"
+    summary = "drift of the instrument's frame with time"
+    where = "instrument"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"rate_{c}", "um/h" if c in "XYZ" else "urad/h", sigma=20.0)
+            for c in COMPONENTS
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("t",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        t = plan.covariate("t")
+        elapsed = t - jnp.mean(t)
+        return {(f"frame.{c}", f"rate_{c}"): elapsed for c in COMPONENTS}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        if "frame.X" in setup.layout:
+            yield cls()

@@ -1,0 +1,420 @@
+"""Identification: the parameters of a model from a measurement, with their covariance.
+
+    minimise  |W (y - h(theta))|^2 + |L^(1/2) theta|^2
+
+h is the exact forward model, W whitens each row, theta is in units of the prior standard deviations
+(L: one for a proper prior, zero for a flat one). `optimistix` solves; the Jacobian is the port
+Jacobian times the effects' responses (`vcal.model`). Shape parameters are relinearised around the
+solver, so that a new effect, or a new shape, is only new data to a compiled solver.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+from scipy.linalg import cho_factor, cho_solve
+
+from .chain import Chain
+from .instruments.base import Instrument
+from .measurement import Measurement
+from .model import (
+    Model,
+    Shapes,
+    Terms,
+    concatenate,
+    observe_all,
+    port_jacobian,
+    port_values,
+)
+from .parameters import Parameter
+from .plan import Plan
+from .spatial import require_float64
+
+_SLOTS = 32
+"""Parameters and terms are padded to multiples of this, so that models of similar size share one
+compiled solver."""
+
+
+class Problem(NamedTuple):
+    """What the compiled solver needs: arrays only."""
+
+    position: Float[Array, "n axes"]
+    rows: Any
+    measured: Float[Array, "n m"]
+    whitener: Float[Array, "n m m"]
+    """Per row W with W' W the inverse covariance; zero for rows that are left out."""
+    terms: Terms
+    root_precision: Float[Array, " k"]
+
+
+def _whitened(instrument: Instrument, problem: Problem, difference: Array) -> Array:
+    return jnp.einsum("nij,nj...->ni...", problem.whitener, difference)
+
+
+def _residual(chain: Chain, instrument: Instrument, reduce, theta: Array, problem: Problem):
+    ports = port_values(problem.terms, theta, problem.terms.offset.shape[1])
+    predicted = reduce(observe_all(chain, instrument, problem.position, problem.rows, ports))
+    data = _whitened(instrument, problem, instrument.difference(problem.measured, predicted))
+    return jnp.concatenate([data.reshape(-1), problem.root_precision * theta])
+
+
+def _jacobian(chain: Chain, instrument: Instrument, reduce, theta: Array, problem: Problem):
+    ports = port_values(problem.terms, theta, problem.terms.offset.shape[1])
+    by_port = reduce(port_jacobian(chain, instrument, problem.position, problem.rows, ports))
+    by_port = -_whitened(instrument, problem, by_port)
+    by_term = by_port[:, :, problem.terms.port] * problem.terms.values[:, None, :]
+    size = theta.shape[0]
+    gather = jax.nn.one_hot(problem.terms.parameter, size, dtype=by_term.dtype)
+    data = (by_term @ gather).reshape(-1, size)
+    return jnp.concatenate([data, jnp.diag(problem.root_precision)])
+
+
+@eqx.filter_jit
+def _solve(chain: Chain, instrument: Instrument, plan, problem: Problem, start: Array):
+    def reduce(values):
+        return instrument.reduce(values, plan)
+
+    @jax.custom_jvp
+    def residual(theta, problem):
+        return _residual(chain, instrument, reduce, theta, problem)
+
+    @residual.defjvp
+    def _(primals, tangents):
+        # The dense Jacobian is cheap here and does not depend on the tangent, so that optimistix,
+        # which pushes one basis vector per parameter through this rule, builds it only once.
+        theta, problem = primals
+        return residual(theta, problem), _jacobian(
+            chain, instrument, reduce, theta, problem
+        ) @ tangents[0]
+
+    gauss_newton = optx.GaussNewton(rtol=1e-7, atol=1e-7, linear_solver=lx.QR())
+    first = optx.least_squares(residual, gauss_newton, start, problem, max_steps=24, throw=False)
+    good = (first.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(first.value))
+    return first.value, good, first.stats["num_steps"]
+
+
+@eqx.filter_jit
+def _solve_damped(chain: Chain, instrument: Instrument, plan, problem: Problem, start: Array):
+    def residual(theta, problem):
+        return _residual(
+            chain, instrument, lambda values: instrument.reduce(values, plan), theta, problem
+        )
+
+    solver = optx.LevenbergMarquardt(rtol=1e-9, atol=1e-9, linear_solver=lx.QR())
+    found = optx.least_squares(residual, solver, start, problem, max_steps=200, throw=False)
+    return found.value, found.result == optx.RESULTS.successful, found.stats["num_steps"]
+
+
+@eqx.filter_jit
+def _evaluate(chain: Chain, instrument: Instrument, plan, problem: Problem, theta: Array):
+    reduce = lambda values: instrument.reduce(values, plan)  # noqa: E731
+    ports = port_values(problem.terms, theta, problem.terms.offset.shape[1])
+    predicted = reduce(observe_all(chain, instrument, problem.position, problem.rows, ports))
+    by_port = reduce(port_jacobian(chain, instrument, problem.position, problem.rows, ports))
+    return instrument.difference(problem.measured, predicted), by_port
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model identified from a measurement: numbers only.
+
+    Whitened quantities have one line per reading, row by row; parameters are in solver units
+    (prior sigma, or the declared scale where the prior is flat). `whitened` = W (y - h), and
+    `jacobian` = W dh/dtheta, so that the linearised data equation is
+    whitened(theta + d) = whitened - jacobian d.
+    """
+
+    model: Model
+    measurement: Measurement
+    theta: np.ndarray
+    shapes: Shapes
+    residual: np.ndarray = field(repr=False)
+    """y - h, (n, m), SI."""
+    whitener: np.ndarray = field(repr=False)
+    """(n, m, m); zero for rows that were left out."""
+    whitened: np.ndarray = field(repr=False)
+    jacobian: np.ndarray = field(repr=False)
+    port_jacobian: np.ndarray = field(repr=False)
+    """dh/dports (n, m, p), not whitened."""
+    precision: np.ndarray = field(repr=False)
+    """Diagonal of the prior precision L in solver units."""
+    converged: bool
+    steps: int
+
+    @property
+    def factor(self) -> tuple[np.ndarray, bool]:
+        """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`."""
+        return cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.precision))
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Posterior covariance H^-1 in solver units."""
+        return cho_solve(self.factor, np.eye(len(self.theta)))
+
+    @property
+    def used(self) -> np.ndarray:
+        """Rows that took part in the fit (n,)."""
+        return np.abs(self.whitener).sum((1, 2)) > 0
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared whitened data residuals."""
+        return float(self.whitened @ self.whitened)
+
+    @property
+    def dof(self) -> float:
+        """Effective degrees of freedom: readings less tr(J H^-1 J')."""
+        hat = np.einsum("ij,ij->", self.jacobian @ self.covariance, self.jacobian)
+        return float(self.used.sum() * self.residual.shape[1] - hat)
+
+    @property
+    def entries(self) -> tuple[tuple[str, Parameter], ...]:
+        """(effect with placement, parameter) for every entry of `theta`: amplitudes, then the
+        shape parameters in which the deviation is smooth."""
+        return entries(self.model)
+
+    @property
+    def information(self) -> np.ndarray:
+        """Share of each parameter's information that came from the data: 1 - posterior variance /
+        prior variance; 1 for flat priors."""
+        variance = np.diag(self.covariance)
+        return np.where(self.precision > 0, 1.0 - variance * self.precision, 1.0)
+
+    def log_evidence(self, noise_scale: float = 1.0) -> float:
+        """Laplace's approximation of ln p(y | model), up to a constant of the data alone.
+
+        -chi2/2 - theta'L theta/2 + ln det L/2 - ln det H/2 + ln det W, plus the prior density of
+        the shape parameters: uniform over their scan, so one over its number of steps. Flat
+        directions enter as a unit of their scale, the same in every model that is compared.
+        `noise_scale` multiplies the declared noise.
+        """
+        s2 = noise_scale**2
+        proper = self.precision > 0
+        h = self.jacobian.T @ self.jacobian / s2 + np.diag(self.precision)
+        log_h = np.linalg.slogdet(h)[1]
+        prior = self.theta[proper] ** 2 @ self.precision[proper]
+        noise = np.linalg.slogdet(self.whitener[self.used])[1].sum()
+        readings = self.used.sum() * self.residual.shape[1]
+        shapes = 0.0
+        for i, effect in enumerate(self.model.effects):
+            grids = effect.scan(self.measurement.plan)
+            for p in effect.shapes:
+                shapes += 0.5 * math.log(2 * math.pi) * p.smooth - math.log(len(grids[p.name]))
+        return float(
+            -0.5 * (self.chi2 / s2 + prior + log_h)
+            + 0.5 * np.log(self.precision[proper]).sum()
+            + noise
+            - readings * math.log(noise_scale)
+            + shapes
+        )
+
+    def parameter_values(self) -> list[tuple[str, Parameter, float, float]]:
+        """(effect, parameter, value, standard uncertainty) of all entries, in edge units.
+
+        Shape parameters without a derivative (the time of a jump) have uncertainty nan.
+        """
+        sigma = np.sqrt(np.diag(self.covariance))
+        found, k = [], 0
+        for entry in self.model.entries:
+            p = entry.parameter
+            found.append(
+                (entry.key, p, p.mean + self.theta[k] * p.step / p.si, sigma[k] * p.step / p.si)
+            )
+            k += 1
+        for i, effect in enumerate(self.model.effects):
+            for p in effect.shapes:
+                value = float(self.shapes[i][p.name])
+                if p.smooth:
+                    step = shape_step(p, value, effect.scan(self.measurement.plan))
+                    found.append((effect.key, p, value / p.si, sigma[k] * step / p.si))
+                    k += 1
+                else:
+                    found.append((effect.key, p, value / p.si, math.nan))
+        return found
+
+
+def entries(model: Model) -> tuple[tuple[str, Parameter], ...]:
+    """Amplitudes of all effects, then all smooth shape parameters."""
+    amplitudes = [(entry.key, entry.parameter) for entry in model.entries]
+    shapes = [(e.key, p) for e in model.effects for p in e.shapes if p.smooth]
+    return (*amplitudes, *shapes)
+
+
+def shape_step(parameter: Parameter, value: float, grids: Mapping[str, np.ndarray]) -> float:
+    """What the solver counts as one for a shape parameter: one step of its scan there (SI)."""
+    grid = grids[parameter.name]
+    if len(grid) < 2:
+        return max(abs(value), parameter.si) * 0.1
+    return float(np.abs(np.gradient(grid))[np.argmin(np.abs(grid - value))])
+
+
+def linearised_terms(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray) -> Terms:
+    """Terms of all amplitudes, and of the smooth shape parameters at the given amplitudes."""
+    base = model.terms(plan, shapes)
+    blocks, start, k = [base], 0, len(model.entries)
+    for i, effect in enumerate(model.effects):
+        amplitudes = effect.amplitudes
+        for p in effect.shapes:
+            if not p.smooth:
+                continue
+            at = {name: jnp.asarray(value, float) for name, value in shapes[i].items()}
+            one = {name: jnp.asarray(float(name == p.name)) for name in at}
+            _, slopes = jax.jvp(lambda s, e=effect: dict(e.response(plan, s)), (at,), (one,))
+            step = shape_step(p, float(shapes[i][p.name]), effect.scan(plan))
+            columns: dict[int, np.ndarray] = {}
+            for (port, name), slope in slopes.items():
+                j = [a.name for a in amplitudes].index(name)
+                size = amplitudes[j].mean * amplitudes[j].si + theta[start + j] * amplitudes[j].step
+                place = model.layout.index(port)
+                columns[place] = columns.get(place, 0.0) + np.asarray(slope) * size * step
+            blocks.append(
+                Terms(
+                    np.zeros_like(base.offset),
+                    np.stack(list(columns.values()), 1),
+                    np.asarray(list(columns)),
+                    np.full(len(columns), k),
+                )  # type: ignore[arg-type]
+            )
+            k += 1
+        start += len(amplitudes)
+    return concatenate(blocks, plan.rows, len(model.layout))
+
+
+def declared_whitener(model: Model, measurement: Measurement) -> np.ndarray:
+    """W of every row from the instrument's declared noise and the model's random effects.
+
+    A random effect with response c and sigma s adds s^2 (J c)(J c)' to the covariance of each row.
+    """
+    sigma = model.instrument.noise(measurement.plan, measurement.readings)
+    covariance = np.einsum("ni,ij->nij", sigma**2, np.eye(sigma.shape[1]))
+    return np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
+
+
+def identify(
+    model: Model,
+    measurement: Measurement,
+    *,
+    theta: np.ndarray | None = None,
+    shapes: Shapes | None = None,
+    whitener: np.ndarray | None = None,
+    keep: np.ndarray | None = None,
+) -> Fit:
+    """Fit a model to a measurement by non-linear least squares.
+
+    `theta` (solver units) and `shapes` (SI) start the solver; shape parameters that are not given
+    start at the middle of their scan. `whitener` (n, m, m) replaces the declared noise, `keep` (n,)
+    leaves rows out. Gauss-Newton first, Levenberg-Marquardt where it does not converge;
+    `Fit.converged` says whether either did. Raises `RuntimeError` where JAX runs in float32.
+    """
+    require_float64()
+    plan, instrument = measurement.plan, model.instrument
+    if whitener is None:
+        whitener = declared_whitener(model, measurement)
+    if keep is not None:
+        whitener = whitener * np.asarray(keep, float)[:, None, None]
+    current: dict[int, dict[str, float]] = {}
+    for i, effect in enumerate(model.effects):
+        if effect.shapes:
+            grids = effect.scan(plan)
+            middle = {p.name: float(grids[p.name][len(grids[p.name]) // 2]) for p in effect.shapes}
+            current[i] = middle | {k: float(v) for k, v in (shapes or {}).get(i, {}).items()}
+    names = entries(model)
+    size, amplitudes = len(names), len(model.entries)
+    precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in names])
+    estimate = np.zeros(size)
+    if theta is not None:
+        estimate[: len(theta)] = theta
+    rows = instrument.rows(plan)
+    steps, converged = 0, False
+    for _ in range(25):
+        terms = linearised_terms(model, plan, current, estimate)
+        problem = _padded(
+            Problem(
+                plan.position, rows, measurement.readings, whitener, terms, np.sqrt(precision)
+            )  # type: ignore[arg-type]
+        )
+        start = np.zeros(problem.root_precision.shape[0])
+        start[:size] = estimate
+        found, good, used = _solve(model.chain, instrument, plan, problem, start)
+        if not bool(good):
+            found, good, used = _solve_damped(model.chain, instrument, plan, problem, start)
+        steps += int(used)
+        estimate, converged = np.asarray(found)[:size], bool(good)
+        if size == amplitudes:
+            break
+        moved = _move_shapes(model, plan, current, estimate[amplitudes:])
+        estimate[amplitudes:] = 0.0
+        if moved < 1e-4:
+            break
+    else:
+        converged = False
+    residual, by_port = _evaluate(model.chain, instrument, plan, problem, _pad(estimate, start))
+    residual, by_port = np.asarray(residual), np.asarray(by_port)
+    by_term = (
+        np.einsum("nij,njp->nip", whitener, by_port)[:, :, terms.port] * terms.values[:, None, :]
+    )
+    gather = np.zeros((len(terms.parameter), size))
+    gather[np.arange(len(terms.parameter)), np.asarray(terms.parameter)] = 1.0
+    return Fit(
+        model=model,
+        measurement=measurement,
+        theta=estimate,
+        shapes=current,
+        residual=residual,
+        whitener=whitener,
+        whitened=np.einsum("nij,nj->ni", whitener, residual).reshape(-1),
+        jacobian=(by_term @ gather).reshape(-1, size),
+        port_jacobian=by_port,
+        precision=precision,
+        converged=converged,
+        steps=steps,
+    )
+
+
+def _pad(values: np.ndarray, like: np.ndarray) -> np.ndarray:
+    padded = np.zeros_like(like)
+    padded[: len(values)] = values
+    return padded
+
+
+def _padded(problem: Problem) -> Problem:
+    terms, size = problem.terms, len(problem.root_precision)
+    more_terms = -len(terms.port) % _SLOTS
+    more = -size % _SLOTS
+    return problem._replace(
+        terms=Terms(
+            terms.offset,
+            np.pad(terms.values, ((0, 0), (0, more_terms))),
+            np.pad(terms.port, (0, more_terms)),
+            np.pad(terms.parameter, (0, more_terms)),
+        ),  # type: ignore[arg-type]
+        root_precision=np.pad(problem.root_precision, (0, more), constant_values=1.0),
+    )
+
+
+def _move_shapes(
+    model: Model, plan: Plan, shapes: dict[int, dict[str, float]], delta: np.ndarray
+) -> float:
+    """Move the shape parameters by `delta` solver units, at most one each, inside their scan."""
+    k, largest = 0, 0.0
+    for i, effect in enumerate(model.effects):
+        grids = effect.scan(plan) if effect.shapes else {}
+        for p in effect.shapes:
+            if not p.smooth:
+                continue
+            old = shapes[i][p.name]
+            step = shape_step(p, old, grids)
+            grid = grids[p.name]
+            new = float(np.clip(old + step * np.clip(delta[k], -1, 1), grid.min(), grid.max()))
+            largest = max(largest, abs(new - old) / step)
+            shapes[i][p.name] = new
+            k += 1
+    return largest

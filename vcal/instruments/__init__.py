@@ -1,0 +1,6 @@
+"""Measuring instruments, one leaf file each; importing the package fills the registry."""
+
+from . import ball_array, laser_tracker, reflectors
+from .base import INSTRUMENTS, Column, Instrument
+
+__all__ = ["INSTRUMENTS", "Column", "Instrument", "ball_array", "laser_tracker", "reflectors"]

@@ -1,0 +1,264 @@
+"""Ball array: axis positions at which the balls of a calibrated artefact are found."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from ..chain import Chain
+from ..effects.base import Artefact, Effect, Response
+from ..errors import StudyError
+from ..parameters import Parameter
+from ..plan import Plan
+from ..ports import COMPONENTS, group
+from ..spatial import best_rigid, rotation
+from .base import Column, Instrument, InstrumentSettings, Loader, register
+from .conditions import linear_plan, linear_plan_table
+from .frame import pose_parameters
+
+
+class BallArraySettings(InstrumentSettings):
+    """Keys of ``[instrument]`` for ``kind = "ball_array"``."""
+
+    artefact: str
+    probe_sigma_um: float = Field(gt=0)
+    ball_position_u_um: float = Field(default=0.0, ge=0)
+    supports: tuple[float, float] = (0.2203, 0.7797)
+
+
+class ArtefactPoses(Effect):
+    """Pose of the artefact in every set-up against its start: six flat parameters per pose."""
+
+    name = "artefact_pose"
+    summary = "pose of the artefact in each set-up"
+    kind = "nuisance"
+    where = "instrument"
+    poses: tuple[int, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(p for pose in self.poses for p in pose_parameters(f"{pose}."))
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        index = plan.groups["pose"]
+        return {
+            (f"target.{c}", f"{pose}.{c}"): (index == pose) * 1.0
+            for pose in self.poses
+            for c in COMPONENTS
+        }
+
+
+class BallCalibration(Effect):
+    """Error of each calibrated ball centre, with the standard uncertainty of the certificate."""
+
+    name = "ball_calibration"
+    summary = "uncertain calibrated ball positions"
+    where = "instrument"
+    balls: tuple[int, ...] = ()
+    sigma: float = 0.0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"{ball}.{c}", "um", sigma=self.sigma / 1e-6)
+            for ball in self.balls
+            for c in "XYZ"
+        )
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        index = plan.groups["ball"]
+        return {
+            (f"ball.{c}", f"{ball}.{c}"): (index == ball) * 1.0
+            for ball in self.balls
+            for c in "XYZ"
+        }
+
+
+@register
+class BallArray(Instrument):
+    """The residual is tool point(position found) - ball centre, in the workpiece frame.
+
+    The ball centre is t + R (b + d): artefact pose (R, t), calibrated centre b, its error d. The
+    reading is implicit (the axis positions found); a fit takes the explicit residual, whose
+    derivative with respect to the positions is the identity to 1e-4, so that probing noise enters
+    it unchanged. Only simulation solves for the positions.
+    """
+
+    kind = "ball_array"
+    Settings = BallArraySettings
+
+    centres: np.ndarray
+    """Calibrated ball centres (balls, 3), m, by ball number."""
+    numbers: np.ndarray
+    """Ball numbers as in the artefact table."""
+    probe_sigma: float
+    position_sigma: float
+    supports: tuple[float, float]
+    pose_numbers: np.ndarray
+    pose_rotation: np.ndarray
+    pose_origin: np.ndarray
+
+    ports = group("target") + group("ball", ("X", "Y", "Z")) + group("read", ("X", "Y", "Z"))
+    readings = ("X", "Y", "Z")
+
+    @classmethod
+    def columns(
+        cls, settings: BallArraySettings, axes: Sequence[str], readings: bool
+    ) -> list[Column]:
+        return [
+            Column(name="pose", low=0, integer=True),
+            Column(name="ball", low=0, integer=True, unique_with=("pose",)),
+        ]
+
+    @classmethod
+    def build(
+        cls,
+        settings: BallArraySettings,
+        chain: Chain,
+        table: Mapping[str, np.ndarray],
+        load: Loader,
+    ) -> "BallArray":
+        artefact = load(
+            settings.artefact,
+            [Column(name="ball", low=0, integer=True, unique_with=("ball",))]
+            + [Column(name=f"{c}_mm", low=-1e5, high=1e5) for c in "xyz"],
+        )
+        _check_balls(settings.artefact, artefact["ball"], table["ball"])
+        poses = np.unique(table["pose"]).astype(int)
+        _check_poses(poses, table["pose"])
+        return cls(
+            centres=np.column_stack([artefact[f"{c}_mm"] for c in "xyz"]) * 1e-3,
+            numbers=artefact["ball"].astype(int),
+            probe_sigma=settings.probe_sigma_um * 1e-6,
+            position_sigma=settings.ball_position_u_um * 1e-6,
+            supports=settings.supports,
+            pose_numbers=poses,
+            pose_rotation=np.tile(np.eye(3), (len(poses), 1, 1)),
+            pose_origin=np.zeros((len(poses), 3)),
+        )
+
+    def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
+        plan = linear_plan(chain, table)
+        started = self.start(chain, plan, np.zeros((plan.rows, 3)))
+        index = np.searchsorted(self.pose_numbers, plan.groups["pose"])
+        beam, along = self.beam()
+        down = -started.pose_rotation[index][:, 2, :]  # gravity in the artefact's frame
+        derived = {f"gravity_{c}": down[:, i] for i, c in enumerate("xyz")}
+        derived["tilt"] = np.arcsin(np.clip(-down @ beam, -1.0, 1.0))
+        derived["along_beam"] = along[self._ball_rows(plan)]
+        arm = self._from_centroid()[self._ball_rows(plan)]
+        derived |= {f"ball_{c}": arm[:, i] for i, c in enumerate("xyz")}
+        return Plan(plan.axes, plan.position, {**plan.covariates, **derived}, plan.groups)
+
+    def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
+        return np.zeros((len(table["ball"]), 3))
+
+    def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
+        return linear_plan_table(plan)
+
+    def rows(self, plan: Plan) -> Any:
+        pose = np.searchsorted(self.pose_numbers, np.asarray(plan.groups["pose"]))
+        return (
+            self.centres[self._ball_rows(plan)],
+            self.pose_rotation[pose],
+            self.pose_origin[pose],
+        )
+
+    def observe(
+        self,
+        row: Any,
+        rotation_: Float[Array, "3 3"],
+        tool: Float[Array, "3"],
+        ports: Mapping[str, Array],
+    ) -> Float[Array, "3"]:
+        centre, r0, t0 = row
+        twist = ports["target"]
+        ball = t0 + twist[:3] + r0 @ rotation(twist[3:]) @ (centre + ports["ball"])
+        return tool - ball + ports["read"]
+
+    def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        return np.full((plan.rows, 3), self.probe_sigma)
+
+    def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        return np.ones((plan.rows, 3))
+
+    def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> "BallArray":
+        nominal = np.asarray(plan.position)[:, _order(chain)] + np.asarray(chain.tool_offset)
+        balls = self.centres[self._ball_rows(plan)]
+        rotations, origins = [], []
+        for pose in self.pose_numbers:
+            rows = np.asarray(plan.groups["pose"]) == pose
+            r, t = best_rigid(balls[rows], nominal[rows])
+            rotations.append(r)
+            origins.append(t)
+        return BallArray(
+            self.centres,
+            self.numbers,
+            self.probe_sigma,
+            self.position_sigma,
+            self.supports,
+            self.pose_numbers,
+            np.stack(rotations),
+            np.stack(origins),
+        )
+
+    def effects(self, plan: Plan) -> tuple[Effect, ...]:
+        effects: tuple[Effect, ...] = (
+            ArtefactPoses(poses=tuple(int(p) for p in self.pose_numbers)),
+        )
+        if self.position_sigma > 0:
+            balls = tuple(int(b) for b in self.numbers)
+            effects += (BallCalibration(balls=balls, sigma=self.position_sigma),)
+        return effects
+
+    def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
+        # Whole poses, since a pose's own six unknowns tie its balls together.
+        return np.searchsorted(self.pose_numbers, np.asarray(plan.groups["pose"])), False
+
+    @property
+    def artefact(self) -> Artefact:
+        """Supports and direction of the beam, for the effects of the artefact."""
+        x, y, z = (float(v) for v in self.beam()[0])
+        return Artefact(self.supports, (x, y, z))
+
+    def beam(self) -> tuple[np.ndarray, np.ndarray]:
+        """Direction of the artefact's long axis, and each ball's place along it as a share."""
+        arm = self._from_centroid()
+        direction = np.linalg.svd(arm)[2][0]
+        along = arm @ direction
+        return direction, (along - along.min()) / np.ptp(along)
+
+    def _from_centroid(self) -> np.ndarray:
+        return self.centres - self.centres.mean(0)
+
+    def _ball_rows(self, plan: Plan) -> np.ndarray:
+        order = np.argsort(self.numbers)
+        return order[np.searchsorted(self.numbers[order], np.asarray(plan.groups["ball"]))]
+
+
+def _order(chain: Chain) -> list[int]:
+    return [chain.axes.index(axis) for axis in "XYZ"]
+
+
+def _check_balls(file: str, calibrated: np.ndarray, found: np.ndarray) -> None:
+    for row, ball in enumerate(found):
+        if ball not in calibrated:
+            known = ", ".join(str(int(b)) for b in calibrated)
+            raise StudyError(
+                f"data.csv, row {row + 1}, column ball: found {int(ball)}, expected a ball of "
+                f"{file} ({known}); correct the index or add the ball to {file}"
+            )
+
+
+def _check_poses(poses: np.ndarray, found: np.ndarray) -> None:
+    for pose in poses:
+        count = int((found == pose).sum())
+        if count < 3:
+            row = int(np.argmax(found == pose)) + 1
+            raise StudyError(
+                f"data.csv, row {row}, column pose: pose {pose} has {count} ball(s), expected at "
+                "least 3 to find its six unknowns; measure more balls or remove the pose"
+            )

@@ -1,0 +1,152 @@
+"""What an instrument is, and the registry that finds instruments by name."""
+
+import abc
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import BaseModel, ConfigDict
+
+from ..chain import Chain
+from ..effects.base import Artefact, Effect
+from ..plan import Plan
+
+
+class Column(BaseModel):
+    """A column an instrument expects in its data, in the file's units."""
+
+    model_config = ConfigDict(frozen=True)
+    name: str
+    low: float = -np.inf
+    high: float = np.inf
+    """Physical range, ends included."""
+    integer: bool = False
+    unique_with: tuple[str, ...] = ()
+    """Index columns that together with this one must not repeat."""
+
+
+Loader = Callable[[str, list[Column]], Mapping[str, np.ndarray]]
+"""Reads and checks a table beside the study file: (file name, columns) -> columns."""
+
+
+class InstrumentSettings(BaseModel):
+    """What every ``[instrument]`` table holds; each instrument adds its own keys."""
+
+    model_config = ConfigDict(extra="forbid")
+    kind: str
+
+
+class Instrument(eqx.Module):
+    """Base class of all instruments; subclasses are final.
+
+    An instrument is the geometry between the tool point and a reading, for one observation
+    (`observe`), plus what it declares: its ports, its noise, its nuisances, its columns.
+    """
+
+    kind: ClassVar[str]
+    """Name in study files."""
+    Settings: ClassVar[type[InstrumentSettings]]
+    """Keys of the ``[instrument]`` table, validated."""
+    ports: eqx.AbstractVar[tuple[str, ...]]
+    """Names of its ports (`vcal.ports.group`)."""
+    readings: eqx.AbstractVar[tuple[str, ...]]
+    """Names of the components of one reading."""
+
+    # --- edges: from and to files -------------------------------------------------------------
+    @classmethod
+    @abc.abstractmethod
+    def columns(cls, settings: Any, axes: Sequence[str], readings: bool) -> list[Column]:
+        """Columns of its data table besides the conditions; without readings for a plan."""
+
+    @classmethod
+    @abc.abstractmethod
+    def build(
+        cls, settings: Any, chain: Chain, table: Mapping[str, np.ndarray], load: Loader
+    ) -> Self:
+        """From validated settings and data; `load` reads a further table beside the study file.
+
+        Raises `StudyError` where the data and the further tables do not fit together.
+        """
+
+    @abc.abstractmethod
+    def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
+        """The command step: what the axes did, with every covariate that can be derived."""
+
+    @abc.abstractmethod
+    def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Readings (n, m) in SI from the columns of the table."""
+
+    @abc.abstractmethod
+    def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
+        """The inverse of `plan` and `measured`: columns in file units."""
+
+    # --- the path of one observation ------------------------------------------------------------
+    def rows(self, plan: Plan) -> Any:
+        """Pytree of what `observe` needs per row beside the pose (leading axis n)."""
+        del plan
+        return ()
+
+    @abc.abstractmethod
+    def observe(
+        self,
+        row: Any,
+        rotation: Float[Array, "3 3"],
+        tool: Float[Array, "3"],
+        ports: Mapping[str, Array],
+    ) -> Float[Array, " m"]:
+        """Ideal reading of one row: tool frame in the workpiece frame, instrument's own ports."""
+
+    def reduce(self, values: Float[Array, "n m *k"], plan: Plan) -> Float[Array, "n m *k"]:
+        """Linear step from readings to what is fitted, applied to data, model and derivatives."""
+        del plan
+        return values
+
+    def difference(self, measured: Array, predicted: Array) -> Array:
+        """measured - predicted, with angles unwrapped where an instrument reads angles."""
+        return measured - predicted
+
+    # --- what it declares -----------------------------------------------------------------------
+    @abc.abstractmethod
+    def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        """One-sigma noise of the reduced readings (n, m), SI."""
+
+    @abc.abstractmethod
+    def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        """Metre per unit of each reading (n, m), so that residuals can be told in micrometres."""
+
+    def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> Self:
+        """The same instrument with its unknown poses started from the data."""
+        del chain, plan, readings
+        return self
+
+    @abc.abstractmethod
+    def effects(self, plan: Plan) -> tuple[Effect, ...]:
+        """Its nuisances, and effects with a prior such as uncertain calibrated positions."""
+
+    @abc.abstractmethod
+    def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
+        """How readings are held out: fold index per row (-1: never held out), and whether held-out
+        rows are kept out of every fit (True) or rotated (False)."""
+
+    @property
+    def artefact(self) -> Artefact | None:
+        """The artefact it measures, for the effects that act on it."""
+        return None
+
+    @property
+    def clustered(self) -> bool:
+        """Whether the readings of one row share errors of the machine that are not modelled, so
+        that their covariance is to be estimated instead of taken from the declared noise."""
+        return False
+
+
+INSTRUMENTS: dict[str, type[Instrument]] = {}
+"""Every instrument a study file may name, by kind."""
+
+
+def register(instrument: type[Instrument]) -> type[Instrument]:
+    """Class decorator that enters an instrument into the registry under its `kind`."""
+    INSTRUMENTS[instrument.kind] = instrument
+    return instrument

@@ -1,0 +1,35 @@
+"""The unknown pose of an instrument's frame, as a nuisance."""
+
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..effects.base import Effect, Response
+from ..parameters import Parameter
+from ..plan import Plan
+from ..ports import COMPONENTS
+
+
+def pose_parameters(prefix: str = "") -> tuple[Parameter, ...]:
+    """Six flat-prior parameters of a pose; one solver unit is 1 mm or 1 mrad."""
+    return tuple(
+        Parameter(f"{prefix}{c}", "um" if c in "XYZ" else "urad", scale=1000.0) for c in COMPONENTS
+    )
+
+
+class Station(Effect):
+    """Pose of the instrument's frame against its nominal one: s0 + (X, Y, Z), R0 exp(A, B, C)."""
+
+    name = "station"
+    summary = "pose of the instrument's frame"
+    kind = "nuisance"
+    where = "instrument"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return pose_parameters()
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        one = jnp.ones(plan.rows)
+        return {(f"frame.{c}", c): one for c in COMPONENTS}

@@ -1,0 +1,139 @@
+"""Laser tracker: range, azimuth and elevation of a reflector at the tool point."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from ..chain import Chain
+from ..effects.base import Effect
+from ..plan import Plan
+from ..ports import group
+from ..spatial import euler_xyz, rotation
+from .base import Column, Instrument, InstrumentSettings, Loader, register
+from .conditions import linear_plan, linear_plan_table
+from .frame import Station
+
+_READ = ("range", "azimuth", "elevation")
+
+
+class LaserTrackerSettings(InstrumentSettings):
+    """Keys of ``[instrument]`` for ``kind = "laser_tracker"``."""
+
+    range_sigma_um: float = Field(gt=0)
+    range_sigma_um_per_m: float = Field(default=0.0, ge=0)
+    angle_sigma_urad: float = Field(gt=0)
+    station_mm: tuple[float, float, float]
+    euler_xyz_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@register
+class LaserTracker(Instrument):
+    """Range |v|, azimuth atan2(v_y, v_x), elevation asin(v_z / |v|) with v = R'(p - station).
+
+    Noise: range sigma a + b r (added linearly), one angle sigma for both angles. The station's pose
+    (R = Rx Ry Rz of the nominal Euler angles) is a nuisance with six parameters.
+    """
+
+    kind = "laser_tracker"
+    Settings = LaserTrackerSettings
+
+    station: np.ndarray
+    orientation: np.ndarray
+    range_sigma: float
+    range_sigma_per_m: float
+    angle_sigma: float
+
+    ports = group("frame") + group("read", _READ)
+    readings = _READ
+
+    @classmethod
+    def columns(
+        cls, settings: LaserTrackerSettings, axes: Sequence[str], readings: bool
+    ) -> list[Column]:
+        if not readings:
+            return []
+        return [
+            Column(name="range_mm", low=1.0, high=200e3),
+            Column(name="azimuth_rad", low=-2 * np.pi, high=2 * np.pi),
+            Column(name="elevation_rad", low=-np.pi / 2, high=np.pi / 2),
+        ]
+
+    @classmethod
+    def build(
+        cls,
+        settings: LaserTrackerSettings,
+        chain: Chain,
+        table: Mapping[str, np.ndarray],
+        load: Loader,
+    ) -> "LaserTracker":
+        angles = np.deg2rad(np.asarray(settings.euler_xyz_deg, float))
+        return cls(
+            station=np.asarray(settings.station_mm, float) * 1e-3,
+            orientation=np.asarray(euler_xyz(jnp.asarray(angles))),
+            range_sigma=settings.range_sigma_um * 1e-6,
+            range_sigma_per_m=settings.range_sigma_um_per_m * 1e-6,
+            angle_sigma=settings.angle_sigma_urad * 1e-6,
+        )
+
+    def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
+        plan = linear_plan(chain, table)
+        nominal = plan.position + np.asarray(chain.tool_offset)
+        v = (nominal - self.station) @ self.orientation
+        r = np.linalg.norm(v, axis=1)
+        derived = {
+            "range": r,
+            "azimuth": np.arctan2(v[:, 1], v[:, 0]),
+            "elevation": np.arcsin(v[:, 2] / r),
+        }
+        return Plan(plan.axes, plan.position, {**plan.covariates, **derived}, plan.groups)
+
+    def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
+        return np.column_stack(
+            [table["range_mm"] * 1e-3, table["azimuth_rad"], table["elevation_rad"]]
+        )
+
+    def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
+        return {
+            **linear_plan_table(plan),
+            "range_mm": readings[:, 0] * 1e3,
+            "azimuth_rad": readings[:, 1],
+            "elevation_rad": readings[:, 2],
+        }
+
+    def observe(
+        self,
+        row: Any,
+        rotation_: Float[Array, "3 3"],
+        tool: Float[Array, "3"],
+        ports: Mapping[str, Array],
+    ) -> Float[Array, "3"]:
+        twist = ports["frame"]
+        r = self.orientation @ rotation(twist[3:])
+        v = r.T @ (tool - self.station - twist[:3])
+        length = jnp.sqrt(v @ v)
+        ideal = jnp.stack([length, jnp.arctan2(v[1], v[0]), jnp.arcsin(v[2] / length)])
+        return ideal + ports["read"]
+
+    def difference(self, measured: Array, predicted: Array) -> Array:
+        d = measured - predicted
+        return d - jnp.array([0.0, 2 * jnp.pi, 0.0]) * jnp.round(d / (2 * jnp.pi))
+
+    def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        r = readings[:, 0]
+        angle = np.full_like(r, self.angle_sigma)
+        return np.column_stack([self.range_sigma + self.range_sigma_per_m * r, angle, angle])
+
+    def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        r, elevation = readings[:, 0], readings[:, 2]
+        return np.column_stack([np.ones_like(r), r * np.cos(elevation), r])
+
+    def effects(self, plan: Plan) -> tuple[Effect, ...]:
+        return (Station(),)
+
+    def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
+        # Five contiguous blocks in time: neighbours in time share what drifts.
+        return np.arange(plan.rows) * 5 // plan.rows, False

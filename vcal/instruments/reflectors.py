@@ -1,0 +1,246 @@
+"""Reflectors: several points on the tool (and on the base) in the tracker's frame."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from ..chain import Chain
+from ..effects.base import Effect, Response
+from ..parameters import Parameter
+from ..plan import Plan
+from ..ports import group
+from ..spatial import best_rigid, rotation
+from .base import Column, Instrument, InstrumentSettings, Loader, register
+from .frame import Station
+
+
+class ReflectorsSettings(InstrumentSettings):
+    """Keys of ``[instrument]`` for ``kind = "reflectors"``."""
+
+    tool_reflectors: int = Field(ge=1)
+    base_reflectors: int = Field(default=0, ge=0)
+    sigma_um: float = Field(gt=0)
+    joints: Literal["commanded", "read"] = "commanded"
+
+
+class ToolPoints(Effect):
+    """Positions of the reflectors on the tool against their start: three flat parameters each."""
+
+    name = "tool_points"
+    summary = "positions of the reflectors on the tool"
+    kind = "nuisance"
+    where = "instrument"
+    count: int = 1
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"{k}.{c}", "um", scale=1000.0)
+            for k in range(1, self.count + 1)
+            for c in "XYZ"
+        )
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        one = jnp.ones(plan.rows)
+        return {
+            (f"point{k}.{c}", f"{k}.{c}"): one for k in range(1, self.count + 1) for c in "XYZ"
+        }
+
+
+@register
+class Reflectors(Instrument):
+    """Coordinates v_k = R'(p + R_tool r_k - s) of the tool's reflectors, in the frame of the base.
+
+    Where reflectors on the base were measured with every pose, the readings are reduced first: each
+    row is moved by the rigid motion that brings its base reflectors onto their mean, which takes
+    out the drift of the tracker. The base's pose and the reflectors' places on the tool are
+    nuisances.
+    """
+
+    kind = "reflectors"
+    Settings = ReflectorsSettings
+
+    count: int
+    base_count: int
+    sigma: float
+    joints: str
+    station: np.ndarray
+    orientation: np.ndarray
+    points: np.ndarray
+    """Start of the reflectors on the tool (count, 3), m."""
+
+    @property
+    def ports(self) -> tuple[str, ...]:  # type: ignore[override]
+        points = [group(f"point{k}", ("X", "Y", "Z")) for k in range(1, self.count + 1)]
+        return group("frame") + tuple(name for names in points for name in names)
+
+    @property
+    def readings(self) -> tuple[str, ...]:  # type: ignore[override]
+        return tuple(f"{k}.{c}" for k in range(1, self.count + 1) for c in "XYZ")
+
+    @classmethod
+    def columns(
+        cls, settings: ReflectorsSettings, axes: Sequence[str], readings: bool
+    ) -> list[Column]:
+        degrees = {"low": -720.0, "high": 720.0}
+        found = [Column(name="pose", low=0, integer=True, unique_with=("pose",))]
+        for i in range(len(axes)):
+            found.append(Column(name=f"q{i + 1}_cmd_deg", **degrees))
+            if settings.joints == "read":
+                found.append(Column(name=f"q{i + 1}_read_deg", **degrees))
+        if readings:
+            found += [
+                Column(name=f"{kind}{k}_{c}_mm", low=-1e5, high=1e5)
+                for kind, count in (
+                    ("smr", settings.tool_reflectors),
+                    ("base", settings.base_reflectors),
+                )
+                for k in range(1, count + 1)
+                for c in "xyz"
+            ]
+        return found
+
+    @classmethod
+    def build(
+        cls,
+        settings: ReflectorsSettings,
+        chain: Chain,
+        table: Mapping[str, np.ndarray],
+        load: Loader,
+    ) -> "Reflectors":
+        return cls(
+            count=settings.tool_reflectors,
+            base_count=settings.base_reflectors,
+            sigma=settings.sigma_um * 1e-6,
+            joints=settings.joints,
+            station=np.zeros(3),
+            orientation=np.eye(3),
+            points=np.zeros((settings.tool_reflectors, 3)),
+        )
+
+    def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
+        number = len(chain.joints)
+        commanded = np.deg2rad(
+            np.column_stack([table[f"q{i + 1}_cmd_deg"] for i in range(number)])
+        )
+        pose = np.asarray(table["pose"], int)
+        # The move into a pose after a gap in the numbering is unknown: no direction there.
+        consecutive = np.r_[False, np.diff(pose) == 1]
+        move = np.where(consecutive[:, None], np.diff(commanded, axis=0, prepend=commanded[:1]), 0)
+        covariates: dict[str, np.ndarray] = {"order": pose.astype(float)}
+        position = commanded
+        if all(f"q{i + 1}_read_deg" in table for i in range(number)):
+            read = np.deg2rad(
+                np.column_stack([table[f"q{i + 1}_read_deg"] for i in range(number)])
+            )
+            covariates |= {f"read_{axis}": read[:, i] for i, axis in enumerate(chain.axes)}
+            position = read if self.joints == "read" else commanded
+        for i, axis in enumerate(chain.axes):
+            covariates[f"commanded_{axis}"] = commanded[:, i]
+            covariates[f"dir_{axis}"] = np.sign(move[:, i])
+            covariates[f"move_{axis}"] = move[:, i]
+        return Plan(chain.axes, position, covariates, {"pose": pose})
+
+    def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
+        tool = _points(table, "smr", self.count)
+        if self.base_count < 3:
+            return tool.reshape(len(tool), -1)
+        base = _points(table, "base", self.base_count)
+        mean = base.mean(0)
+        aligned = np.empty_like(tool)
+        for i in range(len(tool)):
+            r, t = best_rigid(base[i], mean)
+            aligned[i] = tool[i] @ r.T + t
+        return aligned.reshape(len(tool), -1)
+
+    def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
+        table: dict[str, np.ndarray] = {"pose": np.asarray(plan.groups["pose"])}
+        for i, axis in enumerate(plan.axes):
+            table[f"q{i + 1}_cmd_deg"] = np.rad2deg(plan.covariates[f"commanded_{axis}"])
+            if f"read_{axis}" in plan.covariates:
+                table[f"q{i + 1}_read_deg"] = np.rad2deg(plan.covariates[f"read_{axis}"])
+        for k in range(self.count):
+            for i, c in enumerate("xyz"):
+                table[f"smr{k + 1}_{c}_mm"] = readings[:, 3 * k + i] * 1e3
+        # A simulated tracker does not drift: its base reflectors stay where they are.
+        for k in range(self.base_count):
+            for i, c in enumerate("xyz"):
+                table[f"base{k + 1}_{c}_mm"] = np.full(plan.rows, 500.0 * (i == k % 3))
+        return table
+
+    def observe(
+        self,
+        row: Any,
+        rotation_: Float[Array, "3 3"],
+        tool: Float[Array, "3"],
+        ports: Mapping[str, Array],
+    ) -> Float[Array, " m"]:
+        twist = ports["frame"]
+        r = self.orientation @ rotation(twist[3:])
+        coordinates = []
+        for k in range(self.count):
+            point = tool + rotation_ @ (self.points[k] + ports[f"point{k + 1}"])
+            coordinates.append(r.T @ (point - self.station - twist[:3]))
+        return jnp.concatenate(coordinates)
+
+    def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        return np.full((plan.rows, 3 * self.count), self.sigma)
+
+    def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        return np.ones((plan.rows, 3 * self.count))
+
+    def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> "Reflectors":
+        rotations, origins = _nominal_poses(chain, np.asarray(plan.position))
+        measured = readings.reshape(plan.rows, self.count, 3)
+        points = np.zeros((self.count, 3))
+        orientation, station = np.eye(3), np.zeros(3)
+        # The base's pose and the points on the tool appear as a product; alternate between the
+        # two closed-form solutions, which halves the error in every round.
+        for _ in range(200):
+            model = origins[:, None] + np.einsum("nij,kj->nki", rotations, points)
+            orientation, station = best_rigid(measured.reshape(-1, 3), model.reshape(-1, 3))
+            seen = measured @ orientation.T + station
+            new = np.einsum("nji,nkj->ki", rotations, seen - origins[:, None]) / plan.rows
+            if np.abs(new - points).max() < 1e-7:
+                break
+            points = new
+        return Reflectors(
+            self.count, self.base_count, self.sigma, self.joints, station, orientation, points
+        )
+
+    def effects(self, plan: Plan) -> tuple[Effect, ...]:
+        return (Station(), ToolPoints(count=self.count))
+
+    def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
+        # The last fifth in time is never fitted: an arm is used after it was calibrated.
+        held = np.arange(plan.rows) >= plan.rows - plan.rows // 5
+        return np.where(held, 0, -1), True
+
+    @property
+    def clustered(self) -> bool:
+        return True
+
+
+def _points(table: Mapping[str, np.ndarray], kind: str, count: int) -> np.ndarray:
+    return (
+        np.stack(
+            [
+                np.column_stack([table[f"{kind}{k}_{c}_mm"] for c in "xyz"])
+                for k in range(1, count + 1)
+            ],
+            axis=1,
+        )
+        * 1e-3
+    )
+
+
+def _nominal_poses(chain: Chain, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    zero = jnp.zeros((len(chain.joints), 6))
+    r, t = jax.jit(jax.vmap(lambda q: chain.pose(q, zero)))(position)
+    r = np.asarray(r)
+    return r, np.asarray(t) + r @ np.asarray(chain.tool_offset)

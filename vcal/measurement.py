@@ -1,0 +1,43 @@
+"""A plan with the readings taken at it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .plan import Plan
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Plan + readings: what came from the measuring instrument, in the order of time."""
+
+    plan: Plan
+    readings: np.ndarray
+    """(n, m), SI."""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if self.readings.ndim != 2 or len(self.readings) != self.plan.rows:
+            raise ValueError(
+                f"readings of shape {self.readings.shape} do not fit a plan of {self.plan.rows} "
+                "rows: expected (rows, components)"
+            )
+        if not np.isfinite(self.readings).all():
+            row, column = np.argwhere(~np.isfinite(self.readings))[0]
+            raise ValueError(
+                f"reading {column} of row {row} is {self.readings[row, column]}: expected a number"
+            )
+
+    @property
+    def rows(self) -> int:
+        """Number of observations."""
+        return self.plan.rows
+
+
+@dataclass(frozen=True)
+class CheckPoints:
+    """Independent check: conditions, and the true tool point in the workpiece frame."""
+
+    plan: Plan
+    tool_point: np.ndarray = field(repr=False)
+    """(n, 3), m."""

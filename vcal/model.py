@@ -1,0 +1,203 @@
+"""A machine, an instrument and everything that disturbs them, as one function.
+
+``predict`` is the path of one observation: command - pose - observe - read - reduce. All effects
+enter through the ports (`vcal.ports`); the derivative of the readings with respect to the ports is
+compiled once per chain and instrument, and every parameter's derivative follows from it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .chain import Chain
+from .effects.base import Effect
+from .instruments.base import Instrument
+from .parameters import Parameter
+from .plan import Plan
+from .ports import PortLayout
+from .spatial import require_float64, rotation
+
+Shapes = Mapping[int, Mapping[str, Any]]
+"""Values of shape parameters (SI) by position of the effect in the model."""
+
+
+class Terms(NamedTuple):
+    """Effects as data: ``ports = offset``, plus ``values * theta[parameter]`` at ``port`` for every
+    term. Exact for amplitudes; shape parameters enter linearised at their present values."""
+
+    offset: Float[Array, "n p"]
+    values: Float[Array, "n terms"]
+    """Response per solver unit of the parameter, SI unit of the port."""
+    port: Int[Array, " terms"]
+    parameter: Int[Array, " terms"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One parameter in the model's parameter vector."""
+
+    effect: int
+    """Position of its effect in `Model.effects`."""
+    parameter: Parameter
+    key: str
+    """Identifier of the effect with placement."""
+
+
+class Model(eqx.Module):
+    """Chain + Instrument + Effects."""
+
+    chain: Chain
+    instrument: Instrument
+    effects: tuple[Effect, ...] = ()
+
+    @property
+    def layout(self) -> PortLayout:
+        """Names and places of the ports of one observation."""
+        return PortLayout.of(self.chain.axes, self.instrument.ports)
+
+    def with_effects(self, *effects: Effect) -> "Model":
+        """The same model with further effects: all that closing the loop changes."""
+        return Model(self.chain, self.instrument, (*self.effects, *effects))
+
+    def without(self, effect: int) -> "Model":
+        """The same model less the effect at that position."""
+        kept = tuple(e for i, e in enumerate(self.effects) if i != effect)
+        return Model(self.chain, self.instrument, kept)
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The amplitudes of all effects, in the order of the parameter vector."""
+        return tuple(
+            Entry(i, p, e.key) for i, e in enumerate(self.effects) for p in e.amplitudes
+        )
+
+    def terms(self, plan: Plan, shapes: Shapes | None = None) -> Terms:
+        """Responses of all effects per solver unit (prior sigma) of their amplitudes."""
+        blocks, start = [], 0
+        for i, effect in enumerate(self.effects):
+            blocks.append(effect_terms(effect, self.layout, plan, (shapes or {}).get(i, {}), start))
+            start += len(effect.amplitudes)
+        return concatenate(blocks, plan.rows, len(self.layout))
+
+
+def effect_terms(
+    effect: Effect, layout: PortLayout, plan: Plan, shape: Mapping[str, Any], start: int = 0
+) -> Terms:
+    """One effect's terms, its first amplitude at `start` in the parameter vector.
+
+    Raises `ValueError` where the response names a port or an amplitude that does not exist.
+    """
+    amplitudes = {p.name: (k, p) for k, p in enumerate(effect.amplitudes)}
+    offset = np.zeros((plan.rows, len(layout)))
+    values, ports, parameters = [], [], []
+    for (port, amplitude), column in effect.response(plan, shape).items():
+        if amplitude not in amplitudes:
+            raise ValueError(
+                f"effect {effect.key!r}: its response names amplitude {amplitude!r}, "
+                f"but its amplitudes are {', '.join(amplitudes)}"
+            )
+        k, parameter = amplitudes[amplitude]
+        column = np.broadcast_to(np.asarray(column, float), (plan.rows,))
+        place = layout.index(port)
+        if parameter.mean:
+            offset[:, place] += column * parameter.mean * parameter.si
+        values.append(column * parameter.step)
+        ports.append(place)
+        parameters.append(start + k)
+    stacked = np.stack(values, 1) if values else np.zeros((plan.rows, 0))
+    return Terms(offset, stacked, np.asarray(ports, int), np.asarray(parameters, int))  # type: ignore
+
+
+def concatenate(blocks: Sequence[Terms], rows: int, ports: int) -> Terms:
+    """Terms of several effects side by side."""
+    empty = Terms(np.zeros((rows, ports)), np.zeros((rows, 0)), *[np.zeros(0, int)] * 2)  # type: ignore
+    offsets, *parts = zip(empty, *blocks, strict=True)
+    return Terms(sum(offsets), *(np.concatenate(part, -1) for part in parts))  # type: ignore
+
+
+def observe_row(
+    chain: Chain, instrument: Instrument, q: Array, row: Any, ports: Float[Array, " p"]
+) -> Float[Array, " m"]:
+    """Reading of one observation from its axis positions and ports: pose - observe - read."""
+    joints = 6 * len(chain.joints)
+    r, t = chain.pose(q, ports[:joints].reshape(-1, 6))
+    tool = ports[joints : joints + 6]
+    t = t + r @ (chain.tool_offset + tool[:3])
+    r = r @ rotation(tool[3:])
+    return instrument.observe(row, r, t, split_ports(instrument, ports[joints + 6 :]))
+
+
+def split_ports(instrument: Instrument, ports: Array) -> dict[str, Array]:
+    """The instrument's part of the port vector by group name."""
+    bounds: dict[str, list[int]] = {}
+    for i, name in enumerate(instrument.ports):
+        bounds.setdefault(name.split(".")[0], [i, i])[1] = i + 1
+    return {name: ports[a:b] for name, (a, b) in bounds.items()}
+
+
+def port_values(terms: Terms, theta: Float[Array, " k"], size: int) -> Float[Array, "n p"]:
+    """Port vector of every row: the terms summed."""
+    columns = terms.values * theta[terms.parameter]
+    return terms.offset + columns @ jax.nn.one_hot(terms.port, size, dtype=columns.dtype)
+
+
+@eqx.filter_jit
+def observe_all(
+    chain: Chain, instrument: Instrument, position: Array, rows: Any, ports: Array
+) -> Float[Array, "n m"]:
+    """`observe_row` over all rows."""
+    return jax.vmap(lambda q, row, p: observe_row(chain, instrument, q, row, p))(
+        position, rows, ports
+    )
+
+
+@eqx.filter_jit
+def port_jacobian(
+    chain: Chain, instrument: Instrument, position: Array, rows: Any, ports: Array
+) -> Float[Array, "n m p"]:
+    """Derivative of every row's readings with respect to its ports."""
+    one = jax.jacfwd(lambda p, q, row: observe_row(chain, instrument, q, row, p))
+    return jax.vmap(one)(ports, position, rows)
+
+
+def tool_point(chain: Chain, q: Array, ports: Array) -> Float[Array, "3"]:
+    """Tool point in the workpiece frame for one row, from the chain's and the tool's ports."""
+    joints = 6 * len(chain.joints)
+    r, t = chain.pose(q, ports[:joints].reshape(-1, 6))
+    return t + r @ (chain.tool_offset + ports[joints : joints + 3])
+
+
+@eqx.filter_jit
+def tool_points(chain: Chain, position: Array, ports: Array) -> Float[Array, "n 3"]:
+    """`tool_point` over all rows."""
+    return jax.vmap(lambda q, p: tool_point(chain, q, p))(position, ports)
+
+
+@eqx.filter_jit
+def tool_point_jacobian(chain: Chain, position: Array, ports: Array) -> Float[Array, "n 3 p"]:
+    """Derivative of the tool points with respect to the ports."""
+    one = jax.jacfwd(lambda p, q: tool_point(chain, q, p))
+    return jax.vmap(one)(ports, position)
+
+
+def predict(
+    model: Model, plan: Plan, theta: Float[Array, " k"], shapes: Shapes | None = None
+) -> Float[Array, "n m"]:
+    """Reduced readings of a plan.
+
+    `theta` are the amplitudes in solver units (`Model.entries`), `shapes` the values of shape
+    parameters in SI. Raises `RuntimeError` where JAX runs in float32.
+    """
+    require_float64()
+    terms = model.terms(plan, shapes)
+    ports = port_values(terms, jnp.asarray(theta), len(model.layout))
+    readings = observe_all(
+        model.chain, model.instrument, plan.position, model.instrument.rows(plan), ports
+    )
+    return model.instrument.reduce(readings, plan)

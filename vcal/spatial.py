@@ -1,0 +1,102 @@
+"""Rotations and rigid motions, exact and differentiable at the identity."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+def skew(v: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Cross-product matrix: ``skew(v) @ u == cross(v, u)``."""
+    x, y, z = v
+    zero = jnp.zeros_like(x)
+    return jnp.stack(
+        [jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])]
+    )
+
+
+def rotation(v: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Rotation matrix of the rotation vector `v` (rad): R = exp(skew(v)), Rodrigues' formula.
+
+    Below an angle of 1e-4 the coefficients are taken from their series, whose truncation error is
+    below the rounding of float64, so that value and all derivatives are finite at v = 0.
+    """
+    squared = v @ v
+    small = squared < 1e-8
+    safe = jnp.where(small, 1.0, squared)
+    angle = jnp.sqrt(safe)
+    a = jnp.where(small, 1.0 - squared / 6.0, jnp.sin(angle) / angle)
+    b = jnp.where(small, 0.5 - squared / 24.0, (1.0 - jnp.cos(angle)) / safe)
+    s = skew(v)
+    return jnp.eye(3) + a * s + b * (s @ s)
+
+
+def rotation_small(v: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """First-order rotation I + skew(v): the form most of the literature prints."""
+    return jnp.eye(3) + skew(v)
+
+
+def axis_rotation(axis: str, angle: Float[Array, ""]) -> Float[Array, "3 3"]:
+    """Rotation by `angle` (rad) about the coordinate axis ``"x"``, ``"y"`` or ``"z"``."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    one, zero = jnp.ones_like(c), jnp.zeros_like(c)
+    rows = {
+        "x": [[one, zero, zero], [zero, c, -s], [zero, s, c]],
+        "y": [[c, zero, s], [zero, one, zero], [-s, zero, c]],
+        "z": [[c, -s, zero], [s, c, zero], [zero, zero, one]],
+    }[axis]
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
+def euler_xyz(angles: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """R = Rx(a) Ry(b) Rz(c) for `angles` = (a, b, c) in rad."""
+    a, b, c = angles
+    return axis_rotation("x", a) @ axis_rotation("y", b) @ axis_rotation("z", c)
+
+
+def best_rigid(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation R and translation t minimising the sum of |R source + t - target|^2.
+
+    Kabsch's solution by singular value decomposition. Shapes (n, 3), n >= 3 points that are not on
+    one line; returns R (3, 3) and t (3,).
+    """
+    cs, ct = source.mean(0), target.mean(0)
+    u, _, vt = np.linalg.svd((source - cs).T @ (target - ct))
+    sign = np.sign(np.linalg.det(vt.T @ u.T))
+    r = vt.T @ np.diag([1.0, 1.0, sign]) @ u.T
+    return r, ct - r @ cs
+
+
+def rigid_columns(points: np.ndarray) -> np.ndarray:
+    """Displacement of `points` (n, 3) per unit of a rigid motion: (n, 3, 6), translations first."""
+    columns = np.zeros((len(points), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    x, y, z = points.T
+    columns[:, 1, 3], columns[:, 2, 3] = -z, y
+    columns[:, 0, 4], columns[:, 2, 4] = z, -x
+    columns[:, 0, 5], columns[:, 1, 5] = -y, x
+    return columns
+
+
+def align_rigid(points: np.ndarray, displacements: np.ndarray) -> np.ndarray:
+    """Displacements less the rigid motion that fits them best (first order, least squares).
+
+    `points` and `displacements` (n, 3) in m. Volumetric errors are compared after this, because an
+    unknown station or artefact pose cannot see a rigid motion.
+    """
+    columns = rigid_columns(points - points.mean(0)).reshape(-1, 6)
+    scale = np.linalg.norm(columns, axis=0)
+    solution, *_ = np.linalg.lstsq(columns / scale, displacements.reshape(-1), rcond=None)
+    return displacements - (columns / scale @ solution).reshape(displacements.shape)
+
+
+def require_float64() -> None:
+    """Raise if JAX runs in float32: 1 nm in 3 m is 3e-10 and would be lost.
+
+    Raises `RuntimeError` that says how to switch float64 on.
+    """
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise RuntimeError(
+            "vcal computes in float64, but JAX is set to float32. Call vcal.enable_float64() "
+            "(or jax.config.update('jax_enable_x64', True)) once, before any other call."
+        )

@@ -1,0 +1,59 @@
+"""Conversion between the units of files and reports and the SI units used inside.
+
+Everything inside vcal is in metre, radian, second and kelvin (temperatures are differences to, or
+values in, degree Celsius: the same scale). Units appear in the *names* of columns and parameters.
+"""
+
+import re
+
+_FACTORS = {
+    "": 1.0,
+    "1": 1.0,
+    "m": 1.0,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "nm": 1e-9,
+    "rad": 1.0,
+    "mrad": 1e-3,
+    "urad": 1e-6,
+    "deg": 0.017453292519943295,
+    "s": 1.0,
+    "h": 3600.0,
+    "K": 1.0,
+    "degC": 1.0,
+    "kg": 1.0,
+    "N": 1.0,
+    "%": 0.01,
+}
+
+
+def si_factor(unit: str) -> float:
+    """Factor that turns a value given in `unit` into SI.
+
+    `unit` is a product of symbols separated by spaces, optionally divided by one symbol or one
+    parenthesised product, powers as a trailing digit: ``"um"``, ``"um/(m K)"``, ``"urad/m2"``.
+
+    Raises `ValueError` for a symbol that is not known.
+    """
+    numerator, _, denominator = unit.partition("/")
+    return _product(numerator, unit) / _product(denominator.strip("() "), unit)
+
+
+def _product(text: str, unit: str) -> float:
+    value = 1.0
+    for token in text.split():
+        symbol, power = re.fullmatch(r"(\D*?)(\d*)", token).groups()  # type: ignore[union-attr]
+        if token == "1":
+            continue
+        if symbol not in _FACTORS:
+            raise ValueError(
+                f"unit {unit!r}: unknown symbol {symbol!r}, expected one of {sorted(_FACTORS)}"
+            )
+        value *= _FACTORS[symbol] ** int(power or 1)
+    return value
+
+
+def in_name(unit: str) -> str:
+    """The unit as it is written at the end of a name: ``"um/(m K)"`` gives ``"um_per_m_K"``."""
+    text = unit.replace("/", " per ").replace("(", "").replace(")", "").replace("%", "percent")
+    return "_".join(text.split())
