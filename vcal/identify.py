@@ -39,8 +39,8 @@ from .plan import Plan
 from .spatial import require_float64
 
 _SLOTS = 32
-"""Parameters and terms are padded to multiples of this, so that models of similar size share one
-compiled solver."""
+"""Parameters and terms are padded to one common multiple of this, so that models of similar size
+share one compiled solver."""
 
 
 class Problem(NamedTuple):
@@ -306,12 +306,14 @@ def identify(
     shapes: Shapes | None = None,
     whitener: np.ndarray | None = None,
     keep: np.ndarray | None = None,
+    room: int = 0,
 ) -> Fit:
     """Fit a model to a measurement by non-linear least squares.
 
     `theta` (solver units) and `shapes` (SI) start the solver; shape parameters that are not given
     start at the middle of their scan. `whitener` (n, m, m) replaces the declared noise, `keep` (n,)
-    leaves rows out. Gauss-Newton first, Levenberg-Marquardt where it does not converge;
+    leaves rows out, `room` is the least number of slots to compile the solver
+    for (smaller and larger models then share it). Gauss-Newton first, Levenberg-Marquardt where it does not converge;
     `Fit.converged` says whether either did. Raises `RuntimeError` where JAX runs in float32.
     """
     require_float64()
@@ -339,7 +341,8 @@ def identify(
         problem = _padded(
             Problem(
                 plan.position, rows, measurement.readings, whitener, terms, np.sqrt(precision)
-            )  # type: ignore[arg-type]
+            ),  # type: ignore[arg-type]
+            room,
         )
         start = np.zeros(problem.root_precision.shape[0])
         start[:size] = estimate
@@ -347,7 +350,7 @@ def identify(
         if not bool(good):
             found, good, used = _solve_damped(model.chain, instrument, plan, problem, start)
         steps += int(used)
-        estimate, converged = np.asarray(found)[:size], bool(good)
+        estimate, converged = np.array(found)[:size], bool(good)
         if size == amplitudes:
             break
         moved = _move_shapes(model, plan, current, estimate[amplitudes:])
@@ -385,10 +388,10 @@ def _pad(values: np.ndarray, like: np.ndarray) -> np.ndarray:
     return padded
 
 
-def _padded(problem: Problem) -> Problem:
+def _padded(problem: Problem, room: int) -> Problem:
     terms, size = problem.terms, len(problem.root_precision)
-    more_terms = -len(terms.port) % _SLOTS
-    more = -size % _SLOTS
+    slots = -(-max(size, len(terms.port), room) // _SLOTS) * _SLOTS
+    more_terms, more = slots - len(terms.port), slots - size
     return problem._replace(
         terms=Terms(
             terms.offset,

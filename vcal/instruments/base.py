@@ -47,6 +47,8 @@ class Instrument(eqx.Module):
 
     kind: ClassVar[str]
     """Name in study files."""
+    dimension: ClassVar[int] = 3
+    """How many readings make one point, for root mean squares of points."""
     Settings: ClassVar[type[InstrumentSettings]]
     """Keys of the ``[instrument]`` table, validated."""
     ports: eqx.AbstractVar[tuple[str, ...]]

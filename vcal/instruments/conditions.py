@@ -1,7 +1,7 @@
 """Conditions of machines with linear axes: columns of the data files to a plan, and back."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -11,11 +11,14 @@ from ..plan import Plan
 GROUPS = ("point", "pose", "ball", "run", "segment")
 
 
-def linear_plan(chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
+def linear_plan(
+    chain: Chain, table: Mapping[str, np.ndarray], readings: Collection[str] = ()
+) -> Plan:
     """Plan from ``x_mm``, ``dir_x``, ``t_s``, ``T_x_degC``, ``T_air_degC``, group indices, ...
 
     Temperatures and directions of axes are named after the axis (``"T_X"``, ``"dir_X"``). Any
-    further numeric column becomes a covariate under its own name, for effects of the user's own.
+    further numeric column that is not one of the `readings` becomes a covariate under its own name,
+    for effects of the user's own.
     """
     axes = chain.axes
     position = np.column_stack([table[f"{axis.lower()}_mm"] for axis in axes]) * 1e-3
@@ -23,7 +26,7 @@ def linear_plan(chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
     groups: dict[str, np.ndarray] = {}
     used = {f"{axis.lower()}_mm" for axis in axes}
     for name, values in table.items():
-        if name in used or name.startswith("tcp_"):
+        if name in used or name in readings or name.startswith("tcp_"):
             continue
         if name in GROUPS:
             groups[name] = np.asarray(values, int)

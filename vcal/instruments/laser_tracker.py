@@ -80,7 +80,7 @@ class LaserTracker(Instrument):
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
-        plan = linear_plan(chain, table)
+        plan = linear_plan(chain, table, ("range_mm", "azimuth_rad", "elevation_rad"))
         nominal = plan.position + np.asarray(chain.tool_offset)
         v = (nominal - self.station) @ self.orientation
         r = np.linalg.norm(v, axis=1)

@@ -1,0 +1,308 @@
+"""Effects that a study declares by name, with values where they are known."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..effects.base import Effect, Setup
+from ..effects.registry import CATALOGUE, load_effects
+from ..errors import StudyError
+from ..instruments.conditions import file_name
+from ..model import effect_terms
+from ..parameters import Parameter
+from ..units import in_name
+from .folder import Folder
+from .messages import listed, nearest, refusal, shown
+from .settings import EffectSettings
+
+Catalogue = Mapping[str, type[Effect]]
+
+
+def catalogue_with(folder: Folder, effects_file: str | None) -> dict[str, type[Effect]]:
+    """The built-in catalogue and the effects of the user's file, which is run for it.
+
+    Raises `StudyError` if the file cannot be used, or names an effect that exists.
+    """
+    known = dict(CATALOGUE)
+    if effects_file is None:
+        return known
+    path = folder.path(effects_file, "a Python file with effect classes")
+    try:
+        own = load_effects(path)
+    finally:
+        # A file that registers its classes itself must not leave them to the next study.
+        CATALOGUE.clear()
+        CATALOGUE.update(known)
+    for effect in own:
+        if effect.name in known:
+            raise refusal(
+                effects_file,
+                f"class {effect.__name__}",
+                f"the name {effect.name!r}, which is taken",
+                "a name that no other effect has",
+                "rename the effect",
+            )
+        known[effect.name] = effect
+    return known
+
+
+def unknown_effect(name: str, catalogue: Catalogue, file: str, key: str) -> StudyError:
+    """The error to raise for a name that is not in the catalogue."""
+    return refusal(
+        file,
+        f"key {key}",
+        f"the unknown effect {name!r}{nearest(name, catalogue)}",
+        f"one of {listed(sorted(catalogue), 60)}",
+        "correct the name",
+    )
+
+
+def declared_effects(
+    rows: Sequence[EffectSettings], catalogue: Catalogue, setup: Setup, file: str, data: str
+) -> tuple[Effect, ...]:
+    """The effects of the ``[[model.effect]]`` rows, placed on the machine of `setup`.
+
+    A parameter with a value is known; with a ``*_sigma`` as well, or alone (mean zero), that is its
+    prior; a parameter that is not given keeps the catalogue's prior. `file` and `data` are what
+    messages call the study file and the data. Raises `StudyError`.
+    """
+    found = []
+    for i, row in enumerate(rows):
+        where = _Where(file, f"model.effect.{i}", row.name)
+        if row.name not in catalogue:
+            raise unknown_effect(row.name, catalogue, file, f"{where.key}.name")
+        effect = _declared(row, catalogue[row.name], setup, where)
+        _check_covariates(effect, setup, where, data)
+        found.append(effect)
+    return tuple(found)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Where:
+    """One row of [[model.effect]], for messages."""
+
+    file: str
+    key: str
+    name: str
+
+    def refusal(self, key: str, found: str, expected: str, do: str) -> StudyError:
+        key = f"{self.key}.{key}" if key else self.key
+        return refusal(self.file, f"key {key} ({self.name})", found, expected, do)
+
+
+def _declared(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Where) -> Effect:
+    extra = dict(row.__pydantic_extra__ or {})
+    fields = {f.name for f in dataclasses.fields(cls)} - {"placement", "given"}
+    selectors = {key: extra.pop(key) for key in list(extra) if key in fields}
+    options = _placed(row, cls, setup, where)
+    if row.component is not None:
+        options = _with_component(options, row.component, where)
+    for key, value in selectors.items():
+        values = list(dict.fromkeys(getattr(e, key) for e in options))
+        if value not in values:
+            raise where.refusal(
+                key, shown(value), f"one of {listed(map(str, values))}", "correct the value"
+            )
+        options = [e for e in options if getattr(e, key) == value]
+    given = _spread(extra, options, where)
+    labels = [_labels(e, row.component) for e in options]
+    fitting = [
+        (e, names)
+        for e, names in zip(options, labels, strict=True)
+        if all(key.removesuffix("_sigma") in names or key in names for key in given)
+    ]
+    if not fitting:
+        raise _unknown_parameter(given, labels, where)
+    if len(fitting) > 1:
+        components = list(dict.fromkeys(_component(e) for e, _ in fitting))
+        raise where.refusal(
+            "component",
+            f"{len(fitting)} effects that these keys fit",
+            f"one, by its component: {listed(components)}",
+            "add the component",
+        )
+    effect, names = fitting[0]
+    return dataclasses.replace(effect, given=_given(given, names, where))
+
+
+def _placed(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Where) -> list[Effect]:
+    """The instances of a class at the declared placement."""
+    try:
+        options = list(cls.candidates(setup))
+        own = cls.candidates.__func__ is Effect.candidates.__func__  # type: ignore[attr-defined]
+        if not options and own:
+            options = [cls(placement=row.placement)]
+    except Exception as error:
+        raise where.refusal(
+            "",
+            f"{type(error).__name__}: {error}, while it was placed",
+            "a class that says where it can be",
+            f"mend `candidates` of {cls.__name__}",
+        ) from error
+    if not options:
+        raise where.refusal(
+            "name",
+            "an effect that has no place here",
+            f"one that acts on the axes {listed(setup.chain.axes)} or on this instrument",
+            "remove it, or correct the machine or the instrument",
+        )
+    placements = list(dict.fromkeys(e.placement for e in options))
+    if row.placement in placements:
+        return [e for e in options if e.placement == row.placement]
+    if not row.placement and len(placements) == 1:
+        return options
+    raise where.refusal(
+        "placement",
+        f"{row.placement!r}{nearest(row.placement, placements)}" if row.placement else "nothing",
+        f"one of {listed(p or '(none)' for p in placements)}",
+        "correct the placement" if row.placement else "add the placement",
+    )
+
+
+def _with_component(options: list[Effect], component: str, where: _Where) -> list[Effect]:
+    matching = [e for e in options if component in _texts(e)]
+    if not matching:
+        known = list(dict.fromkeys(text for e in options for text in _texts(e)))
+        raise where.refusal(
+            "component",
+            f"{component!r}{nearest(component, known)}",
+            f"one of {listed(known)}" if known else "no component",
+            "correct the component" if known else "remove the key",
+        )
+    return matching
+
+
+def _texts(effect: Effect) -> list[str]:
+    """Texts among the fields of an effect: its ports, error motions, angles, other axes."""
+    values: list[str] = []
+    for field in dataclasses.fields(effect):
+        value = getattr(effect, field.name)
+        if field.name in ("placement", "given", "unit"):
+            continue
+        values += [value] if isinstance(value, str) else []
+    return values
+
+
+def _component(effect: Effect) -> str:
+    texts = _texts(effect)
+    return " ".join(texts) or ", ".join(p.label for p in effect.parameters)
+
+
+def _labels(effect: Effect, component: str | None) -> dict[str, Parameter]:
+    """Parameters by key: name with unit, also without the component in it (``k_urad_per_K``)."""
+    named = {p.label: p for p in effect.parameters}
+    for p in effect.parameters:
+        for text in (component, *_texts(effect)):
+            short = p.name.removesuffix(f"_{text}")
+            if short != p.name:
+                named.setdefault(dataclasses.replace(p, name=short).label, p)
+    return named
+
+
+def _spread(extra: Mapping[str, Any], options: Sequence[Effect], where: _Where) -> dict[str, float]:
+    """Numbers by key; a list or matrix is one key per X, Y, Z: ``matrix_XY_...`` for [0][1]."""
+    units = {in_name(p.unit) for e in options for p in e.parameters}
+    given: dict[str, float] = {}
+    for key, value in extra.items():
+        if not isinstance(value, list):
+            given[key] = _number(key, value, where)
+            continue
+        sigma = "_sigma" if key.endswith("_sigma") else ""
+        plain = key.removesuffix("_sigma")
+        unit = max((u for u in units if plain.endswith(f"_{u}")), key=len, default="")
+        stem = plain.removesuffix(f"_{unit}")
+        try:
+            array = np.asarray(value, float)
+        except (TypeError, ValueError):
+            array = np.zeros((0,))
+        if array.ndim == 0 or array.size == 0 or set(array.shape) != {3}:
+            raise where.refusal(
+                key, shown(value), "a number, three numbers or a 3 x 3 matrix", "correct the value"
+            )
+        for index in np.ndindex(array.shape):
+            name = f"{stem}_{''.join('XYZ'[i] for i in index)}_{unit}{sigma}"
+            given[name] = float(array[index])
+    return given
+
+
+def _number(key: str, value: Any, where: _Where) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise where.refusal(key, shown(value), "a number", "correct the value")
+    if key.endswith("_sigma") and value < 0:
+        raise where.refusal(key, f"{value:g}", "a number of at least 0", "correct the value")
+    return float(value)
+
+
+def _unknown_parameter(
+    given: Mapping[str, float], labels: Sequence[Mapping[str, Parameter]], where: _Where
+) -> StudyError:
+    known = list(dict.fromkeys(label for names in labels for label in names))
+    for key in given:
+        if key.removesuffix("_sigma") not in known and key not in known:
+            plain = key.removesuffix("_sigma")
+            return where.refusal(
+                key,
+                f"the unknown key {key!r}{nearest(plain, known)}",
+                f"placement, component, or one of {listed(known)} (and with _sigma)",
+                "correct or remove the key",
+            )
+    return where.refusal(
+        "",
+        f"the keys {listed(given)}, which belong to different effects",
+        "parameters of one effect",
+        "write one [[model.effect]] for each component",
+    )
+
+
+def _given(
+    given: Mapping[str, float], names: Mapping[str, Parameter], where: _Where
+) -> tuple[tuple[str, float, float], ...]:
+    values: dict[str, dict[str, float]] = {}
+    for key, value in given.items():
+        part = "mean" if key in names else "sigma"
+        p = names[key if key in names else key.removesuffix("_sigma")]
+        if part == "sigma" and p.shape:
+            raise where.refusal(
+                key,
+                f"{value:g}",
+                f"no sigma: {p.name} is known where it is given, and looked for where it is not",
+                "remove the key",
+            )
+        if part in values.setdefault(p.name, {}):
+            raise where.refusal(
+                key, f"{p.name} given twice", "every parameter once", "remove one of the keys"
+            )
+        values[p.name][part] = value
+    return tuple((n, v.get("mean", 0.0), v.get("sigma", 0.0)) for n, v in values.items())
+
+
+def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: str) -> None:
+    """An effect that is declared must be computable: its covariates recorded, its ports there."""
+    plan = setup.plan
+    missing = [name for name in effect.needs if not plan.has(name)]
+    if missing:
+        column = file_name(missing[0], plan.axes)
+        raise refusal(
+            data,
+            f"column {column}",
+            f"no such column, but the declared effect {effect.key!r} ({where.key} of "
+            f"{where.file}) depends on it",
+            f"the columns {listed(file_name(name, plan.axes) for name in effect.needs)}",
+            "add the column or remove the effect",
+        )
+    try:
+        shape = {
+            p.name: p.mean * p.si if p.name in {n for n, *_ in effect.given} else math.nan
+            for p in effect.shapes
+        }
+        effect_terms(effect, setup.layout, plan, shape)
+    except Exception as error:
+        raise where.refusal(
+            "",
+            f"{type(error).__name__}: {error}, while its response was computed",
+            "deviations of ports that this machine and instrument have",
+            f"mend {type(effect).__name__}, or remove the effect",
+        ) from error

@@ -1,0 +1,52 @@
+"""The files beside a study file, each with its fingerprint once it was read."""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..instruments.base import Column
+from .messages import refusal
+from .table import Table, read_header, read_table
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Reads the tables of one study and keeps the hash of everything it read."""
+
+    root: Path
+    hashes: dict[str, str] = field(default_factory=dict)
+    """SHA-256 in hexadecimal by file name as the study names it."""
+
+    def path(self, name: str, expected: str = "a CSV table with a header line") -> Path:
+        """Path of a file that is about to be read; raises `StudyError` if there is none."""
+        path = self.root / name
+        if not path.is_file():
+            raise refusal(
+                name,
+                "file",
+                f"no such file in {self.root}",
+                expected,
+                "add the file or correct its name",
+            )
+        self.hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+        return path
+
+    def has(self, name: str) -> bool:
+        """Whether a file is there."""
+        return (self.root / name).is_file()
+
+    def header(self, name: str) -> tuple[str, ...]:
+        """Names of a table's columns."""
+        return read_header(self.path(name), name)
+
+    def table(
+        self,
+        name: str,
+        columns: Sequence[Column],
+        optional: Callable[[str], Column | None] | None = None,
+        labels: Sequence[str] = (),
+    ) -> Table:
+        """A checked table (`io.table.read_table`)."""
+        more: Mapping = {} if optional is None else {"optional": optional}
+        return read_table(self.path(name), columns, name, labels=labels, **more)

@@ -1,0 +1,166 @@
+"""What a user reads when an input is wrong: where, what was found and expected, what to do."""
+
+import difflib
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from ..errors import StudyError
+
+_MOST_LINES = 5
+"""Mistakes of one file that are listed; the rest is counted."""
+
+_EXPECTED = {
+    "bool_type": "true or false",
+    "dict_type": "a table",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "list_type": "a list in square brackets",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "string_type": "text in quotes",
+    "tuple_type": "a list in square brackets",
+}
+
+
+def refusal(file: str, where: str, found: str, expected: str, do: str) -> StudyError:
+    """The error to raise for one mistake, in the one form that all messages have."""
+    return StudyError(f"{file}, {where}: found {found}, expected {expected}; {do}")
+
+
+def shown(value: Any) -> str:
+    """A value from a TOML file as the user wrote it, shortened where it is long."""
+    text = json.dumps(value, default=str)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def closest(name: str, known: Iterable[str]) -> str | None:
+    """The known name most like `name`, upper and lower case counting as the same."""
+    folded = {k.casefold(): k for k in known}
+    close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=0.5)
+    return folded[close[0]] if close else None
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``" (did you mean 'backlash'?)"`` for the closest known name, or nothing."""
+    close = closest(name, known)
+    return f" (did you mean {close!r}?)" if close else ""
+
+
+def listed(names: Iterable[str], most: int = 30) -> str:
+    """Names in a row, the first `most` of them."""
+    names = list(names)
+    more = f", ... ({len(names) - most} more)" if len(names) > most else ""
+    return ", ".join(names[:most]) + more if names else "none"
+
+
+def at(raw: Any, key: Sequence[str | int]) -> Any:
+    """The value at a key path of a TOML tree, None where there is none."""
+    for part in key:
+        try:
+            raw = raw[part]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return raw
+
+
+def explain(
+    error: ValidationError,
+    file: str,
+    raw: Mapping[str, Any],
+    model: type[BaseModel],
+    overrides: Mapping[str, str],
+) -> StudyError:
+    """One message for everything pydantic found in a study file, a line per mistake.
+
+    `overrides` maps dotted keys to the text they were given as, so that a mistake on the command
+    line is not looked for in the file.
+    """
+    errors = error.errors(include_url=False)
+    # A misspelled key is both unknown and missing: tell it once, with the key that was meant.
+    meant = set()
+    for e in errors:
+        if e["type"] == "extra_forbidden":
+            known = _known_keys(model, e["loc"][:-1])
+            meant.add((*e["loc"][:-1], closest(str(e["loc"][-1]), known)))
+    lines, seen = [], set()
+    for e in errors:
+        loc = e["loc"]
+        if e["type"] == "missing" and (loc in meant or loc[:-1] in seen):
+            continue
+        if e["type"] == "missing" and isinstance(loc[-1], int):
+            seen.add(loc[:-1])
+        lines.append(_line(e, file, raw, model, overrides))
+    if len(lines) > _MOST_LINES:
+        lines[_MOST_LINES:] = [f"... and {len(lines) - _MOST_LINES} more of the same kind"]
+    return StudyError("\n".join(lines))
+
+
+def source(file: str, key: str, overrides: Mapping[str, str]) -> str:
+    """The file, and the override that put a key there."""
+    for name, text in overrides.items():
+        if key == name or key.startswith(f"{name}."):
+            return f"{file} (override {name}={text})"
+    return file
+
+
+def _line(
+    e: Any, file: str, raw: Mapping[str, Any], model: type[BaseModel], overrides: Mapping[str, str]
+) -> str:
+    loc, kind, context = e["loc"], e["type"], e.get("ctx", {})
+    key = ".".join(str(part) for part in loc)
+    found, do = shown(at(raw, loc)), "correct the value"
+    name = str(loc[-1]) if loc else ""
+    if kind == "value_error":
+        return f"{source(file, key, overrides)}, key {key}: {context['error']}"
+    if kind == "extra_forbidden":
+        known = _known_keys(model, loc[:-1])
+        found = f"the unknown key {name!r}{nearest(name, known)}"
+        expected, do = f"one of {listed(known)}", "correct or remove the key"
+    elif kind == "missing" and loc and isinstance(loc[-1], int):
+        key = ".".join(str(part) for part in loc[:-1])
+        found, expected = shown(at(raw, loc[:-1])), f"at least {loc[-1] + 1} values"
+        do = "add what is missing"
+    elif kind == "missing":
+        found, expected, do = "nothing", "this key", f"add it to {file}"
+    elif kind == "greater_than":
+        expected = f"a number greater than {context['gt']:g}"
+    elif kind == "greater_than_equal":
+        expected = f"a number of at least {context['ge']:g}"
+    elif kind == "less_than":
+        expected = f"a number less than {context['lt']:g}"
+    elif kind == "less_than_equal":
+        expected = f"a number of at most {context['le']:g}"
+    elif kind == "literal_error":
+        expected = context["expected"]
+        found += nearest(str(at(raw, loc)), re.findall(r"'([^']*)'", expected))
+    elif kind == "too_long":
+        expected = f"{context['max_length']} values"
+    else:
+        expected = _EXPECTED.get(kind) or e["msg"]
+    return str(refusal(source(file, key, overrides), f"key {key}", found, expected, do))
+
+
+def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
+    """Keys of the table at `loc`."""
+    for part in loc:
+        if isinstance(part, int):
+            continue  # a row of an array of tables: its model was found with the array
+        field = model.model_fields.get(part)
+        inner = _model_in(field.annotation) if field else None
+        if inner is None:
+            return []
+        model = inner
+    return list(model.model_fields)
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in get_args(annotation):
+        if found := _model_in(argument):
+            return found
+    return None

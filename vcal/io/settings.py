@@ -1,0 +1,348 @@
+"""What a study file may say: the keys of setup.toml, their types and bounds."""
+
+import json
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
+
+from ..errors import StudyError
+from ..instruments import INSTRUMENTS
+from ..instruments.base import InstrumentSettings
+from .messages import at, explain, listed, nearest, refusal, shown, source
+
+Triple = tuple[float, float, float]
+
+
+class Table(BaseModel):
+    """A table of a study file: keys that are not declared are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class JointSettings(Table):
+    """A row of ``[[machine.joint]]``: standard Denavit-Hartenberg parameters of one joint."""
+
+    type: Literal["revolute", "prismatic"]
+    a_mm: float = 0.0
+    alpha_deg: float = 0.0
+    d_mm: float = 0.0
+    theta_deg: float = 0.0
+    low_deg: float | None = None
+    """Lowest angle of a revolute joint; not checked where it is not given."""
+    high_deg: float | None = None
+    """Highest angle of a revolute joint."""
+    low_mm: float | None = None
+    """Lowest position of a prismatic joint."""
+    high_mm: float | None = None
+    """Highest position of a prismatic joint."""
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Lowest and highest joint variable, degree or millimetre; infinite where not given."""
+        low, high = (
+            (self.low_deg, self.high_deg)
+            if self.type == "revolute"
+            else (self.low_mm, self.high_mm)
+        )
+        return -math.inf if low is None else low, math.inf if high is None else high
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        unit, other = ("deg", "mm") if self.type == "revolute" else ("mm", "deg")
+        for key in (f"low_{other}", f"high_{other}"):
+            if getattr(self, key) is not None:
+                raise ValueError(
+                    f"found {key}, expected low_{unit} and high_{unit} for a {self.type} joint; "
+                    "correct the key"
+                )
+        low, high = self.bounds
+        if not low < high:
+            raise ValueError(
+                f"found low_{unit} {low:g} and high_{unit} {high:g}, expected low below high; "
+                "exchange or correct them"
+            )
+        return self
+
+
+class MachineSettings(Table):
+    """``[machine]``: a chain of linear axes, or an arm in joint rows."""
+
+    chain: str | None = None
+    """ISO 10791-6 description, such as ``"w X b Y Z t"``."""
+    tool_offset_mm: Triple = (0.0, 0.0, 0.0)
+    """From the last axis's frame to the tool point."""
+    travel_mm: dict[str, tuple[float, float]] = {}
+    """Lowest and highest position per axis."""
+    joint: tuple[JointSettings, ...] = ()
+    base: str | None = None
+    """A remark on where the arm's base stands; its pose is always identified."""
+
+    @model_validator(mode="after")
+    def _one_machine(self) -> Self:
+        if (self.chain is None) == (not self.joint):
+            found = (
+                "both a chain and joint rows" if self.joint else "neither a chain nor joint rows"
+            )
+            raise ValueError(
+                f"found {found}, expected either `chain` (linear axes) or [[machine.joint]] rows; "
+                "keep or add one of them"
+            )
+        if self.joint and self.travel_mm:
+            raise ValueError(
+                "found travel_mm beside joint rows, expected the bounds in the rows; "
+                "give `low` and `high` per [[machine.joint]]"
+            )
+        return self
+
+
+class FourierSettings(Table):
+    """``[model.geometric]`` of linear axes whose amplitudes stand in a table."""
+
+    family: Literal["fourier"]
+    table: str
+    """File with the columns component, a0, a1, n1, b1, c1, n2, b2, c2 (um, urad)."""
+
+
+class SmoothSettings(Table):
+    """``[model.geometric]`` of linear axes with smooth error motions of declared size."""
+
+    family: Literal["smooth"]
+    translation_um: float = Field(gt=0)
+    """One-sigma size of each error translation."""
+    rotation_urad: float = Field(gt=0)
+    """One-sigma size of each error rotation."""
+    squareness_urad: float = Field(gt=0)
+    """One-sigma size of each squareness."""
+    smoothness: float = Field(default=0.5, ge=0.02, le=10)
+    """Correlation length over travel. Guideways bend over about half their length."""
+
+
+class LinkSettings(Table):
+    """``[model.geometric]`` of an arm: constant errors of each link."""
+
+    family: Literal["smooth"] = "smooth"
+    link_translation_um: float = Field(gt=0)
+    """One-sigma size of each of the three error translations of a link."""
+    link_rotation_urad: float = Field(gt=0)
+    """One-sigma size of each of the three error rotations of a link."""
+
+
+class AnyFamilySettings(Table):
+    """The keys of all families, to say what is wrong where the family is not one of them."""
+
+    family: Literal["fourier", "smooth"]
+    table: Any = None
+    translation_um: Any = None
+    rotation_urad: Any = None
+    squareness_urad: Any = None
+    smoothness: Any = None
+
+
+class EffectSettings(BaseModel):
+    """A row of ``[[model.effect]]``; the further keys are parameters with their unit."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
+    __pydantic_extra__: dict[str, Any] = Field(init=False)
+    name: str
+    """Identifier of the catalogue, or of an effect in `effects_file`."""
+    placement: str = ""
+    """Axis or joint where it sits."""
+    component: str | None = None
+    """Port on which it acts, such as ``"EAY"``, where there are several."""
+
+
+class ModelSettings(Table):
+    """``[model]``: what is declared about errors."""
+
+    geometric: Table | None = None
+    effect: tuple[EffectSettings, ...] = ()
+    effects_file: str | None = None
+    """Python file beside the study with the user's own effect classes."""
+
+
+class DataSettings(Table):
+    """``[data]``: names of the tables beside the study file."""
+
+    data: str = "data.csv"
+    check: str | None = None
+    """Independent check points; by default ``check.csv`` where that exists."""
+
+
+class LoopSettings(Table):
+    """``[loop]``: how the missing effect is looked for."""
+
+    alpha: float = Field(default=0.01, gt=0, lt=1)
+    """Share of clean measurements in which the whole loop may name an effect."""
+    seed: int = Field(default=0, ge=0)
+    effects: tuple[str, ...] | None = None
+    """Identifiers of the effects to try; all of the catalogue by default."""
+    draws: int = Field(default=1000, ge=1)
+    """Null draws behind a significance."""
+    max_effects: int = Field(default=6, ge=0)
+    """Effects after which the loop stops."""
+
+
+class StudySettings(Table):
+    """setup.toml as a whole; `instrument` and `model.geometric` are refined by what they name."""
+
+    name: str = ""
+    machine: MachineSettings
+    instrument: InstrumentSettings
+    model: ModelSettings = ModelSettings()
+    data: DataSettings = DataSettings()
+    loop: LoopSettings = LoopSettings()
+
+
+def read_setup(
+    path: Path, overrides: Mapping[str, Any] | Sequence[str] = ()
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """The raw tree of a study file with overrides put in, and the overrides as text by key.
+
+    An override is ``"instrument.joints=read"``, or a key and its value; rows of an array of tables
+    count from 0 (``"model.effect.0.size_um=3"``). Raises `StudyError` for a file that is missing
+    or not TOML, and an override that has no ``=`` or no place in the tree.
+    """
+    if not path.is_file():
+        raise refusal(
+            path.name,
+            "file",
+            f"no such file in {path.parent}",
+            "a study file in TOML",
+            "correct the path",
+        )
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise StudyError(
+            f"{path.name}: not valid TOML: found {error}, expected `key = value` lines below "
+            "[table] headings; correct the line"
+        ) from error
+    given: dict[str, str] = {}
+    for key, value in _pairs(overrides):
+        given[key] = value if isinstance(value, str) else shown(value)
+        _put(raw, key, _toml_value(value), given[key])
+    return raw, given
+
+
+def validate(raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]) -> StudySettings:
+    """The settings in a raw tree; raises `StudyError` that lists every mistake in it."""
+    for key, value in _numbers(raw):
+        spread = key.startswith("model.effect.") and key.endswith("_sigma") and value == math.inf
+        if not math.isfinite(value) and not spread:
+            raise refusal(
+                source(file, key, overrides),
+                f"key {key}",
+                str(value),
+                "a finite number",
+                "correct the value",
+            )
+    model = _refined(raw, file, overrides)
+    try:
+        # As JSON, in which a list is a tuple, so that validation can be strict about the rest:
+        # "3", 3.0 and true are not taken for 3.
+        return model.model_validate_json(json.dumps(raw, default=str), strict=True)
+    except ValidationError as error:
+        raise explain(error, file, raw, model, overrides) from error
+
+
+def _refined(
+    raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]
+) -> type[StudySettings]:
+    """The settings class with the named instrument's and family's own keys."""
+    kind = at(raw, ("instrument", "kind"))
+    if isinstance(kind, str) and kind not in INSTRUMENTS:
+        raise refusal(
+            source(file, "instrument.kind", overrides),
+            "key instrument.kind",
+            f"the unknown instrument {kind!r}{nearest(kind, INSTRUMENTS)}",
+            f"one of {listed(INSTRUMENTS)}",
+            "correct the kind",
+        )
+    instrument = INSTRUMENTS[kind].Settings if isinstance(kind, str) else InstrumentSettings
+    family = at(raw, ("model", "geometric", "family"))
+    geometric: type[Table]
+    if at(raw, ("machine", "joint")):
+        geometric = LinkSettings
+    else:
+        families = {"fourier": FourierSettings, "smooth": SmoothSettings}
+        geometric = families.get(family if isinstance(family, str) else "", AnyFamilySettings)
+    model = create_model(
+        "ModelSettings", __base__=ModelSettings, geometric=(geometric | None, None)
+    )
+    return create_model(
+        "StudySettings",
+        __base__=StudySettings,
+        instrument=(instrument, ...),
+        model=(model, model()),
+    )
+
+
+def _pairs(overrides: Mapping[str, Any] | Sequence[str]) -> Iterator[tuple[str, Any]]:
+    if isinstance(overrides, Mapping):
+        yield from overrides.items()
+        return
+    for text in overrides:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise StudyError(
+                f"override {text!r}: found no key and value, expected key=value such as "
+                "instrument.joints=read; write it so"
+            )
+        yield key.strip(), value.strip()
+
+
+def _toml_value(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    try:
+        return tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return value  # text without its quotes
+
+
+def _put(raw: dict[str, Any], key: str, value: Any, text: str) -> None:
+    *path, last = key.split(".")
+    table: Any = raw
+    for i, part in enumerate(path):
+        if isinstance(table, dict):
+            table = table.setdefault(part, {})
+        else:
+            table = _row(table, part, key, text)
+        if not isinstance(table, dict | list):
+            raise refusal(
+                f"override {key}={text}",
+                f"key {'.'.join(path[: i + 1])}",
+                shown(table),
+                "a table",
+                "correct the key",
+            )
+    if isinstance(table, list):
+        _row(table, last, key, text)
+        table[int(last)] = value
+    else:
+        table[last] = value
+
+
+def _row(table: list[Any], part: str, key: str, text: str) -> Any:
+    if not part.isdigit() or int(part) >= len(table):
+        raise refusal(
+            f"override {key}={text}",
+            f"key {key}",
+            f"row {part!r}",
+            f"a row from 0 to {len(table) - 1}",
+            "correct the number",
+        )
+    return table[int(part)]
+
+
+def _numbers(tree: Any, key: str = "") -> Iterator[tuple[str, float]]:
+    if isinstance(tree, float):
+        yield key, tree
+    elif isinstance(tree, Mapping | list):
+        items = tree.items() if isinstance(tree, Mapping) else enumerate(tree)
+        for part, value in items:
+            yield from _numbers(value, f"{key}.{part}" if key else str(part))

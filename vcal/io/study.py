@@ -1,0 +1,314 @@
+"""A study: everything in one folder, read, checked and built."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..chain import Chain, chain_from_dh, chain_from_string
+from ..effects.base import Effect, Setup
+from ..errors import StudyError
+from ..instruments import INSTRUMENTS
+from ..instruments.base import Column, Instrument
+from ..instruments.conditions import GROUPS, linear_plan
+from ..measurement import CheckPoints, Measurement
+from ..model import Model
+from ..plan import Plan
+from ..spatial import require_float64
+from .declared import catalogue_with, declared_effects, unknown_effect
+from .family import geometric_errors
+from .folder import Folder
+from .messages import listed, nearest, refusal
+from .settings import LoopSettings, MachineSettings, StudySettings, read_setup, validate
+from .table import Table
+
+_FEWEST_ROWS = 3
+_JOINT_COLUMN = re.compile(r"q(\d+)_(?:cmd|read)_deg")
+
+
+@dataclass(frozen=True)
+class Study:
+    """A machine, an instrument, what is declared about their errors, and what was measured."""
+
+    name: str
+    path: Path
+    """The study file."""
+    settings: StudySettings
+    """What the study file says, overrides and defaults included."""
+    chain: Chain
+    instrument: Instrument
+    """Started from the readings, where there are any."""
+    model: Model
+    """The declared model: geometric errors, the instrument's own, declared effects."""
+    plan: Plan
+    measurement: Measurement | None
+    """None for a plan, that is, a table without reading columns."""
+    check: CheckPoints | None
+    """Independent check points, where there are any."""
+    catalogue: Mapping[str, type[Effect]]
+    """Effects by name that the loop may try, the user's own included."""
+    hashes: Mapping[str, str]
+    """SHA-256 of every input file by name."""
+
+    @property
+    def folder(self) -> Path:
+        """Where the files of the study are."""
+        return self.path.parent
+
+    @property
+    def options(self) -> LoopSettings:
+        """Settings of the loop."""
+        return self.settings.loop
+
+    @property
+    def as_dict(self) -> dict[str, Any]:
+        """The settings as plain values, for reports."""
+        return self.settings.model_dump()
+
+
+def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = ()) -> Study:
+    """Read a study file, or the ``setup.toml`` of a folder, and everything it names.
+
+    `overrides` replace keys before anything is checked: ``"instrument.joints=read"``, or a mapping
+    of keys to values. Raises `StudyError` for every mistake in the input, and `RuntimeError` where
+    JAX runs in float32.
+    """
+    require_float64()
+    path = Path(path)
+    if path.is_dir():
+        path = path / "setup.toml"
+    file = path.name
+    raw, given = read_setup(path, overrides)
+    settings = validate(raw, file, given)
+    folder = Folder(path.parent)
+    folder.path(file)
+    catalogue = catalogue_with(folder, settings.model.effects_file)
+    for i, name in enumerate(settings.loop.effects or ()):
+        if name not in catalogue:
+            raise unknown_effect(name, catalogue, file, f"loop.effects.{i}")
+    chain = build_chain(settings.machine, file)
+    table, measured = _data(settings, chain, folder, file)
+    kind = INSTRUMENTS[settings.instrument.kind]
+    instrument = kind.build(settings.instrument, chain, table, folder.table)
+    plan = instrument.plan(chain, table)
+    measurement = None
+    if measured:
+        readings = instrument.measured(table)
+        instrument = instrument.start(chain, plan, readings)
+        measurement = Measurement(plan, readings, settings.name or path.parent.name)
+    model = Model(chain, instrument)
+    if settings.model.geometric is not None:
+        model = model.with_effects(geometric_errors(settings.model.geometric, chain, folder, file))
+    model = model.with_effects(*instrument.effects(plan))
+    setup = Setup(chain, model.layout, plan, model.effects, instrument.artefact)
+    model = model.with_effects(
+        *declared_effects(settings.model.effect, catalogue, setup, file, settings.data.data)
+    )
+    _check_size(model, plan, settings.data.data)
+    return Study(
+        name=settings.name or path.resolve().parent.name,
+        path=path,
+        settings=settings,
+        chain=chain,
+        instrument=instrument,
+        model=model,
+        plan=plan,
+        measurement=measurement,
+        check=_check_points(settings, chain, instrument, folder, file),
+        catalogue=catalogue,
+        hashes=folder.hashes,
+    )
+
+
+def build_chain(machine: MachineSettings, file: str) -> Chain:
+    """The chain of a ``[machine]``; raises `StudyError` that names the key in `file`."""
+    offset = [v * 1e-3 for v in machine.tool_offset_mm]
+    if machine.chain is None:
+        rows = []
+        for joint in machine.joint:
+            factor = math.radians(1.0) if joint.type == "revolute" else 1e-3
+            low, high = (bound * factor for bound in joint.bounds)
+            rows.append(
+                {
+                    "type": joint.type,
+                    "a": joint.a_mm * 1e-3,
+                    "d": joint.d_mm * 1e-3,
+                    "alpha": math.radians(joint.alpha_deg),
+                    "theta": math.radians(joint.theta_deg),
+                    "low": low,
+                    "high": high,
+                }
+            )
+        return chain_from_dh(rows, offset)
+    travel = {axis: (low * 1e-3, high * 1e-3) for axis, (low, high) in machine.travel_mm.items()}
+    try:
+        chain = chain_from_string(machine.chain, travel, offset)
+    except ValueError as error:
+        raise StudyError(
+            f"{file}, key machine.chain: found an impossible {error}; correct the chain"
+        ) from error
+    for axis, (low, high) in machine.travel_mm.items():
+        if axis not in chain.axes:
+            raise refusal(
+                file,
+                f"key machine.travel_mm.{axis}",
+                f"the unknown axis {axis!r}{nearest(axis, chain.axes)}",
+                f"one of {listed(chain.axes)}, the axes of the chain {chain.text!r}",
+                "correct or remove the key",
+            )
+        if not low < high:
+            raise refusal(
+                file,
+                f"key machine.travel_mm.{axis}",
+                f"[{low:g}, {high:g}]",
+                "[lowest, highest] with the lowest below the highest",
+                "exchange or correct them",
+            )
+    return chain
+
+
+def _data(settings: StudySettings, chain: Chain, folder: Folder, file: str) -> tuple[Table, bool]:
+    """The checked data table, and whether it holds readings."""
+    name, kind = settings.data.data, INSTRUMENTS[settings.instrument.kind]
+    header = folder.header(name)
+    plain = kind.columns(settings.instrument, chain.axes, readings=False)
+    full = kind.columns(settings.instrument, chain.axes, readings=True)
+    reading_names = {c.name for c in full} - {c.name for c in plain}
+    measured = not reading_names or any(column in reading_names for column in header)
+    _check_machine(settings, chain, plain, file)
+    columns = [*_positions(chain, plain), *(full if measured else plain)]
+    table = folder.table(name, columns, _condition)
+    if table.rows < _FEWEST_ROWS:
+        raise refusal(
+            name,
+            f"row {table.rows} (line {table.lines[-1]}), column {columns[0].name}",
+            f"the end of the table after {table.rows} row(s)",
+            f"at least {_FEWEST_ROWS} rows",
+            "measure more points",
+        )
+    _check_conditions(table, chain)
+    return table, measured
+
+
+def _check_points(
+    settings: StudySettings, chain: Chain, instrument: Instrument, folder: Folder, file: str
+) -> CheckPoints | None:
+    name = settings.data.check or "check.csv"
+    if settings.data.check is None and not folder.has(name):
+        return None
+    own = instrument.columns(settings.instrument, chain.axes, readings=False)
+    linear = _is_linear(chain)
+    columns = _positions(chain, own) if linear else list(own)
+    columns += [Column(name=f"tcp_{c}_mm", low=-1e6, high=1e6) for c in "xyz"]
+    table = folder.table(name, columns, _condition)
+    _check_conditions(table, chain)
+    # Check points belong to the machine: what an instrument derives for itself is not in them.
+    plan = linear_plan(chain, table) if linear else instrument.plan(chain, table)
+    return CheckPoints(plan, np.column_stack([table[f"tcp_{c}_mm"] for c in "xyz"]) * 1e-3)
+
+
+def _is_linear(chain: Chain) -> bool:
+    """Whether it was given as a chain of linear axes, whose positions are in ``x_mm``, ..."""
+    return not any(axis.startswith("J") for axis in chain.axes)
+
+
+def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
+    """Position columns that the instrument's own columns leave to the machine."""
+    names = {column.name for column in own}
+    linear = [f"{axis.lower()}_mm" for axis in chain.axes] if _is_linear(chain) else []
+    return [Column(name=name, low=-1e6, high=1e6) for name in linear if name not in names]
+
+
+def _check_machine(settings: StudySettings, chain: Chain, own: Sequence[Column], file: str) -> None:
+    """An instrument that reads joint angles needs an arm, any other one linear axes."""
+    joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
+    revolute = all(joint.kind == "revolute" for joint in chain.joints)
+    if joints and revolute or not joints and _is_linear(chain):
+        return
+    raise refusal(
+        file,
+        "key instrument.kind",
+        f"{settings.instrument.kind!r} on a machine of {chain.text or 'no joints'}",
+        "an arm of revolute [[machine.joint]] rows with this instrument"
+        if joints
+        else "linear axes (machine.chain) with this instrument",
+        "change the instrument or the machine",
+    )
+
+
+def _condition(name: str) -> Column | None:
+    """What is known of a column that need not be there."""
+    if name.startswith("T_") and name.endswith("_degC"):
+        return Column(name=name, low=-50.0, high=150.0)
+    if name in GROUPS:
+        return Column(name=name, low=0, integer=True)
+    if name == "t_s" or name.startswith("dir_"):
+        return Column(name=name)
+    if _JOINT_COLUMN.fullmatch(name):
+        return Column(name=name, low=-720.0, high=720.0)
+    return None
+
+
+def _check_conditions(table: Table, chain: Chain) -> None:
+    """Directions are +1 or -1 of an axis there is; positions lie within the travel."""
+    for name, values in table.items():
+        axis = name.removeprefix("dir_").upper()
+        if name.startswith("dir_") and _is_linear(chain):
+            if axis not in chain.axes:
+                raise refusal(
+                    table.name,
+                    f"header, column {name}",
+                    f"a direction of the unknown axis {axis!r}",
+                    f"one of {listed(f'dir_{a.lower()}' for a in chain.axes)}",
+                    "rename or remove the column",
+                )
+            if (bad := np.abs(values) != 1.0).any():
+                row = int(np.argmax(bad))
+                found, expected = f"{values[row]:g}", "+1 or -1, the last direction of travel"
+                raise table.refusal(row, name, found, expected, "correct the value")
+        _check_travel(table, name, chain)
+
+
+def _check_travel(table: Table, name: str, chain: Chain) -> None:
+    if match := _JOINT_COLUMN.fullmatch(name):
+        place, unit = int(match[1]) - 1, math.radians(1.0)
+        key = f"machine.joint.{place}"
+    elif name.removesuffix("_mm").upper() in chain.axes and name.endswith("_mm"):
+        place, unit = chain.axes.index(name.removesuffix("_mm").upper()), 1e-3
+        key = f"machine.travel_mm.{chain.axes[place]}"
+    else:
+        return
+    if not 0 <= place < len(chain.joints):
+        return
+    low, high = chain.joints[place].travel / unit
+    # A file of ten digits may round a position at the end of the travel to just beyond it.
+    slack = 1e-9 * max((abs(b) for b in (low, high) if math.isfinite(b)), default=0.0)
+    bad = (table[name] < low - slack) | (table[name] > high + slack)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise table.refusal(
+            row,
+            name,
+            f"{table[name][row]:.10g}, outside the travel",
+            f"{low:.10g} to {high:.10g} ({key})",
+            "correct the position or the travel",
+        )
+
+
+def _check_size(model: Model, plan: Plan, data: str) -> None:
+    flat = [entry for entry in model.entries if not entry.parameter.informed]
+    readings = plan.rows * len(model.instrument.readings)
+    if len(flat) > readings:
+        keys = listed(dict.fromkeys(entry.key for entry in flat))
+        raise refusal(
+            data,
+            f"row {plan.rows} (the last one)",
+            f"{readings} readings ({plan.rows} rows of {len(model.instrument.readings)}) for "
+            f"{len(flat)} parameters without a prior ({keys})",
+            f"at least {len(flat)} readings",
+            "measure more rows, or give a prior (a *_sigma) to what is known",
+        )

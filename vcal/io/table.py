@@ -1,0 +1,214 @@
+"""Tables in CSV files, checked cell by cell."""
+
+import csv
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import StudyError
+from ..instruments.base import Column
+from .messages import listed, nearest, refusal
+
+
+class Table(dict[str, np.ndarray]):
+    """Columns by name, which remembers where its rows came from.
+
+    Data rows count from 1 below the header; the line number differs where lines are empty.
+    """
+
+    def __init__(self, name: str, lines: Sequence[int]):
+        super().__init__()
+        self.name = name
+        """The file as the user knows it."""
+        self.lines = tuple(lines)
+        """Line of the file per data row."""
+
+    @property
+    def rows(self) -> int:
+        """Number of data rows."""
+        return len(self.lines)
+
+    def refusal(self, row: int, column: str, found: str, expected: str, do: str) -> StudyError:
+        """The error to raise for one cell; `row` counts from 0."""
+        where = f"row {row + 1} (line {self.lines[row]}), column {column}"
+        return refusal(self.name, where, found, expected, do)
+
+
+def _nothing(name: str) -> Column | None:
+    del name
+    return None
+
+
+def read_header(path: Path | str, base_name: str | None = None) -> tuple[str, ...]:
+    """Names of the columns of a CSV file; raises `StudyError` as `read_table` does."""
+    name = base_name or Path(path).name
+    return _cells(Path(path), name)[0]
+
+
+def read_table(
+    path: Path | str,
+    columns: Sequence[Column],
+    base_name: str | None = None,
+    *,
+    optional: Callable[[str], Column | None] = _nothing,
+    labels: Sequence[str] = (),
+) -> Table:
+    """Columns of a CSV file with a header line, as float64 in the units of the file.
+
+    `columns` must be there and are checked against their declarations; `optional` gives the
+    declaration of a column that need not be there; `labels` are columns of text. Any further column
+    is kept if it is numeric, that is, if more than half of its cells are numbers (then all must
+    be), and is ignored otherwise. `base_name` is what messages call the file.
+
+    Raises `StudyError` for a file that is missing, empty or cut off, a column that is missing or
+    there twice, and a cell that is not a finite number, not whole where it must be, outside its
+    range, or an index that repeats.
+    """
+    path = Path(path)
+    header, lines, rows = _cells(path, base_name or path.name)
+    table = Table(base_name or path.name, lines)
+    asked = {column.name: column for column in columns}
+    for name in (*labels, *asked):
+        if name not in header:
+            raise _missing(table.name, name, header)
+    if not rows:
+        raise refusal(table.name, "row 1", "no row below the header", "data", "add the rows")
+    for place, name in enumerate(header):
+        cells = [row[place] for row in rows]
+        if name in labels:
+            table[name] = np.array([cell.strip() for cell in cells])
+            continue
+        column = asked.get(name) or optional(name)
+        if column is None:
+            numbers = sum(math.isfinite(_number(cell)) for cell in cells)
+            if 2 * numbers <= len(cells):
+                continue
+        table[name] = _checked(table, column or Column(name=name), cells)
+    for column in columns:
+        if column.unique_with:
+            _check_unique(table, column)
+    return table
+
+
+def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns of equal length as a CSV file, numbers with ten significant digits.
+
+    Raises `ValueError` where the lengths differ.
+    """
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"columns of different lengths: found {lengths}, expected one length")
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow([v if isinstance(v, str) else f"{v:.10g}" for v in row])
+
+
+def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list[str]]]:
+    """Header, line number per data row, cells per data row; every row as long as the header."""
+    if not path.is_file():
+        raise refusal(
+            name,
+            "file",
+            f"no such file in {path.parent}",
+            "a CSV table with a header line",
+            "add the file or correct its name",
+        )
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file)
+            found = [(reader.line_num, row) for row in reader if any(c.strip() for c in row)]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise refusal(
+            name, "file", f"unreadable text ({error})", "a CSV table in UTF-8", "save it again so"
+        ) from error
+    if not found:
+        raise refusal(name, "file", "nothing in it", "a header line and rows", "write the table")
+    (line, cells), *rows = found
+    header = tuple(cell.strip() for cell in cells)
+    for column in header:
+        if header.count(column) > 1:
+            places = [str(i + 1) for i, c in enumerate(header) if c == column]
+            raise refusal(
+                name,
+                f"header (line {line}), column {column or '(no name)'}",
+                f"it {len(places)} times (places {', '.join(places)})",
+                "every name once",
+                "rename or remove one of them",
+            )
+    for number, (line, row) in enumerate(rows, start=1):
+        if len(row) != len(header):
+            last = " (the last row: is the file cut off?)" if number == len(rows) else ""
+            raise refusal(
+                name,
+                f"row {number} (line {line}), column "
+                + (header[len(row)] if len(row) < len(header) else "after the last one"),
+                f"{len(row)} cells{last}",
+                f"{len(header)} as in the header, separated by commas",
+                "complete the row or remove it",
+            )
+    return header, [line for line, _ in rows], [row for _, row in rows]
+
+
+def _missing(file: str, name: str, header: Sequence[str]) -> StudyError:
+    do = "add the column or correct its name"
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+        do = "separate the columns by commas"
+    found = f"no such column{nearest(name, header)} among {listed(header)}"
+    return refusal(file, f"column {name}", found, "a column of this name", do)
+
+
+def _number(cell: str) -> float:
+    """The number in a cell; NaN for anything else."""
+    try:
+        return math.nan if "_" in cell else float(cell)
+    except ValueError:
+        return math.nan
+
+
+def _checked(table: Table, column: Column, cells: Sequence[str]) -> np.ndarray:
+    values = np.array([_number(cell) for cell in cells])
+    # A file of ten digits may round a value at the bound to just beyond it.
+    slack = 1e-9 * max((abs(b) for b in (column.low, column.high) if math.isfinite(b)), default=0)
+    expected = _range(column)
+    bad = ~np.isfinite(values)
+    if not bad.any() and column.integer:
+        bad = values != np.round(values)
+    if not bad.any():
+        bad = (values < column.low - slack) | (values > column.high + slack)
+    if bad.any():
+        row = int(np.argmax(bad))
+        found = repr(cells[row].strip()) if not math.isfinite(values[row]) else cells[row].strip()
+        if not cells[row].strip():
+            found = "an empty cell"
+        raise table.refusal(row, column.name, found, expected, "correct the value")
+    return values
+
+
+def _range(column: Column) -> str:
+    kind = "a whole number" if column.integer else "a number"
+    low, high = math.isfinite(column.low), math.isfinite(column.high)
+    if low and high:
+        return f"{kind} from {column.low:.6g} to {column.high:.6g}"
+    if low or high:
+        return f"{kind} of at " + (f"least {column.low:.6g}" if low else f"most {column.high:.6g}")
+    return kind
+
+
+def _check_unique(table: Table, column: Column) -> None:
+    names = list(dict.fromkeys((*column.unique_with, column.name)))
+    first: dict[tuple[float, ...], int] = {}
+    for row, index in enumerate(zip(*(table[name] for name in names), strict=True)):
+        if index in first:
+            value = ", ".join(f"{n} {v:.10g}" for n, v in zip(names, index, strict=True))
+            raise table.refusal(
+                row,
+                column.name,
+                f"{value} again, first in row {first[index] + 1}",
+                f"every {' and '.join(names)} once",
+                "correct the index or remove one of the rows",
+            )
+        first[index] = row

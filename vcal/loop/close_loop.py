@@ -1,0 +1,387 @@
+"""Close the loop: find what a measurement says is missing, name it, add it, report the gain."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincc
+
+from ..effects.base import Effect
+from ..effects.registry import CATALOGUE
+from ..identify import Fit, declared_whitener, identify
+from ..measurement import CheckPoints, Measurement
+from ..model import Model
+from .candidates import LocalBump, Untestable, candidates
+from .closure import Closure, Errors, FoundEffect, Rejected, Verdict
+from .heldout import check_rms, fit_rms, heldout_rms, improvement
+from .rivals import Rival, Weighed, refit_all, weigh
+from .screen import Peak, Screen, Screening, screen
+from .stray import Stray, stray_rows
+from .unexplained import Unexplained, from_bump, from_structure
+
+CERTAIN = 0.95
+"""Posterior probability from which an effect is named rather than called ambiguous."""
+_PRACTICAL = 0.02
+"""Least fall of the held-out rms that counts where the fit is far worse than the noise: chance
+alignments with what is not modelled are then significant without being real."""
+_MARGIN = 30.0
+_CLOSE = 8.0
+"""Candidates whose linear log evidence is further behind the best than `_MARGIN` are not refined,
+further than `_CLOSE` after that not refitted: their weight is below one in a thousand."""
+_REFITS = 10
+_ROOM = 16
+"""Parameters that added effects may have before the solver must be compiled anew."""
+
+
+@dataclass(frozen=True)
+class _State:
+    """The model as far as the loop has come."""
+
+    model: Model
+    fit: Fit
+    keep: np.ndarray
+    strays: list[Stray]
+
+
+def close_loop(
+    model: Model,
+    measurement: Measurement,
+    *,
+    check: CheckPoints | None = None,
+    effects: Iterable[type[Effect]] | None = None,
+    alpha: float = 0.01,
+    draws: int = 500,
+    seed: int = 0,
+    max_effects: int = 6,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Closure:
+    """Find, name and add what is missing from `model`.
+
+    Fit, screen every effect of the catalogue, pay for the search, refit the best, weigh it against
+    its rivals, check it on held-out readings, add it, and repeat until nothing is significant at
+    `alpha` (of the whole search). `effects` restricts the search to some classes; `check` adds the
+    error at independent points. `KeyboardInterrupt` ends the loop with what is known so far.
+    Raises `RuntimeError` in float32.
+    """
+    classes = list(CATALOGUE.values()) if effects is None else list(effects)
+    settings = {
+        "alpha": alpha,
+        "draws": draws,
+        "seed": seed,
+        "max_effects": max_effects,
+        "effects": [cls.name for cls in classes],
+    }
+    progress("fitting the declared model")
+    # Room for the effects to come, so that the solver is compiled once.
+    room = len(model.entries) + _ROOM
+    nominal = _nominal(model, measurement, room)
+    state = _fit(model, measurement, None, room)
+    before = state.fit
+    run = _Run(check, classes, alpha, draws, seed, room, progress)
+    interrupted = False
+    try:
+        for _ in range(max_effects):
+            added = run.step(state)
+            if added is None:
+                break
+            state = added
+        if run.unexplained is None:
+            state = run.prune(state)
+            progress("describing what remains")
+            run.unexplained = from_structure(
+                state.fit, _chi2_per_dof(state.fit), alpha, draws, seed + 1
+            )
+    except KeyboardInterrupt:
+        interrupted = True
+    progress("comparing before and after")
+    noise = _noise_scale(state.fit)
+    after = _at_noise(state.fit, noise, room)
+    found = [run.finished(item, after) for item in run.added]
+    verdict: Verdict = "nothing_missing"
+    if run.unexplained is not None:
+        verdict = "unexplained"
+    elif any(item.status == "ambiguous" for item in found):
+        verdict = "ambiguous"
+    elif found:
+        verdict = "named"
+    return Closure(
+        verdict=verdict,
+        effects=found,
+        errors={
+            "uncompensated": errors(nominal, check),
+            "before": errors(before, check),
+            "after": errors(after, check),
+        },
+        before=before,
+        after=after,
+        nominal=nominal,
+        check=check,
+        unexplained=run.unexplained,
+        suspected=state.strays,
+        rejected=run.rejected,
+        untestable=run.untestable,
+        unseen=run.unseen,
+        screenings=run.screenings,
+        noise_scale=noise,
+        settings=settings,
+        interrupted=interrupted,
+        notes=_notes(noise, state),
+    )
+
+
+@dataclass(frozen=True)
+class _Added:
+    effect: Effect
+    weighed: Weighed
+    p_value: float
+    gain: float
+
+
+class _Run:
+    """One pass through the loop: what was tried, added and left over."""
+
+    def __init__(self, check, classes, alpha, draws, seed, room, progress):
+        self.check, self.classes, self.alpha = check, classes, alpha
+        self.draws, self.seed, self.room, self.progress = draws, seed, room, progress
+        self.added: list[_Added] = []
+        self.rejected: list[Rejected] = []
+        self.untestable: list[Untestable] = []
+        self.unseen: list[str] = []
+        self.screenings: list[Screening] = []
+        self.unexplained: Unexplained | None = None
+
+    def step(self, state: _State) -> _State | None:
+        """One round: None where nothing (more) is to be added."""
+        number = len(self.added) + 1
+        fit, measurement = state.fit, state.fit.measurement
+        self.progress(f"round {number}: screening")
+        tried, self.untestable = candidates(state.model, measurement, self.classes)
+        bumps, _ = candidates(state.model, measurement, [LocalBump])
+        screen_state = Screen(fit, self.draws, self.seed + number)
+        screening = screen(screen_state, [*tried, *bumps])
+        self.screenings.append(screening)
+        self.unseen = [effect.key for effect in screening.unseen]
+        if screening.p_value > self.alpha:
+            return None
+        self.progress(f"round {number}: refitting the best candidates")
+        p_values = {kind.kind: screening.corrected(kind) for kind in screening.kinds}
+        worth = [p for p in screening.peaks if p_values[p.effect.name] <= self.alpha]
+        peaks = _shortlist(screen_state, worth, screening.peaks)
+        rivals = refit_all(fit, peaks, state.keep, self.room)
+        named = [r for r in rivals if r.effect.name != LocalBump.name]
+        significant = [r for r in named if p_values[r.effect.name] <= self.alpha]
+        bump = next((r for r in rivals if r.effect.name == LocalBump.name), None)
+        bump_counts = bump is not None and p_values[LocalBump.name] <= self.alpha
+        if bump_counts and (not significant or bump.log_bayes > significant[0].log_bayes):
+            self.unexplained = from_bump(
+                fit, bump, p_values[LocalBump.name], self.draws, self.seed + number
+            )
+            for rival in significant:
+                self._reject(rival, p_values, "a local error describes the residual better")
+            return None
+        for rival in significant:
+            fall, error, share = improvement(fit, rival.fit)
+            needed = _PRACTICAL * max(0.0, 1.0 - 1.0 / max(_chi2_per_dof(rival.fit), 1e-9))
+            if rival.log_bayes <= 0:
+                self._reject(rival, p_values, "its evidence does not pay for its parameters")
+            elif fall <= error:
+                self._reject(rival, p_values, "held-out error does not fall beyond its uncertainty")
+            elif share < needed:
+                self._reject(
+                    rival, p_values, f"held-out rms falls by {100 * share:.1f} % only"
+                )
+            else:
+                weighed = weigh(fit, rival, named)
+                p = p_values[rival.effect.name]
+                self.added.append(_Added(rival.effect, weighed, p, share))
+                self.progress(f"round {number}: added {rival.effect.key}")
+                return _fit(rival.fit.model, measurement, rival.fit, self.room)
+        return None
+
+    def prune(self, state: _State) -> _State:
+        """Try once to do without each added effect; the evidence decides."""
+        for item in list(self.added[:-1]):
+            place = next(i for i, e in enumerate(state.model.effects) if e is item.effect)
+            without = _without(state, place, self.room)
+            noise = math.sqrt(max(1.0, state.fit.chi2 / state.fit.dof))
+            if without.converged and without.log_evidence(noise) > state.fit.log_evidence(noise):
+                self.added.remove(item)
+                self.rejected.append(
+                    Rejected(
+                        item.effect.name,
+                        item.effect.placement,
+                        item.p_value,
+                        "superfluous after later effects",
+                    )
+                )
+                state = _State(without.model, without, state.keep, state.strays)
+        return state
+
+    def _reject(self, rival: Rival, p_values: dict[str, float], reason: str) -> None:
+        name, place = rival.effect.name, rival.effect.placement
+        if not any((r.effect, r.placement) == (name, place) for r in self.rejected):
+            self.rejected.append(Rejected(name, place, p_values[name], reason))
+
+    def finished(self, item: _Added, after: Fit) -> FoundEffect:
+        """The report of an added effect, with its parameters from the final fit."""
+        effect, weighed = item.effect, item.weighed
+        certain = weighed.probability >= CERTAIN
+        same = [k for k in weighed.equivalent if k.split(" ")[0] == effect.name]
+        places = sorted({effect.placement, *(k.partition(" ")[2] for k in same)})
+        return FoundEffect(
+            effect=effect,
+            status="named" if certain else "ambiguous",
+            placement="|".join(places),
+            parameters=[
+                (p.name, value, p.unit, u)
+                for key, p, value, u in after.parameter_values()
+                if key == effect.key and p.name in {q.name for q in effect.parameters}
+            ],
+            p_value=item.p_value,
+            log_evidence=weighed.best.log_bayes,
+            delta_bic=weighed.best.delta_bic,
+            heldout_gain=item.gain,
+            equivalent=weighed.equivalent,
+            alternatives=weighed.alternatives,
+            separation="" if certain else _separation(weighed),
+        )
+
+
+def _shortlist(state: Screen, worth: Sequence[Peak], others: Sequence[Peak]) -> list[Peak]:
+    """The peaks to refit: the significant ones, and others close enough to be rivals, after their
+    shapes were moved to the best point between the steps of the scan."""
+    if not worth:
+        return []
+    best = worth[0].log_bayes
+    near = [p for p in worth if p.log_bayes > best - _MARGIN]
+    ids = {id(p) for p in near}
+    near += [p for p in others if id(p) not in ids and p.log_bayes > best - _MARGIN]
+    near += [p for p in others if p.effect.name == LocalBump.name and id(p) not in ids][:1]
+    refined = sorted((state.refine(p) for p in near), key=lambda p: -p.log_bayes)
+    best = refined[0].log_bayes
+    chosen = [p for p in refined if p.log_bayes > best - _CLOSE][:_REFITS]
+    # A run of worthless rivals must not hide the next significant candidate, should the best fail.
+    chosen += [p for p in refined if p.log_bayes <= best - _CLOSE][: max(0, 3 - len(chosen))]
+    return chosen
+
+
+def _separation(weighed: Weighed) -> str:
+    rivals = weighed.alternatives[:2]
+    own = weighed.best.effect
+    other = " and ".join(f"{name} {place}".strip() for name, place, _ in rivals)
+    betrays = ", ".join(own.betrayed_by) or "its own covariate"
+    return f"vary {betrays} independently of what betrays {other}"
+
+
+def _fit(model: Model, measurement: Measurement, start: Fit | None, room: int) -> _State:
+    """Fit, leave out stray readings, and estimate the covariance of clustered readings."""
+    plan, instrument = measurement.plan, model.instrument
+    folds, apart = instrument.folds(plan)
+    keep = np.where(apart & (folds >= 0), False, True) if apart else np.ones(plan.rows, bool)
+    options: dict = {"keep": keep, "room": room}
+    if start is not None:
+        options |= {"theta": start.theta, "shapes": start.shapes}
+    whitener = None
+    if instrument.clustered:
+        whitener = None if start is None else start.whitener.copy()
+        if whitener is not None:
+            whitener[~start.used] = np.median(start.whitener[start.used], axis=0)
+    fit = identify(model, measurement, whitener=whitener, **options)
+    if instrument.clustered:
+        for _ in range(2):
+            whitener = estimated_whitener(fit)
+            options |= {"theta": fit.theta, "shapes": fit.shapes}
+            fit = identify(model, measurement, whitener=whitener, **options)
+    strays = stray_rows(fit)
+    if strays:
+        keep = keep.copy()
+        keep[[s.row for s in strays]] = False
+        options |= {"theta": fit.theta, "shapes": fit.shapes, "keep": keep}
+        fit = identify(model, measurement, whitener=whitener, **options)
+    return _State(model, fit, keep, strays)
+
+
+def estimated_whitener(fit: Fit) -> np.ndarray:
+    """W of every row from the covariance the readings of one row show in the residuals.
+
+    For instruments whose readings of one row share errors that are not modelled: S = sum r r' /
+    (rows - parameters per reading), not below the declared noise.
+    """
+    used = fit.used
+    rows, m = int(used.sum()), fit.residual.shape[1]
+    r = fit.residual[used]
+    covariance = r.T @ r / max(rows - len(fit.theta) / m, m + 1.0)
+    declared = np.linalg.inv(declared_whitener(fit.model, fit.measurement)[0])
+    covariance = covariance + 0.1 * declared @ declared.T
+    whitener = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    return np.broadcast_to(whitener, (len(used), m, m)).copy()
+
+
+def _nominal(model: Model, measurement: Measurement, room: int) -> Fit:
+    nuisances = tuple(e for e in model.effects if e.kind == "nuisance" or e.where == "instrument")
+    bare = Model(model.chain, model.instrument, nuisances)
+    return _fit(bare, measurement, None, room).fit
+
+
+def _without(state: _State, place: int, room: int) -> Fit:
+    fit = state.fit
+    sizes = [len(e.amplitudes) for e in state.model.effects]
+    first = sum(sizes[:place])
+    kept = np.r_[0:first, first + sizes[place] : sum(sizes)].astype(int)
+    shapes = {i - (i > place): s for i, s in fit.shapes.items() if i != place}
+    return identify(
+        state.model.without(place),
+        fit.measurement,
+        theta=fit.theta[kept],
+        shapes=shapes,
+        whitener=fit.whitener,
+        keep=state.keep,
+        room=room,
+    )
+
+
+def _chi2_per_dof(fit: Fit) -> float:
+    """chi2 per degree of freedom against the declared noise."""
+    whitener = declared_whitener(fit.model, fit.measurement)
+    residual = np.einsum("nij,nj->ni", whitener, fit.residual)[fit.used]
+    return float((residual**2).sum() / fit.dof)
+
+
+def _noise_scale(fit: Fit) -> float:
+    """Root of chi2/dof where that is not chance (p < 1e-3), else one."""
+    p = gammaincc(0.5 * fit.dof, 0.5 * fit.chi2)
+    ratio = math.sqrt(fit.chi2 / fit.dof)
+    return ratio if p < 1e-3 or p > 1.0 - 1e-3 else 1.0
+
+
+def _at_noise(fit: Fit, scale: float, room: int) -> Fit:
+    """The fit with the noise that was found instead of the one declared, where it is larger."""
+    if scale <= 1.0:
+        return fit
+    return identify(
+        fit.model,
+        fit.measurement,
+        theta=fit.theta,
+        shapes=fit.shapes,
+        whitener=fit.whitener / scale,
+        room=room,
+    )
+
+
+def errors(fit: Fit, check: CheckPoints | None) -> Errors:
+    """How wrong a fitted model is, on all the data there are."""
+    aligned, raw = (None, None) if check is None else check_rms(fit, check)
+    return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), _chi2_per_dof(fit))
+
+
+def _notes(noise: float, state: _State) -> list[str]:
+    notes = []
+    if noise != 1.0:
+        notes.append(
+            f"the readings scatter {noise:.2f} times as much as declared; uncertainties "
+            + ("are scaled accordingly" if noise > 1 else "are left as declared")
+        )
+    if not state.fit.converged:
+        notes.append("the final fit did not converge: its numbers are not to be relied on")
+    return notes

@@ -1,0 +1,102 @@
+"""What closing the loop found: numbers and names only, from which pages and files are made."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from ..effects.base import Effect
+from ..identify import Fit
+from ..measurement import CheckPoints
+from .candidates import Untestable
+from .heldout import Rms
+from .screen import Screening
+from .stray import Stray
+from .unexplained import Unexplained
+
+Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """How wrong a model is."""
+
+    check: Rms | None
+    """Volumetric error at the check points after rigid alignment; None without check data."""
+    check_raw: Rms | None
+    heldout: Rms
+    fit: Rms
+    chi2_per_dof: float
+    """Against the declared noise."""
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect the loop added."""
+
+    effect: Effect
+    status: Literal["named", "ambiguous"]
+    placement: str
+    """Its place; a class of equivalent placements is written ``"X|Y|Z"``."""
+    parameters: list[tuple[str, float, str, float]]
+    """(name, value, unit, standard uncertainty), from the final fit."""
+    p_value: float
+    log_evidence: float
+    delta_bic: float
+    heldout_gain: float
+    """Share by which the held-out rms fell when it was added."""
+    equivalent: list[str]
+    alternatives: list[tuple[str, str, float]]
+    separation: str
+    """The measurement that would separate it from its rivals, in words; empty if none is needed."""
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """An effect that was tried and not added."""
+
+    effect: str
+    placement: str
+    p_value: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Closure:
+    """The result of `close_loop`."""
+
+    verdict: Verdict
+    effects: list[FoundEffect]
+    errors: Mapping[Literal["uncompensated", "before", "after"], Errors]
+    before: Fit = field(repr=False)
+    after: Fit = field(repr=False)
+    nominal: Fit = field(repr=False)
+    """The nominal machine with only the nuisances fitted."""
+    check: CheckPoints | None = field(repr=False)
+    unexplained: Unexplained | None
+    suspected: list[Stray]
+    rejected: list[Rejected]
+    untestable: list[Untestable]
+    unseen: list[str]
+    """Effects that the declared model already spans on this plan."""
+    screenings: list[Screening] = field(repr=False)
+    noise_scale: float
+    """Root of chi2 per degree of freedom at the end, where it differs from one significantly."""
+    settings: Mapping[str, Any]
+    interrupted: bool = False
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        names = [f"{e.effect.name} {e.placement}".strip() for e in self.effects]
+        listed = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+        if self.verdict == "nothing_missing":
+            return "The declared model explains the measurement: nothing is missing."
+        if self.verdict == "named":
+            return f"The declared model lacked {listed}."
+        if self.verdict == "ambiguous":
+            return f"The declared model lacks something: most likely {listed}, but not for certain."
+        found = f"Found {listed}; the rest is unexplained" if names else "Unexplained"
+        what = self.unexplained
+        where = f": it depends on {what.depends_on[0]}" if what and what.depends_on else ""
+        return f"{found}{where}."

@@ -1,0 +1,139 @@
+"""Refitting the best candidates and weighing them against each other."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+from ..effects.base import Effect
+from ..identify import Fit, identify
+from .screen import Peak
+
+_SAME_SPACE = 1e-3
+"""Principal angle (rad) below which two candidates explain exactly the same."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A candidate after its non-linear refit."""
+
+    effect: Effect
+    fit: Fit
+    log_bayes: float
+    """Gain in log evidence over the model without it."""
+    delta_bic: float
+    """Change of the Bayesian information criterion; negative is better."""
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """The candidates of one step, one entry per distinguishable explanation."""
+
+    best: Rival
+    probability: float
+    """Of the best name (identifier with placement), among all rivals."""
+    equivalent: list[str]
+    """Names this data cannot tell from the best at all."""
+    alternatives: list[tuple[str, str, float]]
+    """(identifier, placement, probability) of the others."""
+
+
+def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0) -> Fit:
+    """The model with one more effect, from the linear estimate of its amplitudes."""
+    model = base.model.with_effects(peak.effect)
+    place = len(base.model.effects)
+    amplitudes = len(base.model.entries)
+    theta = np.concatenate([base.theta[:amplitudes], peak.amplitudes])
+    shapes = {**base.shapes, **({place: dict(peak.shape)} if peak.shape else {})}
+    return identify(
+        model,
+        base.measurement,
+        theta=theta,
+        shapes=shapes,
+        whitener=base.whitener,
+        keep=keep,
+        room=room,
+    )
+
+
+def refit_all(
+    base: Fit, peaks: Sequence[Peak], keep: np.ndarray, room: int = 0
+) -> list[Rival]:
+    """Refits of the given peaks, best evidence first, at the noise the best of them leaves.
+
+    Fits that do not converge are left out.
+    """
+    fits = [(peak, refit(base, peak, keep, room)) for peak in peaks]
+    fits = [(peak, fit) for peak, fit in fits if fit.converged]
+    if not fits:
+        return []
+    noise = math.sqrt(max(1.0, min(fit.chi2 / fit.dof for _, fit in fits)))
+    reference = base.log_evidence(noise)
+    rows = int(base.used.sum())
+    rivals = []
+    for peak, fit in fits:
+        k = len(peak.effect.parameters)
+        bic = (fit.chi2 - base.chi2) / noise**2 + k * math.log(rows)
+        rivals.append(Rival(peak.effect, fit, fit.log_evidence(noise) - reference, bic))
+    return sorted(rivals, key=lambda rival: -rival.log_bayes)
+
+
+def _columns(base: Fit, rival: Rival) -> np.ndarray:
+    """Orthonormal basis of the rival's columns, in the metric the declared model leaves over."""
+    first = len(base.model.entries)
+    count = len(rival.effect.amplitudes)
+    columns = rival.fit.jacobian[:, first : first + count]
+    projected = base.jacobian.T @ columns
+    g = columns.T @ columns - projected.T @ cho_solve(base.factor, projected)
+    values, vectors = np.linalg.eigh(g)
+    kept = values > 1e-8 * values.max()
+    return columns @ (vectors[:, kept] / np.sqrt(values[kept]))
+
+
+def same_space(base: Fit, a: Rival, b: Rival) -> bool:
+    """Whether two rivals span the same space once the declared model is projected out."""
+    u, v = _columns(base, a), _columns(base, b)
+    if u.shape[1] != v.shape[1]:
+        return False
+    pu, pv = base.jacobian.T @ u, base.jacobian.T @ v
+    cosines = np.linalg.svd(u.T @ v - pu.T @ cho_solve(base.factor, pv), compute_uv=False)
+    return bool(math.sqrt(max(0.0, 1.0 - min(cosines.min(), 1.0) ** 2)) < _SAME_SPACE)
+
+
+def weigh(base: Fit, best: Rival, rivals: Sequence[Rival]) -> Weighed:
+    """Posterior probabilities of the rivals, equal before; those the data cannot tell apart are
+    one class with one weight, peaks and components of one name are added up."""
+    classes: list[list[Rival]] = []
+    for rival in sorted(rivals, key=lambda r: -r.log_bayes):
+        for members in classes:
+            if abs(members[0].fit.chi2 - rival.fit.chi2) < 0.5 and same_space(
+                base, members[0], rival
+            ):
+                members.append(rival)
+                break
+        else:
+            classes.append([rival])
+    top = max(rival.log_bayes for rival in rivals)
+    weights: dict[str, float] = {}
+    members_of: dict[str, list[Rival]] = {}
+    for members in classes:
+        lead = best if any(r is best for r in members) else members[0]
+        key = lead.effect.key
+        weights[key] = weights.get(key, 0.0) + math.exp(members[0].log_bayes - top)
+        members_of.setdefault(key, []).extend(members)
+    total = sum(weights.values())
+    key = best.effect.key
+    equivalent = sorted({r.effect.key for r in members_of[key]} - {key})
+    others = sorted(((w / total, k) for k, w in weights.items() if k != key), reverse=True)
+    return Weighed(
+        best=best,
+        probability=weights[key] / total,
+        equivalent=equivalent,
+        alternatives=[
+            (members_of[k][0].effect.name, members_of[k][0].effect.placement, p)
+            for p, k in others
+            if p > 1e-4
+        ],
+    )
