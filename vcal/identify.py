@@ -30,6 +30,7 @@ from .model import (
     Shapes,
     Terms,
     concatenate,
+    effect_terms,
     observe_all,
     port_jacobian,
     port_values,
@@ -41,6 +42,12 @@ from .spatial import require_float64
 _SLOTS = 32
 """Parameters and terms are padded to one common multiple of this, so that models of similar size
 share one compiled solver."""
+
+
+_RELINEARISATIONS = 25
+_SETTLED = 1e-4
+"""Change of the cost (in units of the noise variance) below which shapes count as found: the
+parameters then move by less than a hundredth of their standard uncertainty."""
 
 
 class Problem(NamedTuple):
@@ -98,7 +105,8 @@ def _solve(chain: Chain, instrument: Instrument, plan, problem: Problem, start: 
     gauss_newton = optx.GaussNewton(rtol=1e-7, atol=1e-7, linear_solver=lx.QR())
     first = optx.least_squares(residual, gauss_newton, start, problem, max_steps=24, throw=False)
     good = (first.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(first.value))
-    return first.value, good, first.stats["num_steps"]
+    cost = jnp.sum(residual(first.value, problem) ** 2)
+    return first.value, good, first.stats["num_steps"], cost
 
 
 @eqx.filter_jit
@@ -110,7 +118,8 @@ def _solve_damped(chain: Chain, instrument: Instrument, plan, problem: Problem, 
 
     solver = optx.LevenbergMarquardt(rtol=1e-9, atol=1e-9, linear_solver=lx.QR())
     found = optx.least_squares(residual, solver, start, problem, max_steps=200, throw=False)
-    return found.value, found.result == optx.RESULTS.successful, found.stats["num_steps"]
+    cost = jnp.sum(residual(found.value, problem) ** 2)
+    return found.value, found.result == optx.RESULTS.successful, found.stats["num_steps"], cost
 
 
 @eqx.filter_jit
@@ -256,12 +265,24 @@ def shape_step(parameter: Parameter, value: float, grids: Mapping[str, np.ndarra
     return float(np.abs(np.gradient(grid))[np.argmin(np.abs(grid - value))])
 
 
-def linearised_terms(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray) -> Terms:
-    """Terms of all amplitudes, and of the smooth shape parameters at the given amplitudes."""
-    base = model.terms(plan, shapes)
-    blocks, start, k = [base], 0, len(model.entries)
+def linearised_terms(
+    model: Model,
+    plan: Plan,
+    shapes: Shapes,
+    theta: np.ndarray,
+    fixed: dict[int, Terms] | None = None,
+) -> Terms:
+    """Terms of all amplitudes, and of the smooth shape parameters at the given amplitudes.
+
+    `fixed` keeps the terms of effects without shape parameters from one call to the next.
+    """
+    fixed = {} if fixed is None else fixed
+    blocks, start, k = [], 0, len(model.entries)
     for i, effect in enumerate(model.effects):
         amplitudes = effect.amplitudes
+        if effect.shapes or i not in fixed:
+            fixed[i] = effect_terms(effect, model.layout, plan, shapes.get(i, {}), start)
+        blocks.append(fixed[i])
         for p in effect.shapes:
             if not p.smooth:
                 continue
@@ -277,7 +298,7 @@ def linearised_terms(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray
                 columns[place] = columns.get(place, 0.0) + np.asarray(slope) * size * step
             blocks.append(
                 Terms(
-                    np.zeros_like(base.offset),
+                    np.zeros_like(blocks[0].offset),
                     np.stack(list(columns.values()), 1),
                     np.asarray(list(columns)),
                     np.full(len(columns), k),
@@ -335,9 +356,10 @@ def identify(
     if theta is not None:
         estimate[: len(theta)] = theta
     rows = instrument.rows(plan)
-    steps, converged = 0, False
-    for _ in range(25):
-        terms = linearised_terms(model, plan, current, estimate)
+    steps, converged, cost = 0, False, math.inf
+    fixed: dict[int, Terms] = {}
+    for _ in range(_RELINEARISATIONS):
+        terms = linearised_terms(model, plan, current, estimate, fixed)
         problem = _padded(
             Problem(
                 plan.position, rows, measurement.readings, whitener, terms, np.sqrt(precision)
@@ -346,17 +368,17 @@ def identify(
         )
         start = np.zeros(problem.root_precision.shape[0])
         start[:size] = estimate
-        found, good, used = _solve(model.chain, instrument, plan, problem, start)
+        found, good, used, now = _solve(model.chain, instrument, plan, problem, start)
         if not bool(good):
-            found, good, used = _solve_damped(model.chain, instrument, plan, problem, start)
+            found, good, used, now = _solve_damped(model.chain, instrument, plan, problem, start)
         steps += int(used)
         estimate, converged = np.array(found)[:size], bool(good)
-        if size == amplitudes:
+        if size == amplitudes or abs(cost - float(now)) < _SETTLED:
+            estimate[amplitudes:] = 0.0
             break
-        moved = _move_shapes(model, plan, current, estimate[amplitudes:])
+        cost = float(now)
+        _move_shapes(model, plan, current, estimate[amplitudes:])
         estimate[amplitudes:] = 0.0
-        if moved < 1e-4:
-            break
     else:
         converged = False
     residual, by_port = _evaluate(model.chain, instrument, plan, problem, _pad(estimate, start))
@@ -405,9 +427,9 @@ def _padded(problem: Problem, room: int) -> Problem:
 
 def _move_shapes(
     model: Model, plan: Plan, shapes: dict[int, dict[str, float]], delta: np.ndarray
-) -> float:
+) -> None:
     """Move the shape parameters by `delta` solver units, at most one each, inside their scan."""
-    k, largest = 0, 0.0
+    k = 0
     for i, effect in enumerate(model.effects):
         grids = effect.scan(plan) if effect.shapes else {}
         for p in effect.shapes:
@@ -417,7 +439,5 @@ def _move_shapes(
             step = shape_step(p, old, grids)
             grid = grids[p.name]
             new = float(np.clip(old + step * np.clip(delta[k], -1, 1), grid.min(), grid.max()))
-            largest = max(largest, abs(new - old) / step)
             shapes[i][p.name] = new
             k += 1
-    return largest

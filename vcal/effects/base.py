@@ -62,6 +62,9 @@ class Effect(eqx.Module):
     where: ClassVar[Literal["machine", "instrument"]] = "machine"
     """Whether it moves the tool point, or only what the instrument sees."""
 
+    odds: ClassVar[float] = 1.0
+    """Prior odds of this kind of effect against the others, where data cannot decide."""
+
     placement: str = eqx.field(static=True, default="", kw_only=True)
     """Where it sits: an axis or joint such as ``"Y"`` or ``"J2"``; empty where it has no place."""
 

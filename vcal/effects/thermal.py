@@ -12,6 +12,10 @@ from ..plan import Plan
 from .base import Effect, Response, Setup, along
 from .registry import register
 
+TIME_ODDS = 0.2
+"""Prior odds of effects of time alone: time causes nothing, it stands for causes that were not
+recorded. Where a recorded temperature explains a residual as well as time does, it is preferred."""
+
 REFERENCE_DEGC = 20.0
 """ISO 1: the reference temperature for length."""
 
@@ -84,7 +88,7 @@ class ThermalTilt(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter(f"k_{self.port}", "urad/K", sigma=20.0),)
+        return (Parameter(f"k_{self.port}", "urad/K", sigma=50.0),)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -109,6 +113,7 @@ class WarmUp(Effect):
 
     name = "warm_up"
     summary = "exponential approach to a steady state"
+    odds = TIME_ODDS
     port: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
 
@@ -145,6 +150,7 @@ class Drift(Effect):
 
     name = "drift"
     summary = "linear drift of a joint with time"
+    odds = TIME_ODDS
     port: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
 

@@ -259,6 +259,6 @@ def _check_poses(poses: np.ndarray, found: np.ndarray) -> None:
         if count < 3:
             row = int(np.argmax(found == pose)) + 1
             raise StudyError(
-                f"data.csv, row {row}, column pose: pose {pose} has {count} ball(s), expected at "
-                "least 3 to find its six unknowns; measure more balls or remove the pose"
+                f"data.csv, row {row}, column pose: found {count} ball(s) in pose {pose}, expected "
+                "at least 3 to find its six unknowns; measure more balls or remove the pose"
             )

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 
 from ..basis import Basis, Fourier, Matern
@@ -58,18 +59,16 @@ def geometric_errors(settings: Any, chain: Chain, folder: Folder, file: str) -> 
 
 def _smooth(settings: SmoothSettings, chain: Chain) -> GeometricErrors:
     sizes = {True: settings.translation_um * _MICRO, False: settings.rotation_urad * _MICRO}
-    motions = tuple(
-        _motion(
-            name,
-            Matern(
-                chain.joint(name[2:]).travel.tolist(), sizes[name[1] in "XYZ"], settings.smoothness
-            ),
-        )
-        for name in error_motions(chain)
-    )
+    motions = []
+    for axis in chain.axes:
+        # The eigenfunctions cost most and are the same for all six motions of an axis.
+        unit = Matern(chain.joint(axis).travel.tolist(), 1.0, settings.smoothness)
+        for c in "XYZABC":
+            basis = eqx.tree_at(lambda b: b.sigma, unit, unit.sigma * sizes[c in "XYZ"])
+            motions.append(_motion(f"E{c}{axis}", basis))
     sigma = settings.squareness_urad * _MICRO
     locations = tuple(LocationError.of(chain, name, sigma) for name in squareness_errors(chain))
-    return GeometricErrors(motions=motions, locations=locations)
+    return GeometricErrors(motions=tuple(motions), locations=locations)
 
 
 def _fourier(table: Table, chain: Chain) -> GeometricErrors:

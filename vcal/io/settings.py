@@ -216,10 +216,18 @@ def read_setup(
         )
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise StudyError(
-            f"{path.name}: not valid TOML: found {error}, expected `key = value` lines below "
-            "[table] headings; correct the line"
+    except UnicodeDecodeError as error:
+        raise refusal(
+            path.name, "file", f"unreadable text ({error})", "TOML in UTF-8", "save it again so"
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        what, _, place = str(error).partition(" (at ")
+        raise refusal(
+            path.name,
+            place.rstrip(")") or "file",
+            f"what is not TOML ({what})",
+            "`key = value` below a [table], text in quotes",
+            "correct the line",
         ) from error
     given: dict[str, str] = {}
     for key, value in _pairs(overrides):
@@ -265,7 +273,7 @@ def _refined(
     instrument = INSTRUMENTS[kind].Settings if isinstance(kind, str) else InstrumentSettings
     family = at(raw, ("model", "geometric", "family"))
     geometric: type[Table]
-    if at(raw, ("machine", "joint")):
+    if at(raw, ("machine", "joint")) and not at(raw, ("machine", "chain")):
         geometric = LinkSettings
     else:
         families = {"fourier": FourierSettings, "smooth": SmoothSettings}

@@ -148,8 +148,13 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
     try:
         chain = chain_from_string(machine.chain, travel, offset)
     except ValueError as error:
-        raise StudyError(
-            f"{file}, key machine.chain: found an impossible {error}; correct the chain"
+        found, _, expected = str(error).rpartition("expected ")
+        raise refusal(
+            file,
+            "key machine.chain",
+            f"an impossible {found.rstrip(';: ')}",
+            expected,
+            "correct the chain",
         ) from error
     for axis, (low, high) in machine.travel_mm.items():
         if axis not in chain.axes:
@@ -213,7 +218,7 @@ def _check_points(
 
 def _is_linear(chain: Chain) -> bool:
     """Whether it was given as a chain of linear axes, whose positions are in ``x_mm``, ..."""
-    return not any(axis.startswith("J") for axis in chain.axes)
+    return set(chain.axes) <= set("XYZ")
 
 
 def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
@@ -224,20 +229,22 @@ def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
 
 
 def _check_machine(settings: StudySettings, chain: Chain, own: Sequence[Column], file: str) -> None:
-    """An instrument that reads joint angles needs an arm, any other one linear axes."""
+    """An instrument that reads joint angles needs an arm, any other one the axes X, Y and Z."""
     joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
-    revolute = all(joint.kind == "revolute" for joint in chain.joints)
-    if joints and revolute or not joints and _is_linear(chain):
-        return
-    raise refusal(
-        file,
-        "key instrument.kind",
-        f"{settings.instrument.kind!r} on a machine of {chain.text or 'no joints'}",
-        "an arm of revolute [[machine.joint]] rows with this instrument"
-        if joints
-        else "linear axes (machine.chain) with this instrument",
-        "change the instrument or the machine",
-    )
+    if joints:
+        fits = all(joint.kind == "revolute" for joint in chain.joints)
+        expected = "an arm of revolute [[machine.joint]] rows"
+    else:
+        fits = set(chain.axes) == set("XYZ")
+        expected = "a machine.chain with the axes X, Y and Z"
+    if not fits:
+        raise refusal(
+            file,
+            "key instrument.kind",
+            f"{settings.instrument.kind!r} on a machine with {chain.text!r}",
+            f"{expected} for this instrument",
+            "change the instrument or the machine",
+        )
 
 
 def _condition(name: str) -> Column | None:

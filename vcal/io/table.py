@@ -72,7 +72,9 @@ def read_table(
     asked = {column.name: column for column in columns}
     for name in (*labels, *asked):
         if name not in header:
-            raise _missing(table.name, name, header)
+            # A column that is expected itself was hardly meant to be this one.
+            free = [c for c in header if c not in asked and c not in labels and not optional(c)]
+            raise _missing(table.name, name, header, free)
     if not rows:
         raise refusal(table.name, "row 1", "no row below the header", "data", "add the rows")
     for place, name in enumerate(header):
@@ -153,11 +155,11 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
     return header, [line for line, _ in rows], [row for _, row in rows]
 
 
-def _missing(file: str, name: str, header: Sequence[str]) -> StudyError:
+def _missing(file: str, name: str, header: Sequence[str], free: Sequence[str]) -> StudyError:
     do = "add the column or correct its name"
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
         do = "separate the columns by commas"
-    found = f"no such column{nearest(name, header)} among {listed(header)}"
+    found = f"no such column{nearest(name, free)} among {listed(header)}"
     return refusal(file, f"column {name}", found, "a column of this name", do)
 
 
@@ -192,9 +194,9 @@ def _range(column: Column) -> str:
     kind = "a whole number" if column.integer else "a number"
     low, high = math.isfinite(column.low), math.isfinite(column.high)
     if low and high:
-        return f"{kind} from {column.low:.6g} to {column.high:.6g}"
+        return f"{kind} from {column.low:.7g} to {column.high:.7g}"
     if low or high:
-        return f"{kind} of at " + (f"least {column.low:.6g}" if low else f"most {column.high:.6g}")
+        return f"{kind} of at " + (f"least {column.low:.7g}" if low else f"most {column.high:.7g}")
     return kind
 
 

@@ -165,10 +165,11 @@ class _Run:
         if screening.p_value > self.alpha:
             return None
         self.progress(f"round {number}: refitting the best candidates")
+        instances = {kind.kind: kind.instances for kind in screening.kinds}
         p_values = {kind.kind: screening.corrected(kind) for kind in screening.kinds}
         worth = [p for p in screening.peaks if p_values[p.effect.name] <= self.alpha]
         peaks = _shortlist(screen_state, worth, screening.peaks)
-        rivals = refit_all(fit, peaks, state.keep, self.room)
+        rivals = refit_all(fit, peaks, instances, state.keep, self.room)
         named = [r for r in rivals if r.effect.name != LocalBump.name]
         significant = [r for r in named if p_values[r.effect.name] <= self.alpha]
         bump = next((r for r in rivals if r.effect.name == LocalBump.name), None)
@@ -262,7 +263,7 @@ def _shortlist(state: Screen, worth: Sequence[Peak], others: Sequence[Peak]) -> 
     best = refined[0].log_bayes
     chosen = [p for p in refined if p.log_bayes > best - _CLOSE][:_REFITS]
     # A run of worthless rivals must not hide the next significant candidate, should the best fail.
-    chosen += [p for p in refined if p.log_bayes <= best - _CLOSE][: max(0, 3 - len(chosen))]
+    chosen += [p for p in refined if p.log_bayes <= best - _CLOSE][: max(0, 2 - len(chosen))]
     return chosen
 
 

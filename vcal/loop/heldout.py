@@ -174,5 +174,5 @@ def improvement(before: Fit, after: Fit) -> tuple[float, float, float]:
     groups = folds[rows] if len(np.unique(folds[rows])) >= 12 else np.arange(rows.sum())
     sums = np.array([fall[groups == g].sum() for g in np.unique(groups)])
     error = math.sqrt(len(sums)) * sums.std(ddof=1) if len(sums) > 1 else math.inf
-    share = 1.0 - heldout_rms(after).value / heldout_rms(before).value
+    share = 1.0 - rms(squared_errors(after, b)).value / rms(squared_errors(before, a)).value
     return float(fall.sum()), float(error), share

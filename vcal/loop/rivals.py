@@ -1,7 +1,7 @@
 """Refitting the best candidates and weighing them against each other."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +23,17 @@ class Rival:
     fit: Fit
     log_bayes: float
     """Gain in log evidence over the model without it."""
+    log_prior: float
+    """Log of the prior odds: those of its kind (`Effect.odds`), shared evenly by the places and
+    components of that kind that were tried."""
     delta_bic: float
     """Change of the Bayesian information criterion; negative is better."""
+
+
+    @property
+    def log_weight(self) -> float:
+        """Log of the posterior odds."""
+        return self.log_bayes + self.log_prior
 
 
 @dataclass(frozen=True)
@@ -59,14 +68,19 @@ def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0) -> Fit:
 
 
 def refit_all(
-    base: Fit, peaks: Sequence[Peak], keep: np.ndarray, room: int = 0
+    base: Fit,
+    peaks: Sequence[Peak],
+    instances: Mapping[str, int],
+    keep: np.ndarray,
+    room: int = 0,
 ) -> list[Rival]:
-    """Refits of the given peaks, best evidence first, at the noise the best of them leaves.
+    """Refits of the given peaks, most probable first, at the noise the best of them leaves.
 
-    Fits that do not converge are left out.
+    `instances` tells how many places and components of each kind were tried. Fits that do not
+    converge are left out.
     """
     fits = [(peak, refit(base, peak, keep, room)) for peak in peaks]
-    fits = [(peak, fit) for peak, fit in fits if fit.converged]
+    fits = _distinct([(peak, fit) for peak, fit in fits if fit.converged])
     if not fits:
         return []
     noise = math.sqrt(max(1.0, min(fit.chi2 / fit.dof for _, fit in fits)))
@@ -76,8 +90,23 @@ def refit_all(
     for peak, fit in fits:
         k = len(peak.effect.parameters)
         bic = (fit.chi2 - base.chi2) / noise**2 + k * math.log(rows)
-        rivals.append(Rival(peak.effect, fit, fit.log_evidence(noise) - reference, bic))
-    return sorted(rivals, key=lambda rival: -rival.log_bayes)
+        odds = math.log(peak.effect.odds / instances[peak.effect.name])
+        rivals.append(Rival(peak.effect, fit, fit.log_evidence(noise) - reference, odds, bic))
+    return sorted(rivals, key=lambda rival: -rival.log_weight)
+
+
+def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:
+    """The fits less those whose peak ran to the optimum of a better one of the same effect."""
+    kept: list[tuple[Peak, Fit]] = []
+    for peak, fit in sorted(fits, key=lambda pair: pair[1].chi2):
+        twins = (
+            abs(other.chi2 - fit.chi2) < 0.5
+            for better, other in kept
+            if better.effect is peak.effect
+        )
+        if not any(twins):
+            kept.append((peak, fit))
+    return kept
 
 
 def _columns(base: Fit, rival: Rival) -> np.ndarray:
@@ -103,10 +132,10 @@ def same_space(base: Fit, a: Rival, b: Rival) -> bool:
 
 
 def weigh(base: Fit, best: Rival, rivals: Sequence[Rival]) -> Weighed:
-    """Posterior probabilities of the rivals, equal before; those the data cannot tell apart are
-    one class with one weight, peaks and components of one name are added up."""
+    """Posterior probabilities of the rivals. Those the data cannot tell apart are one class with
+    one weight; peaks and components of one name are added up."""
     classes: list[list[Rival]] = []
-    for rival in sorted(rivals, key=lambda r: -r.log_bayes):
+    for rival in sorted(rivals, key=lambda r: -r.log_weight):
         for members in classes:
             if abs(members[0].fit.chi2 - rival.fit.chi2) < 0.5 and same_space(
                 base, members[0], rival
@@ -115,13 +144,13 @@ def weigh(base: Fit, best: Rival, rivals: Sequence[Rival]) -> Weighed:
                 break
         else:
             classes.append([rival])
-    top = max(rival.log_bayes for rival in rivals)
+    top = max(rival.log_weight for rival in rivals)
     weights: dict[str, float] = {}
     members_of: dict[str, list[Rival]] = {}
     for members in classes:
         lead = best if any(r is best for r in members) else members[0]
         key = lead.effect.key
-        weights[key] = weights.get(key, 0.0) + math.exp(members[0].log_bayes - top)
+        weights[key] = weights.get(key, 0.0) + math.exp(members[0].log_weight - top)
         members_of.setdefault(key, []).extend(members)
     total = sum(weights.values())
     key = best.effect.key

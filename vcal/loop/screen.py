@@ -45,6 +45,8 @@ class KindResult:
 
     kind: str
     peaks: list[Peak]
+    instances: int
+    """How many places and components were tried."""
     minus_log_p: float
     """Uncorrected."""
     trials: float
@@ -343,7 +345,7 @@ def screen(state: Screen, effects: Sequence[Effect], *, peaks: int = 5) -> Scree
         )
         best_drop = max(best_drop, *(peak.statistic for peak in found))
         kinds.append(
-            KindResult(kind, found, best, trials, float(_corrected(best, trials)))
+            KindResult(kind, found, len(members), best, trials, float(_corrected(best, trials)))
         )
         null.append(-np.log(np.maximum(_corrected(kind_null, trials), 1e-300)))
     if not kinds:

@@ -1,0 +1,183 @@
+"""Small valid study folders, written from code: nominal readings and a little noise."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+
+MACHINE = """\
+name = "small"
+
+[machine]
+chain = "w X b Y Z t"
+tool_offset_mm = [0, 0, -150]
+[machine.travel_mm]
+X = [0, 2000]
+Y = [0, 1000]
+Z = [0, 600]
+"""
+GEOMETRIC = """
+[model.geometric]
+family = "fourier"
+table = "errors.csv"
+"""
+TRACKER = """
+[instrument]
+kind = "laser_tracker"
+range_sigma_um = 1.3
+range_sigma_um_per_m = 0.27
+angle_sigma_urad = 2.5
+station_mm = [-900.0, 300.0, 700.0]
+"""
+BALLS = """
+[instrument]
+kind = "ball_array"
+artefact = "artefact.csv"
+probe_sigma_um = 0.7
+ball_position_u_um = 0.8
+"""
+ARM = """\
+name = "small arm"
+
+[machine]
+base = "somewhere"
+[[machine.joint]]
+type = "revolute"
+alpha_deg = -90
+d_mm = 290
+low_deg = -170
+high_deg = 170
+[[machine.joint]]
+type = "revolute"
+a_mm = 270
+theta_deg = -90
+[[machine.joint]]
+type = "revolute"
+a_mm = 70
+alpha_deg = -90
+d_mm = 300
+
+[instrument]
+kind = "reflectors"
+tool_reflectors = 3
+base_reflectors = 3
+sigma_um = 10
+
+[model.geometric]
+link_translation_um = 500
+link_rotation_urad = 2000
+"""
+OFFSET = np.array([0.0, 0.0, -150.0])
+
+
+def write_csv(path: Path, columns: dict) -> None:
+    """Write columns of numbers or texts."""
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(v if isinstance(v, str) else f"{v:.10g}" for v in row) for row in rows]
+    path.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
+
+
+def conditions(position: np.ndarray) -> dict:
+    """Columns of positions (n, 3) in mm, visited in this order."""
+    move = np.sign(np.diff(position, axis=0, prepend=position[:1] - 1.0))
+    n = len(position)
+    columns = {f"{c}_mm": position[:, i] for i, c in enumerate("xyz")}
+    columns |= {f"dir_{c}": np.where(move[:, i] < 0, -1, 1) for i, c in enumerate("xyz")}
+    columns |= {"t_s": 10.0 * np.arange(n)}
+    columns |= {f"T_{c}_degC": np.linspace(20.0, 20.5, n) for c in ("x", "y", "z", "air")}
+    return columns
+
+
+def family_table() -> dict:
+    """A Fourier family for X, Y and Z."""
+    motions = [f"E{c}{axis}" for axis in "XYZ" for c in "XYZABC"]
+    names = [*motions, "EC0Y", "EB0Z", "EA0Z"]
+    wide = [float(name in motions) for name in names]
+    columns = {"component": names, "a0": [40.0 - 40.0 * w for w in wide]}
+    sizes = {"a1": 20.0, "n1": 0.5, "b1": 15.0, "c1": 15.0, "n2": 1.0, "b2": 3.0, "c2": 3.0}
+    return columns | {key: [size * w for w in wide] for key, size in sizes.items()}
+
+
+def write_linear(folder: Path, instrument: str, data: dict, rng: np.random.Generator) -> Path:
+    """Setup, data, family and check points of a three-axis study."""
+    folder.mkdir()
+    (folder / "setup.toml").write_text(MACHINE + instrument + GEOMETRIC, encoding="utf-8")
+    write_csv(folder / "data.csv", data)
+    write_csv(folder / "errors.csv", family_table())
+    position = rng.uniform([0, 0, 0], [2000, 1000, 600], (5, 3))
+    tool = {f"tcp_{c}_mm": (position + OFFSET)[:, i] for i, c in enumerate("xyz")}
+    write_csv(folder / "check.csv", conditions(position) | tool)
+    return folder
+
+
+@pytest.fixture
+def small_tracker_study(tmp_path: Path) -> Path:
+    """48 points of a three-axis machine, seen by a laser tracker."""
+    rng = np.random.default_rng(1)
+    axes = [np.linspace(100, 1900, 4), np.linspace(50, 950, 4), np.linspace(50, 550, 3)]
+    position = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    v = position + OFFSET - [-900.0, 300.0, 700.0]
+    r = np.linalg.norm(v, axis=1)
+    noise = rng.standard_normal((len(r), 3)) * [1.5e-3, 2.5e-6, 2.5e-6]
+    data = {"point": np.arange(len(r))} | conditions(position)
+    data["range_mm"] = r + noise[:, 0]
+    data["azimuth_rad"] = np.arctan2(v[:, 1], v[:, 0]) + noise[:, 1]
+    data["elevation_rad"] = np.arcsin(v[:, 2] / r) + noise[:, 2]
+    return write_linear(tmp_path / "tracker", TRACKER, data, rng)
+
+
+@pytest.fixture
+def small_ball_study(tmp_path: Path) -> Path:
+    """Six balls in four poses, found by a three-axis machine."""
+    rng = np.random.default_rng(2)
+    balls = np.column_stack([np.linspace(0, 500, 6), rng.uniform(-20, 20, (6, 2))])
+    found, pose, ball = [], [], []
+    for k, turn in enumerate(np.deg2rad([0, 40, 90, 130])):
+        c, s = np.cos(turn), np.sin(turn)
+        r = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        found.append(balls @ r.T + [900, 300, 100.0 * k])
+        pose += [k] * len(balls)
+        ball += range(len(balls))
+    position = np.concatenate(found) - OFFSET + rng.normal(0, 0.7e-3, (len(ball), 3))
+    folder = write_linear(
+        tmp_path / "balls", BALLS, {"pose": pose, "ball": ball} | conditions(position), rng
+    )
+    artefact = {"ball": range(6)} | {f"{c}_mm": balls[:, i] for i, c in enumerate("xyz")}
+    write_csv(folder / "artefact.csv", artefact)
+    return folder
+
+
+@pytest.fixture
+def small_arm_study(tmp_path: Path) -> Path:
+    """Sixteen poses of a three-joint arm, three reflectors on its tool and three on its base."""
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-60, 60, (16, 3))
+    a, d = [0, 270, 70], [290, 0, 300]
+    alpha, theta = np.deg2rad([-90, 0, -90]), np.deg2rad([0, -90, 0])
+    reflectors = np.array([[50.0, 0, 80], [-50, 40, 80], [0, -60, 120]])
+    base = np.array([[400.0, 0, 0], [0, 400, 0], [-300, -300, 50]])
+    data = {"pose": np.arange(16)}
+    data |= {f"q{j + 1}_cmd_deg": q[:, j] for j in range(3)}
+    data |= {f"q{j + 1}_read_deg": q[:, j] + rng.normal(0, 1e-3, 16) for j in range(3)}
+    points = np.empty((16, 3, 3))
+    for n in range(16):
+        r, t = np.eye(3), np.zeros(3)
+        for j in range(3):
+            c, s = np.cos(theta[j] + np.deg2rad(q[n, j])), np.sin(theta[j] + np.deg2rad(q[n, j]))
+            ca, sa = np.cos(alpha[j]), np.sin(alpha[j])
+            t = t + r @ [a[j] * c, a[j] * s, d[j]]
+            r = r @ [[c, -s * ca, s * sa], [s, c * ca, -c * sa], [0, sa, ca]]
+        points[n] = reflectors @ r.T + t + [2500, 100, -300] + rng.normal(0, 0.01, (3, 3))
+    for k in range(3):
+        data |= {f"smr{k + 1}_{c}_mm": points[:, k, i] for i, c in enumerate("xyz")}
+    for k in range(3):
+        seen = base[k] + [2500, 100, -300] + rng.normal(0, 0.01, (16, 3))
+        data |= {f"base{k + 1}_{c}_mm": seen[:, i] for i, c in enumerate("xyz")}
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    (folder / "setup.toml").write_text(ARM, encoding="utf-8")
+    write_csv(folder / "data.csv", data)
+    return folder

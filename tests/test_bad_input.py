@@ -1,0 +1,672 @@
+"""Every mistake in an input ends in one message: file, place, found, expected, what to do."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from vcal.errors import StudyError
+from vcal.io import load_study
+
+Change = Callable[[Path], None]
+FORM = re.compile(r"^\S+( \(override .*\))?, .+: found .+, expected .+; .+", re.DOTALL)
+
+
+# --- ways to spoil a folder ----------------------------------------------------------------------
+
+
+def replace(old: str, new: str, file: str = "setup.toml") -> Change:
+    def change(folder: Path) -> None:
+        path = folder / file
+        text = path.read_text(encoding="utf-8")
+        assert old in text
+        path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+    return change
+
+
+def append(text: str, file: str = "setup.toml") -> Change:
+    def change(folder: Path) -> None:
+        path = folder / file
+        path.write_text(path.read_text(encoding="utf-8") + text, encoding="utf-8")
+
+    return change
+
+
+def effect(text: str) -> Change:
+    return append("\n[[model.effect]]\n" + text + "\n")
+
+
+def remove(file: str) -> Change:
+    return lambda folder: (folder / file).unlink()
+
+
+def write(text: str, file: str) -> Change:
+    return lambda folder: (folder / file).write_text(text, encoding="utf-8") and None
+
+
+def lines(edit: Callable[[list[str]], list[str]], file: str = "data.csv") -> Change:
+    def change(folder: Path) -> None:
+        path = folder / file
+        found = path.read_text(encoding="utf-8").splitlines()
+        path.write_text("\n".join(edit(found)) + "\n", encoding="utf-8")
+
+    return change
+
+
+def cell(row: int, column: str, value: str, file: str = "data.csv") -> Change:
+    """Put `value` into a cell; data rows count from 1."""
+
+    def edit(found: list[str]) -> list[str]:
+        place = found[0].split(",").index(column)
+        cells = found[row].split(",")
+        cells[place] = value
+        found[row] = ",".join(cells)
+        return found
+
+    return lines(edit, file)
+
+
+def drop_column(column: str, file: str = "data.csv") -> Change:
+    def edit(found: list[str]) -> list[str]:
+        place = found[0].split(",").index(column)
+        return [",".join(c for i, c in enumerate(r.split(",")) if i != place) for r in found]
+
+    return lines(edit, file)
+
+
+def both(*changes: Change) -> Change:
+    def change(folder: Path) -> None:
+        for one in changes:
+            one(folder)
+
+    return change
+
+
+def check(folder: Path, expected: tuple[str, ...], overrides=()) -> str:
+    with pytest.raises(StudyError) as caught:
+        load_study(folder / "setup.toml", overrides)
+    message = str(caught.value)
+    assert FORM.match(message), message
+    for fragment in expected:
+        assert fragment in message, f"{fragment!r} is not in: {message}"
+    return message
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+SEMICOLONS = lines(lambda found: [line.replace(",", ";") for line in found])
+TABLES = {
+    "no data": (remove("data.csv"), ("data.csv, file", "no such file")),
+    "no family": (remove("errors.csv"), ("errors.csv, file", "no such file")),
+    "empty": (write("", "data.csv"), ("data.csv, file", "nothing in it", "a header line")),
+    "header only": (
+        lines(lambda found: found[:1]),
+        ("data.csv, row 1", "no row below the header", "expected data"),
+    ),
+    "two rows": (
+        lines(lambda found: found[:3]),
+        ("data.csv, row 2 (line 3)", "after 2 row(s)", "at least 3 rows"),
+    ),
+    "not text": (
+        lambda folder: (folder / "data.csv").write_bytes(b"\xff\xfe\x00x"),
+        ("data.csv, file", "unreadable text", "UTF-8"),
+    ),
+    "truncated": (
+        lines(lambda found: [*found[:20], found[20][:30]]),
+        ("data.csv, row 20 (line 21), column", "cells (the last row", "15 as in the header"),
+    ),
+    "cell too many": (
+        lines(lambda found: [*found[:4], found[4] + ",1", *found[5:]]),
+        ("data.csv, row 4 (line 5), column after the last one", "found 16 cells", "expected 15"),
+    ),
+    "blank lines count": (
+        both(lines(lambda found: [found[0], "", *found[1:]]), cell(3, "range_mm", "no")),
+        ("data.csv, row 2 (line 4), column range_mm", "'no'"),
+    ),
+    "semicolons": (SEMICOLONS, ("data.csv, column x_mm", "separate the columns by commas")),
+    "missing position": (
+        drop_column("x_mm"),
+        ("data.csv, column x_mm", "no such column", "expected a column of this name"),
+    ),
+    "missing reading": (
+        drop_column("azimuth_rad"),
+        ("data.csv, column azimuth_rad", "no such column"),
+    ),
+    "misspelled column": (
+        replace("range_mm", "rnage_mm", "data.csv"),
+        ("data.csv, column range_mm", "did you mean 'rnage_mm'?"),
+    ),
+    "column twice": (
+        replace("y_mm", "x_mm", "data.csv"),
+        ("data.csv, header (line 1), column x_mm", "2 times (places 2, 3)", "every name once"),
+    ),
+    "text": (
+        cell(5, "range_mm", "abc"),
+        ("data.csv, row 5 (line 6), column range_mm", "found 'abc'", "a number from 1 to 200000"),
+    ),
+    "empty cell": (
+        cell(5, "x_mm", ""),
+        ("data.csv, row 5 (line 6), column x_mm", "found an empty cell", "expected a number"),
+    ),
+    "NaN": (
+        cell(7, "elevation_rad", "nan"),
+        ("data.csv, row 7 (line 8), column elevation_rad", "'nan'", "a number from -1.570796"),
+    ),
+    "inf": (
+        cell(7, "t_s", "inf"),
+        ("data.csv, row 7 (line 8), column t_s", "'inf'", "expected a number"),
+    ),
+    "underscore": (cell(7, "t_s", "1_0"), ("row 7 (line 8), column t_s", "'1_0'")),
+    "text in a further column of numbers": (
+        both(
+            lines(lambda found: [found[0] + ",load_kg"] + [f"{line},1" for line in found[1:]]),
+            cell(2, "load_kg", "1O"),
+        ),
+        ("data.csv, row 2 (line 3), column load_kg", "'1O'", "expected a number"),
+    ),
+    "negative range": (
+        cell(1, "range_mm", "-5"),
+        ("data.csv, row 1 (line 2), column range_mm", "found -5", "from 1 to 200000"),
+    ),
+    "in degrees": (
+        cell(1, "azimuth_rad", "45"),
+        ("data.csv, row 1 (line 2), column azimuth_rad", "found 45", "from -6.283185 to 6.283185"),
+    ),
+    "in kelvin": (
+        cell(3, "T_x_degC", "293.15"),
+        ("data.csv, row 3 (line 4), column T_x_degC", "found 293.15", "from -50 to 150"),
+    ),
+    "no direction": (
+        cell(3, "dir_x", "0"),
+        ("data.csv, row 3 (line 4), column dir_x", "found 0", "expected +1 or -1"),
+    ),
+    "direction of an unknown axis": (
+        replace("dir_z", "dir_w", "data.csv"),
+        ("data.csv, header, column dir_w", "unknown axis 'W'", "one of dir_x, dir_y, dir_z"),
+    ),
+    "fractional index": (
+        cell(3, "point", "2.5"),
+        ("data.csv, row 3 (line 4), column point", "found 2.5", "a whole number of at least 0"),
+    ),
+    "outside the travel": (
+        cell(9, "y_mm", "1000.1"),
+        (
+            "data.csv, row 9 (line 10), column y_mm",
+            "found 1000.1, outside the travel",
+            "expected 0 to 1000 (machine.travel_mm.Y)",
+        ),
+    ),
+    "check point outside the travel": (
+        cell(2, "x_mm", "-3", "check.csv"),
+        ("check.csv, row 2 (line 3), column x_mm", "found -3", "expected 0 to 2000"),
+    ),
+    "check without tool points": (
+        drop_column("tcp_z_mm", "check.csv"),
+        ("check.csv, column tcp_z_mm", "no such column among x_mm, y_mm"),
+    ),
+    "named check that is not there": (
+        append('\n[data]\ncheck = "other.csv"\n'),
+        ("other.csv, file", "no such file"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TABLES)
+def test_tables(small_tracker_study, case):
+    change, expected = TABLES[case]
+    change(small_tracker_study)
+    check(small_tracker_study, expected)
+
+
+ERRORS = "errors.csv"
+FAMILY = {
+    "missing component": (
+        lines(lambda f: [line for line in f if not line.startswith(("EBY", "EC0Y"))], ERRORS),
+        ("column component", "found 19 rows without EBY, EC0Y", "all 21 error motions"),
+    ),
+    "unknown component": (
+        replace("EAX", "EA1X", ERRORS),
+        ("row 4 (line 5), column component", "'EA1X' (did you mean 'EAX'?)", "one of EXX, EYX"),
+    ),
+    "component of another axis": (
+        replace("EXX", "EXU", ERRORS),
+        ("row 1 (line 2), column component", "'EXU'", "the machine has no axis 'U'"),
+    ),
+    "component twice": (
+        replace("EYX", "EXX", ERRORS),
+        ("row 2 (line 3), column component", "EXX again, first in row 1", "every component once"),
+    ),
+    "negative amplitude": (
+        cell(4, "b1", "-15", ERRORS),
+        ("row 4 (line 5), column b1", "found -15", "a number of at least 0"),
+    ),
+    "no wave number": (
+        cell(4, "n1", "0", ERRORS),
+        ("row 4 (line 5), column n1", "0 beside b1 = 15", "a wave number above 0"),
+    ),
+    "no column": (drop_column("c2", ERRORS), ("column c2", "no such column")),
+    "no components": (drop_column("component", ERRORS), ("column component", "no such column")),
+}
+
+
+@pytest.mark.parametrize("case", FAMILY)
+def test_family_tables(small_tracker_study, case):
+    change, expected = FAMILY[case]
+    change(small_tracker_study)
+    check(small_tracker_study, ("errors.csv, ", *expected))
+
+
+BALLS = {
+    "no artefact": (remove("artefact.csv"), ("artefact.csv, file", "no such file")),
+    "no index": (drop_column("ball"), ("data.csv, column ball", "no such column")),
+    "repeated index": (
+        cell(2, "ball", "0"),
+        ("data.csv, row 2 (line 3), column ball", "pose 0, ball 0 again, first in row 1"),
+    ),
+    "unknown index": (
+        cell(2, "ball", "9"),
+        ("data.csv, row 2", "column ball", "found 9", "a ball of artefact.csv (0, 1, 2, 3, 4, 5)"),
+    ),
+    "fractional index": (
+        cell(2, "ball", "0.5"),
+        ("data.csv, row 2 (line 3), column ball", "found 0.5", "a whole number of at least 0"),
+    ),
+    "negative index": (cell(2, "pose", "-1"), ("data.csv, row 2 (line 3), column pose", "-1")),
+    "too few balls in a pose": (
+        lines(lambda found: found[:3] + found[7:]),
+        ("data.csv, row 1", "column pose", "2 ball(s)", "at least 3"),
+    ),
+    "ball calibrated twice": (
+        cell(2, "ball", "0", "artefact.csv"),
+        ("artefact.csv, row 2 (line 3), column ball", "ball 0 again", "every ball once"),
+    ),
+    "inf in a calibration": (
+        cell(3, "y_mm", "inf", "artefact.csv"),
+        ("artefact.csv, row 3 (line 4), column y_mm", "'inf'"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BALLS)
+def test_ball_tables(small_ball_study, case):
+    change, expected = BALLS[case]
+    change(small_ball_study)
+    check(small_ball_study, expected)
+
+
+ARMS = {
+    "repeated pose": (
+        cell(3, "pose", "1"),
+        (
+            "data.csv, row 3 (line 4), column pose",
+            "pose 1 again, first in row 2",
+            "every pose once",
+        ),
+    ),
+    "joint outside its bounds": (
+        cell(3, "q1_cmd_deg", "171"),
+        (
+            "data.csv, row 3 (line 4), column q1_cmd_deg",
+            "171, outside the travel",
+            "expected -170 to 170 (machine.joint.0)",
+        ),
+    ),
+    "missing joint": (drop_column("q2_cmd_deg"), ("data.csv, column q2_cmd_deg", "no such")),
+    "missing base": (drop_column("base2_z_mm"), ("data.csv, column base2_z_mm", "no such column")),
+    "joint out of order": (
+        replace("low_deg = -170", "low_deg = 175"),
+        ("setup.toml, key machine.joint.0", "low_deg 175 and high_deg 170", "low below high"),
+    ),
+    "bound of another kind": (
+        replace("low_deg = -170", "low_mm = -170"),
+        ("setup.toml, key machine.joint.0", "found low_mm", "expected low_deg and high_deg"),
+    ),
+    "unknown type of joint": (
+        replace('type = "revolute"', 'type = "revolving"'),
+        ("setup.toml, key machine.joint.0.type", "\"revolving\" (did you mean 'revolute'?)"),
+    ),
+    "unknown key of a joint": (
+        replace("d_mm = 300", "d_um = 300"),
+        ("setup.toml, key machine.joint.2.d_um", "did you mean 'd_mm'?", "expected one of type"),
+    ),
+    "family of linear axes": (
+        replace("link_translation_um", 'family = "fourier"\nlink_translation_um'),
+        ("setup.toml, key model.geometric.family", '"fourier"', "expected 'smooth'"),
+    ),
+    "negative size of links": (
+        replace("link_rotation_urad = 2000", "link_rotation_urad = -1"),
+        ("setup.toml, key model.geometric.link_rotation_urad", "found -1", "greater than 0"),
+    ),
+    "sliding joint": (
+        both(
+            replace('type = "revolute"\na', 'type = "prismatic"\na'),
+            replace("low_deg = -170\nhigh_deg = 170\n", ""),
+        ),
+        ("setup.toml, key instrument.kind", "'reflectors'", "an arm of revolute"),
+    ),
+    "more parameters than readings": (
+        # 3 rows of 3 readings against a base pose, a reflector, and six links without a prior.
+        both(
+            lines(lambda found: found[:4]),
+            replace("tool_reflectors = 3", "tool_reflectors = 1"),
+            append(
+                "".join(
+                    f'\n[[model.effect]]\nname = "gear_harmonic"\nplacement = "J1"\norder = {n}\n'
+                    f"sine{n}_urad_sigma = inf\n"
+                    for n in (1, 2)
+                )
+            ),
+        ),
+        ("data.csv, row 3", "found 9 readings", "for 11 parameters without a prior", "at least 11"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ARMS)
+def test_arm_studies(small_arm_study, case):
+    change, expected = ARMS[case]
+    change(small_arm_study)
+    check(small_arm_study, expected)
+
+
+# --- study file ----------------------------------------------------------------------------------
+
+SETUP = {
+    "no study": (remove("setup.toml"), ("setup.toml, file", "no such file", "a study file")),
+    "not TOML": (
+        replace('kind = "laser_tracker"', "kind = laser_tracker"),
+        ("setup.toml, line 12, column 8", "found what is not TOML", "correct the line"),
+    ),
+    "no instrument": (
+        replace("[instrument]", "[instrument_x]"),
+        ("setup.toml, key instrument_x", "did you mean 'instrument'?"),
+    ),
+    "unknown instrument": (
+        replace('"laser_tracker"', '"laser_traker"'),
+        (
+            "setup.toml, key instrument.kind",
+            "'laser_traker' (did you mean 'laser_tracker'?)",
+            "expected one of",
+        ),
+    ),
+    "unknown key": (
+        replace("angle_sigma_urad", "angle_sigma_uard"),
+        ("setup.toml, key instrument.angle_sigma_uard", "did you mean 'angle_sigma_urad'?"),
+    ),
+    "unknown table": (
+        append("\n[lop]\nseed = 1\n"),
+        ("setup.toml, key lop", "did you mean 'loop'?", "expected one of name, machine"),
+    ),
+    "unknown key of the loop": (
+        append("\n[loop]\nalhpa = 0.05\n"),
+        ("setup.toml, key loop.alhpa", "did you mean 'alpha'?", "correct or remove the key"),
+    ),
+    "missing key": (
+        replace("angle_sigma_urad = 2.5", ""),
+        ("setup.toml, key instrument.angle_sigma_urad", "found nothing", "add it to setup.toml"),
+    ),
+    "text for a number": (
+        replace("range_sigma_um = 1.3", 'range_sigma_um = "1.3"'),
+        ("setup.toml, key instrument.range_sigma_um", 'found "1.3"', "expected a number"),
+    ),
+    "truth for a number": (
+        replace("range_sigma_um = 1.3", "range_sigma_um = true"),
+        ("setup.toml, key instrument.range_sigma_um", "found true", "expected a number"),
+    ),
+    "NaN": (
+        replace("range_sigma_um = 1.3", "range_sigma_um = nan"),
+        ("setup.toml, key instrument.range_sigma_um", "found nan", "expected a finite number"),
+    ),
+    "inf in a list": (
+        replace("[-900.0", "[-inf"),
+        ("setup.toml, key instrument.station_mm.0", "found -inf", "expected a finite number"),
+    ),
+    "negative noise": (
+        replace("range_sigma_um = 1.3", "range_sigma_um = -1.3"),
+        ("setup.toml, key instrument.range_sigma_um", "found -1.3", "a number greater than 0"),
+    ),
+    "short list": (
+        replace("300.0, 700.0]", "300.0]"),
+        ("setup.toml, key instrument.station_mm", "found [-900.0, 300.0]", "at least 3 values"),
+    ),
+    "long list": (
+        replace("700.0]", "700.0, 1.0]"),
+        ("setup.toml, key instrument.station_mm", "expected 3 values"),
+    ),
+    "value for a table": (
+        replace("[machine.travel_mm]\n", "[machine.travel_mm]\nX = 3\n[machine.travel]\n"),
+        ("setup.toml, key machine.travel_mm.X", "found 3", "a list in square brackets"),
+    ),
+    "alpha out of range": (
+        append("\n[loop]\nalpha = 1.0\n"),
+        ("setup.toml, key loop.alpha", "found 1.0", "a number less than 1"),
+    ),
+    "fractional seed": (
+        append("\n[loop]\nseed = 1.5\n"),
+        ("setup.toml, key loop.seed", "found 1.5", "a whole number"),
+    ),
+    "unknown effect of the loop": (
+        append('\n[loop]\neffects = ["screw_cyclic", "backlsh"]\n'),
+        ("setup.toml, key loop.effects.1", "'backlsh' (did you mean 'backlash'?)", "one of"),
+    ),
+    "impossible chain": (
+        replace('"w X b Y Z t"', '"w X Y Z t"'),
+        ("setup.toml, key machine.chain", "found an impossible chain 'w X Y Z t'", "'b'"),
+    ),
+    "axis twice": (
+        replace('"w X b Y Z t"', '"w X b Y X t"'),
+        ("setup.toml, key machine.chain", "axis 'X' appears twice", "expected 'w'"),
+    ),
+    "unknown axis of the chain": (
+        replace('"w X b Y Z t"', '"w X b Y V t"'),
+        ("setup.toml, key machine.chain", "axis 'V' is not one of X, Y, Z", "expected 'w'"),
+    ),
+    "two axes": (
+        both(replace('"w X b Y Z t"', '"w X b Z t"'), replace("Y = [0, 1000]\n", "")),
+        ("setup.toml, key instrument.kind", "'w X b Z t'", "the axes X, Y and Z"),
+    ),
+    "unknown axis of the travel": (
+        replace("Z = [0, 600]", "z = [0, 600]"),
+        ("setup.toml, key machine.travel_mm.z", "'z' (did you mean 'Z'?)", "one of X, Y, Z"),
+    ),
+    "travel upside down": (
+        replace("Z = [0, 600]", "Z = [600, 0]"),
+        ("setup.toml, key machine.travel_mm.Z", "found [600, 0]", "the lowest below the highest"),
+    ),
+    "missing travel": (
+        replace("Z = [0, 600]\n", ""),
+        ("setup.toml, key machine.travel_mm.Z", "found nothing", "add it, such as Z = [0, 1000]"),
+    ),
+    "no machine": (
+        replace('chain = "w X b Y Z t"', ""),
+        ("setup.toml, key machine", "neither a chain nor joint rows", "expected either"),
+    ),
+    "chain and joints": (
+        append('\n[[machine.joint]]\ntype = "revolute"\n'),
+        ("setup.toml, key machine", "both a chain and joint rows", "expected either"),
+    ),
+    "instrument of an arm": (
+        lambda folder: (folder / "setup.toml").write_text(
+            (folder / "setup.toml").read_text().split("[instrument]")[0]
+            + '[instrument]\nkind = "reflectors"\ntool_reflectors = 1\nsigma_um = 10\n'
+        ),
+        ("setup.toml, key instrument.kind", "'reflectors' on a machine with 'w X b Y Z t'", "arm"),
+    ),
+    "unknown family": (
+        replace('"fourier"', '"forier"'),
+        ("setup.toml, key model.geometric.family", "did you mean 'fourier'?", "or 'smooth'"),
+    ),
+    "misspelled family": (
+        replace("family =", "famly ="),
+        ("setup.toml, key model.geometric.famly", "did you mean 'family'?"),
+    ),
+    "key of another family": (
+        append("smoothness = 0.5\n"),
+        ("setup.toml, key model.geometric.smoothness", "expected one of family, table"),
+    ),
+    "negative size": (
+        replace(
+            'family = "fourier"\ntable = "errors.csv"',
+            'family = "smooth"\ntranslation_um = -1\nrotation_urad = 1\nsquareness_urad = 1',
+        ),
+        ("setup.toml, key model.geometric.translation_um", "found -1", "greater than 0"),
+    ),
+    "unknown effect": (
+        effect('name = "scale_grwth"\nplacement = "X"'),
+        ("setup.toml, key model.effect.0.name", "'scale_grwth' (did you mean 'scale_growth'?)"),
+    ),
+    "effect without a name": (
+        effect('placement = "X"'),
+        ("setup.toml, key model.effect.0.name", "found nothing", "add it to setup.toml"),
+    ),
+    "unknown placement": (
+        effect('name = "backlash"\nplacement = "y"'),
+        ("model.effect.0.placement (backlash)", "'y' (did you mean 'Y'?)", "one of X, Y, Z"),
+    ),
+    "no placement": (
+        effect('name = "backlash"\nsize_um = 3'),
+        ("model.effect.0.placement (backlash)", "found nothing", "one of X, Y, Z"),
+    ),
+    "unknown parameter": (
+        effect('name = "backlash"\nplacement = "Y"\nsize_mm = 3'),
+        ("model.effect.0.size_mm (backlash)", "did you mean 'size_um'?", "one of size_um"),
+    ),
+    "text for a parameter": (
+        effect('name = "backlash"\nplacement = "Y"\nsize_um = "3"'),
+        ("model.effect.0.size_um (backlash)", 'found "3"', "expected a number"),
+    ),
+    "list for a parameter": (
+        effect('name = "backlash"\nplacement = "Y"\nsize_um = [1, 2]'),
+        ("model.effect.0.size_um (backlash)", "found [1, 2]", "a 3 x 3 matrix"),
+    ),
+    "negative sigma": (
+        effect('name = "backlash"\nplacement = "Y"\nsize_um = 3\nsize_um_sigma = -1'),
+        ("model.effect.0.size_um_sigma (backlash)", "found -1", "a number of at least 0"),
+    ),
+    "sigma of a shape": (
+        effect('name = "screw_cyclic"\nplacement = "Y"\npitch_mm_sigma = 1'),
+        ("model.effect.0.pitch_mm_sigma (screw_cyclic)", "found 1", "expected no sigma"),
+    ),
+    "infinite parameter": (
+        effect('name = "backlash"\nplacement = "Y"\nsize_um = inf'),
+        ("setup.toml, key model.effect.0.size_um", "found inf", "a finite number"),
+    ),
+    "unknown component": (
+        effect('name = "thermal_tilt"\nplacement = "Y"\ncomponent = "EAX"'),
+        ("model.effect.0.component (thermal_tilt)", "'EAX' (did you mean", "one of EAY, EBY, ECY"),
+    ),
+    "no component": (
+        effect('name = "thermal_tilt"\nplacement = "Y"'),
+        ("model.effect.0.component (thermal_tilt)", "3 effects", "EAY, EBY, ECY"),
+    ),
+    "two components": (
+        effect(
+            'name = "thermal_tilt"\nplacement = "Y"\nk_EAY_urad_per_K = 1\nk_EBY_urad_per_K = 2'
+        ),
+        ("model.effect.0 (thermal_tilt)", "belong to different effects", "one [[model.effect]]"),
+    ),
+    "effect of another instrument": (
+        effect('name = "artefact_expansion"\nalpha_um_per_m_K = 3'),
+        ("model.effect.0.name (artefact_expansion)", "no place here", "on this instrument"),
+    ),
+    "effect without its covariate": (
+        both(
+            effect('name = "scale_growth"\nplacement = "X"'),
+            drop_column("T_x_degC"),
+        ),
+        ("data.csv, column T_x_degC", "'scale_growth X'", "T_x_degC, x_mm"),
+    ),
+    "no effects file": (
+        append('\n[model]\neffects_file = "own.py"\n'),
+        ("own.py, file", "no such file", "a Python file"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SETUP)
+def test_study_file(small_tracker_study, case):
+    change, expected = SETUP[case]
+    change(small_tracker_study)
+    check(small_tracker_study, expected)
+
+
+def test_all_mistakes_of_a_study_file_are_told_at_once(small_tracker_study):
+    replace("range_sigma_um = 1.3", 'range_sigma_um = "1.3"')(small_tracker_study)
+    replace("angle_sigma_urad = 2.5", "angle_sigma_uard = 2.5")(small_tracker_study)
+    message = check(small_tracker_study, ("range_sigma_um", "angle_sigma_uard"))
+    assert len(message.splitlines()) == 2
+
+
+OWN = {
+    "does not run": ("1 / 0", ("own.py", "ZeroDivisionError")),
+    "no effect": ("x = 1", ("own.py", "expected at least one class")),
+    "name taken": (
+        "from vcal.effects import Effect\nclass A(Effect):\n    name = 'backlash'\n"
+        "    parameters = ()\n    def response(self, plan, shape):\n        return {}\n",
+        ("own.py, class A", "'backlash', which is taken", "rename the effect"),
+    ),
+    "unknown port": (
+        "from vcal.effects import Effect\nfrom vcal.parameters import Parameter\n"
+        "class A(Effect):\n    name = 'mine'\n    parameters = (Parameter('size', 'um'),)\n"
+        "    def response(self, plan, shape):\n        return {('EXQ', 'size'): 1.0}\n",
+        ("setup.toml, key model.effect.0 (mine)", "no port named 'EXQ'", "mend A"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OWN)
+def test_own_effects(small_tracker_study, case):
+    text, expected = OWN[case]
+    (small_tracker_study / "own.py").write_text(text, encoding="utf-8")
+    append('\n[model]\neffects_file = "own.py"\n')(small_tracker_study)
+    if case == "unknown port":
+        effect('name = "mine"')(small_tracker_study)
+    with pytest.raises(StudyError) as caught:
+        load_study(small_tracker_study)
+    for fragment in expected:
+        assert fragment in str(caught.value)
+
+
+OVERRIDES = {
+    "unknown key": (
+        ["instrument.joints=read"],
+        ("setup.toml (override instrument.joints=read), key instrument.joints", "unknown key"),
+    ),
+    "misspelled key": (
+        ["loop.sed=1"],
+        ("(override loop.sed=1), key loop.sed", "did you mean 'seed'?"),
+    ),
+    "bad value": (
+        {"loop.alpha": "high"},
+        ("(override loop.alpha=high), key loop.alpha", 'found "high"', "expected a number"),
+    ),
+    "no table": (["name.first=x"], ("override name.first=x", 'found "small"', "expected a table")),
+    "no row": (
+        ["model.effect.0.size_um=1"],
+        ("key model.effect", "expected a list"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OVERRIDES)
+def test_overrides(small_tracker_study, case):
+    overrides, expected = OVERRIDES[case]
+    with pytest.raises(StudyError) as caught:
+        load_study(small_tracker_study, overrides)
+    for fragment in ("found", "expected", *expected):
+        assert fragment in str(caught.value), caught.value
+
+
+def test_override_without_a_value(small_tracker_study):
+    with pytest.raises(StudyError, match="'loop.seed': found no key and value, expected key=value"):
+        load_study(small_tracker_study, ["loop.seed"])
+
+
+def test_override_of_a_row(small_tracker_study):
+    effect('name = "backlash"\nplacement = "Y"\nsize_um = 3')(small_tracker_study)
+    study = load_study(small_tracker_study, ["model.effect.0.size_um=4"])
+    assert study.model.effects[-1].given == (("size", 4.0, 0.0),)
+    with pytest.raises(StudyError, match="found row '1', expected a row from 0 to 0"):
+        load_study(small_tracker_study, ["model.effect.1.size_um=4"])
