@@ -32,7 +32,7 @@ from .model import (
     concatenate,
     effect_terms,
     observe_all,
-    port_jacobian,
+    observe_with_jacobian,
     port_values,
 )
 from .parameters import Parameter
@@ -73,19 +73,27 @@ def _residual(chain: Chain, instrument: Instrument, reduce, theta: Array, proble
     return jnp.concatenate([data.reshape(-1), problem.root_precision * theta])
 
 
-def _jacobian(chain: Chain, instrument: Instrument, reduce, theta: Array, problem: Problem):
+def _residual_and_jacobian(
+    chain: Chain, instrument: Instrument, reduce, theta: Array, problem: Problem
+):
     ports = port_values(problem.terms, theta, problem.terms.offset.shape[1])
-    by_port = reduce(port_jacobian(chain, instrument, problem.position, problem.rows, ports))
-    by_port = -_whitened(instrument, problem, by_port)
+    predicted, by_port = observe_with_jacobian(
+        chain, instrument, problem.position, problem.rows, ports
+    )
+    difference = instrument.difference(problem.measured, reduce(predicted))
+    by_port = -_whitened(instrument, problem, reduce(by_port))
     by_term = by_port[:, :, problem.terms.port] * problem.terms.values[:, None, :]
     size = theta.shape[0]
     gather = jax.nn.one_hot(problem.terms.parameter, size, dtype=by_term.dtype)
-    data = (by_term @ gather).reshape(-1, size)
-    return jnp.concatenate([data, jnp.diag(problem.root_precision)])
+    data = _whitened(instrument, problem, difference).reshape(-1)
+    jacobian = (by_term @ gather).reshape(-1, size)
+    return (
+        jnp.concatenate([data, problem.root_precision * theta]),
+        jnp.concatenate([jacobian, jnp.diag(problem.root_precision)]),
+    )
 
 
-@eqx.filter_jit
-def _solve(chain: Chain, instrument: Instrument, plan, problem: Problem, start: Array):
+def _solve_with(solver, max_steps, chain, instrument, plan, problem, start):
     def reduce(values):
         return instrument.reduce(values, plan)
 
@@ -97,38 +105,41 @@ def _solve(chain: Chain, instrument: Instrument, plan, problem: Problem, start: 
     def _(primals, tangents):
         # The dense Jacobian is cheap here and does not depend on the tangent, so that optimistix,
         # which pushes one basis vector per parameter through this rule, builds it only once.
-        theta, problem = primals
-        return residual(theta, problem), _jacobian(
-            chain, instrument, reduce, theta, problem
-        ) @ tangents[0]
+        value, jacobian = _residual_and_jacobian(chain, instrument, reduce, *primals)
+        return value, jacobian @ tangents[0]
 
-    gauss_newton = optx.GaussNewton(rtol=1e-7, atol=1e-7, linear_solver=lx.QR())
-    first = optx.least_squares(residual, gauss_newton, start, problem, max_steps=24, throw=False)
-    good = (first.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(first.value))
-    cost = jnp.sum(residual(first.value, problem) ** 2)
-    return first.value, good, first.stats["num_steps"], cost
+    found = optx.least_squares(residual, solver, start, problem, max_steps=max_steps, throw=False)
+    good = (found.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(found.value))
+    # The squared residual at the last step taken, from which the solver moved on by less than
+    # its tolerance.
+    cost = jnp.sum(found.state.f_info.residual ** 2)
+    return found.value, good, found.stats["num_steps"], cost
+
+
+_TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}
+"""In units of prior standard deviations (or declared scales) and of whitened residuals."""
+
+
+@eqx.filter_jit
+def _solve(chain: Chain, instrument: Instrument, plan, problem: Problem, start: Array):
+    solver = optx.GaussNewton(**_TOLERANCE, linear_solver=lx.QR())
+    return _solve_with(solver, 24, chain, instrument, plan, problem, start)
 
 
 @eqx.filter_jit
 def _solve_damped(chain: Chain, instrument: Instrument, plan, problem: Problem, start: Array):
-    def residual(theta, problem):
-        return _residual(
-            chain, instrument, lambda values: instrument.reduce(values, plan), theta, problem
-        )
-
-    solver = optx.LevenbergMarquardt(rtol=1e-9, atol=1e-9, linear_solver=lx.QR())
-    found = optx.least_squares(residual, solver, start, problem, max_steps=200, throw=False)
-    cost = jnp.sum(residual(found.value, problem) ** 2)
-    return found.value, found.result == optx.RESULTS.successful, found.stats["num_steps"], cost
+    solver = optx.LevenbergMarquardt(**_TOLERANCE, linear_solver=lx.QR())
+    return _solve_with(solver, 200, chain, instrument, plan, problem, start)
 
 
 @eqx.filter_jit
 def _evaluate(chain: Chain, instrument: Instrument, plan, problem: Problem, theta: Array):
-    reduce = lambda values: instrument.reduce(values, plan)  # noqa: E731
     ports = port_values(problem.terms, theta, problem.terms.offset.shape[1])
-    predicted = reduce(observe_all(chain, instrument, problem.position, problem.rows, ports))
-    by_port = reduce(port_jacobian(chain, instrument, problem.position, problem.rows, ports))
-    return instrument.difference(problem.measured, predicted), by_port
+    predicted, by_port = observe_with_jacobian(
+        chain, instrument, problem.position, problem.rows, ports
+    )
+    difference = instrument.difference(problem.measured, instrument.reduce(predicted, plan))
+    return difference, instrument.reduce(by_port, plan)
 
 
 @dataclass(frozen=True)

@@ -158,12 +158,17 @@ def observe_all(
 
 
 @eqx.filter_jit
-def port_jacobian(
+def observe_with_jacobian(
     chain: Chain, instrument: Instrument, position: Array, rows: Any, ports: Array
-) -> Float[Array, "n m p"]:
-    """Derivative of every row's readings with respect to its ports."""
-    one = jax.jacfwd(lambda p, q, row: observe_row(chain, instrument, q, row, p))
-    return jax.vmap(one)(ports, position, rows)
+) -> tuple[Float[Array, "n m"], Float[Array, "n m p"]]:
+    """`observe_row` over all rows, and its derivative with respect to each row's ports."""
+
+    def one(q, row, p):
+        # Value and derivative from one trace of the kinematics: half as much to compile.
+        push = lambda t: jax.jvp(lambda x: observe_row(chain, instrument, q, row, x), (p,), (t,))  # noqa: E731
+        return jax.vmap(push, out_axes=(None, -1))(jnp.eye(p.shape[0]))
+
+    return jax.vmap(one)(position, rows, ports)
 
 
 def tool_point(chain: Chain, q: Array, ports: Array) -> Float[Array, "3"]:

@@ -278,9 +278,9 @@ def _refined(
     else:
         families = {"fourier": FourierSettings, "smooth": SmoothSettings}
         geometric = families.get(family if isinstance(family, str) else "", AnyFamilySettings)
-    model = create_model(
-        "ModelSettings", __base__=ModelSettings, geometric=(geometric | None, None)
-    )
+    # pydantic reads these at run time, which a type checker cannot follow.
+    optional: Any = geometric | None
+    model: Any = create_model("ModelSettings", __base__=ModelSettings, geometric=(optional, None))
     return create_model(
         "StudySettings",
         __base__=StudySettings,

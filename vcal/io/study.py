@@ -11,7 +11,6 @@ import numpy as np
 
 from ..chain import Chain, chain_from_dh, chain_from_string
 from ..effects.base import Effect, Setup
-from ..errors import StudyError
 from ..instruments import INSTRUMENTS
 from ..instruments.base import Column, Instrument
 from ..instruments.conditions import GROUPS, linear_plan

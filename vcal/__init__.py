@@ -1,0 +1,47 @@
+"""Virtual calibration of machine tools: simulate, identify, and close the loop with measured data.
+
+A machine, an instrument and everything that can disturb them form one differentiable function from
+what was commanded, and under which conditions, to what the instrument read. The verbs of this
+package are uses of that one function.
+"""
+
+import jax
+
+from .effects import CATALOGUE, Effect, register
+from .errors import StudyError
+from .identify import Fit, identify
+from .io import Study, load_study
+from .loop.close_loop import close_loop
+from .loop.closure import Closure
+from .measurement import CheckPoints, Measurement
+from .model import Model, predict
+from .parameters import Parameter
+from .plan import Plan
+
+__version__ = "0.1.0"
+
+
+def enable_float64() -> None:
+    """Switch JAX to float64, which every computation of vcal requires."""
+    jax.config.update("jax_enable_x64", True)
+
+
+__all__ = [
+    "CATALOGUE",
+    "CheckPoints",
+    "Closure",
+    "Effect",
+    "Fit",
+    "Measurement",
+    "Model",
+    "Parameter",
+    "Plan",
+    "Study",
+    "StudyError",
+    "close_loop",
+    "enable_float64",
+    "identify",
+    "load_study",
+    "predict",
+    "register",
+]
