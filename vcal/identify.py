@@ -176,8 +176,20 @@ class Fit:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Posterior covariance H^-1 in solver units."""
-        return cho_solve(self.factor, np.eye(len(self.theta)))
+        """Posterior covariance H^-1 in solver units.
+
+        Where the readings of a row share errors that the noise does not declare
+        (`Instrument.clustered`): H^-1 (sum_i g_i g_i' + L) H^-1 with g_i = J_i'r_i, which needs no
+        model of what they share.
+        """
+        inverse = cho_solve(self.factor, np.eye(len(self.theta)))
+        if not self.model.instrument.clustered:
+            return inverse
+        n, m = self.residual.shape
+        scores = np.einsum(
+            "nik,ni->nk", self.jacobian.reshape(n, m, -1), self.whitened.reshape(n, m)
+        )
+        return inverse @ (scores.T @ scores + np.diag(self.precision)) @ inverse
 
     @property
     def used(self) -> np.ndarray:
@@ -192,7 +204,7 @@ class Fit:
     @property
     def dof(self) -> float:
         """Effective degrees of freedom: readings less tr(J H^-1 J')."""
-        hat = np.einsum("ij,ij->", self.jacobian @ self.covariance, self.jacobian)
+        hat = np.trace(cho_solve(self.factor, self.jacobian.T @ self.jacobian))
         return float(self.used.sum() * self.residual.shape[1] - hat)
 
     @property
@@ -205,7 +217,7 @@ class Fit:
     def information(self) -> np.ndarray:
         """Share of each parameter's information that came from the data: 1 - posterior variance /
         prior variance; 1 for flat priors."""
-        variance = np.diag(self.covariance)
+        variance = np.diag(cho_solve(self.factor, np.eye(len(self.theta))))
         return np.where(self.precision > 0, 1.0 - variance * self.precision, 1.0)
 
     def log_evidence(self, noise_scale: float = 1.0) -> float:

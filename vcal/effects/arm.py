@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -24,17 +25,23 @@ def gravity_levers(chain: Chain, position: np.ndarray, joint: str) -> np.ndarray
     of the frames after joint j and of the tool flange.
     """
     j = chain.axes.index(joint)
-    zero = np.zeros((len(chain.joints), 6))
-
-    def geometry(q):
-        rotations, origins = chain.frames(q)
-        _, flange = chain.pose(q, zero)
-        return rotations[j] @ chain.joints[j].direction, origins, flange
-
-    z, origins, flange = (np.asarray(v) for v in jax.jit(jax.vmap(geometry))(position))
+    rotations, origins, flange = (np.asarray(v) for v in _geometry(chain, position))
+    z = rotations[:, j] @ np.asarray(chain.joints[j].direction)
     points = np.concatenate([origins[:, j + 1 :], flange[:, None]], axis=1)
     arms = points - origins[:, j, None]
     return np.einsum("ni,nki->nk", z, np.cross(arms, np.array([0.0, 0.0, -1.0])))
+
+
+@eqx.filter_jit
+def _geometry(chain: Chain, position: Array) -> tuple[Array, Array, Array]:
+    """Nominal joint frames (n, joints, 3, 3), their origins (n, joints, 3) and the flange (n, 3)."""
+    zero = jnp.zeros((len(chain.joints), 6))
+
+    def one(q):
+        rotations, origins = chain.frames(q)
+        return rotations, origins, chain.pose(q, zero)[1]
+
+    return jax.vmap(one)(position)
 
 
 class _Levers(eqx.Module):

@@ -1,6 +1,6 @@
 """Ball array: axis positions at which the balls of a calibrated artefact are found."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -18,6 +18,16 @@ from ..spatial import best_rigid, rotation
 from .base import Column, Instrument, InstrumentSettings, Loader, register
 from .conditions import linear_plan, linear_plan_table
 from .frame import pose_parameters
+
+_FOUND_M = 1e-12
+_STEPS = 20
+_DERIVED = (
+    *(f"gravity_{c}" for c in "xyz"),
+    *(f"ball_{c}" for c in "xyz"),
+    "tilt",
+    "along_beam",
+)
+"""Covariates of the plan that follow from the poses and the artefact."""
 
 
 class BallArraySettings(InstrumentSettings):
@@ -157,7 +167,7 @@ class BallArray(Instrument):
         return np.zeros((len(table["ball"]), 3))
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
-        return linear_plan_table(plan)
+        return linear_plan_table(plan, _DERIVED)
 
     def rows(self, plan: Plan) -> Any:
         pose = np.searchsorted(self.pose_numbers, np.asarray(plan.groups["pose"]))
@@ -178,6 +188,31 @@ class BallArray(Instrument):
         twist = ports["target"]
         ball = t0 + twist[:3] + r0 @ rotation(twist[3:]) @ (centre + ports["ball"])
         return tool - ball + ports["read"]
+
+    def record(
+        self, plan: Plan, ideal: Callable[[Plan], np.ndarray], noise: np.ndarray
+    ) -> tuple[Plan, np.ndarray]:
+        """The axis positions q at which the tool point sits in the ball, with probing noise.
+
+        Fixed point of q <- q - (tcp(q) - ball), from the nominal q: d tcp/d q is the identity to
+        1e-4, so that every step gains four digits; effects act at the position found. Raises
+        `RuntimeError` where the tool does not follow its axes that closely.
+        """
+        order = [plan.axes.index(axis) for axis in "XYZ"]
+        position = np.array(plan.position)
+        for _ in range(_STEPS):
+            off = ideal(plan.with_position(position))
+            position[:, order] -= off
+            if np.abs(off).max() < _FOUND_M:
+                break
+        else:
+            raise RuntimeError(
+                f"no axis positions at the ball centres: found a last step of "
+                f"{np.abs(off).max():.3g} m after {_STEPS}, expected less than {_FOUND_M:g} m; "
+                "reduce the declared errors"
+            )
+        position[:, order] += noise
+        return plan.with_position(position), np.zeros_like(noise)
 
     def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         return np.full((plan.rows, 3), self.probe_sigma)

@@ -109,6 +109,16 @@ class Instrument(eqx.Module):
         """measured - predicted, with angles unwrapped where an instrument reads angles."""
         return measured - predicted
 
+    def record(
+        self, plan: Plan, ideal: Callable[[Plan], np.ndarray], noise: np.ndarray
+    ) -> tuple[Plan, np.ndarray]:
+        """What would be written down: plan and readings (n, m). Only simulation needs this.
+
+        `ideal` gives the readings without noise at a plan, `noise` (n, m) is what was drawn, SI. An
+        instrument that reads axis positions returns the plan at the positions it finds.
+        """
+        return plan, ideal(plan) + noise
+
     # --- what it declares -----------------------------------------------------------------------
     @abc.abstractmethod
     def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:

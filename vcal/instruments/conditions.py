@@ -1,5 +1,6 @@
 """Conditions of machines with linear axes: columns of the data files to a plan, and back."""
 
+import math
 import re
 from collections.abc import Collection, Mapping
 
@@ -9,6 +10,21 @@ from ..chain import Chain
 from ..plan import Plan
 
 GROUPS = ("point", "pose", "ball", "run", "segment")
+
+_COLUMNS = {
+    "t": ("t_s", 1.0),
+    "range": ("range_mm", 1e3),
+    "azimuth": ("azimuth_rad", 1.0),
+    "elevation": ("elevation_rad", 1.0),
+    "order": ("pose", 1.0),
+}
+"""Column and factor from SI of covariates whose names inside differ from those in the files."""
+_JOINT_COLUMNS = {
+    "commanded_": ("q{}_cmd_deg", math.degrees(1.0)),
+    "read_": ("q{}_read_deg", math.degrees(1.0)),
+    "move_": ("move_q{}_deg", math.degrees(1.0)),
+    "dir_": ("dir_q{}", 1.0),
+}
 
 
 def linear_plan(
@@ -35,13 +51,19 @@ def linear_plan(
     return Plan(axes, position, covariates, groups)
 
 
-def linear_plan_table(plan: Plan) -> dict[str, np.ndarray]:
-    """Columns in file units: the inverse of `linear_plan`."""
+def linear_plan_table(plan: Plan, derived: Collection[str] = ()) -> dict[str, np.ndarray]:
+    """Columns in file units: the inverse of `linear_plan`.
+
+    `derived` names the covariates that an instrument derives itself and no file holds.
+    """
     table: dict[str, np.ndarray] = {k: np.asarray(v) for k, v in plan.groups.items()}
     for axis in plan.axes:
         table[f"{axis.lower()}_mm"] = np.asarray(plan.x(axis)) * 1e3
-    for name, values in plan.covariates.items():
-        table[file_name(name, plan.axes)] = np.asarray(values)
+    for covariate, values in plan.covariates.items():
+        if covariate in derived:
+            continue
+        name, factor = file_column(covariate, plan.axes)
+        table[name] = np.asarray(values) * factor
     return table
 
 
@@ -56,11 +78,24 @@ def _inside_name(column: str, axes: tuple[str, ...]) -> str:
 
 def file_name(covariate: str, axes: tuple[str, ...]) -> str:
     """Name of a covariate or axis as users know it from their files: ``"T_x_degC"``, ``"x_mm"``."""
+    return file_column(covariate, axes)[0]
+
+
+def file_column(covariate: str, axes: tuple[str, ...]) -> tuple[str, float]:
+    """Name of a covariate or axis in the files, and the factor from SI to the unit in that name.
+
+    Joints of an arm are known by their number (``"q2_cmd_deg"``), where positions count as
+    commanded; what was only derived (``"dir_q2"``, ``"tilt"``) keeps a name of its own.
+    """
+    if match := re.fullmatch(r"(commanded_|read_|dir_|move_)?J(\d+)", covariate):
+        name, factor = _JOINT_COLUMNS[match[1] or "commanded_"]
+        return name.format(match[2]), factor
     if covariate in axes:
-        return f"{covariate.lower()}_mm"
+        return f"{covariate.lower()}_mm", 1e3
     if match := re.fullmatch(r"dir_(\w+)", covariate):
-        return f"dir_{match[1].lower()}"
-    if match := re.fullmatch(r"T_(\w+)", covariate):
+        return f"dir_{match[1].lower()}", 1.0
+    # A column such as T_gradient_K_per_m came without a conversion, and goes so.
+    if (match := re.fullmatch(r"T_(\w+)", covariate)) and not re.search(r"_K(_|$)", covariate):
         name = match[1].lower() if match[1] in axes else match[1]
-        return f"T_{name}_degC"
-    return "t_s" if covariate == "t" else covariate
+        return f"T_{name}_degC", 1.0
+    return _COLUMNS.get(covariate, (covariate, 1.0))

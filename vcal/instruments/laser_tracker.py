@@ -98,7 +98,7 @@ class LaserTracker(Instrument):
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
         return {
-            **linear_plan_table(plan),
+            **linear_plan_table(plan, _READ),
             "range_mm": readings[:, 0] * 1e3,
             "azimuth_rad": readings[:, 1],
             "elevation_rad": readings[:, 2],

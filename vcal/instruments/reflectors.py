@@ -120,7 +120,7 @@ class Reflectors(Instrument):
             joints=settings.joints,
             station=np.zeros(3),
             orientation=np.eye(3),
-            points=np.zeros((settings.tool_reflectors, 3)),
+            points=_on_a_circle(settings.tool_reflectors),
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
@@ -224,6 +224,12 @@ class Reflectors(Instrument):
     @property
     def clustered(self) -> bool:
         return True
+
+
+def _on_a_circle(count: int) -> np.ndarray:
+    """Places on the tool (count, 3), m, where no readings tell them: 60 mm from its axis."""
+    angle = 2.0 * np.pi * np.arange(count) / count
+    return np.column_stack([0.06 * np.cos(angle), 0.06 * np.sin(angle), np.full(count, 0.03)])
 
 
 def _points(table: Mapping[str, np.ndarray], kind: str, count: int) -> np.ndarray:

@@ -40,6 +40,9 @@ class _State:
 
     model: Model
     fit: Fit
+    """With the declared noise."""
+    scored: Fit
+    """With the covariance that clustered readings show, for tests and evidence; else the same."""
     keep: np.ndarray
     strays: list[Stray]
 
@@ -154,7 +157,7 @@ class _Run:
     def step(self, state: _State) -> _State | None:
         """One round: None where nothing (more) is to be added."""
         number = len(self.added) + 1
-        fit, measurement = state.fit, state.fit.measurement
+        fit, measurement = state.scored, state.fit.measurement
         self.progress(f"round {number}: screening")
         tried, self.untestable = candidates(state.model, measurement, self.classes)
         bumps, _ = candidates(state.model, measurement, [LocalBump])
@@ -182,8 +185,9 @@ class _Run:
                 self._reject(rival, p_values, "a local error describes the residual better")
             return None
         for rival in significant:
-            fall, error, share = improvement(fit, rival.fit)
-            needed = _PRACTICAL * max(0.0, 1.0 - 1.0 / max(_chi2_per_dof(rival.fit), 1e-9))
+            after = _at_declared(rival.fit, state, self.room)
+            fall, error, share = improvement(state.fit, after)
+            needed = _PRACTICAL * max(0.0, 1.0 - 1.0 / max(_chi2_per_dof(after), 1e-9))
             if rival.log_bayes <= 0:
                 self._reject(rival, p_values, "its evidence does not pay for its parameters")
             elif fall <= error:
@@ -197,7 +201,7 @@ class _Run:
                 p = p_values[rival.effect.name]
                 self.added.append(_Added(rival.effect, weighed, p, share))
                 self.progress(f"round {number}: added {rival.effect.key}")
-                return _fit(rival.fit.model, measurement, rival.fit, self.room)
+                return _fit(rival.fit.model, measurement, after, self.room)
         return None
 
     def prune(self, state: _State) -> _State:
@@ -205,8 +209,8 @@ class _Run:
         for item in list(self.added[:-1]):
             place = next(i for i, e in enumerate(state.model.effects) if e is item.effect)
             without = _without(state, place, self.room)
-            noise = math.sqrt(max(1.0, state.fit.chi2 / state.fit.dof))
-            if without.converged and without.log_evidence(noise) > state.fit.log_evidence(noise):
+            noise = math.sqrt(max(1.0, state.scored.chi2 / state.scored.dof))
+            if without.converged and without.log_evidence(noise) > state.scored.log_evidence(noise):
                 self.added.remove(item)
                 self.rejected.append(
                     Rejected(
@@ -216,7 +220,7 @@ class _Run:
                         "superfluous after later effects",
                     )
                 )
-                state = _State(without.model, without, state.keep, state.strays)
+                state = _fit(without.model, without.measurement, without, self.room)
         return state
 
     def _reject(self, rival: Rival, p_values: dict[str, float], reason: str) -> None:
@@ -276,31 +280,40 @@ def _separation(weighed: Weighed) -> str:
 
 
 def _fit(model: Model, measurement: Measurement, start: Fit | None, room: int) -> _State:
-    """Fit, leave out stray readings, and estimate the covariance of clustered readings."""
+    """Fit, leave out stray readings, and fit again with the covariance of clustered readings."""
     plan, instrument = measurement.plan, model.instrument
     folds, apart = instrument.folds(plan)
     keep = np.where(apart & (folds >= 0), False, True) if apart else np.ones(plan.rows, bool)
     options: dict = {"keep": keep, "room": room}
     if start is not None:
         options |= {"theta": start.theta, "shapes": start.shapes}
-    whitener = None
-    if instrument.clustered:
-        whitener = None if start is None else start.whitener.copy()
-        if whitener is not None:
-            whitener[~start.used] = np.median(start.whitener[start.used], axis=0)
-    fit = identify(model, measurement, whitener=whitener, **options)
-    if instrument.clustered:
-        for _ in range(2):
-            whitener = estimated_whitener(fit)
-            options |= {"theta": fit.theta, "shapes": fit.shapes}
-            fit = identify(model, measurement, whitener=whitener, **options)
+    fit = identify(model, measurement, **options)
     strays = stray_rows(fit)
+    options |= {"theta": fit.theta, "shapes": fit.shapes}
     if strays:
         keep = keep.copy()
         keep[[s.row for s in strays]] = False
-        options |= {"theta": fit.theta, "shapes": fit.shapes, "keep": keep}
-        fit = identify(model, measurement, whitener=whitener, **options)
-    return _State(model, fit, keep, strays)
+        options["keep"] = keep
+        fit = identify(model, measurement, **options)
+    scored = fit
+    if instrument.clustered:
+        for _ in range(2):
+            scored = identify(model, measurement, whitener=estimated_whitener(scored), **options)
+    return _State(model, fit, scored, keep, strays)
+
+
+def _at_declared(fit: Fit, state: _State, room: int) -> Fit:
+    """The fit with the declared noise."""
+    if fit.model.instrument.clustered:
+        return identify(
+            fit.model,
+            fit.measurement,
+            theta=fit.theta,
+            shapes=fit.shapes,
+            keep=state.keep,
+            room=room,
+        )
+    return fit
 
 
 def estimated_whitener(fit: Fit) -> np.ndarray:
@@ -326,11 +339,11 @@ def _nominal(model: Model, measurement: Measurement, room: int) -> Fit:
 
 
 def _without(state: _State, place: int, room: int) -> Fit:
-    fit = state.fit
+    fit = state.scored
     sizes = [len(e.amplitudes) for e in state.model.effects]
     first = sum(sizes[:place])
     kept = np.r_[0:first, first + sizes[place] : sum(sizes)].astype(int)
-    shapes = {i - (i > place): s for i, s in fit.shapes.items() if i != place}
+    shapes = {i - (i > place): shape for i, shape in fit.shapes.items() if i != place}
     return identify(
         state.model.without(place),
         fit.measurement,

@@ -53,14 +53,21 @@ def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
 
 
 def covariates(fit: Fit) -> dict[str, np.ndarray]:
-    """Everything the residual may depend on, by its name inside vcal."""
+    """Everything the residual may depend on, by its name inside vcal; of columns that are the same
+    but for scale and offset only the first."""
     plan = fit.measurement.plan
     found = {axis: np.asarray(plan.x(axis)) for axis in plan.axes}
     found |= {name: np.asarray(values) for name, values in plan.covariates.items()}
     found |= {
         name: np.asarray(values, float) for name, values in plan.groups.items() if name != "point"
     }
-    return {name: x for name, x in found.items() if np.isfinite(x).all() and np.ptp(x) > 0}
+    distinct: dict[str, np.ndarray] = {}
+    for name, x in found.items():
+        if not np.isfinite(x).all() or np.ptp(x) == 0:
+            continue
+        if all(abs(np.corrcoef(x, other)[0, 1]) < 0.9999 for other in distinct.values()):
+            distinct[name] = x
+    return distinct
 
 
 def bins(x: np.ndarray) -> np.ndarray:

@@ -1,0 +1,241 @@
+"""A study folder with made-up data: `simulate` at the edge to files."""
+
+import json
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from pydantic import ValidationError
+
+from ..effects.base import Effect, Setup
+from ..errors import StudyError
+from ..instruments.conditions import GROUPS, linear_plan
+from ..simulate import Simulated, scattered, simulate
+from .declared import Catalogue, declared_effects, unknown_effect
+from .messages import refusal
+from .settings import EffectSettings
+from .study import Study
+from .table import read_table, write_table
+
+_CHECK_ROWS = 400
+_WITH = "NAME, NAME:PLACEMENT or NAME:PLACEMENT:KEY=VALUE,..., such as backlash:Y:size_um=12"
+
+
+def parse_with(
+    text: str, catalogue: Catalogue, setup: Setup, data: str = "data.csv"
+) -> Effect:
+    """An effect from ``NAME:PLACEMENT:KEY=VALUE,KEY=VALUE``, such as ``backlash:Y:size_um=12``.
+
+    The keys are those of a ``[[model.effect]]`` row: parameters with their unit, ``component``, and
+    ``*_sigma``. A parameter with a value is known; one without is left to its prior. An effect that
+    has no placement goes without: ``range_scale:scale_um_per_m=3``. `data` is what messages call
+    the data.
+
+    Raises `StudyError` for a name, placement or key that is not known (with the nearest), a value
+    that is not a number, an effect that several components fit, and one that needs a covariate
+    which the data do not hold.
+    """
+    file = f"--with {text}"
+    name, *parts = (part.strip() for part in text.split(":"))
+    values = parts.pop() if parts and "=" in parts[-1] else ""
+    if not name or len(parts) > 1 or "" in parts:
+        raise StudyError(f"{file}: found {text!r}, expected {_WITH}; write it so")
+    row: dict[str, Any] = {"name": name, "placement": parts[0] if parts else ""}
+    for pair in filter(None, (p.strip() for p in values.split(","))):
+        key, equals, value = (p.strip() for p in pair.partition("="))
+        if not equals or not key or not value or key in row:
+            found = f"{key} a second time" if key in row else repr(pair)
+            raise refusal(file, "values", found, "KEY=VALUE, every key once", "correct it")
+        row[key] = _value(value)
+    if name not in catalogue:
+        raise unknown_effect(name, catalogue, file, "name")
+    try:
+        settings = EffectSettings.model_validate(row)
+    except ValidationError as error:
+        key = ".".join(str(k) for k in error.errors()[0]["loc"])
+        raise refusal(file, f"key {key}", repr(row[key]), "text", "correct the value") from error
+    try:
+        (effect,) = declared_effects([settings], catalogue, setup, file, data)
+    except StudyError as error:
+        # The messages are made for a row of the study file, which this is not.
+        message = str(error).replace("key model.effect.0.", "key ")
+        message = message.replace(f"(model.effect.0 of {file})", f"of {file}")
+        message = message.replace("key model.effect.0 ", "effect ")
+        message = message.replace("one [[model.effect]]", "one --with")
+        raise StudyError(message) from error
+    return effect
+
+
+def _value(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
+
+
+def write_simulated(
+    study: Study,
+    out: Path | str,
+    *,
+    effects: Sequence[Effect] = (),
+    seed: int = 0,
+    noise_factor: float = 1.0,
+) -> Simulated:
+    """Write a folder like that of `study`, with data of a machine drawn from its priors.
+
+    The study file and the tables it names are copied as they are; the data are replaced by what the
+    instrument would read, the check points by the true tool points at random positions over the
+    travel, and ``truth.json`` says what was put in: `effects` beside the declared model, which no
+    other file tells. The result depends on `seed` alone.
+
+    Raises `StudyError` where `out` is there and not empty, a table lies outside the folder of the
+    study, the factor is not a number of at least 0, or a position found lies outside the travel.
+    """
+    out = Path(out)
+    require_empty(out)
+    if not 0.0 <= noise_factor < math.inf:
+        raise refusal(
+            "--noise-factor", "value", f"{noise_factor:g}", "a number of at least 0", "correct it"
+        )
+    made = (study.settings.data.data, study.settings.data.check or "check.csv")
+    for name in {*study.hashes, *made}:
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise refusal(
+                study.path.name,
+                f"file {name}",
+                "a file outside the folder of the study",
+                "all files beside the study file, so that the folder can be copied",
+                "move the file there",
+            )
+    machine, where = jax.random.split(jax.random.key(seed))
+    result = simulate(
+        study.model,
+        study.plan,
+        machine,
+        effects=effects,
+        noise_factor=noise_factor,
+        name=study.name,
+    )
+    _check_travel(study, result, made[0])
+    tables = {made[0]: _data(study, result), made[1]: _check(study, result, where)}
+    truth = _truth(study, result, seed, noise_factor)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    # Complete or not at all: the folder gets its name when everything is in it.
+    work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    try:
+        for name in study.hashes:
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
+            if name not in tables:
+                shutil.copyfile(study.folder / name, work / name)
+        for name, table in tables.items():
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
+            write_table(work / name, table)
+        (work / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+        publish(work, out)
+    except BaseException:
+        shutil.rmtree(work, ignore_errors=True)
+        raise
+    return result
+
+
+def require_empty(out: Path) -> None:
+    """Raise `StudyError` if there is something at `out` that writing there would overwrite."""
+    if out.is_dir() and not any(out.iterdir()):
+        return
+    if out.exists() or out.is_symlink():
+        kind = "a folder that is not empty" if out.is_dir() else "a file"
+        raise refusal(
+            str(out), "folder", kind, "a new or an empty folder", "choose another or remove it"
+        )
+
+
+def publish(work: Path, out: Path) -> None:
+    """Give the finished folder `work` the name `out`, with the permissions of any new folder."""
+    mask = os.umask(0)
+    os.umask(mask)
+    work.chmod(0o777 & ~mask)
+    if out.is_dir():
+        out.rmdir()
+    work.replace(out)
+
+
+def _data(study: Study, result: Simulated) -> dict[str, np.ndarray]:
+    """The study's own columns, with the positions and readings of the simulation."""
+    own = read_table(study.folder / study.settings.data.data, [])
+    measurement = result.measurement
+    made = result.model.instrument.to_table(measurement.plan, measurement.readings)
+    return {**own, **made}
+
+
+def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndarray]:
+    """Conditions at random positions, and the true tool point there."""
+    chain, instrument = study.chain, study.instrument
+    plan = scattered(chain, study.plan, key, _CHECK_ROWS)
+    linear = set(chain.axes) <= set("XYZ")
+    readings = np.zeros((plan.rows, len(instrument.readings)))
+    declared = study.settings.instrument
+    plain, full = (
+        {column.name for column in instrument.columns(declared, chain.axes, readings=with_readings)}
+        for with_readings in (False, True)
+    )
+    skipped = (full - plain) | (set(GROUPS) if linear else set())
+    table = {
+        name: values
+        for name, values in instrument.to_table(plan, readings).items()
+        if name not in skipped
+    }
+    # As it will be read again: an arm derives the directions of its joints from the poses.
+    plan = linear_plan(chain, table) if linear else instrument.plan(chain, table)
+    points = result.tool_points(plan)
+    return table | {f"tcp_{c}_mm": points[:, i] * 1e3 for i, c in enumerate("xyz")}
+
+
+def _check_travel(study: Study, result: Simulated, data: str) -> None:
+    """Positions that an instrument found itself must lie within the travel, or cannot be read."""
+    position = np.asarray(result.measurement.plan.position)
+    for i, joint in enumerate(study.chain.joints):
+        low, high = joint.travel
+        bad = (position[:, i] < low) | (position[:, i] > high)
+        # Planned positions were checked when they were read.
+        bad &= position[:, i] != np.asarray(study.plan.position)[:, i]
+        if bad.any():
+            row = int(np.argmax(bad))
+            unit, si = ("mm", 1e3) if joint.kind == "prismatic" else ("deg", math.degrees(1.0))
+            raise refusal(
+                data,
+                f"row {row + 1}, axis {joint.name}",
+                f"{position[row, i] * si:.10g} {unit} in the simulation, outside the travel",
+                f"{low * si:.10g} to {high * si:.10g} {unit}",
+                "plan this row further inside, or declare a longer travel",
+            )
+
+
+def _truth(study: Study, result: Simulated, seed: int, noise_factor: float) -> dict[str, Any]:
+    declared = len(study.model.effects)
+    effects = [
+        {
+            "effect": effect.name,
+            "placement": effect.placement,
+            **{p.label: _rounded(value) for p, value in result.parameter_values(i)},
+        }
+        for i, effect in enumerate(result.model.effects)
+    ]
+    return {
+        "seed": seed,
+        "noise_factor": noise_factor,
+        "undeclared": effects[declared:],
+        "declared": effects[:declared],
+    }
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.10g}")
+

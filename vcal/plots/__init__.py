@@ -1,0 +1,39 @@
+"""Pictures of what closing the loop found: functions that return a matplotlib figure."""
+
+from .field import (
+    Field,
+    check_errors,
+    check_points,
+    error_field,
+    error_over_time,
+    field,
+)
+from .motions import ErrorMotionTable, error_motions
+from .residuals import before_after, normal_plot, unexplained, unexplained_views
+from .search import minus_log10_p, search
+from .style import png, pretty_unit
+from .views import View, column_of, effect_view, parameter_places, place_of
+
+__all__ = [
+    "ErrorMotionTable",
+    "Field",
+    "View",
+    "before_after",
+    "check_errors",
+    "check_points",
+    "column_of",
+    "effect_view",
+    "error_field",
+    "error_motions",
+    "error_over_time",
+    "field",
+    "minus_log10_p",
+    "normal_plot",
+    "parameter_places",
+    "place_of",
+    "png",
+    "pretty_unit",
+    "search",
+    "unexplained",
+    "unexplained_views",
+]

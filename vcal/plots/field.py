@@ -1,0 +1,230 @@
+"""Volumetric errors: at check points, over the travel, and of an arm over time."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from ..identify import Fit
+from ..loop.heldout import compensated_points, heldout_residuals, rigid_free, squared_errors
+from ..measurement import CheckPoints
+from ..plan import Plan
+from ..spatial import align_rigid
+from .style import AFTER, BEFORE, FIELD, INK, NOMINAL, figure, grid, limit, plain, titled
+
+_NODES = 17
+_PLANES = (("X", "Y"), ("X", "Z"), ("Y", "Z"))
+
+
+@dataclass(frozen=True)
+class Field:
+    """Volumetric error in three mid-planes of the travel, after rigid alignment."""
+
+    axes: tuple[str, ...]
+    nodes: Mapping[str, np.ndarray]
+    """Grid along each axis, m."""
+    error: np.ndarray
+    """Identified error, actual - nominal: (planes, n, n, 3), um."""
+    change: np.ndarray
+    """What closing the loop changed in it, (planes, n, n, 3), um."""
+    u: np.ndarray
+    """Standard uncertainty of the length of the error vector, (planes, n, n), um."""
+
+
+def error_field(before: Fit, after: Fit, nodes: int = _NODES) -> Field | None:
+    """The identified error field of a machine with the axes X, Y and Z; None for other machines.
+
+    Only what depends on the axis positions alone is in it: no direction, temperature or time.
+    """
+    chain = after.model.chain
+    if set(chain.axes) != set("XYZ"):
+        return None
+    plan = after.measurement.plan
+    line, middle = {}, {}
+    for axis in chain.axes:
+        low, high = chain.joint(axis).travel
+        if not np.isfinite([low, high]).all():
+            low, high = np.asarray(plan.x(axis)).min(), np.asarray(plan.x(axis)).max()
+        line[axis] = np.linspace(low, high, nodes)
+        middle[axis] = 0.5 * (low + high)
+    blocks = []
+    for first, second in _PLANES:
+        block = np.empty((nodes, nodes, 3))
+        for i, axis in enumerate(chain.axes):
+            block[:, :, i] = middle[axis]
+        block[:, :, chain.axes.index(first)] = line[first][:, None]
+        block[:, :, chain.axes.index(second)] = line[second]
+        blocks.append(block.reshape(-1, 3))
+    position = np.concatenate(blocks)
+    on_grid = Plan(chain.axes, position)
+    order = [chain.axes.index(axis) for axis in "XYZ"]
+    nominal = position[:, order] + np.asarray(chain.tool_offset)
+    shape = (len(_PLANES), nodes, nodes)
+    errors = []
+    for fit in (before, after):
+        points, jacobian = compensated_points(fit, on_grid)
+        errors.append(align_rigid(nominal, points - nominal) * 1e6)
+    free = rigid_free(nominal, jacobian)
+    variance = np.einsum("nik,kl,nil->n", free, after.covariance, free, optimize=True)
+    return Field(
+        axes=chain.axes,
+        nodes=line,
+        error=errors[1].reshape(*shape, 3),
+        change=(errors[1] - errors[0]).reshape(*shape, 3),
+        u=np.sqrt(variance).reshape(shape) * 1e6,
+    )
+
+
+def field(values: Field) -> Figure:
+    """Heat maps over three mid-planes: identified error, its uncertainty, what the loop changed."""
+    rows = [
+        ("identified error", values.error),
+        ("standard uncertainty", values.u[..., None]),
+        ("changed by closing the loop", values.change),
+    ]
+    if np.abs(values.change).max() < 1e-3:
+        rows = rows[:2]
+    drawn = figure(9.6, 0.75 + 2.45 * len(rows))
+    table = grid(
+        drawn, len(rows), 3, left=0.75, right=1.1, top=0.4, bottom=0.55, wspace=0.75, hspace=0.85
+    )
+    for i, (name, vectors) in enumerate(rows):
+        size = np.linalg.norm(vectors, axis=-1)
+        top = float(size.max()) or 1.0
+        mesh = None
+        for ax, plane, arrows, colours in zip(table[i], _PLANES, vectors, size, strict=True):
+            x, y = (values.nodes[axis] * 1e3 for axis in plane)
+            mesh = ax.pcolormesh(
+                x, y, colours.T, cmap=FIELD, vmin=0.0, vmax=top, shading="gouraud", rasterized=True
+            )
+            if arrows.shape[-1] == 3:
+                _arrows(ax, x, y, plane, arrows, top)
+            titled(ax, name if ax is table[i][0] else "", f"{plane[0]}, mm", f"{plane[1]}, mm")
+            ax.grid(False)
+        _bar(drawn, mesh, table[i], "µm")
+    return drawn
+
+
+def _arrows(ax: Axes, x, y, plane: tuple[str, str], vectors: np.ndarray, top: float) -> None:
+    step = slice(1, None, 3)
+    u, v = (vectors[step, step, "XYZ".index(axis)].T for axis in plane)
+    ax.quiver(
+        x[step],
+        y[step],
+        u,
+        v,
+        color="white",
+        edgecolor=INK,
+        linewidth=0.3,
+        scale=12.0 * top,
+        width=0.008,
+        pivot="mid",
+    )
+
+
+def _bar(drawn: Figure, mesh, axes: Sequence[Axes], label: str) -> None:
+    """A colour bar right of a row of axes."""
+    box = axes[-1].get_position()
+    width = drawn.get_size_inches()[0]
+    place = drawn.add_axes((box.x1 + 0.15 / width, box.y0, 0.14 / width, box.height))
+    bar = drawn.colorbar(mesh, cax=place)
+    bar.set_label(label, fontsize=9.5, color=INK)
+    place.tick_params(labelsize=9, colors=INK, length=3)
+    bar.outline.set_visible(False)  # type: ignore[operator]
+
+
+def check_errors(fits: Mapping[str, Fit], check: CheckPoints) -> dict[str, np.ndarray]:
+    """Error vectors (n, 3), um, at the check points after rigid alignment, per fit."""
+    return {
+        name: align_rigid(check.tool_point, check.tool_point - compensated_points(fit, check.plan)[0])
+        * 1e6
+        for name, fit in fits.items()
+    }
+
+
+def check_points(errors: Mapping[str, np.ndarray], check: CheckPoints) -> Figure:
+    """Size of the error at every check point, seen from above and from the front, one colour scale
+    for all columns."""
+    points = check.tool_point * 1e3
+    sizes = {name: np.linalg.norm(vectors, axis=1) for name, vectors in errors.items()}
+    everything = np.concatenate(list(sizes.values()))
+    low, high = np.quantile(everything, [0.02, 0.998])
+    norm = LogNorm(max(low, high / 300.0), high)
+    drawn = figure(9.6, 5.4)
+    table = grid(
+        drawn, 2, len(errors), left=0.75, right=1.1, top=0.45, bottom=0.55, wspace=0.3, hspace=0.6
+    )
+    dots = None
+    for column, (name, size) in enumerate(sizes.items()):
+        rms = np.sqrt((size**2).mean())
+        for row, (a, b) in enumerate(((0, 1), (0, 2))):
+            ax = table[row, column]
+            order = np.argsort(size)
+            dots = ax.scatter(
+                points[order, a],
+                points[order, b],
+                c=size[order],
+                s=15,
+                cmap=FIELD,
+                norm=norm,
+                edgecolor="none",
+            )
+            titled(ax, f"{name}: rms {rms:.3g} µm" if row == 0 else "", f"{'XYZ'[a]}, mm")
+            if column == 0:
+                ax.set_ylabel(f"{'XYZ'[b]}, mm", fontsize=9.5, color=INK)
+            else:
+                ax.tick_params(labelleft=False)
+    for row in range(2):
+        _bar(drawn, dots, table[row], "error, µm")
+    _plain_ticks(drawn, norm)
+    return drawn
+
+
+def _plain_ticks(drawn: Figure, norm: LogNorm) -> None:
+    """Numbers such as 0.3, 1, 3 on the logarithmic colour bars."""
+    ticks = [t for t in (0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000, 3000)]
+    ticks = [t for t in ticks if norm.vmin <= t <= norm.vmax]  # type: ignore[operator]
+    for ax in drawn.axes[-2:]:
+        ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
+        ax.set_yticks([], minor=True)
+
+
+def error_over_time(fits: Mapping[str, Fit]) -> Figure:
+    """3-D error of every observation in the order of time, fitted ones faint, held-out ones full."""
+    drawn = figure(9.6, 3.9)
+    ax = grid(drawn, 1, 1, left=0.8, right=0.2, top=0.45, bottom=0.6)[0, 0]
+    plain(ax)
+    colours = dict(zip(fits, (NOMINAL, BEFORE, AFTER), strict=False))
+    shown = []
+    for name, fit in fits.items():
+        plan = fit.measurement.plan
+        column = "order" if "order" in plan.covariates else None
+        x = np.asarray(plan.covariates[column]) if column else np.arange(plan.rows)
+        held = heldout_residuals(fit)
+        outside = np.isfinite(held).all(1)
+        fitted = np.where((fit.used & ~outside)[:, None], fit.residual, np.nan)
+        for values, faint in ((fitted, True), (held, False)):
+            rows = np.isfinite(values).all(1)
+            if not rows.any():
+                continue
+            size = np.sqrt(squared_errors(fit, values)) * 1e6
+            shown.append(size)
+            rms = np.sqrt((size**2).mean())
+            ax.plot(
+                x[rows],
+                size,
+                ".",
+                color=colours[name],
+                alpha=0.25 if faint else 0.9,
+                markersize=4,
+                label=f"{name}, {'fitted' if faint else 'held out'}: rms {rms:.3g} µm",
+            )
+    ax.set_ylim(0, limit(shown))
+    # Room above the dots for the legend.
+    ax.set_ylim(0, ax.get_ylim()[1] * 1.3)
+    ax.legend(fontsize=8.5, ncols=len(fits), loc="upper center", frameon=False, markerscale=2)
+    titled(ax, "error in the order of time", "pose number, in time", "3-D error, µm")
+    return drawn

@@ -1,0 +1,58 @@
+"""What the search tried, and how much each kind of effect would have explained."""
+
+import math
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..loop.screen import KindResult, Screening
+from .style import AFTER, BEFORE, DOTS, INK, figure, grid, titled
+
+
+def minus_log10_p(screening: Screening, kind: KindResult) -> float:
+    """-log10 of the corrected p-value of a kind, also where that underflows."""
+    p = screening.corrected(kind)
+    if p > 1e-290:
+        return max(-math.log10(p), 0.0)
+    trials = max(kind.trials, 1.0) * max(screening.trials, 1.0)
+    return (kind.minus_log_p - math.log(trials)) / math.log(10.0)
+
+
+def search(
+    screenings: Sequence[Screening], added: Sequence[str], tried: Collection[str], alpha: float
+) -> Figure:
+    """Significance of the best candidate of every kind, a column per round, logarithmic bars.
+
+    `added` are the kinds that were added, in the order of the rounds; `tried` those that were
+    tried and rejected.
+    """
+    kinds = sorted({kind.kind for screening in screenings for kind in screening.kinds})
+    height = {kind: minus_log10_p(screenings[0], k) for k in screenings[0].kinds for kind in [k.kind]}
+    kinds.sort(key=lambda kind: height.get(kind, 0.0))
+    drawn = figure(9.6, 1.15 + 0.235 * len(kinds))
+    row = grid(
+        drawn, 1, len(screenings), left=1.75, right=0.25, top=0.45, bottom=0.65, wspace=0.25
+    )[0]
+    top = max(10.0, *(minus_log10_p(s, k) for s in screenings for k in s.kinds))
+    for i, (ax, screening) in enumerate(zip(row, screenings, strict=True)):
+        values = {k.kind: minus_log10_p(screening, k) for k in screening.kinds}
+        chosen = added[i] if i < len(added) else ""
+        colours = [
+            AFTER if kind == chosen else BEFORE if kind in tried and i == len(added) else DOTS
+            for kind in kinds
+        ]
+        ax.barh(kinds, [values.get(kind, 0.0) for kind in kinds], color=colours, height=0.7)
+        ax.axvline(-math.log10(alpha), color=INK, linewidth=1.1, linestyle="--")
+        ax.set_xscale("symlog", linthresh=2.0, linscale=0.8)
+        ax.set_xlim(0, top * 1.6)
+        ticks = [t for t in (0, 1, 2, 5, 10, 30, 100, 300, 1000, 3000) if t <= top * 1.5]
+        most = max(4, 12 // len(screenings))
+        ticks = [ticks[k] for k in np.unique(np.linspace(0, len(ticks) - 1, most).astype(int))]
+        ax.set_xticks(ticks, [f"{t}" for t in ticks])
+        ax.set_xticks([], minor=True)
+        ax.grid(axis="y", visible=False)
+        if i:
+            ax.tick_params(labelleft=False)
+        titled(ax, f"round {i + 1}", "−log₁₀ of corrected p")
+    return drawn

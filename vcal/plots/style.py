@@ -1,0 +1,129 @@
+"""How every figure looks: one size of type, one palette, units written as people write them."""
+
+import io
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+BEFORE = "#D55E00"
+AFTER = "#0072B2"
+NOMINAL = "#6b6b6b"
+MARK = "#E69F00"
+"""Palette of Okabe and Ito, which the colour-blind can tell apart."""
+DOTS = "#9aa5b1"
+INK = "#1f2933"
+FIELD = "cividis"
+
+DPI = 110
+
+_UNITS = {
+    "um": "µm",
+    "urad": "µrad",
+    "mrad": "mrad",
+    "degC": "°C",
+    "deg": "°",
+    "1": "",
+    "%": "%",
+}
+
+
+def figure(width: float, height: float) -> Figure:
+    """An empty figure, in inches, that no global state knows of."""
+    drawn = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(drawn)
+    return drawn
+
+
+def grid(
+    drawn: Figure,
+    rows: int,
+    columns: int,
+    *,
+    left: float,
+    right: float,
+    top: float,
+    bottom: float,
+    wspace: float = 0.0,
+    hspace: float = 0.0,
+    sharex: bool = False,
+    sharey: bool = False,
+) -> np.ndarray:
+    """Axes (rows, columns), styled, with margins and gaps in inches, so that nothing overlaps
+    whatever the size of the figure."""
+    width, height = drawn.get_size_inches()
+    inner_w = (width - left - right - wspace * (columns - 1)) / columns
+    inner_h = (height - top - bottom - hspace * (rows - 1)) / rows
+    table = drawn.subplots(
+        rows,
+        columns,
+        squeeze=False,
+        sharex=sharex,
+        sharey=sharey,
+        gridspec_kw={
+            "left": left / width,
+            "right": 1.0 - right / width,
+            "top": 1.0 - top / height,
+            "bottom": bottom / height,
+            "wspace": wspace / inner_w,
+            "hspace": hspace / inner_h,
+        },
+    )
+    for ax in table.flat:
+        plain(ax)
+    return table
+
+
+def plain(ax: Axes) -> None:
+    """Thin frame on two sides, light grid, readable ticks."""
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        ax.spines[side].set_color("#9aa5b1")
+    ax.tick_params(labelsize=9, colors=INK, length=3, width=0.8)
+    ax.grid(True, color="#e4e7eb", linewidth=0.7)
+    ax.set_axisbelow(True)
+
+
+def titled(ax: Axes, title: str, x: str = "", y: str = "") -> None:
+    """Title and axis labels in the common type."""
+    ax.set_title(title, fontsize=10, color=INK, loc="left", pad=6)
+    if x:
+        ax.set_xlabel(x, fontsize=9.5, color=INK)
+    if y:
+        ax.set_ylabel(y, fontsize=9.5, color=INK)
+
+
+def png(drawn: Figure) -> bytes:
+    """The figure as a PNG file."""
+    buffer = io.BytesIO()
+    drawn.savefig(buffer, format="png", dpi=DPI)
+    return buffer.getvalue()
+
+
+def pretty_unit(unit: str) -> str:
+    """A unit as it is printed: ``"um/(m K)"`` gives ``"µm/(m K)"``, ``"1"`` nothing."""
+    return re.sub(r"[A-Za-z%]+|^1$", lambda m: _UNITS.get(m[0], m[0]), unit)
+
+
+def column_label(column: str) -> str:
+    """A column as an axis label: ``"x_mm"`` gives ``"x, mm"``."""
+    if match := re.fullmatch(r"dir_(\w+)", column):
+        return f"direction of travel of {match[1].upper()}"
+    if match := re.fullmatch(r"q(\d+)_(cmd|read)_deg", column):
+        return f"joint {match[1]}, {'commanded' if match[2] == 'cmd' else 'read back'}, °"
+    if match := re.fullmatch(r"T_(\w+)_degC", column):
+        return f"temperature of {match[1] if len(match[1]) > 1 else match[1].upper()}, °C"
+    if match := re.fullmatch(r"(\w+)_(mm|um|s|rad|deg)", column):
+        return f"{'time' if match[1] == 't' else match[1]}, {pretty_unit(match[2])}"
+    return {"pose": "pose number", "ball": "ball number", "tilt": "tilt, rad"}.get(column, column)
+
+
+def limit(values: Sequence[np.ndarray], share: float = 0.995) -> float:
+    """A bound that holds all but a few of the largest magnitudes."""
+    sizes = np.abs(np.concatenate([np.ravel(v) for v in values]))
+    sizes = sizes[np.isfinite(sizes)]
+    return float(np.quantile(sizes, share)) * 1.15 if len(sizes) and sizes.any() else 1.0

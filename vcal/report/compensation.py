@@ -1,0 +1,146 @@
+"""Error motions and named effects as tables: what a control, or another program, compensates."""
+
+import csv
+import io
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..identify import Fit
+from ..loop.closure import Closure
+from ..plan import Plan
+from ..plots import ErrorMotionTable
+from ..units import si_factor
+from .derived import parameters
+
+NODES = 41
+_GEOMETRY = ("geometric", "geometric_order")
+_LOCATION = re.compile(r"E[ABCXYZ]0\w+")
+
+
+def error_motion_tables(fit: Fit, nodes: int = NODES) -> list[ErrorMotionTable]:
+    """Every error motion on `nodes` positions over its axis's travel (or the range used, where no
+    travel is declared), then the location errors.
+
+    Value and standard uncertainty are those of the posterior, E = F theta and sqrt(F C F'), with
+    F the family's functions; refinements by `geometric_order` are included.
+    """
+    chain, model = fit.model.chain, fit.model
+    lines = [_line(fit, axis, nodes) for axis in chain.axes]
+    on_lines = Plan(chain.axes, np.stack(lines, axis=1))
+    columns: dict[str, np.ndarray] = {}
+    means: dict[str, np.ndarray] = {}
+    start = 0
+    for effect in model.effects:
+        amplitudes = {p.name: (start + k, p) for k, p in enumerate(effect.amplitudes)}
+        start += len(amplitudes)
+        if effect.name not in _GEOMETRY:
+            continue
+        for (port, amplitude), response in effect.response(on_lines, {}).items():
+            k, p = amplitudes[amplitude]
+            located = _LOCATION.fullmatch(amplitude)
+            name = amplitude if located else port
+            rows = 1 if located else nodes
+            column = np.ones(1) if located else np.broadcast_to(np.asarray(response), (nodes,))
+            block = columns.setdefault(name, np.zeros((rows, len(fit.theta))))
+            block[:, k] = column * p.step  # a location error has several ports: the same once
+            mean = means.setdefault(name, np.zeros(rows))
+            if not located or not mean.any():
+                means[name] = mean + column * p.mean * p.si
+    covariance = fit.covariance
+    prior = np.where(fit.precision > 0, 1.0 / np.where(fit.precision > 0, fit.precision, 1.0), 0.0)
+    return [
+        _table(name, block, means[name], fit, covariance, prior, lines)
+        for name, block in _sorted(columns, chain.axes)
+    ]
+
+
+def _sorted(columns: dict[str, np.ndarray], axes: Sequence[str]):
+    """Error motions axis by axis, then location errors."""
+    order = [f"E{c}{axis}" for axis in axes for c in "XYZABC"]
+    return sorted(
+        columns.items(), key=lambda kv: order.index(kv[0]) if kv[0] in order else len(order)
+    )
+
+
+def _line(fit: Fit, axis: str, nodes: int) -> np.ndarray:
+    low, high = np.asarray(fit.model.chain.joint(axis).travel, float)
+    prismatic = fit.model.chain.joint(axis).kind == "prismatic"
+    if not (prismatic and math.isfinite(low) and math.isfinite(high)):
+        x = np.asarray(fit.measurement.plan.x(axis), float)
+        low, high = x.min(), x.max()
+    return np.linspace(low, high, nodes)
+
+
+def _table(
+    name: str,
+    block: np.ndarray,
+    mean: np.ndarray,
+    fit: Fit,
+    covariance: np.ndarray,
+    prior: np.ndarray,
+    lines: Sequence[np.ndarray],
+) -> ErrorMotionTable:
+    axes = fit.model.chain.axes
+    located = _LOCATION.fullmatch(name) is not None
+    axis = name[3:] if located else name[2:]
+    unit = "um" if name[1] in "XYZ" else "urad"
+    position_unit = "mm" if fit.model.chain.joint(axis).kind == "prismatic" else "deg"
+    si = si_factor(unit)
+    variance = np.einsum("nk,kl,nl->n", block, covariance, block, optimize=True)
+    return ErrorMotionTable(
+        name=name,
+        axis=axis,
+        unit=unit,
+        position=np.zeros(0) if located else lines[axes.index(axis)] / si_factor(position_unit),
+        position_unit=position_unit,
+        value=(mean + block @ fit.theta) / si,
+        u=np.sqrt(np.maximum(variance, 0.0)) / si,
+        prior=np.sqrt(block**2 @ prior) / si,
+    )
+
+
+def compensation_csv(tables: Sequence[ErrorMotionTable]) -> str:
+    """The tables as CSV in long format, one position of one error motion per line.
+
+    Columns: component (ISO 230-1 name), axis, position_mm and/or position_deg, value, unit,
+    standard_uncertainty, information_share. Location errors have no position.
+    """
+    units = sorted({t.position_unit for t in tables} or {"mm"}, reverse=True)
+    rows = [
+        ["component", "axis", *(f"position_{u}" for u in units), "value", "unit",
+         "standard_uncertainty", "information_share"]
+    ]  # fmt: skip
+    for t in tables:
+        for k in range(len(t.value)):
+            place = [
+                _number(t.position[k]) if len(t.position) and u == t.position_unit else ""
+                for u in units
+            ]
+            numbers = [_number(v) for v in (t.value[k], t.u[k], t.information[k])]
+            rows.append([t.name, t.axis, *place, numbers[0], t.unit, *numbers[1:]])
+    return _csv(rows)
+
+
+def effects_csv(closure: Closure) -> str:
+    """Parameters of the effects that were added, as CSV, one per line."""
+    rows = [["effect", "placement", "parameter", "value", "unit", "standard_uncertainty"]]
+    for found in closure.effects:
+        for name, value, unit, u in parameters(closure, found):
+            numbers = _number(value), _number(u)
+            rows.append(
+                [found.effect.name, found.placement, name, numbers[0], unit, numbers[1]]
+            )
+    return _csv(rows)
+
+
+def _number(value: float) -> str:
+    return f"{value:.8g}" if math.isfinite(value) else ""
+
+
+def _csv(rows: Sequence[Sequence[str]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,49 @@
+"""What follows from identified parameters: amplitude and phase of a sine and a cosine."""
+
+import math
+
+import numpy as np
+
+from ..effects.base import harmonic_summary
+from ..loop.closure import Closure, FoundEffect
+from ..plots import parameter_places, place_of
+
+
+def parameters(closure: Closure, found: FoundEffect) -> list[tuple[str, float, str, float]]:
+    """(name, value, unit, standard uncertainty) of an effect, sine and cosine also as the
+    amplitude A and phase phi of A sin(u + phi)."""
+    listed = [(n, float(v), unit, float(u)) for n, v, unit, u in found.parameters]
+    return listed + _harmonics(closure, found)
+
+
+def _harmonics(closure: Closure, found: FoundEffect) -> list[tuple[str, float, str, float]]:
+    fit = closure.after
+    place = place_of(fit, found.effect)
+    first = parameter_places(fit, place)[0]
+    amplitudes = fit.model.effects[place].amplitudes
+    names = [p.name for p in amplitudes]
+    values = {name: (value, unit) for name, value, unit, _ in found.parameters}
+    derived = []
+    for name in names:
+        suffix = name.removeprefix("sine")
+        other = f"cosine{suffix}"
+        if not name.startswith("sine") or other not in names:
+            continue
+        pair = [names.index(name), names.index(other)]
+        scale = np.array([amplitudes[k].step / amplitudes[k].si for k in pair])
+        covariance = fit.covariance[np.ix_(first[pair], first[pair])] * np.outer(scale, scale)
+        sine, cosine = values[name][0], values[other][0]
+        size, phase = harmonic_summary(sine, cosine)
+        if size == 0.0:
+            continue
+        along = np.array([sine, cosine]) / size
+        across = np.array([-cosine, sine]) / size**2
+        derived += [
+            (f"amplitude{suffix}", size, values[name][1], _root(along @ covariance @ along)),
+            (f"phase{suffix}", phase, "rad", _root(across @ covariance @ across)),
+        ]
+    return derived
+
+
+def _root(variance: float) -> float:
+    return math.sqrt(max(float(variance), 0.0))

@@ -1,0 +1,352 @@
+"""The page of a report: everything it says, put in order for the template beside this file."""
+
+import base64
+import datetime
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from ..effects.registry import CATALOGUE
+from ..io.study import Study
+from ..loop.closure import Closure, FoundEffect
+from ..plots import ErrorMotionTable, column_of, minus_log10_p
+from . import text
+from .derived import parameters
+from .pictures import Picture
+from .record import plain, versions
+
+_TITLES = {
+    "nothing_missing": "Nothing is missing",
+    "named": "Named",
+    "ambiguous": "Ambiguous",
+    "unexplained": "Unexplained",
+}
+_HARDLY = 0.05
+"""Share of information below which the data have said practically nothing."""
+
+
+def page(
+    closure: Closure,
+    study: Study,
+    tables: Sequence[ErrorMotionTable],
+    drawn: Sequence[Picture],
+    *,
+    command: str = "",
+    seconds: float = math.nan,
+) -> str:
+    """The page as one self-contained HTML text, pictures included."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    shown: dict[str, list[Any]] = {}
+    for picture in drawn:
+        shown.setdefault(picture.section, []).append(
+            {
+                "source": "data:image/png;base64," + base64.b64encode(picture.data).decode("ascii"),
+                "caption": picture.caption,
+            }
+        )
+    after = closure.after
+    return environment.get_template("page.html.j2").render(
+        name=study.name,
+        title=_TITLES[closure.verdict],
+        verdict=closure.verdict,
+        sentence=closure.sentence,
+        interrupted=closure.interrupted,
+        notes=closure.notes,
+        facts=_facts(closure, study),
+        tiles=_tiles(closure),
+        errors=_errors(closure),
+        has_check=closure.check is not None,
+        effects=[_effect(closure, found) for found in closure.effects],
+        unexplained=_unexplained(closure),
+        pictures=shown,
+        alpha=text.number(closure.settings["alpha"] * 100) + " %",
+        tried=_tried(closure),
+        rounds=len(closure.screenings),
+        rejected=[
+            {
+                "key": f"{r.effect} {r.placement}".strip(),
+                "summary": _summary(r.effect),
+                "p": text.probability(r.p_value),
+                "reason": r.reason,
+            }
+            for r in closure.rejected
+        ],
+        untestable=_untestable(closure),
+        unseen=_unseen(closure),
+        suspected=[
+            {
+                "row": stray.row + 1,
+                "distance": text.number(stray.distance),
+                "p": text.probability(stray.p_value),
+            }
+            for stray in closure.suspected
+        ],
+        locations=[_location(t) for t in tables if not len(t.position)],
+        motions=[_motion(t) for t in tables if len(t.position)],
+        information=_information(closure),
+        linear=set(study.chain.axes) <= set("XYZ"),
+        noise_scale=text.number(closure.noise_scale, 3),
+        noise_as_declared=closure.noise_scale == 1.0,
+        noise_larger=closure.noise_scale > 1.0,
+        clustered=after.model.instrument.clustered,
+        files=sorted(study.hashes.items()),
+        settings={k: v for k, v in plain(closure.settings).items() if k != "effects"},
+        catalogue=", ".join(closure.settings.get("effects", [])),
+        study_settings=json.dumps(plain(study.as_dict), indent=1, ensure_ascii=False),
+        versions=versions(),
+        command=command,
+        seconds=text.number(seconds) if math.isfinite(seconds) else "",
+        written=datetime.datetime.now().strftime("%Y-%m-%d %H:%M"),
+    )
+
+
+@dataclass(frozen=True)
+class _Metric:
+    name: str
+    unit: str
+    attribute: str
+
+
+_METRICS = (
+    _Metric("Check points, rms after rigid alignment", "µm", "check"),
+    _Metric("Check points, rms without alignment", "µm", "check_raw"),
+    _Metric("Held-out readings, 3-D rms", "µm", "heldout"),
+    _Metric("Fitted readings, 3-D rms", "µm", "fit"),
+    _Metric("χ² per degree of freedom, declared noise", "", "chi2_per_dof"),
+)
+
+
+def _errors(closure: Closure) -> list[dict[str, Any]]:
+    rows = []
+    for metric in _METRICS:
+        cells = []
+        for column in ("uncompensated", "before", "after"):
+            found = getattr(closure.errors[column], metric.attribute)
+            if found is None:
+                cells.append(text.DASH)
+            elif isinstance(found, float):
+                cells.append(text.number(found))
+            else:
+                cells.append(text.with_uncertainty(found.value, found.u))
+        if any(cell != text.DASH for cell in cells):
+            rows.append({"name": metric.name, "unit": metric.unit, "cells": cells})
+    return rows
+
+
+def _tiles(closure: Closure) -> list[dict[str, str]]:
+    """The two or three figures that a reader looks for first."""
+    tiles = []
+    for attribute, name in (("check", "Error at check points"), ("heldout", "Held-out error")):
+        values = [getattr(closure.errors[c], attribute) for c in ("uncompensated", "before", "after")]
+        if any(v is None or not math.isfinite(v.value) for v in values):
+            continue
+        tiles.append(
+            {
+                "name": name,
+                "value": text.with_uncertainty(values[2].value, values[2].u) + " µm",
+                "note": f"declared model {text.number(values[1].value)} µm, "
+                f"uncompensated {text.number(values[0].value)} µm",
+            }
+        )
+    before, after = closure.errors["before"], closure.errors["after"]
+    tiles.append(
+        {
+            "name": "χ² per degree of freedom",
+            "value": text.number(after.chi2_per_dof),
+            "note": f"declared model {text.number(before.chi2_per_dof)}; 1 is the declared noise",
+        }
+    )
+    return tiles
+
+
+def _facts(closure: Closure, study: Study) -> list[tuple[str, str]]:
+    after = closure.after
+    plan = after.measurement.plan
+    used = int(after.used.sum())
+    per_row = after.residual.shape[1]
+    held = f", {plan.rows - used} of them held out or left out" if used < plan.rows else ""
+    check = len(closure.check.tool_point) if closure.check is not None else 0
+    return [
+        ("Machine", study.chain.text),
+        ("Instrument", study.settings.instrument.kind.replace("_", " ")),
+        ("Measurement", f"{plan.rows} observations of {per_row} readings{held}"),
+        ("Check points", str(check) if check else "none"),
+        ("Parameters", f"{len(closure.before.theta)} declared, {len(after.theta)} in the end"),
+    ]
+
+
+def _parameter(name: str, value: float, unit: str, u: float) -> dict[str, str]:
+    shown, shown_u = text.rounded(value, u)
+    expanded = text.rounded(value, text.COVERAGE * u)[1]
+    return {"name": name, "value": shown, "u": shown_u, "U": expanded, "unit": text.unit(unit)}
+
+
+def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
+    return {
+        "key": found.effect.key,
+        "name": found.effect.name,
+        "placement": found.placement,
+        "summary": found.effect.summary,
+        "status": found.status,
+        "p": text.probability(found.p_value),
+        "log_evidence": text.number(found.log_evidence),
+        "delta_bic": text.number(found.delta_bic),
+        "gain": text.percent(found.heldout_gain),
+        "parameters": [_parameter(*row) for row in parameters(closure, found)],
+        "equivalent": found.equivalent,
+        "alternatives": [
+            {"key": f"{name} {placement}".strip(), "probability": text.percent(p)}
+            for name, placement, p in found.alternatives
+        ],
+        "separation": found.separation,
+    }
+
+
+def _unexplained(closure: Closure) -> dict[str, Any] | None:
+    what = closure.unexplained
+    if what is None:
+        return None
+    plan = closure.after.measurement.plan
+    depends: dict[str, str] = {}
+    for name, share in zip(what.depends_on, what.shares, strict=True):
+        depends.setdefault(column_of(name, plan)[0], text.percent(share))
+    where = []
+    for interval in what.where:
+        column, factor = column_of(interval.covariate, plan)
+        low, high = interval.low * factor, interval.high * factor
+        where.append(f"{column} from {text.number(low, 4)} to {text.number(high, 4)}")
+    return {
+        "reason": what.reason,
+        "depends_on": list(depends.items()),
+        "where": where,
+        "direction": what.direction,
+        "size": text.number(what.size_um),
+        "share": text.percent(what.share_of_variance),
+        "p": text.probability(what.p_value),
+    }
+
+
+def _summary(name: str) -> str:
+    if name == "local_bump":
+        return "empirical local error, for comparison: no physical effect"
+    known = CATALOGUE.get(name)
+    return known.summary if known else ""
+
+
+def _tried(closure: Closure) -> list[dict[str, Any]]:
+    """One line per kind of effect: its best place and its significance in every round."""
+    lines: dict[str, dict[str, Any]] = {}
+    added = [found.effect.name for found in closure.effects]
+    limit = -math.log10(closure.settings["alpha"])
+    for i, screening in enumerate(closure.screenings):
+        for kind in screening.kinds:
+            line = lines.setdefault(
+                kind.kind,
+                {
+                    "kind": kind.kind,
+                    "summary": _summary(kind.kind),
+                    "places": kind.instances,
+                    "best": kind.peaks[0].effect.placement if kind.peaks else "",
+                    "p": [text.DASH] * len(closure.screenings),
+                    "significant": [False] * len(closure.screenings),
+                    "added": kind.kind in added,
+                    "order": -minus_log10_p(screening, kind),
+                },
+            )
+            line["p"][i] = text.probability(screening.corrected(kind))
+            line["significant"][i] = minus_log10_p(screening, kind) >= limit
+    return sorted(lines.values(), key=lambda line: line["order"])
+
+
+def _untestable(closure: Closure) -> list[dict[str, str]]:
+    """One line per effect and reason, its places joined."""
+    places: dict[tuple[str, str], list[str]] = {}
+    for item in closure.untestable:
+        places.setdefault((item.effect, item.reason), []).append(item.placement)
+    by_effect: dict[tuple[str, str], list[str]] = {}
+    for (effect, reason), found in places.items():
+        own = found[0] if len(found) == 1 else ""
+        # "no T_X", "no T_Y" of one effect is one line: no T_*.
+        by_effect.setdefault((effect, _general(reason, own)), []).extend(found)
+    return [
+        {
+            "effect": effect,
+            "summary": _summary(effect),
+            "places": ", ".join(dict.fromkeys(p for p in found if p)),
+            "reason": reason,
+        }
+        for (effect, reason), found in by_effect.items()
+    ]
+
+
+def _general(reason: str, placement: str) -> str:
+    if placement and reason.endswith(f"_{placement}"):
+        return reason.removesuffix(placement) + "* of these axes"
+    return reason
+
+
+def _unseen(closure: Closure) -> list[dict[str, str]]:
+    """One line per effect that the declared model spans, its places joined."""
+    places: dict[str, list[str]] = {}
+    for key in dict.fromkeys(closure.unseen):
+        name, _, place = key.partition(" ")
+        places.setdefault(name, []).append(place)
+    return [
+        {"effect": name, "summary": _summary(name), "places": ", ".join(p for p in found if p)}
+        for name, found in places.items()
+    ]
+
+
+def _location(table: ErrorMotionTable) -> dict[str, str]:
+    row = _parameter(table.name, float(table.value[0]), table.unit, float(table.u[0]))
+    return row | {"axis": table.axis, "information": text.percent(float(table.information[0]))}
+
+
+def _motion(table: ErrorMotionTable) -> dict[str, str]:
+    """An error motion in one line: its range, its largest uncertainty, what the data told."""
+    largest = float(table.u.max())
+    return {
+        "name": table.name,
+        "axis": table.axis,
+        "unit": text.unit(table.unit),
+        "low": text.rounded(float(table.value.min()), largest)[0],
+        "high": text.rounded(float(table.value.max()), largest)[0],
+        "U": text.rounded(0.0, text.COVERAGE * largest)[1],
+        "information": text.percent(float(table.information.mean())),
+    }
+
+
+def _information(closure: Closure) -> dict[str, Any]:
+    """How much of the parameter space the data determined.
+
+    Directions are those of the posterior covariance in units of the prior, so that each has the
+    share of information 1 - variance.
+    """
+    fit = closure.after
+    proper = np.flatnonzero(fit.precision > 0)
+    names = [f"{key}: {p.name}" for key, p in fit.entries]
+    shares = fit.information
+    hardly = [names[k] for k in proper if shares[k] < _HARDLY]
+    if not len(proper):
+        return {"directions": 0, "determined": 0, "unseen": 0, "hardly": []}
+    root = np.sqrt(fit.precision[proper])
+    scaled = fit.covariance[np.ix_(proper, proper)] * np.outer(root, root)
+    learnt = 1.0 - np.linalg.eigvalsh(scaled)
+    return {
+        "directions": len(proper),
+        "determined": int((learnt > 0.5).sum()),
+        "unseen": int((learnt < 0.01).sum()),
+        "hardly": hardly,
+    }

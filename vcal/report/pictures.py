@@ -1,0 +1,128 @@
+"""The pictures of a report, each with a caption that says what to see in it."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from .. import plots
+from ..loop.closure import Closure
+from ..plots import ErrorMotionTable
+from .text import number, percent
+
+_DOTS = "Grey: readings; coloured: means of groups with two standard errors."
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture of the report."""
+
+    name: str
+    """File name without its ending."""
+    section: str
+    """Where the page shows it: the key of an effect, or the name of a section."""
+    caption: str
+    data: bytes
+    """PNG."""
+
+    @property
+    def file(self) -> str:
+        """Name of the file."""
+        return f"{self.name}.png"
+
+
+def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[Picture]:
+    """All pictures of a closure, in the order of the page."""
+    yield from _effects(closure)
+    if closure.unexplained is not None:
+        figure = plots.unexplained(closure.after, closure.unexplained)
+        yield Picture("unexplained", "unexplained", _unexplained(closure), plots.png(figure))
+    yield from _errors(closure)
+    if tables:
+        figure = plots.error_motions(tables)
+        caption = (
+            "Identified error motions (error = actual − nominal, ISO 230-1 names). Dark band: "
+            "expanded uncertainty U (k = 2); light grey: what was declared before the measurement "
+            "(± 2 standard deviations, cut off at the frame). Where the dark band is as wide as "
+            "the grey one, the data said nothing."
+        )
+        yield Picture("error_motions", "geometry", caption, plots.png(figure))
+    if closure.screenings:
+        figure = plots.search(
+            closure.screenings,
+            [found.effect.name for found in closure.effects],
+            {tried.effect for tried in closure.rejected},
+            float(closure.settings["alpha"]),
+        )
+        caption = (
+            "Significance of the best candidate of every kind of effect, corrected for the whole "
+            "search, in each round. Dashed: the limit alpha. Blue: the kind that was added; orange: "
+            "significant, but rejected for the reason below. What an added effect had mimicked "
+            "falls below the limit in the next round."
+        )
+        yield Picture("search", "tried", caption, plots.png(figure))
+    figure = plots.normal_plot(closure.before, closure.after)
+    caption = (
+        "Residuals of all fitted readings over the standard deviations they should have, against "
+        "those of normal noise. On the line: noise as declared; steeper: larger than declared; "
+        "bent at the ends: stray readings or something that is missing."
+    )
+    yield Picture("noise", "noise", caption, plots.png(figure))
+
+
+def _effects(closure: Closure) -> Iterator[Picture]:
+    for i, found in enumerate(closure.effects, start=1):
+        key = found.effect.key
+        view = plots.effect_view(closure.after, found.effect)
+        others = " (with the other effects that were found)" if len(closure.effects) > 1 else ""
+        caption = (
+            f"Residual of the tool point {view.along}, without {key} on the left{others} and with "
+            f"it on the right. {_DOTS} On the left the means follow the pattern; on the right they "
+            "lie on zero where the effect explains it."
+        )
+        name = f"effect_{i}_{key.replace(' ', '_')}"
+        yield Picture(name, key, caption, plots.png(plots.before_after(view, key)))
+
+
+def _unexplained(closure: Closure) -> str:
+    what = closure.unexplained
+    assert what is not None
+    caption = f"Residual of the tool point that no effect of the catalogue explains. {_DOTS}"
+    if what.where:
+        caption += " Shaded: the interval in which it sits; line: its empirical description."
+    return caption
+
+
+def _errors(closure: Closure) -> Iterator[Picture]:
+    fits = {"uncompensated": closure.nominal, "before": closure.before, "after": closure.after}
+    if closure.check is not None and closure.check.tool_point.shape[0] >= 3:
+        errors = plots.check_errors(fits, closure.check)
+        figure = plots.check_points(errors, closure.check)
+        caption = (
+            "Volumetric error that remains at the independent check points, after the best rigid "
+            "alignment: nominal machine, declared model, and with what was found. One logarithmic "
+            "colour scale throughout; seen from above (top) and from the front (bottom)."
+        )
+        yield Picture("check_points", "volumetric", caption, plots.png(figure))
+    values = plots.error_field(closure.before, closure.after)
+    if values is not None:
+        figure = plots.field(values)
+        caption = (
+            "Identified volumetric error in three mid-planes of the travel, after rigid alignment "
+            "(colour: length of the error vector; arrows: its part in the plane), and its standard "
+            "uncertainty. Only what depends on the axis positions alone: effects of direction, "
+            "temperature or time come on top."
+        )
+        if abs(values.change).max() > 1e-3:
+            caption += (
+                f" Bottom: what closing the loop changed, at most {number(abs(values.change).max())}"
+                " µm."
+            )
+        yield Picture("error_field", "volumetric", caption, plots.png(figure))
+    folds, apart = closure.after.model.instrument.folds(closure.after.measurement.plan)
+    if apart:
+        figure = plots.error_over_time({"before": closure.before, "after": closure.after})
+        share = percent((folds >= 0).mean())
+        caption = (
+            f"3-D error of every observation in the order of time. The last {share} were held out "
+            "of every fit: faint dots were fitted, full ones predicted."
+        )
+        yield Picture("held_out", "volumetric", caption, plots.png(figure))

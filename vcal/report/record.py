@@ -1,0 +1,162 @@
+"""The machine-readable record of closing the loop: the content of ``report.json``."""
+
+import math
+import platform
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..io.study import Study
+from ..loop.closure import Closure, Errors, FoundEffect
+from ..loop.heldout import Rms
+from ..loop.unexplained import Unexplained
+from ..plan import Plan
+from ..plots import column_of
+from .derived import parameters
+
+SCHEMA = "vcal-report/1"
+_PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
+
+
+def record(
+    closure: Closure, study: Study, *, command: str = "", seconds: float = math.nan
+) -> dict[str, Any]:
+    """Everything a program wants to know of a closure, as plain values; see `SCHEMA`.
+
+    Columns and their values are those of the data file; numbers that do not exist are None, so
+    that the record is strict JSON.
+    """
+    plan = closure.after.measurement.plan
+    found: dict[str, Any] = {
+        "schema": SCHEMA,
+        "name": study.name,
+        "verdict": closure.verdict,
+        "sentence": closure.sentence,
+        "effects": [_effect(closure, effect) for effect in closure.effects],
+        "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
+        "unexplained": _unexplained(closure.unexplained, plan),
+        "noise_scale": closure.noise_scale,
+        "suspected_readings": [
+            {"row": stray.row + 1, "distance": stray.distance, "p_value": stray.p_value}
+            for stray in closure.suspected
+        ],
+        "rejected": [
+            {
+                "effect": tried.effect,
+                "placement": tried.placement,
+                "p_value": tried.p_value,
+                "reason": tried.reason,
+            }
+            for tried in closure.rejected
+        ],
+        "untestable": [
+            {"effect": item.effect, "placement": item.placement, "reason": item.reason}
+            for item in closure.untestable
+        ],
+        "unseen": list(dict.fromkeys(closure.unseen)),
+        "settings": {**closure.settings, "study": study.as_dict},
+        "versions": versions(),
+        "seconds": seconds,
+        "input_files": dict(study.hashes),
+        "command": command,
+        "notes": list(closure.notes),
+        "interrupted": closure.interrupted,
+    }
+    return plain(found)
+
+
+def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
+    return {
+        "effect": found.effect.name,
+        "placement": found.placement,
+        "parameters": [
+            {"name": name, "value": value, "unit": unit, "standard_uncertainty": u}
+            for name, value, unit, u in parameters(closure, found)
+        ],
+        "status": found.status,
+        "p_value": found.p_value,
+        "log_evidence": found.log_evidence,
+        "delta_bic": found.delta_bic,
+        "heldout_gain": found.heldout_gain,
+        "equivalent": list(found.equivalent),
+        "alternatives": [
+            {"effect": name, "placement": placement, "probability": probability}
+            for name, placement, probability in found.alternatives
+        ],
+        "separation": found.separation,
+    }
+
+
+def _errors(errors: Errors) -> dict[str, float | None]:
+    return {
+        "check_rms_um": _value(errors.check),
+        "check_raw_rms_um": _value(errors.check_raw),
+        "heldout_rms_um": _value(errors.heldout),
+        "fit_rms_um": _value(errors.fit),
+        "chi2_per_dof": errors.chi2_per_dof,
+        "u_check_rms_um": errors.check.u if errors.check else None,
+        "u_heldout_rms_um": errors.heldout.u,
+    }
+
+
+def _value(rms: Rms | None) -> float | None:
+    return None if rms is None else rms.value
+
+
+def _unexplained(what: Unexplained | None, plan: Plan) -> dict[str, Any] | None:
+    if what is None:
+        return None
+    # Two names inside may stand for one column: joint angles and what was commanded, say.
+    shares: dict[str, float] = {}
+    for name, share in zip(what.depends_on, what.shares, strict=True):
+        shares.setdefault(column_of(name, plan)[0], share)
+    where = []
+    for interval in what.where:
+        column, factor = column_of(interval.covariate, plan)
+        where.append(
+            {"column": column, "low": interval.low * factor, "high": interval.high * factor}
+        )
+    return {
+        "depends_on": list(shares),
+        "shares": list(shares.values()),
+        "where": where,
+        "direction": what.direction,
+        "size_um": what.size_um,
+        "share_of_variance": what.share_of_variance,
+        "p_value": what.p_value,
+        "reason": what.reason,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of vcal, of Python and of the packages that compute."""
+    found = {"vcal": __version__, "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def plain(value: Any) -> Any:
+    """The value in the types of JSON: numpy to Python, numbers that are not finite to None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, str):
+        return value
+    return str(value) if isinstance(value, Path) else repr(value)

@@ -1,0 +1,282 @@
+"""Simulation: what an instrument would read on a machine drawn from the priors of a model.
+
+    theta ~ prior -> ports -> readings -> readings + noise
+
+`prepare` computes once what does not depend on the draw; `draw` is then a pure function of it and
+of a key, which may be compiled and mapped over keys. `simulate` makes one measurement of it, with
+the positions an implicit instrument would find.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from .chain import Chain
+from .effects.base import Effect
+from .instruments.base import Instrument
+from .measurement import Measurement
+from .model import (
+    Model,
+    Shapes,
+    Terms,
+    concatenate,
+    effect_terms,
+    observe_all,
+    port_values,
+    tool_points,
+)
+from .parameters import Parameter
+from .plan import Plan
+from .spatial import require_float64
+
+
+class Truth(NamedTuple):
+    """What a machine and an instrument really are: a value for every parameter of a model."""
+
+    theta: np.ndarray
+    """Amplitudes (k,) in solver units (`Model.entries`)."""
+    shapes: Shapes
+    """Shape parameters in SI, by position of the effect in the model."""
+
+
+class Simulator(eqx.Module):
+    """A model on a plan, ready to draw from: arrays, none of which depends on the draw."""
+
+    chain: Chain
+    instrument: Instrument
+    plan: Plan
+    rows: Any
+    terms: Terms
+    sigma: Float[Array, "n m"]
+    """Noise of the readings at the nominal machine, one standard deviation, SI."""
+    informed: Float[Array, " k"]
+    """One for an amplitude with a proper prior; zero for a flat one, which stays nominal."""
+    counts: tuple[int, ...] = eqx.field(static=True)
+    """Amplitudes per effect."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A measurement that was made up, and what is behind it."""
+
+    model: Model
+    """The truth: the model it was drawn from, with the effects that were added."""
+    measurement: Measurement
+    truth: Truth
+    ideal: np.ndarray = field(repr=False)
+    """Readings (n, m) without noise, SI; for an implicit instrument at the positions recorded."""
+    noise: np.ndarray = field(repr=False)
+    """The noise drawn (n, m), SI, in the readings or in the positions recorded."""
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Amplitudes (k,) in solver units."""
+        return self.truth.theta
+
+    @property
+    def shapes(self) -> Shapes:
+        """Shape parameters in SI, by position of the effect."""
+        return self.truth.shapes
+
+    def parameter_values(self, effect: int) -> list[tuple[Parameter, float]]:
+        """Parameters of the effect at that position with their true values, in edge units."""
+        start = sum(len(e.amplitudes) for e in self.model.effects[:effect])
+        chosen = self.model.effects[effect]
+        values = [
+            (p, float(p.mean + self.theta[start + k] * p.step / p.si))
+            for k, p in enumerate(chosen.amplitudes)
+        ]
+        return values + [(p, self.shapes[effect][p.name] / p.si) for p in chosen.shapes]
+
+    def tool_points(self, plan: Plan) -> Float[np.ndarray, "n 3"]:
+        """True tool points in the workpiece frame, m: all effects of the machine, none of the
+        instrument."""
+        return true_tool_points(self.model, plan, self.truth)
+
+
+def draw_truth(model: Model, plan: Plan, key: PRNGKeyArray) -> Truth:
+    """A machine and an instrument drawn from the priors of a model.
+
+    Amplitudes are normal with their prior's mean and standard deviation, uncertain calibrated
+    positions among them; those with a flat prior stay at zero, that is, nominal. Shape parameters
+    that are not declared are uniform over what the loop would scan on `plan`, in the coordinate of
+    the scan. Every effect has a key of its own: adding one leaves the others as they were.
+    """
+    informed = jnp.asarray([float(e.parameter.informed) for e in model.entries])
+    counts = tuple(len(e.amplitudes) for e in model.effects)
+    theta = np.asarray(_amplitudes(key, counts, informed))
+    shapes: dict[int, dict[str, float]] = {}
+    for i, effect in enumerate(model.effects):
+        if not effect.shapes:
+            continue
+        declared = {name for name, *_ in effect.given}
+        grids = effect.scan(plan)
+        own = jax.random.fold_in(jax.random.fold_in(key, i), 1)
+        shapes[i] = {
+            p.name: p.mean * p.si
+            if p.name in declared
+            else _shape(p, grids[p.name], jax.random.fold_in(own, k))
+            for k, p in enumerate(effect.shapes)
+        }
+    return Truth(theta, shapes)
+
+
+def _amplitudes(key: PRNGKeyArray, counts: Sequence[int], informed: Array) -> Float[Array, " k"]:
+    drawn = [
+        jax.random.normal(jax.random.fold_in(key, i), (count,)) for i, count in enumerate(counts)
+    ]
+    return informed * jnp.concatenate(drawn) if drawn else jnp.zeros(0)
+
+
+def _shape(parameter: Parameter, grid: np.ndarray, key: PRNGKeyArray) -> float:
+    there, back = {
+        "linear": (np.asarray, float),
+        "reciprocal": (np.reciprocal, lambda v: 1.0 / v),
+        "log": (np.log, np.exp),
+    }[parameter.coordinate]
+    ends = there(np.asarray(grid, float))
+    low, high = float(ends.min()), float(ends.max())
+    return float(back(low + (high - low) * float(jax.random.uniform(key))))
+
+
+def prepare(
+    model: Model, plan: Plan, shapes: Shapes | None = None, *, noise_factor: float = 1.0
+) -> Simulator:
+    """All of a simulation that is the same for every draw.
+
+    `shapes` are the values of shape parameters (SI), `noise_factor` multiplies the instrument's
+    declared noise. Raises `RuntimeError` where JAX runs in float32, `ValueError` for a negative
+    factor, and `KeyError` where an effect needs a covariate that the plan does not hold.
+    """
+    require_float64()
+    if not 0.0 <= noise_factor < np.inf:
+        raise ValueError(f"noise_factor: found {noise_factor}, expected a number of at least 0")
+    terms = model.terms(plan, shapes)
+    rows = model.instrument.rows(plan)
+    nominal = jnp.zeros((plan.rows, len(model.layout)))
+    readings = observe_all(model.chain, model.instrument, plan.position, rows, nominal)
+    reduced = np.asarray(model.instrument.reduce(readings, plan))
+    return Simulator(
+        chain=model.chain,
+        instrument=model.instrument,
+        plan=plan,
+        rows=rows,
+        terms=jax.tree.map(jnp.asarray, terms),
+        sigma=jnp.asarray(noise_factor * model.instrument.noise(plan, reduced)),
+        informed=jnp.asarray([float(e.parameter.informed) for e in model.entries]),
+        counts=tuple(len(e.amplitudes) for e in model.effects),
+    )
+
+
+def draw(simulator: Simulator, key: PRNGKeyArray) -> tuple[Float[Array, " k"], Float[Array, "n m"]]:
+    """Amplitudes (k,) in solver units and reduced readings (n, m) of one draw: a pure function.
+
+    The amplitudes are those `draw_truth` gives for the first of the two keys that `key` splits
+    into. The readings of an implicit instrument are its residuals at the planned positions.
+    """
+    machine, noise = jax.random.split(key)
+    theta = _amplitudes(machine, simulator.counts, simulator.informed)
+    ideal = ideal_readings(simulator, theta)
+    return theta, ideal + simulator.sigma * jax.random.normal(noise, ideal.shape)
+
+
+def ideal_readings(simulator: Simulator, theta: Float[Array, " k"]) -> Float[Array, "n m"]:
+    """Reduced readings without noise at the given amplitudes (solver units): a pure function."""
+    s = simulator
+    ports = port_values(s.terms, theta, s.terms.offset.shape[1])
+    readings = observe_all(s.chain, s.instrument, s.plan.position, s.rows, ports)
+    return s.instrument.reduce(readings, s.plan)
+
+
+def simulate(
+    model: Model,
+    plan: Plan,
+    key: PRNGKeyArray,
+    *,
+    truth: Truth | None = None,
+    effects: Sequence[Effect] = (),
+    noise_factor: float = 1.0,
+    name: str = "",
+) -> Simulated:
+    """One measurement of a plan on a machine drawn from the priors of `model`.
+
+    `effects` are there in reality beside those of the model; `truth` (of the model with these
+    effects) replaces the draw; `noise_factor` multiplies the instrument's declared noise (0: none).
+    The result depends on `key` alone.
+
+    Raises `RuntimeError` where JAX runs in float32 or the positions of an implicit instrument are
+    not found, and `ValueError` for a negative factor or a truth that does not fit the model.
+    """
+    require_float64()
+    model = model.with_effects(*effects)
+    machine, noise = jax.random.split(key)
+    truth = draw_truth(model, plan, machine) if truth is None else truth
+    if np.shape(truth.theta) != (len(model.entries),):
+        raise ValueError(
+            f"truth: found theta of shape {np.shape(truth.theta)}, expected "
+            f"({len(model.entries)},), one value per amplitude of the model with its effects"
+        )
+    simulator = prepare(model, plan, truth.shapes, noise_factor=noise_factor)
+    drawn = simulator.sigma * jax.random.normal(noise, simulator.sigma.shape)
+
+    def ideal(at: Plan) -> np.ndarray:
+        # Effects respond to where the axes are, so that their terms change with the positions.
+        here = simulator if at is plan else prepare(model, at, truth.shapes)
+        return np.asarray(ideal_readings(here, jnp.asarray(truth.theta)))
+
+    recorded, readings = model.instrument.record(plan, ideal, np.asarray(drawn))
+    return Simulated(
+        model=model,
+        measurement=Measurement(recorded, np.asarray(readings), name),
+        truth=Truth(np.asarray(truth.theta), truth.shapes),
+        ideal=ideal(recorded),
+        noise=np.asarray(drawn),
+    )
+
+
+def true_tool_points(model: Model, plan: Plan, truth: Truth) -> Float[np.ndarray, "n 3"]:
+    """Tool points of the true machine in the workpiece frame, m.
+
+    Effects of the machine alone: what only the instrument sees does not move the tool.
+    """
+    require_float64()
+    blocks, start = [], 0
+    for i, effect in enumerate(model.effects):
+        if effect.where == "machine":
+            shape = truth.shapes.get(i, {})
+            blocks.append(effect_terms(effect, model.layout, plan, shape, start))
+        start += len(effect.amplitudes)
+    terms = concatenate(blocks, plan.rows, len(model.layout))
+    ports = port_values(terms, jnp.asarray(truth.theta), len(model.layout))
+    return np.asarray(tool_points(model.chain, jnp.asarray(plan.position), ports))
+
+
+def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
+    """Conditions of an independent check: random positions over the travel, random directions.
+
+    Where a travel is not bounded, positions lie within those of `plan`. All other covariates are
+    those of a row of `plan` picked at random, so that they fit together. Groups count the rows.
+    """
+    at, where, way = jax.random.split(key, 3)
+    picked = np.asarray(jax.random.choice(where, plan.rows, (rows,)))
+    own = np.asarray(plan.position)
+    travel = np.stack([joint.travel for joint in chain.joints])
+    low = np.where(np.isfinite(travel[:, 0]), travel[:, 0], own.min(0))
+    high = np.where(np.isfinite(travel[:, 1]), travel[:, 1], own.max(0))
+    position = low + (high - low) * np.asarray(jax.random.uniform(at, (rows, len(plan.axes))))
+    signs = np.asarray(jax.random.rademacher(way, (rows, len(plan.axes)), float))
+    covariates = {name: np.asarray(v)[picked] for name, v in plan.covariates.items()}
+    moved = position - own[picked]
+    for i, axis in enumerate(plan.axes):
+        if f"dir_{axis}" in covariates:
+            covariates[f"dir_{axis}"] = signs[:, i]
+        for kind in ("commanded", "read"):
+            if f"{kind}_{axis}" in covariates:
+                covariates[f"{kind}_{axis}"] = covariates[f"{kind}_{axis}"] + moved[:, i]
+    return Plan(plan.axes, position, covariates, {name: np.arange(rows) for name in plan.groups})
