@@ -9,7 +9,8 @@ import jax
 
 from .effects import CATALOGUE, Effect, register
 from .errors import StudyError
-from .identify import Fit, identify
+from .fit import Fit
+from .identify import identify
 from .io import Study, load_study
 from .loop.close_loop import close_loop
 from .loop.closure import Closure

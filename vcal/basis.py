@@ -11,7 +11,9 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+from .arrays import Array
 
 
 class Basis(eqx.Module):

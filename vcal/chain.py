@@ -14,8 +14,9 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from .arrays import Array
 from .spatial import rotation
 
 _DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
@@ -94,7 +95,8 @@ class Chain(eqx.Module):
 
     def frames(self, q: Float[Array, " axes"]) -> tuple[Array, Array]:
         """Nominal frame of every joint before its motion, in the bed frame: R (axes, 3, 3) and
-        origin (axes, 3); for gravity torques."""
+        origin (axes, 3); for gravity torques.
+        """
         rotations: list[Array] = [jnp.eye(3)] * len(self.joints)
         origins: list[Array] = [jnp.zeros(3)] * len(self.joints)
         for side in (self.tool_side, self.workpiece_side):

@@ -8,9 +8,8 @@ Jacobian times the effects' responses (`vcal.model`). Shape parameters are relin
 solver, so that a new effect, or a new shape, is only new data to a compiled solver.
 """
 
+import dataclasses
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,10 +18,11 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
-from scipy.linalg import cho_factor, cho_solve
+from jaxtyping import Float
 
+from .arrays import Array
 from .chain import Chain
+from .fit import Fit, entries, shape_step
 from .instruments.base import Instrument
 from .measurement import Measurement
 from .model import (
@@ -35,7 +35,6 @@ from .model import (
     observe_with_jacobian,
     port_values,
 )
-from .parameters import Parameter
 from .plan import Plan
 from .spatial import require_float64
 
@@ -112,23 +111,23 @@ def _solve_with(solver, max_steps, chain, instrument, plan, problem, start):
     good = (found.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(found.value))
     # The squared residual at the last step taken, from which the solver moved on by less than
     # its tolerance.
-    cost = jnp.sum(found.state.f_info.residual ** 2)
+    cost = jnp.sum(found.state.f_info.residual**2)
     return found.value, good, found.stats["num_steps"], cost
 
 
-_TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}
+_TOLERANCE = 1e-5
 """In units of prior standard deviations (or declared scales) and of whitened residuals."""
 
 
 @eqx.filter_jit
 def _solve(chain: Chain, instrument: Instrument, plan, problem: Problem, start: Array):
-    solver = optx.GaussNewton(**_TOLERANCE, linear_solver=lx.QR())
+    solver = optx.GaussNewton(_TOLERANCE, _TOLERANCE, linear_solver=lx.QR())
     return _solve_with(solver, 24, chain, instrument, plan, problem, start)
 
 
 @eqx.filter_jit
 def _solve_damped(chain: Chain, instrument: Instrument, plan, problem: Problem, start: Array):
-    solver = optx.LevenbergMarquardt(**_TOLERANCE, linear_solver=lx.QR())
+    solver = optx.LevenbergMarquardt(_TOLERANCE, _TOLERANCE, linear_solver=lx.QR())
     return _solve_with(solver, 200, chain, instrument, plan, problem, start)
 
 
@@ -140,152 +139,6 @@ def _evaluate(chain: Chain, instrument: Instrument, plan, problem: Problem, thet
     )
     difference = instrument.difference(problem.measured, instrument.reduce(predicted, plan))
     return difference, instrument.reduce(by_port, plan)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A model identified from a measurement: numbers only.
-
-    Whitened quantities have one line per reading, row by row; parameters are in solver units
-    (prior sigma, or the declared scale where the prior is flat). `whitened` = W (y - h), and
-    `jacobian` = W dh/dtheta, so that the linearised data equation is
-    whitened(theta + d) = whitened - jacobian d.
-    """
-
-    model: Model
-    measurement: Measurement
-    theta: np.ndarray
-    shapes: Shapes
-    residual: np.ndarray = field(repr=False)
-    """y - h, (n, m), SI."""
-    whitener: np.ndarray = field(repr=False)
-    """(n, m, m); zero for rows that were left out."""
-    whitened: np.ndarray = field(repr=False)
-    jacobian: np.ndarray = field(repr=False)
-    port_jacobian: np.ndarray = field(repr=False)
-    """dh/dports (n, m, p), not whitened."""
-    precision: np.ndarray = field(repr=False)
-    """Diagonal of the prior precision L in solver units."""
-    converged: bool
-    steps: int
-
-    @property
-    def factor(self) -> tuple[np.ndarray, bool]:
-        """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`."""
-        return cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.precision))
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Posterior covariance H^-1 in solver units.
-
-        Where the readings of a row share errors that the noise does not declare
-        (`Instrument.clustered`): H^-1 (sum_i g_i g_i' + L) H^-1 with g_i = J_i'r_i, which needs no
-        model of what they share.
-        """
-        inverse = cho_solve(self.factor, np.eye(len(self.theta)))
-        if not self.model.instrument.clustered:
-            return inverse
-        n, m = self.residual.shape
-        scores = np.einsum(
-            "nik,ni->nk", self.jacobian.reshape(n, m, -1), self.whitened.reshape(n, m)
-        )
-        return inverse @ (scores.T @ scores + np.diag(self.precision)) @ inverse
-
-    @property
-    def used(self) -> np.ndarray:
-        """Rows that took part in the fit (n,)."""
-        return np.abs(self.whitener).sum((1, 2)) > 0
-
-    @property
-    def chi2(self) -> float:
-        """Sum of squared whitened data residuals."""
-        return float(self.whitened @ self.whitened)
-
-    @property
-    def dof(self) -> float:
-        """Effective degrees of freedom: readings less tr(J H^-1 J')."""
-        hat = np.trace(cho_solve(self.factor, self.jacobian.T @ self.jacobian))
-        return float(self.used.sum() * self.residual.shape[1] - hat)
-
-    @property
-    def entries(self) -> tuple[tuple[str, Parameter], ...]:
-        """(effect with placement, parameter) for every entry of `theta`: amplitudes, then the
-        shape parameters in which the deviation is smooth."""
-        return entries(self.model)
-
-    @property
-    def information(self) -> np.ndarray:
-        """Share of each parameter's information that came from the data: 1 - posterior variance /
-        prior variance; 1 for flat priors."""
-        variance = np.diag(cho_solve(self.factor, np.eye(len(self.theta))))
-        return np.where(self.precision > 0, 1.0 - variance * self.precision, 1.0)
-
-    def log_evidence(self, noise_scale: float = 1.0) -> float:
-        """Laplace's approximation of ln p(y | model), up to a constant of the data alone.
-
-        -chi2/2 - theta'L theta/2 + ln det L/2 - ln det H/2 + ln det W, plus the prior density of
-        the shape parameters: uniform over their scan, so one over its number of steps. Flat
-        directions enter as a unit of their scale, the same in every model that is compared.
-        `noise_scale` multiplies the declared noise.
-        """
-        s2 = noise_scale**2
-        proper = self.precision > 0
-        h = self.jacobian.T @ self.jacobian / s2 + np.diag(self.precision)
-        log_h = np.linalg.slogdet(h)[1]
-        prior = self.theta[proper] ** 2 @ self.precision[proper]
-        noise = np.linalg.slogdet(self.whitener[self.used])[1].sum()
-        readings = self.used.sum() * self.residual.shape[1]
-        shapes = 0.0
-        for i, effect in enumerate(self.model.effects):
-            grids = effect.scan(self.measurement.plan)
-            for p in effect.shapes:
-                shapes += 0.5 * math.log(2 * math.pi) * p.smooth - math.log(len(grids[p.name]))
-        return float(
-            -0.5 * (self.chi2 / s2 + prior + log_h)
-            + 0.5 * np.log(self.precision[proper]).sum()
-            + noise
-            - readings * math.log(noise_scale)
-            + shapes
-        )
-
-    def parameter_values(self) -> list[tuple[str, Parameter, float, float]]:
-        """(effect, parameter, value, standard uncertainty) of all entries, in edge units.
-
-        Shape parameters without a derivative (the time of a jump) have uncertainty nan.
-        """
-        sigma = np.sqrt(np.diag(self.covariance))
-        found, k = [], 0
-        for entry in self.model.entries:
-            p = entry.parameter
-            found.append(
-                (entry.key, p, p.mean + self.theta[k] * p.step / p.si, sigma[k] * p.step / p.si)
-            )
-            k += 1
-        for i, effect in enumerate(self.model.effects):
-            for p in effect.shapes:
-                value = float(self.shapes[i][p.name])
-                if p.smooth:
-                    step = shape_step(p, value, effect.scan(self.measurement.plan))
-                    found.append((effect.key, p, value / p.si, sigma[k] * step / p.si))
-                    k += 1
-                else:
-                    found.append((effect.key, p, value / p.si, math.nan))
-        return found
-
-
-def entries(model: Model) -> tuple[tuple[str, Parameter], ...]:
-    """Amplitudes of all effects, then all smooth shape parameters."""
-    amplitudes = [(entry.key, entry.parameter) for entry in model.entries]
-    shapes = [(e.key, p) for e in model.effects for p in e.shapes if p.smooth]
-    return (*amplitudes, *shapes)
-
-
-def shape_step(parameter: Parameter, value: float, grids: Mapping[str, np.ndarray]) -> float:
-    """What the solver counts as one for a shape parameter: one step of its scan there (SI)."""
-    grid = grids[parameter.name]
-    if len(grid) < 2:
-        return max(abs(value), parameter.si) * 0.1
-    return float(np.abs(np.gradient(grid))[np.argmin(np.abs(grid - value))])
 
 
 def linearised_terms(
@@ -307,7 +160,7 @@ def linearised_terms(
             fixed[i] = effect_terms(effect, model.layout, plan, shapes.get(i, {}), start)
         blocks.append(fixed[i])
         for p in effect.shapes:
-            if not p.smooth:
+            if not p.moves:
                 continue
             at = {name: jnp.asarray(value, float) for name, value in shapes[i].items()}
             one = {name: jnp.asarray(float(name == p.name)) for name in at}
@@ -335,10 +188,26 @@ def linearised_terms(
 def declared_whitener(model: Model, measurement: Measurement) -> np.ndarray:
     """W of every row from the instrument's declared noise and the model's random effects.
 
-    A random effect with response c and sigma s adds s^2 (J c)(J c)' to the covariance of each row.
+    A random effect whose response through the nominal machine is c (per unit of its parameter, SI)
+    adds sigma^2 c c' to the covariance of each row.
     """
-    sigma = model.instrument.noise(measurement.plan, measurement.readings)
+    plan, instrument = measurement.plan, model.instrument
+    sigma = instrument.noise(plan, measurement.readings)
     covariance = np.einsum("ni,ij->nij", sigma**2, np.eye(sigma.shape[1]))
+    if model.random:
+        ports = np.zeros((plan.rows, len(model.layout)))
+        _, by_port = observe_with_jacobian(
+            model.chain, instrument, plan.position, instrument.rows(plan), ports
+        )
+        by_port = np.asarray(instrument.reduce(by_port, plan))
+        for effect in model.random:
+            for p in effect.amplitudes:
+                # A declared value is the standard deviation itself, known.
+                own = dataclasses.replace(effect, given=((p.name, 0.0, p.mean or p.sigma),))
+                terms = effect_terms(own, model.layout, plan, {})
+                mine = terms.parameter == [q.name for q in effect.amplitudes].index(p.name)
+                c = (by_port[:, :, terms.port] * terms.values[:, None, :])[:, :, mine].sum(2)
+                covariance += np.einsum("ni,nj->nij", c, c)
     return np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
 
 
@@ -356,12 +225,14 @@ def identify(
 
     `theta` (solver units) and `shapes` (SI) start the solver; shape parameters that are not given
     start at the middle of their scan. `whitener` (n, m, m) replaces the declared noise, `keep` (n,)
-    leaves rows out, `room` is the least number of slots to compile the solver
-    for (smaller and larger models then share it). Gauss-Newton first, Levenberg-Marquardt where it does not converge;
-    `Fit.converged` says whether either did. Raises `RuntimeError` where JAX runs in float32.
+    leaves rows out, `room` is the least number of slots to compile the solver for (smaller and
+    larger models then share it). Gauss-Newton first, Levenberg-Marquardt where it does not
+    converge; `Fit.converged` says whether either did. Raises `RuntimeError` where JAX runs in
+    float32.
     """
     require_float64()
-    plan, instrument = measurement.plan, model.instrument
+    instrument = model.instrument
+    plan = model.motion(measurement.plan, shapes)
     if whitener is None:
         whitener = declared_whitener(model, measurement)
     if keep is not None:
@@ -370,8 +241,14 @@ def identify(
     for i, effect in enumerate(model.effects):
         if effect.shapes:
             grids = effect.scan(plan)
-            middle = {p.name: float(grids[p.name][len(grids[p.name]) // 2]) for p in effect.shapes}
-            current[i] = middle | {k: float(v) for k, v in (shapes or {}).get(i, {}).items()}
+            given = {name for name, *_ in effect.given}
+            begin = {
+                p.name: p.mean * p.si
+                if p.name in given
+                else float(grids[p.name][len(grids[p.name]) // 2])
+                for p in effect.shapes
+            }
+            current[i] = begin | {k: float(v) for k, v in (shapes or {}).get(i, {}).items()}
     names = entries(model)
     size, amplitudes = len(names), len(model.entries)
     precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in names])
@@ -384,9 +261,7 @@ def identify(
     for _ in range(_RELINEARISATIONS):
         terms = linearised_terms(model, plan, current, estimate, fixed)
         problem = _padded(
-            Problem(
-                plan.position, rows, measurement.readings, whitener, terms, np.sqrt(precision)
-            ),  # type: ignore[arg-type]
+            Problem(plan.position, rows, measurement.readings, whitener, terms, np.sqrt(precision)),  # type: ignore[arg-type]
             room,
         )
         start = np.zeros(problem.root_precision.shape[0])
@@ -456,7 +331,7 @@ def _move_shapes(
     for i, effect in enumerate(model.effects):
         grids = effect.scan(plan) if effect.shapes else {}
         for p in effect.shapes:
-            if not p.smooth:
+            if not p.moves:
                 continue
             old = shapes[i][p.name]
             step = shape_step(p, old, grids)

@@ -5,7 +5,7 @@ enter through the ports (`vcal.ports`); the derivative of the readings with resp
 compiled once per chain and instrument, and every parameter's derivative follows from it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,8 +13,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
+from .arrays import Array
 from .chain import Chain
 from .effects.base import Effect
 from .instruments.base import Instrument
@@ -29,7 +30,8 @@ Shapes = Mapping[int, Mapping[str, Any]]
 
 class Terms(NamedTuple):
     """Effects as data: ``ports = offset``, plus ``values * theta[parameter]`` at ``port`` for every
-    term. Exact for amplitudes; shape parameters enter linearised at their present values."""
+    term. Exact for amplitudes; shape parameters enter linearised at their present values.
+    """
 
     offset: Float[Array, "n p"]
     values: Float[Array, "n terms"]
@@ -54,7 +56,17 @@ class Model(eqx.Module):
 
     chain: Chain
     instrument: Instrument
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Effect, ...]
+    """Effects that are fitted: systematic ones and nuisances."""
+    random: tuple[Effect, ...]
+    """Effects with a fresh draw per row: they enter the covariance of the readings."""
+
+    def __init__(self, chain: Chain, instrument: Instrument, effects: Iterable[Effect] = ()):
+        given = tuple(effects)
+        self.chain = chain
+        self.instrument = instrument
+        self.effects = tuple(e for e in given if e.kind != "random")
+        self.random = tuple(e for e in given if e.kind == "random")
 
     @property
     def layout(self) -> PortLayout:
@@ -63,19 +75,23 @@ class Model(eqx.Module):
 
     def with_effects(self, *effects: Effect) -> "Model":
         """The same model with further effects: all that closing the loop changes."""
-        return Model(self.chain, self.instrument, (*self.effects, *effects))
+        return Model(self.chain, self.instrument, (*self.effects, *self.random, *effects))
 
     def without(self, effect: int) -> "Model":
         """The same model less the effect at that position."""
         kept = tuple(e for i, e in enumerate(self.effects) if i != effect)
-        return Model(self.chain, self.instrument, kept)
+        return Model(self.chain, self.instrument, (*kept, *self.random))
+
+    def motion(self, plan: Plan, shapes: Shapes | None = None) -> Plan:
+        """The command step: what the axes did when the plan was commanded, effect after effect."""
+        for i, effect in enumerate(self.effects):
+            plan = effect.command(plan, (shapes or {}).get(i, {}))
+        return plan
 
     @property
     def entries(self) -> tuple[Entry, ...]:
         """The amplitudes of all effects, in the order of the parameter vector."""
-        return tuple(
-            Entry(i, p, e.key) for i, e in enumerate(self.effects) for p in e.amplitudes
-        )
+        return tuple(Entry(i, p, e.key) for i, e in enumerate(self.effects) for p in e.amplitudes)
 
     def terms(self, plan: Plan, shapes: Shapes | None = None) -> Terms:
         """Responses of all effects per solver unit (prior sigma) of their amplitudes."""
@@ -200,6 +216,7 @@ def predict(
     parameters in SI. Raises `RuntimeError` where JAX runs in float32.
     """
     require_float64()
+    plan = model.motion(plan, shapes)
     terms = model.terms(plan, shapes)
     ports = port_values(terms, jnp.asarray(theta), len(model.layout))
     readings = observe_all(

@@ -12,9 +12,9 @@ class Parameter:
     """One parameter of an effect.
 
     An *amplitude* enters the deviation linearly; its prior is normal with mean `mean` and standard
-    deviation `sigma` (`math.inf`: flat; zero: known). A *shape* parameter (a pitch, a time constant, a moment)
-    enters non-linearly; its prior is uniform over the interval that is scanned, in the coordinate
-    in which the scan has equal steps.
+    deviation `sigma` (`math.inf`: flat; zero: known). A *shape* parameter (a pitch, a time
+    constant, a moment) enters non-linearly; its prior is uniform over the interval that is
+    scanned, in the coordinate in which the scan has equal steps.
     """
 
     name: str
@@ -54,6 +54,16 @@ class Parameter:
     def informed(self) -> bool:
         """Whether the prior is proper."""
         return math.isfinite(self.sigma)
+
+    @property
+    def known(self) -> bool:
+        """Whether its value is declared and not to be estimated."""
+        return self.sigma == 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a shape parameter that the solver moves."""
+        return self.shape and self.smooth and not self.known
 
     def with_prior(self, mean: float, sigma: float) -> "Parameter":
         """The same parameter with another prior mean and standard deviation (in `unit`)."""

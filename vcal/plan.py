@@ -4,7 +4,9 @@ from collections.abc import Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
+
+from .arrays import Array
 
 
 class Plan(eqx.Module):

@@ -23,7 +23,8 @@ class PortLayout:
     @classmethod
     def of(cls, axes: tuple[str, ...], instrument_ports: tuple[str, ...]) -> "PortLayout":
         """Six ports per axis named as in ISO 230-1 (``"EXY"``: translation along x of axis Y),
-        six for the tool (``"tool.X"`` ... ``"tool.C"``), then the instrument's own."""
+        six for the tool (``"tool.X"`` ... ``"tool.C"``), then the instrument's own.
+        """
         joints = tuple(f"E{c}{axis}" for axis in axes for c in COMPONENTS)
         tool = tuple(f"tool.{c}" for c in COMPONENTS)
         return cls(joints + tool + instrument_ports)

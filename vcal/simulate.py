@@ -8,15 +8,16 @@ the positions an implicit instrument would find.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
 
+from .arrays import Array
 from .chain import Chain
 from .effects.base import Effect
 from .instruments.base import Instrument
@@ -53,12 +54,16 @@ class Simulator(eqx.Module):
     plan: Plan
     rows: Any
     terms: Terms
+    scatter: Terms
+    """Random effects, per standard deviation."""
     sigma: Float[Array, "n m"]
     """Noise of the readings at the nominal machine, one standard deviation, SI."""
     informed: Float[Array, " k"]
     """One for an amplitude with a proper prior; zero for a flat one, which stays nominal."""
     counts: tuple[int, ...] = eqx.field(static=True)
     """Amplitudes per effect."""
+    fresh: int = eqx.field(static=True)
+    """Amplitudes of the random effects, drawn anew for every row."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,9 @@ class Simulated:
     measurement: Measurement
     truth: Truth
     ideal: np.ndarray = field(repr=False)
-    """Readings (n, m) without noise, SI; for an implicit instrument at the positions recorded."""
+    """Readings (n, m) without the instrument's noise, SI; for an implicit instrument at the
+    positions recorded.
+    """
     noise: np.ndarray = field(repr=False)
     """The noise drawn (n, m), SI, in the readings or in the positions recorded."""
 
@@ -84,19 +91,30 @@ class Simulated:
         """Shape parameters in SI, by position of the effect."""
         return self.truth.shapes
 
-    def parameter_values(self, effect: int) -> list[tuple[Parameter, float]]:
-        """Parameters of the effect at that position with their true values, in edge units."""
-        start = sum(len(e.amplitudes) for e in self.model.effects[:effect])
-        chosen = self.model.effects[effect]
+    def values(self, effect: Effect) -> list[tuple[Parameter, float]]:
+        """Parameters of an effect of the model with their true values, in edge units; of a random
+        effect, their standard deviations. Raises `ValueError` if it is not in the model.
+        """
+        if any(effect is other for other in self.model.random):
+            return [(p, _deviation(p)) for p in effect.amplitudes]
+        start = 0
+        for i, other in enumerate(self.model.effects):
+            if other is effect:
+                break
+            start += len(other.amplitudes)
+        else:
+            keys = ", ".join(e.key for e in (*self.model.effects, *self.model.random))
+            raise ValueError(f"effect {effect.key!r} is not in the model, which has {keys}")
         values = [
             (p, float(p.mean + self.theta[start + k] * p.step / p.si))
-            for k, p in enumerate(chosen.amplitudes)
+            for k, p in enumerate(effect.amplitudes)
         ]
-        return values + [(p, self.shapes[effect][p.name] / p.si) for p in chosen.shapes]
+        return values + [(p, self.shapes[i][p.name] / p.si) for p in effect.shapes]
 
     def tool_points(self, plan: Plan) -> Float[np.ndarray, "n 3"]:
         """True tool points in the workpiece frame, m: all effects of the machine, none of the
-        instrument."""
+        instrument.
+        """
         return true_tool_points(self.model, plan, self.truth)
 
 
@@ -157,7 +175,8 @@ def prepare(
     require_float64()
     if not 0.0 <= noise_factor < np.inf:
         raise ValueError(f"noise_factor: found {noise_factor}, expected a number of at least 0")
-    terms = model.terms(plan, shapes)
+    plan = model.motion(plan, shapes)
+    terms, (scatter, fresh) = model.terms(plan, shapes), _scatter(model, plan)
     rows = model.instrument.rows(plan)
     nominal = jnp.zeros((plan.rows, len(model.layout)))
     readings = observe_all(model.chain, model.instrument, plan.position, rows, nominal)
@@ -168,28 +187,58 @@ def prepare(
         plan=plan,
         rows=rows,
         terms=jax.tree.map(jnp.asarray, terms),
+        scatter=jax.tree.map(jnp.asarray, scatter),
         sigma=jnp.asarray(noise_factor * model.instrument.noise(plan, reduced)),
         informed=jnp.asarray([float(e.parameter.informed) for e in model.entries]),
         counts=tuple(len(e.amplitudes) for e in model.effects),
+        fresh=fresh,
     )
+
+
+def _scatter(model: Model, plan: Plan) -> tuple[Terms, int]:
+    """Random effects with their standard deviation as one unit, and how many amplitudes."""
+    blocks, count = [], 0
+    for effect in model.random:
+        given = tuple((p.name, 0.0, _deviation(p)) for p in effect.amplitudes)
+        own = replace(effect, given=given)
+        blocks.append(effect_terms(own, model.layout, plan, {}, count))
+        count += len(given)
+    return concatenate(blocks, plan.rows, len(model.layout)), count
+
+
+def _deviation(parameter: Parameter) -> float:
+    """Standard deviation of a random effect, in its unit: the declared value, or the prior's."""
+    return parameter.mean or parameter.sigma
 
 
 def draw(simulator: Simulator, key: PRNGKeyArray) -> tuple[Float[Array, " k"], Float[Array, "n m"]]:
     """Amplitudes (k,) in solver units and reduced readings (n, m) of one draw: a pure function.
 
-    The amplitudes are those `draw_truth` gives for the first of the two keys that `key` splits
+    The amplitudes are those `draw_truth` gives for the first of the three keys that `key` splits
     into. The readings of an implicit instrument are its residuals at the planned positions.
     """
-    machine, noise = jax.random.split(key)
+    machine, noise, fresh = jax.random.split(key, 3)
     theta = _amplitudes(machine, simulator.counts, simulator.informed)
-    ideal = ideal_readings(simulator, theta)
+    ideal = ideal_readings(simulator, theta, draw_scatter(simulator, fresh))
     return theta, ideal + simulator.sigma * jax.random.normal(noise, ideal.shape)
 
 
-def ideal_readings(simulator: Simulator, theta: Float[Array, " k"]) -> Float[Array, "n m"]:
-    """Reduced readings without noise at the given amplitudes (solver units): a pure function."""
-    s = simulator
-    ports = port_values(s.terms, theta, s.terms.offset.shape[1])
+def draw_scatter(simulator: Simulator, key: PRNGKeyArray) -> Float[Array, "n r"]:
+    """Amplitudes of the random effects for every row, in standard deviations."""
+    return jax.random.normal(key, (simulator.plan.rows, simulator.fresh))
+
+
+def ideal_readings(
+    simulator: Simulator, theta: Float[Array, " k"], scatter: Float[Array, "n r"]
+) -> Float[Array, "n m"]:
+    """Reduced readings without the instrument's noise: a pure function.
+
+    `theta` are the amplitudes in solver units, `scatter` those of the random effects (n, r).
+    """
+    s, size = simulator, simulator.terms.offset.shape[1]
+    ports = port_values(s.terms, theta, size)
+    fresh = s.scatter.values * scatter[:, s.scatter.parameter]
+    ports = ports + fresh @ jax.nn.one_hot(s.scatter.port, size, dtype=fresh.dtype)
     readings = observe_all(s.chain, s.instrument, s.plan.position, s.rows, ports)
     return s.instrument.reduce(readings, s.plan)
 
@@ -210,12 +259,13 @@ def simulate(
     effects) replaces the draw; `noise_factor` multiplies the instrument's declared noise (0: none).
     The result depends on `key` alone.
 
-    Raises `RuntimeError` where JAX runs in float32 or the positions of an implicit instrument are
-    not found, and `ValueError` for a negative factor or a truth that does not fit the model.
+    Raises `RuntimeError` where JAX runs in float32, `ValueError` for a negative factor or a truth
+    that does not fit the model, and `StudyError` where the positions of an implicit instrument are
+    not found.
     """
     require_float64()
     model = model.with_effects(*effects)
-    machine, noise = jax.random.split(key)
+    machine, noise, fresh = jax.random.split(key, 3)
     truth = draw_truth(model, plan, machine) if truth is None else truth
     if np.shape(truth.theta) != (len(model.entries),):
         raise ValueError(
@@ -224,11 +274,12 @@ def simulate(
         )
     simulator = prepare(model, plan, truth.shapes, noise_factor=noise_factor)
     drawn = simulator.sigma * jax.random.normal(noise, simulator.sigma.shape)
+    scatter = draw_scatter(simulator, fresh)
 
     def ideal(at: Plan) -> np.ndarray:
         # Effects respond to where the axes are, so that their terms change with the positions.
         here = simulator if at is plan else prepare(model, at, truth.shapes)
-        return np.asarray(ideal_readings(here, jnp.asarray(truth.theta)))
+        return np.asarray(ideal_readings(here, jnp.asarray(truth.theta), scatter))
 
     recorded, readings = model.instrument.record(plan, ideal, np.asarray(drawn))
     return Simulated(
@@ -246,6 +297,7 @@ def true_tool_points(model: Model, plan: Plan, truth: Truth) -> Float[np.ndarray
     Effects of the machine alone: what only the instrument sees does not move the tool.
     """
     require_float64()
+    plan = model.motion(plan, truth.shapes)
     blocks, start = [], 0
     for i, effect in enumerate(model.effects):
         if effect.where == "machine":
@@ -261,7 +313,7 @@ def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
     """Conditions of an independent check: random positions over the travel, random directions.
 
     Where a travel is not bounded, positions lie within those of `plan`. All other covariates are
-    those of a row of `plan` picked at random, so that they fit together. Groups count the rows.
+    those of a row of `plan` picked at random, so that they fit together. There are no groups.
     """
     at, where, way = jax.random.split(key, 3)
     picked = np.asarray(jax.random.choice(where, plan.rows, (rows,)))
@@ -270,13 +322,9 @@ def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
     low = np.where(np.isfinite(travel[:, 0]), travel[:, 0], own.min(0))
     high = np.where(np.isfinite(travel[:, 1]), travel[:, 1], own.max(0))
     position = low + (high - low) * np.asarray(jax.random.uniform(at, (rows, len(plan.axes))))
-    signs = np.asarray(jax.random.rademacher(way, (rows, len(plan.axes)), float))
     covariates = {name: np.asarray(v)[picked] for name, v in plan.covariates.items()}
-    moved = position - own[picked]
+    signs = np.asarray(jax.random.rademacher(way, position.shape, float))
     for i, axis in enumerate(plan.axes):
         if f"dir_{axis}" in covariates:
             covariates[f"dir_{axis}"] = signs[:, i]
-        for kind in ("commanded", "read"):
-            if f"{kind}_{axis}" in covariates:
-                covariates[f"{kind}_{axis}"] = covariates[f"{kind}_{axis}"] + moved[:, i]
-    return Plan(plan.axes, position, covariates, {name: np.arange(rows) for name in plan.groups})
+    return Plan(plan.axes, position, covariates)

@@ -3,16 +3,16 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+from .arrays import Array
 
 
 def skew(v: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Cross-product matrix: ``skew(v) @ u == cross(v, u)``."""
     x, y, z = v
     zero = jnp.zeros_like(x)
-    return jnp.stack(
-        [jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])]
-    )
+    return jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
 
 
 def rotation(v: Float[Array, "3"]) -> Float[Array, "3 3"]:

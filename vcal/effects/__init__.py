@@ -1,7 +1,8 @@
 """Everything that can disturb a measurement, one leaf file per family; importing the package fills
-the catalogue."""
+the catalogue.
+"""
 
-from . import arm, artefact, coupling, cyclic, events, geometric, reversal, thermal, tracker
+from . import arm, artefact, coupling, cyclic, events, geometric, random, reversal, thermal, tracker
 from .base import Effect, Setup
 from .registry import CATALOGUE, effect_class, load_effects, register
 
@@ -17,6 +18,7 @@ __all__ = [
     "events",
     "geometric",
     "load_effects",
+    "random",
     "register",
     "reversal",
     "thermal",

@@ -6,8 +6,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
+from ..arrays import Array
 from ..chain import Chain
 from ..parameters import Parameter
 from ..plan import Plan
@@ -34,7 +34,7 @@ def gravity_levers(chain: Chain, position: np.ndarray, joint: str) -> np.ndarray
 
 @eqx.filter_jit
 def _geometry(chain: Chain, position: Array) -> tuple[Array, Array, Array]:
-    """Nominal joint frames (n, joints, 3, 3), their origins (n, joints, 3) and the flange (n, 3)."""
+    """Nominal joint frames (n, joints, 3, 3), origins (n, joints, 3), flange (n, 3)."""
     zero = jnp.zeros((len(chain.joints), 6))
 
     def one(q):
@@ -46,7 +46,8 @@ def _geometry(chain: Chain, position: Array) -> tuple[Array, Array, Array]:
 
 class _Levers(eqx.Module):
     """Independent torque patterns of one joint: levers @ weights, fixed by the plan they are
-    derived from, so that other plans use the same parameters."""
+    derived from, so that other plans use the same parameters.
+    """
 
     weights: np.ndarray
     count: int = eqx.field(static=True)
@@ -100,9 +101,7 @@ class JointCompliance(Effect):
                 continue  # gravity has no changing torque about this joint
             kept = int((s > _KEPT * s[0]).sum())
             weights = vt[:kept].T / s[:kept] * np.sqrt(len(levers))
-            yield cls(
-                chain=setup.chain, levers=_Levers(weights, kept), placement=joint.name
-            )
+            yield cls(chain=setup.chain, levers=_Levers(weights, kept), placement=joint.name)
 
 
 @register

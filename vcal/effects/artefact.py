@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
+from ..arrays import Array
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup
@@ -125,9 +125,7 @@ class ArtefactExpansion(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         excess = plan.covariate("T_air") - REFERENCE_DEGC
-        return {
-            (f"ball.{c}", "alpha"): excess * plan.covariate(f"ball_{c.lower()}") for c in "XYZ"
-        }
+        return {(f"ball.{c}", "alpha"): excess * plan.covariate(f"ball_{c.lower()}") for c in "XYZ"}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:

@@ -13,8 +13,9 @@ from typing import ClassVar, Literal
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from ..arrays import Array
 from ..chain import Chain
 from ..parameters import Parameter
 from ..plan import Plan
@@ -83,6 +84,13 @@ class Effect(eqx.Module):
         Must be elementwise over the rows: `shape` values may arrive with a leading axis, (g, 1)
         against rows (n,), when a whole grid is evaluated at once.
         """
+
+    def command(self, plan: Plan, shape: Mapping[str, Array]) -> Plan:
+        """What the axes do when `plan` is commanded; the plan itself, unless the effect has a
+        memory (lag, settling, dynamics): whole run in, whole run out.
+        """
+        del shape
+        return plan
 
     @property
     def needs(self) -> tuple[str, ...]:

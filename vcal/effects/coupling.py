@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
+from ..arrays import Array
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array
 
+from ..arrays import Array
 from ..basis import Basis, Constant, Legendre
 from ..chain import Chain
 from ..parameters import Parameter
@@ -125,9 +125,7 @@ class GeometricOrder(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         values = self.basis.functions(plan.x(self.axis))
-        return {
-            (self.motion, label): values[:, k] for k, label in enumerate(self.basis.labels)
-        }
+        return {(self.motion, label): values[:, k] for k, label in enumerate(self.basis.labels)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:

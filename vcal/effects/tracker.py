@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
 
+from ..arrays import Array
 from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import COMPONENTS

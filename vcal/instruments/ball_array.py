@@ -1,13 +1,14 @@
 """Ball array: axis positions at which the balls of a calibrated artefact are found."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from pydantic import Field
 
+from ..arrays import Array
 from ..chain import Chain
 from ..effects.base import Artefact, Effect, Response
 from ..errors import StudyError
@@ -28,6 +29,9 @@ _DERIVED = (
     "along_beam",
 )
 """Covariates of the plan that follow from the poses and the artefact."""
+
+
+_XYZ = ("X", "Y", "Z")
 
 
 class BallArraySettings(InstrumentSettings):
@@ -111,8 +115,13 @@ class BallArray(Instrument):
     pose_rotation: np.ndarray
     pose_origin: np.ndarray
 
-    ports = group("target") + group("ball", ("X", "Y", "Z")) + group("read", ("X", "Y", "Z"))
-    readings = ("X", "Y", "Z")
+    @property
+    def ports(self) -> tuple[str, ...]:
+        return group("target") + group("ball", _XYZ) + group("read", _XYZ)
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        return _XYZ
 
     @classmethod
     def columns(
@@ -196,7 +205,7 @@ class BallArray(Instrument):
 
         Fixed point of q <- q - (tcp(q) - ball), from the nominal q: d tcp/d q is the identity to
         1e-4, so that every step gains four digits; effects act at the position found. Raises
-        `RuntimeError` where the tool does not follow its axes that closely.
+        `StudyError` where the tool does not follow its axes closely enough for that.
         """
         order = [plan.axes.index(axis) for axis in "XYZ"]
         position = np.array(plan.position)
@@ -206,10 +215,10 @@ class BallArray(Instrument):
             if np.abs(off).max() < _FOUND_M:
                 break
         else:
-            raise RuntimeError(
-                f"no axis positions at the ball centres: found a last step of "
-                f"{np.abs(off).max():.3g} m after {_STEPS}, expected less than {_FOUND_M:g} m; "
-                "reduce the declared errors"
+            raise StudyError(
+                f"no axis positions at the ball centres: found a step of {np.abs(off).max():.3g} m "
+                f"after {_STEPS} steps, expected less than {_FOUND_M:g} m; reduce the declared "
+                "errors"
             )
         position[:, order] += noise
         return plan.with_position(position), np.zeros_like(noise)
@@ -220,7 +229,7 @@ class BallArray(Instrument):
     def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         return np.ones((plan.rows, 3))
 
-    def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> "BallArray":
+    def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> Self:
         nominal = np.asarray(plan.position)[:, _order(chain)] + np.asarray(chain.tool_offset)
         balls = self.centres[self._ball_rows(plan)]
         rotations, origins = [], []
@@ -229,15 +238,8 @@ class BallArray(Instrument):
             r, t = best_rigid(balls[rows], nominal[rows])
             rotations.append(r)
             origins.append(t)
-        return BallArray(
-            self.centres,
-            self.numbers,
-            self.probe_sigma,
-            self.position_sigma,
-            self.supports,
-            self.pose_numbers,
-            np.stack(rotations),
-            np.stack(origins),
+        return dataclasses.replace(
+            self, pose_rotation=np.stack(rotations), pose_origin=np.stack(origins)
         )
 
     def effects(self, plan: Plan) -> tuple[Effect, ...]:

@@ -6,9 +6,10 @@ from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
+from ..arrays import Array
 from ..chain import Chain
 from ..effects.base import Artefact, Effect
 from ..plan import Plan
@@ -51,10 +52,16 @@ class Instrument(eqx.Module):
     """How many readings make one point, for root mean squares of points."""
     Settings: ClassVar[type[InstrumentSettings]]
     """Keys of the ``[instrument]`` table, validated."""
-    ports: eqx.AbstractVar[tuple[str, ...]]
-    """Names of its ports (`vcal.ports.group`)."""
-    readings: eqx.AbstractVar[tuple[str, ...]]
-    """Names of the components of one reading."""
+
+    @property
+    @abc.abstractmethod
+    def ports(self) -> tuple[str, ...]:
+        """Names of its ports (`vcal.ports.group`)."""
+
+    @property
+    @abc.abstractmethod
+    def readings(self) -> tuple[str, ...]:
+        """Names of the components of one reading."""
 
     # --- edges: from and to files -------------------------------------------------------------
     @classmethod
@@ -140,7 +147,8 @@ class Instrument(eqx.Module):
     @abc.abstractmethod
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
         """How readings are held out: fold index per row (-1: never held out), and whether held-out
-        rows are kept out of every fit (True) or rotated (False)."""
+        rows are kept out of every fit (True) or rotated (False).
+        """
 
     @property
     def artefact(self) -> Artefact | None:
@@ -150,7 +158,8 @@ class Instrument(eqx.Module):
     @property
     def clustered(self) -> bool:
         """Whether the readings of one row share errors of the machine that are not modelled, so
-        that their covariance is to be estimated instead of taken from the declared noise."""
+        that their covariance is to be estimated instead of taken from the declared noise.
+        """
         return False
 
 

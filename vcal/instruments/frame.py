@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 import jax.numpy as jnp
-from jaxtyping import Array
 
+from ..arrays import Array
 from ..effects.base import Effect, Response
 from ..parameters import Parameter
 from ..plan import Plan

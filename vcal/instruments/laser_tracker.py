@@ -5,9 +5,10 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from pydantic import Field
 
+from ..arrays import Array
 from ..chain import Chain
 from ..effects.base import Effect
 from ..plan import Plan
@@ -47,8 +48,13 @@ class LaserTracker(Instrument):
     range_sigma_per_m: float
     angle_sigma: float
 
-    ports = group("frame") + group("read", _READ)
-    readings = _READ
+    @property
+    def ports(self) -> tuple[str, ...]:
+        return group("frame") + group("read", _READ)
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        return _READ
 
     @classmethod
     def columns(

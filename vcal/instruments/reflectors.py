@@ -1,14 +1,16 @@
 """Reflectors: several points on the tool (and on the base) in the tracker's frame."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from pydantic import Field
 
+from ..arrays import Array
 from ..chain import Chain
 from ..effects.base import Effect, Response
 from ..parameters import Parameter
@@ -47,9 +49,7 @@ class ToolPoints(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         one = jnp.ones(plan.rows)
-        return {
-            (f"point{k}.{c}", f"{k}.{c}"): one for k in range(1, self.count + 1) for c in "XYZ"
-        }
+        return {(f"point{k}.{c}", f"{k}.{c}"): one for k in range(1, self.count + 1) for c in "XYZ"}
 
 
 @register
@@ -75,24 +75,23 @@ class Reflectors(Instrument):
     """Start of the reflectors on the tool (count, 3), m."""
 
     @property
-    def ports(self) -> tuple[str, ...]:  # type: ignore[override]
+    def ports(self) -> tuple[str, ...]:
         points = [group(f"point{k}", ("X", "Y", "Z")) for k in range(1, self.count + 1)]
         return group("frame") + tuple(name for names in points for name in names)
 
     @property
-    def readings(self) -> tuple[str, ...]:  # type: ignore[override]
+    def readings(self) -> tuple[str, ...]:
         return tuple(f"{k}.{c}" for k in range(1, self.count + 1) for c in "XYZ")
 
     @classmethod
     def columns(
         cls, settings: ReflectorsSettings, axes: Sequence[str], readings: bool
     ) -> list[Column]:
-        degrees = {"low": -720.0, "high": 720.0}
         found = [Column(name="pose", low=0, integer=True, unique_with=("pose",))]
         for i in range(len(axes)):
-            found.append(Column(name=f"q{i + 1}_cmd_deg", **degrees))
+            found.append(Column(name=f"q{i + 1}_cmd_deg", low=-720.0, high=720.0))
             if settings.joints == "read":
-                found.append(Column(name=f"q{i + 1}_read_deg", **degrees))
+                found.append(Column(name=f"q{i + 1}_read_deg", low=-720.0, high=720.0))
         if readings:
             found += [
                 Column(name=f"{kind}{k}_{c}_mm", low=-1e5, high=1e5)
@@ -125,9 +124,7 @@ class Reflectors(Instrument):
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
         number = len(chain.joints)
-        commanded = np.deg2rad(
-            np.column_stack([table[f"q{i + 1}_cmd_deg"] for i in range(number)])
-        )
+        commanded = np.deg2rad(np.column_stack([table[f"q{i + 1}_cmd_deg"] for i in range(number)]))
         pose = np.asarray(table["pose"], int)
         # The move into a pose after a gap in the numbering is unknown: no direction there.
         consecutive = np.r_[False, np.diff(pose) == 1]
@@ -135,9 +132,7 @@ class Reflectors(Instrument):
         covariates: dict[str, np.ndarray] = {"order": pose.astype(float)}
         position = commanded
         if all(f"q{i + 1}_read_deg" in table for i in range(number)):
-            read = np.deg2rad(
-                np.column_stack([table[f"q{i + 1}_read_deg"] for i in range(number)])
-            )
+            read = np.deg2rad(np.column_stack([table[f"q{i + 1}_read_deg"] for i in range(number)]))
             covariates |= {f"read_{axis}": read[:, i] for i, axis in enumerate(chain.axes)}
             position = read if self.joints == "read" else commanded
         for i, axis in enumerate(chain.axes):
@@ -194,7 +189,7 @@ class Reflectors(Instrument):
     def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         return np.ones((plan.rows, 3 * self.count))
 
-    def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> "Reflectors":
+    def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> Self:
         rotations, origins = _nominal_poses(chain, np.asarray(plan.position))
         measured = readings.reshape(plan.rows, self.count, 3)
         points = np.zeros((self.count, 3))
@@ -209,9 +204,7 @@ class Reflectors(Instrument):
             if np.abs(new - points).max() < 1e-7:
                 break
             points = new
-        return Reflectors(
-            self.count, self.base_count, self.sigma, self.joints, station, orientation, points
-        )
+        return dataclasses.replace(self, station=station, orientation=orientation, points=points)
 
     def effects(self, plan: Plan) -> tuple[Effect, ...]:
         return (Station(), ToolPoints(count=self.count))

@@ -175,26 +175,23 @@ def _data(study: Study, result: Simulated) -> dict[str, np.ndarray]:
     return {**own, **made}
 
 
-def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndarray]:
-    """Conditions at random positions, and the true tool point there."""
-    chain, instrument = study.chain, study.instrument
-    plan = scattered(chain, study.plan, key, _CHECK_ROWS)
-    linear = set(chain.axes) <= set("XYZ")
-    readings = np.zeros((plan.rows, len(instrument.readings)))
-    declared = study.settings.instrument
-    plain, full = (
-        {column.name for column in instrument.columns(declared, chain.axes, readings=with_readings)}
-        for with_readings in (False, True)
-    )
-    skipped = (full - plain) | (set(GROUPS) if linear else set())
+def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndarray] | None:
+    """Conditions at random positions, and the true tool point there.
+
+    None for an arm: where its tool point is, is for its instrument to find.
+    """
+    chain = study.chain
+    if any(joint.kind != "prismatic" for joint in chain.joints):
+        return None
+    names = {file_name(name, chain.axes) for name in study.plan.covariates}
+    columns = read_header(study.folder / study.settings.data.data)
+    table = linear_plan_table(scattered(chain, study.plan, key, _CHECK_ROWS))
     table = {
         name: values
-        for name, values in instrument.to_table(plan, readings).items()
-        if name not in skipped
+        for name, values in table.items()
+        if name in columns or name not in names
     }
-    # As it will be read again: an arm derives the directions of its joints from the poses.
-    plan = linear_plan(chain, table) if linear else instrument.plan(chain, table)
-    points = result.tool_points(plan)
+    points = result.tool_points(linear_plan(chain, table))
     return table | {f"tcp_{c}_mm": points[:, i] * 1e3 for i, c in enumerate("xyz")}
 
 

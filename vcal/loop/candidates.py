@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
+from ..arrays import Array
 from ..effects.base import Effect, Response, Setup
 from ..measurement import Measurement
 from ..model import Model
@@ -38,6 +38,8 @@ def candidates(
     present = {_identity(effect) for effect in model.effects}
     found, missing = [], {}
     for cls in classes:
+        if cls.kind != "systematic":
+            continue
         for effect in cls.candidates(setup):
             if _identity(effect) in present:
                 continue

@@ -9,7 +9,8 @@ from scipy.special import gammaincc
 
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
-from ..identify import Fit, declared_whitener, identify
+from ..fit import Fit
+from ..identify import declared_whitener, identify
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from .candidates import LocalBump, Untestable, candidates
@@ -176,8 +177,11 @@ class _Run:
         named = [r for r in rivals if r.effect.name != LocalBump.name]
         significant = [r for r in named if p_values[r.effect.name] <= self.alpha]
         bump = next((r for r in rivals if r.effect.name == LocalBump.name), None)
-        bump_counts = bump is not None and p_values[LocalBump.name] <= self.alpha
-        if bump_counts and (not significant or bump.log_bayes > significant[0].log_bayes):
+        if (
+            bump is not None
+            and p_values[LocalBump.name] <= self.alpha
+            and (not significant or bump.log_bayes > significant[0].log_bayes)
+        ):
             self.unexplained = from_bump(
                 fit, bump, p_values[LocalBump.name], self.draws, self.seed + number
             )
@@ -193,9 +197,7 @@ class _Run:
             elif fall <= error:
                 self._reject(rival, p_values, "held-out error does not fall beyond its uncertainty")
             elif share < needed:
-                self._reject(
-                    rival, p_values, f"held-out rms falls by {100 * share:.1f} % only"
-                )
+                self._reject(rival, p_values, f"held-out rms falls by {100 * share:.1f} % only")
             else:
                 weighed = weigh(fit, rival, named)
                 p = p_values[rival.effect.name]
@@ -255,7 +257,8 @@ class _Run:
 
 def _shortlist(state: Screen, worth: Sequence[Peak], others: Sequence[Peak]) -> list[Peak]:
     """The peaks to refit: the significant ones, and others close enough to be rivals, after their
-    shapes were moved to the best point between the steps of the scan."""
+    shapes were moved to the best point between the steps of the scan.
+    """
     if not worth:
         return []
     best = worth[0].log_bayes
@@ -334,7 +337,7 @@ def estimated_whitener(fit: Fit) -> np.ndarray:
 
 def _nominal(model: Model, measurement: Measurement, room: int) -> Fit:
     nuisances = tuple(e for e in model.effects if e.kind == "nuisance" or e.where == "instrument")
-    bare = Model(model.chain, model.instrument, nuisances)
+    bare = Model(model.chain, model.instrument, (*nuisances, *model.random))
     return _fit(bare, measurement, None, room).fit
 
 

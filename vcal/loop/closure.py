@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..effects.base import Effect
-from ..identify import Fit
+from ..fit import Fit
 from ..measurement import CheckPoints
 from .candidates import Untestable
 from .heldout import Rms

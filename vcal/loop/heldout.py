@@ -4,11 +4,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, qr
+from scipy.linalg import cho_factor, cho_solve
 
-from ..identify import Fit
+from ..fit import Fit
 from ..measurement import CheckPoints
-from ..model import Model, Terms, concatenate, effect_terms, tool_point_jacobian, tool_points
+from ..model import Terms, concatenate, effect_terms, tool_point_jacobian, tool_points
 from ..spatial import align_rigid, rigid_columns
 
 
@@ -24,9 +24,9 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
     """Residuals (n, m), SI, of every row predicted without its fold; nan where never held out.
 
     Folds that rotate are left out by the exact downdate of the linearised problem,
-    d = -(H - J_g'J_g)^-1 J_g'r_g; parameters with a flat prior that only this fold can see (the pose
-    of an artefact) are then re-estimated from the fold with all others fixed. Folds that were never
-    fitted are predicted as they are.
+    d = -(H - J_g'J_g)^-1 J_g'r_g; parameters with a flat prior that only this fold can see (the
+    pose of an artefact) are then re-estimated from the fold with all others fixed. Folds that were
+    never fitted are predicted as they are.
     """
     instrument, plan = fit.model.instrument, fit.measurement.plan
     folds, apart = instrument.folds(plan)
@@ -54,7 +54,7 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
         delta = -cho_solve(cho_factor(h), j[:, common].T @ r)
         predicted = r - j[:, common] @ delta
         if own.any():
-            q, _ = qr(j[:, own], mode="economic")
+            q, _ = np.linalg.qr(j[:, own])
             predicted = predicted - q @ (q.T @ predicted)
         unwhiten = np.linalg.inv(fit.whitener[rows])
         found[rows] = np.einsum("nij,nj->ni", unwhiten, predicted.reshape(len(rows), m))
@@ -90,15 +90,14 @@ def heldout_rms(fit: Fit) -> Rms:
 
 def machine_terms(fit: Fit, plan) -> tuple[Terms, np.ndarray]:
     """Terms, at another plan, of the effects that move the tool point, and which entries of theta
-    they use; effects that lack a covariate there are left out."""
+    they use; effects that lack a covariate there are left out.
+    """
     model = fit.model
     blocks, start, used = [], 0, np.zeros(len(fit.theta), bool)
     for i, effect in enumerate(model.effects):
         count = len(effect.amplitudes)
         if effect.where == "machine" and plan.has(*effect.needs):
-            blocks.append(
-                effect_terms(effect, model.layout, plan, fit.shapes.get(i, {}), start)
-            )
+            blocks.append(effect_terms(effect, model.layout, plan, fit.shapes.get(i, {}), start))
             used[start : start + count] = True
         start += count
     return concatenate(blocks, plan.rows, len(model.layout)), used
@@ -106,14 +105,13 @@ def machine_terms(fit: Fit, plan) -> tuple[Terms, np.ndarray]:
 
 def compensated_points(fit: Fit, plan) -> tuple[np.ndarray, np.ndarray]:
     """Tool points of the identified machine (n, 3), m, and their derivative (n, 3, k) with respect
-    to the amplitudes in solver units."""
+    to the amplitudes in solver units.
+    """
     terms, _ = machine_terms(fit, plan)
     size = len(fit.model.layout)
     ports = terms.offset + (terms.values * fit.theta[terms.parameter]) @ np.eye(size)[terms.port]
     points = np.asarray(tool_points(fit.model.chain, np.asarray(plan.position), ports))
-    by_port = np.asarray(
-        tool_point_jacobian(fit.model.chain, np.asarray(plan.position), ports)
-    )
+    by_port = np.asarray(tool_point_jacobian(fit.model.chain, np.asarray(plan.position), ports))
     by_term = by_port[:, :, terms.port] * terms.values[:, None, :]
     gather = np.zeros((len(terms.parameter), len(fit.theta)))
     gather[np.arange(len(terms.parameter)), terms.parameter] = 1.0
@@ -134,9 +132,7 @@ def check_rms(fit: Fit, check: CheckPoints) -> tuple[Rms, Rms]:
     for error in (aligned, raw):
         found = rms((error**2).sum(1))
         if found.value > 0:
-            gradient = np.einsum("ni,nik->k", error, jacobian) / (
-                len(error) * found.value * 1e-6
-            )
+            gradient = np.einsum("ni,nik->k", error, jacobian) / (len(error) * found.value * 1e-6)
             passed = math.sqrt(gradient @ covariance @ gradient) * 1e6
             found = Rms(found.value, math.hypot(found.u, passed))
         results.append(found)
@@ -167,8 +163,7 @@ def improvement(before: Fit, after: Fit) -> tuple[float, float, float]:
     a, b = heldout_residuals(before), heldout_residuals(after)
     rows = np.isfinite(a).all(1) & np.isfinite(b).all(1)
     squares = [
-        (np.einsum("nij,nj->ni", whitener[rows], residual[rows]) ** 2).sum(1)
-        for residual in (a, b)
+        (np.einsum("nij,nj->ni", whitener[rows], residual[rows]) ** 2).sum(1) for residual in (a, b)
     ]
     fall = squares[0] - squares[1]
     groups = folds[rows] if len(np.unique(folds[rows])) >= 12 else np.arange(rows.sum())

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
-from ..identify import Fit, identify
+from ..fit import Fit
+from ..identify import identify
 from .screen import Peak
 
 _SAME_SPACE = 1e-3
@@ -28,7 +29,6 @@ class Rival:
     components of that kind that were tried."""
     delta_bic: float
     """Change of the Bayesian information criterion; negative is better."""
-
 
     @property
     def log_weight(self) -> float:
@@ -133,7 +133,8 @@ def same_space(base: Fit, a: Rival, b: Rival) -> bool:
 
 def weigh(base: Fit, best: Rival, rivals: Sequence[Rival]) -> Weighed:
     """Posterior probabilities of the rivals. Those the data cannot tell apart are one class with
-    one weight; peaks and components of one name are added up."""
+    one weight; peaks and components of one name are added up.
+    """
     classes: list[list[Rival]] = []
     for rival in sorted(rivals, key=lambda r: -r.log_weight):
         for members in classes:

@@ -1,9 +1,10 @@
 """Screening: how much every candidate would explain, without a refit, and what that is worth.
 
 At the fit, with whitened residual r, Jacobian J, prior precision L and H = J'J + L, a candidate
-with columns C has the score s = C'r and the information G = C'C - C'J H^-1 J'C; s'G^-1 s is the drop
-of the cost if it were added. The same statistic is computed for residuals drawn under the hypothesis
-that nothing is missing, r* = e - J H^-1 (J'e + L^(1/2) z): noise *and* parameters from their prior.
+with columns C has the score s = C'r and the information G = C'C - C'J H^-1 J'C; s'G^-1 s is the
+drop of the cost if it were added. The same statistic is computed for residuals drawn under the
+hypothesis that nothing is missing, r* = e - J H^-1 (J'e + L^(1/2) z): noise *and* parameters from
+their prior.
 The largest of each kind of effect is corrected within that kind first, then over the kinds.
 """
 
@@ -14,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.special import gammaln, gammaincc
+from scipy.special import gammaincc, gammaln
 
 from ..effects.base import Effect
-from ..identify import Fit
+from ..fit import Fit
 
 _RESOLVED = 1e-4
 """Share of a candidate's columns that must be independent of the model for it to count."""
@@ -80,7 +81,7 @@ class Screening:
 
 
 def minus_log_chi2_tail(x: np.ndarray, dof: np.ndarray | float) -> np.ndarray:
-    """-ln of the probability that a chi-square variable with `dof` exceeds `x`, without underflow."""
+    """-ln of the probability that chi-square with `dof` exceeds `x`, without underflow."""
     x, half = np.broadcast_arrays(np.asarray(x, float), 0.5 * np.asarray(dof, float))
     tail = gammaincc(half, 0.5 * x)
     y = np.maximum(0.5 * x, 1e-300)
@@ -246,9 +247,7 @@ class Screen:
         noise = max((self.chi2 - stat.max()) / self.dof, 1.0)
         posterior = g / noise + np.eye(c)
         solved = np.linalg.solve(posterior, (s / noise)[:, :, None])[:, :, 0]
-        bayes = 0.5 * (
-            np.einsum("ga,ga->g", s / noise, solved) - np.linalg.slogdet(posterior)[1]
-        )
+        bayes = 0.5 * (np.einsum("ga,ga->g", s / noise, solved) - np.linalg.slogdet(posterior)[1])
         largest_null = np.zeros(draws)
         for r in np.unique(rank[rank > 0]) if null else ():
             # For one rank, -ln p grows with the drop: only the largest drop of a draw is needed.
@@ -262,7 +261,8 @@ class Screen:
 
     def minus_log_p(self, stat, chi2, rank) -> np.ndarray:
         """-ln p of a drop `stat` of a cost `chi2`, studentised: -dof ln(1 - stat/chi2) against
-        chi-square. Noise declared too small or too large then changes nothing."""
+        chi-square. Noise declared too small or too large then changes nothing.
+        """
         share = np.clip(stat / chi2, 0.0, 1.0 - 1e-12)
         return minus_log_chi2_tail(-self.dof * np.log1p(-share), rank)
 
@@ -339,7 +339,8 @@ def screen(state: Screen, effects: Sequence[Effect], *, peaks: int = 5) -> Scree
         kind_null = np.max([t.null for t in members], axis=0)
         trials = _trials(kind_null)
         scores = [state.minus_log_p(t.stat, state.chi2, np.maximum(t.rank, 1)) for t in members]
-        best = max(float(np.max(np.where(t.rank > 0, s, 0))) for t, s in zip(members, scores))
+        seen = zip(members, scores, strict=True)
+        best = max(float(np.max(np.where(t.rank > 0, score, 0))) for t, score in seen)
         found = sorted(
             (peak for t in members for peak in t.peaks(peaks)), key=lambda peak: -peak.log_bayes
         )

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import gammainccinv
 
-from ..identify import Fit
+from ..fit import Fit
 from .screen import minus_log_chi2_tail
 
 _CHANCE = 1e-3

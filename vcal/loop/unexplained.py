@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..identify import Fit
+from ..fit import Fit
 from .rivals import Rival
 from .screen import Screen
 
@@ -54,7 +54,8 @@ def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
 
 def covariates(fit: Fit) -> dict[str, np.ndarray]:
     """Everything the residual may depend on, by its name inside vcal; of columns that are the same
-    but for scale and offset only the first."""
+    but for scale and offset only the first.
+    """
     plan = fit.measurement.plan
     found = {axis: np.asarray(plan.x(axis)) for axis in plan.axes}
     found |= {name: np.asarray(values) for name, values in plan.covariates.items()}
@@ -81,7 +82,8 @@ def bins(x: np.ndarray) -> np.ndarray:
 
 def dependence(fit: Fit, draws: int, seed: int) -> tuple[list[tuple[str, float]], float]:
     """Share of the tool point's residual variance described by ten bins of each covariate, with
-    what chance gives taken off, best first; and the corrected p-value of the best."""
+    what chance gives taken off, best first; and the corrected p-value of the best.
+    """
     state = Screen(fit, draws, seed)
     used = fit.used
     ports = fit.port_jacobian[used][:, :, fit.model.layout.slice("tool")][:, :, :3]

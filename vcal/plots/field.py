@@ -1,5 +1,6 @@
 """Volumetric errors: at check points, over the travel, and of an arm over time."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,14 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from ..identify import Fit
+from ..fit import Fit
 from ..loop.heldout import compensated_points, heldout_residuals, rigid_free, squared_errors
 from ..measurement import CheckPoints
 from ..plan import Plan
 from ..spatial import align_rigid
-from .style import AFTER, BEFORE, FIELD, INK, NOMINAL, figure, grid, limit, plain, titled
+from .style import AFTER, BEFORE, FIELD, INK, NOMINAL, figure, grid, plain, titled
 
-_NODES = 17
+_NODES = (8, 13)
+"""Fewest and most grid points along an axis."""
 _PLANES = (("X", "Y"), ("X", "Z"), ("Y", "Z"))
 
 
@@ -34,14 +36,17 @@ class Field:
     """Standard uncertainty of the length of the error vector, (planes, n, n), um."""
 
 
-def error_field(before: Fit, after: Fit, nodes: int = _NODES) -> Field | None:
+def error_field(before: Fit, after: Fit, check: CheckPoints | None = None) -> Field | None:
     """The identified error field of a machine with the axes X, Y and Z; None for other machines.
 
-    Only what depends on the axis positions alone is in it: no direction, temperature or time.
+    Only what depends on the axis positions alone is in it: no direction, temperature or time. With
+    check points the grid is made to fit their number, so that nothing has to be compiled anew.
     """
     chain = after.model.chain
     if set(chain.axes) != set("XYZ"):
         return None
+    size = check.plan.rows if check is not None else 0
+    nodes = int(np.clip(math.isqrt(size // len(_PLANES)), *_NODES)) if size else _NODES[1]
     plan = after.measurement.plan
     line, middle = {}, {}
     for axis in chain.axes:
@@ -50,25 +55,16 @@ def error_field(before: Fit, after: Fit, nodes: int = _NODES) -> Field | None:
             low, high = np.asarray(plan.x(axis)).min(), np.asarray(plan.x(axis)).max()
         line[axis] = np.linspace(low, high, nodes)
         middle[axis] = 0.5 * (low + high)
-    blocks = []
-    for first, second in _PLANES:
-        block = np.empty((nodes, nodes, 3))
-        for i, axis in enumerate(chain.axes):
-            block[:, :, i] = middle[axis]
-        block[:, :, chain.axes.index(first)] = line[first][:, None]
-        block[:, :, chain.axes.index(second)] = line[second]
-        blocks.append(block.reshape(-1, 3))
-    position = np.concatenate(blocks)
-    on_grid = Plan(chain.axes, position)
+    position = np.concatenate([_plane(chain.axes, line, middle, *pair) for pair in _PLANES])
     order = [chain.axes.index(axis) for axis in "XYZ"]
     nominal = position[:, order] + np.asarray(chain.tool_offset)
-    shape = (len(_PLANES), nodes, nodes)
-    errors = []
+    errors, jacobian = [], np.zeros(0)
     for fit in (before, after):
-        points, jacobian = compensated_points(fit, on_grid)
+        points, jacobian = _in_blocks(fit, position, size or len(position))
         errors.append(align_rigid(nominal, points - nominal) * 1e6)
     free = rigid_free(nominal, jacobian)
-    variance = np.einsum("nik,kl,nil->n", free, after.covariance, free, optimize=True)
+    variance = ((free @ after.covariance) * free).sum((1, 2))
+    shape = (len(_PLANES), nodes, nodes)
     return Field(
         axes=chain.axes,
         nodes=line,
@@ -76,6 +72,29 @@ def error_field(before: Fit, after: Fit, nodes: int = _NODES) -> Field | None:
         change=(errors[1] - errors[0]).reshape(*shape, 3),
         u=np.sqrt(variance).reshape(shape) * 1e6,
     )
+
+
+def _plane(axes: Sequence[str], line, middle, first: str, second: str) -> np.ndarray:
+    """Positions (n n, axes) of a mid-plane, the other axes in the middle of their travel."""
+    n = len(line[first])
+    block = np.tile([middle[axis] for axis in axes], (n, n, 1))
+    block[:, :, axes.index(first)] = line[first][:, None]
+    block[:, :, axes.index(second)] = line[second]
+    return block.reshape(-1, len(axes))
+
+
+def _in_blocks(fit: Fit, position: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """`compensated_points` at positions, in blocks of `size` rows."""
+    blocks = -(-len(position) // size)
+    padded = np.concatenate([position, np.repeat(position[:1], blocks * size - len(position), 0)])
+    found = [
+        compensated_points(fit, Plan(fit.model.chain.axes, block))
+        for block in np.split(padded, blocks)
+    ]
+    points, jacobian = (
+        np.concatenate(parts)[: len(position)] for parts in zip(*found, strict=True)
+    )
+    return points, jacobian
 
 
 def field(values: Field) -> Figure:
@@ -104,12 +123,12 @@ def field(values: Field) -> Figure:
                 _arrows(ax, x, y, plane, arrows, top)
             titled(ax, name if ax is table[i][0] else "", f"{plane[0]}, mm", f"{plane[1]}, mm")
             ax.grid(False)
-        _bar(drawn, mesh, table[i], "µm")
+        _bar(drawn, mesh, table[i, -1:], "µm")
     return drawn
 
 
 def _arrows(ax: Axes, x, y, plane: tuple[str, str], vectors: np.ndarray, top: float) -> None:
-    step = slice(1, None, 3)
+    step = slice(1, None, 2)
     u, v = (vectors[step, step, "XYZ".index(axis)].T for axis in plane)
     ax.quiver(
         x[step],
@@ -117,29 +136,34 @@ def _arrows(ax: Axes, x, y, plane: tuple[str, str], vectors: np.ndarray, top: fl
         u,
         v,
         color="white",
-        edgecolor=INK,
-        linewidth=0.3,
-        scale=12.0 * top,
-        width=0.008,
+        scale=6.0 * top,
+        width=0.007,
+        headwidth=3.5,
+        headlength=4.0,
+        headaxislength=3.5,
+        minlength=0.4,
         pivot="mid",
     )
 
 
-def _bar(drawn: Figure, mesh, axes: Sequence[Axes], label: str) -> None:
-    """A colour bar right of a row of axes."""
-    box = axes[-1].get_position()
+def _bar(drawn: Figure, mesh, axes: Sequence[Axes], label: str) -> Axes:
+    """A colour bar right of axes, as high as the first to the last of them."""
+    top, bottom = axes[0].get_position(), axes[-1].get_position()
     width = drawn.get_size_inches()[0]
-    place = drawn.add_axes((box.x1 + 0.15 / width, box.y0, 0.14 / width, box.height))
+    place = drawn.add_axes((bottom.x1 + 0.15 / width, bottom.y0, 0.14 / width, top.y1 - bottom.y0))
     bar = drawn.colorbar(mesh, cax=place)
     bar.set_label(label, fontsize=9.5, color=INK)
     place.tick_params(labelsize=9, colors=INK, length=3)
     bar.outline.set_visible(False)  # type: ignore[operator]
+    return place
 
 
 def check_errors(fits: Mapping[str, Fit], check: CheckPoints) -> dict[str, np.ndarray]:
     """Error vectors (n, 3), um, at the check points after rigid alignment, per fit."""
     return {
-        name: align_rigid(check.tool_point, check.tool_point - compensated_points(fit, check.plan)[0])
+        name: align_rigid(
+            check.tool_point, check.tool_point - compensated_points(fit, check.plan)[0]
+        )
         * 1e6
         for name, fit in fits.items()
     }
@@ -147,7 +171,8 @@ def check_errors(fits: Mapping[str, Fit], check: CheckPoints) -> dict[str, np.nd
 
 def check_points(errors: Mapping[str, np.ndarray], check: CheckPoints) -> Figure:
     """Size of the error at every check point, seen from above and from the front, one colour scale
-    for all columns."""
+    for all columns.
+    """
     points = check.tool_point * 1e3
     sizes = {name: np.linalg.norm(vectors, axis=1) for name, vectors in errors.items()}
     everything = np.concatenate(list(sizes.values()))
@@ -177,27 +202,24 @@ def check_points(errors: Mapping[str, np.ndarray], check: CheckPoints) -> Figure
                 ax.set_ylabel(f"{'XYZ'[b]}, mm", fontsize=9.5, color=INK)
             else:
                 ax.tick_params(labelleft=False)
-    for row in range(2):
-        _bar(drawn, dots, table[row], "error, µm")
-    _plain_ticks(drawn, norm)
+    _plain_ticks(_bar(drawn, dots, table[:, -1], "error, µm"), norm)
     return drawn
 
 
-def _plain_ticks(drawn: Figure, norm: LogNorm) -> None:
-    """Numbers such as 0.3, 1, 3 on the logarithmic colour bars."""
-    ticks = [t for t in (0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000, 3000)]
+def _plain_ticks(ax: Axes, norm: LogNorm) -> None:
+    """Numbers such as 0.3, 1, 3 on a logarithmic colour bar."""
+    ticks = [f * 10.0**k for k in range(-4, 5) for f in (1, 3)]
     ticks = [t for t in ticks if norm.vmin <= t <= norm.vmax]  # type: ignore[operator]
-    for ax in drawn.axes[-2:]:
-        ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
-        ax.set_yticks([], minor=True)
+    ax.set_yticks(ticks, [f"{t:g}" for t in ticks])
+    ax.set_yticks([], minor=True)
 
 
 def error_over_time(fits: Mapping[str, Fit]) -> Figure:
-    """3-D error of every observation in the order of time, fitted ones faint, held-out ones full."""
+    """3-D error of every observation over time: fitted ones faint, held-out ones full."""
     drawn = figure(9.6, 3.9)
     ax = grid(drawn, 1, 1, left=0.8, right=0.2, top=0.45, bottom=0.6)[0, 0]
     plain(ax)
-    colours = dict(zip(fits, (NOMINAL, BEFORE, AFTER), strict=False))
+    colours = {"uncompensated": NOMINAL, "before": BEFORE, "after": AFTER}
     shown = []
     for name, fit in fits.items():
         plan = fit.measurement.plan
@@ -222,9 +244,18 @@ def error_over_time(fits: Mapping[str, Fit]) -> Figure:
                 markersize=4,
                 label=f"{name}, {'fitted' if faint else 'held out'}: rms {rms:.3g} µm",
             )
-    ax.set_ylim(0, limit(shown))
-    # Room above the dots for the legend.
-    ax.set_ylim(0, ax.get_ylim()[1] * 1.3)
-    ax.legend(fontsize=8.5, ncols=len(fits), loc="upper center", frameon=False, markerscale=2)
-    titled(ax, "error in the order of time", "pose number, in time", "3-D error, µm")
+    everything = np.concatenate(shown)
+    ax.set_yscale("log")
+    ax.set_ylim(0.8 * np.quantile(everything, 0.002), 1.2 * everything.max())
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.legend(
+        fontsize=8.5,
+        ncols=2 * len(fits),
+        loc="lower left",
+        bbox_to_anchor=(-0.01, 1.0),
+        frameon=False,
+        markerscale=2,
+        handletextpad=0.2,
+    )
+    titled(ax, "", "pose number, in the order of time", "3-D error, µm")
     return drawn

@@ -3,12 +3,26 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
-from ..identify import Fit
+from ..fit import Fit
 from ..loop.unexplained import Unexplained, bins, covariates, displacements
-from .style import AFTER, BEFORE, DOTS, INK, MARK, column_label, figure, grid, limit, titled
-from .views import View, column_of, contribution, described, values_of
+from .style import (
+    AFTER,
+    BEFORE,
+    DOTS,
+    FIELD,
+    INK,
+    MARK,
+    TONE,
+    column_label,
+    figure,
+    grid,
+    limit,
+    titled,
+)
+from .views import View, column_of, described, values_of
 
 _MOST_DOTS = 4000
 
@@ -17,7 +31,7 @@ def before_after(view: View, name: str) -> Figure:
     """Residual of the model without and with an effect, against what betrays it.
 
     Dots are readings, the coloured points means of groups with two standard errors; the line is
-    what the effect predicts.
+    what is visible of the effect, that is, not taken up by other parameters.
     """
     drawn = figure(9.6, 3.9)
     left, right = grid(
@@ -28,17 +42,48 @@ def before_after(view: View, name: str) -> Figure:
         (left, view.without, BEFORE, "before: without"),
         (right, view.with_, AFTER, "after: with"),
     ):
-        _dots(ax, view.x, y, colour, sides=view.kind == "sides")
-        if view.curve is not None and ax is left:
-            ax.plot(*view.curve, color=INK, linewidth=1.4, label=f"what {name} predicts")
-            ax.legend(fontsize=8.5, loc="upper left", frameon=False)
+        _dots(ax, view.x, y, colour, sides=view.kind == "sides", tone=view.tone)
+        if ax is left:
+            _visible(ax, view, name)
         if view.event is not None:
             ax.axvline(view.event, color=INK, linewidth=1.2, linestyle="--")
         rms = np.sqrt((y**2).mean())
-        titled(ax, f"{word} {name}   (rms {_figures(rms)} µm)", view.x_label)
+        titled(ax, f"{word} {name}   (rms {rms:.3g} µm)", view.x_label)
         ax.set_ylim(-bound, bound)
-    left.set_ylabel("residual of the tool point, µm", fontsize=9.5, color=INK)
+    along = f" {view.along}" if len(view.along) < 24 else " of the tool point"
+    left.set_ylabel(f"residual{along}, µm", fontsize=9.5, color=INK)
     return drawn
+
+
+def _visible(ax: Axes, view: View, name: str) -> None:
+    """What is visible of an effect, as a line through the means of groups."""
+    x, y = view.x, view.visible
+    label = f"visible of {name}"
+    levels = np.unique(x)
+    if len(levels) <= 12:
+        width = 0.3 * (np.diff(levels).min() if len(levels) > 1 else 1.0)
+        means = [y[x == level].mean() for level in levels]
+        ax.hlines(means, levels - width, levels + width, color=INK, lw=1.5, label=label, zorder=2)
+    elif view.kind == "visible":
+        ends = np.array([x.min(), x.max()])
+        ax.plot(ends, ends, color=INK, linewidth=1.4, label=label)
+        if view.tone is not None:
+            ax.plot([], [], ".", color=TONE, markersize=6, label=view.tone_label)
+    else:
+        ax.plot(*_means(x, y, 30), color=INK, linewidth=1.4, label=label)
+    _legend(ax, "upper left")
+
+
+def _legend(ax: Axes, place: str) -> None:
+    box = ax.legend(fontsize=8.5, loc=place, framealpha=0.85, edgecolor="none", borderpad=0.2)
+    box.set_zorder(4)
+
+
+def _means(x: np.ndarray, y: np.ndarray, groups: int) -> tuple[np.ndarray, np.ndarray]:
+    """Means of `x` and `y` over groups of equal size in the order of `x`."""
+    order = np.array_split(np.argsort(x, kind="stable"), groups)
+    pairs = [(x[rows].mean(), y[rows].mean()) for rows in order if len(rows)]
+    return tuple(np.array(pairs).T)  # type: ignore[return-value]
 
 
 def unexplained_views(fit: Fit, what: Unexplained, most: int = 2) -> list[str]:
@@ -54,53 +99,62 @@ def unexplained_views(fit: Fit, what: Unexplained, most: int = 2) -> list[str]:
 
 
 def unexplained(fit: Fit, what: Unexplained) -> Figure:
-    """What stays unexplained, against the covariates it depends on most; the interval is shaded."""
+    """What stays unexplained: against the covariates it depends on most, or, where it is local,
+    against its place (shaded), and what an empirical bump leaves of it.
+    """
     names = unexplained_views(fit, what)
+    used = fit.used
+    moved = displacements(fit)[used] * 1e6
     drawn = figure(9.6, 3.9)
+    margins = {"left": 0.75, "right": 0.2, "top": 0.45, "bottom": 0.6}
     if not names:
-        ax = grid(drawn, 1, 1, left=0.75, right=0.2, top=0.45, bottom=0.6)[0, 0]
-        length = np.linalg.norm(displacements(fit)[fit.used], axis=1) * 1e6
-        ax.hist(length, bins=40, color=BEFORE)
+        ax = grid(drawn, 1, 1, **margins)[0, 0]
+        ax.hist(np.linalg.norm(moved, axis=1), bins=40, color=BEFORE)
         titled(ax, "size of the residual", "residual of the tool point, µm", "readings")
         return drawn
-    row = grid(drawn, 1, len(names), left=0.75, right=0.2, top=0.45, bottom=0.6, wspace=0.75)[0]
-    plan, used = fit.measurement.plan, fit.used
-    moved = displacements(fit)[used] * 1e6
-    frame = "" if set(plan.axes) <= set("XYZ") else " of the tool"
-    for ax, name in zip(row, names, strict=True):
-        column, factor = column_of(name, plan)
-        x = values_of(name, plan)[used]
-        i = "XYZ".find(what.direction)
-        if i < 0:
-            i = int(np.argmax([described(x, moved[:, k]) * moved[:, k].var() for k in range(3)]))
-        for interval in what.where:
-            if interval.covariate == name:
-                ax.axvspan(
-                    interval.low * factor, interval.high * factor, color=MARK, alpha=0.25, lw=0
-                )
-        _dots(ax, x * factor, moved[:, i], BEFORE, many=what.bump is not None)
-        if what.bump is not None and name == what.bump.effect.placement:
-            bump = what.bump.fit
-            local = contribution(bump, len(bump.model.effects) - 1)[used, i] * 1e6
-            order = np.argsort(x)
-            ax.plot(x[order] * factor, local[order], color=INK, linewidth=1.3)
-        bound = limit([moved[:, i]])
-        ax.set_ylim(-bound, bound)
-        share = described(x, moved[:, i])
-        titled(
-            ax,
-            f"{'XYZ'[i]} against {column}   ({100 * share:.0f} % of its variance)",
-            column_label(column),
-            f"residual along {'XYZ'[i]}{frame}, µm",
-        )
+    if what.bump is not None:
+        row = grid(drawn, 1, 2, **margins, wspace=0.35, sharey=True)[0]
+        left = displacements(what.bump.fit)[used] * 1e6
+        i = _component(fit, names[0], moved, what.direction)
+        for ax, y, colour in zip(row, (moved, left), (BEFORE, AFTER), strict=True):
+            _panel(ax, fit, names[0], y[:, i], colour, i)
+            for interval in what.where:
+                low, high = (v * column_of(names[0], fit.measurement.plan)[1] for v in
+                             (interval.low, interval.high))  # fmt: skip
+                ax.axvspan(low, high, color=MARK, alpha=0.22, lw=0, zorder=0)
+        row[1].set_title("with an empirical bump at this place", fontsize=10, color=INK, loc="left")
+        row[1].set_ylabel("")
+        return drawn
+    for ax, name in zip(grid(drawn, 1, len(names), **margins, wspace=0.8)[0], names, strict=True):
+        i = _component(fit, name, moved, what.direction)
+        _panel(ax, fit, name, moved[:, i], BEFORE, i)
     return drawn
+
+
+def _component(fit: Fit, name: str, moved: np.ndarray, direction: str) -> int:
+    """The component to show: the main one, or the one that the covariate describes best."""
+    if direction in "XYZ":
+        return "XYZ".index(direction)
+    x = values_of(name, fit.measurement.plan)[fit.used]
+    return int(np.argmax([described(x, moved[:, k]) * moved[:, k].var() for k in range(3)]))
+
+
+def _panel(ax: Axes, fit: Fit, name: str, y: np.ndarray, colour: str, i: int) -> None:
+    plan = fit.measurement.plan
+    column, factor = column_of(name, plan)
+    frame = "" if set(plan.axes) <= set("XYZ") else " of the tool"
+    _dots(ax, values_of(name, plan)[fit.used] * factor, y, colour, many=True)
+    bound = limit([y])
+    ax.set_ylim(-bound, bound)
+    along = f"residual along {'XYZ'[i]}{frame}"
+    titled(ax, f"{along} against {column}", column_label(column), f"{along}, µm")
 
 
 def studentised(fit: Fit) -> np.ndarray:
     """Residuals over their own standard deviations under the declared noise, sorted."""
-    half = np.linalg.solve(np.linalg.cholesky(fit.jacobian.T @ fit.jacobian + np.diag(
-        fit.precision)), fit.jacobian.T)
-    leverage = (half**2).sum(0)
+    factor, lower = fit.factor
+    half = solve_triangular(factor, fit.jacobian.T, trans=0 if lower else "T", lower=lower)
+    leverage = np.einsum("kn,kn->n", half, half)
     used = np.repeat(fit.used, fit.residual.shape[1])
     return np.sort(fit.whitened[used] / np.sqrt(np.clip(1.0 - leverage[used], 0.02, 1.0)))
 
@@ -115,7 +169,7 @@ def normal_plot(before: Fit, after: Fit) -> Figure:
         ax.plot(expected, values, ".", markersize=3, color=colour, label=name)
     bound = max(abs(ax.get_xlim()[0]), abs(ax.get_xlim()[1]))
     ax.plot([-bound, bound], [-bound, bound], color=INK, linewidth=1.0, label="as declared")
-    ax.legend(fontsize=8.5, loc="upper left", frameon=False)
+    _legend(ax, "upper left")
     titled(
         ax,
         "residuals against the declared noise",
@@ -126,7 +180,14 @@ def normal_plot(before: Fit, after: Fit) -> Figure:
 
 
 def _dots(
-    ax: Axes, x: np.ndarray, y: np.ndarray, colour: str, *, sides: bool = False, many: bool = False
+    ax: Axes,
+    x: np.ndarray,
+    y: np.ndarray,
+    colour: str,
+    *,
+    sides: bool = False,
+    many: bool = False,
+    tone: np.ndarray | None = None,
 ) -> None:
     """Readings as dots, and the mean of every group of `x` with two standard errors."""
     levels = np.unique(x)
@@ -134,14 +195,19 @@ def _dots(
     shown = x
     if few and len(levels) > 1:
         # Readings at the same place are spread out, so that their number can be seen.
-        spread = 0.3 * np.diff(levels).min() * np.random.default_rng(0).uniform(-1, 1, len(x))
+        spread = 0.18 * np.diff(levels).min() * np.random.default_rng(0).uniform(-1, 1, len(x))
         shown = x + spread
     step = max(1, len(x) // _MOST_DOTS)
-    ax.plot(shown[::step], y[::step], ".", color=DOTS, markersize=3, alpha=0.7, zorder=1)
+    if tone is None:
+        ax.plot(shown[::step], y[::step], ".", color=DOTS, markersize=3, alpha=0.7, zorder=1)
+    else:
+        ax.scatter(
+            shown[::step], y[::step], c=tone[::step], cmap=FIELD, s=9, edgecolor="none", zorder=1
+        )
     if few:
         index = np.searchsorted(levels, x)
     elif many:
-        index = np.searchsorted(np.linspace(x.min(), x.max(), 31)[1:-1], x)
+        index = np.searchsorted(np.quantile(x, np.linspace(0, 1, 21)[1:-1]), x)
     else:
         index = bins(x)
     centres, means, errors = [], [], []
@@ -162,7 +228,3 @@ def _dots(
 
 def _alike(a: np.ndarray, b: np.ndarray) -> bool:
     return abs(np.corrcoef(a, b)[0, 1]) > 0.999
-
-
-def _figures(value: float) -> str:
-    return f"{value:.3g}"

@@ -28,7 +28,9 @@ def search(
     tried and rejected.
     """
     kinds = sorted({kind.kind for screening in screenings for kind in screening.kinds})
-    height = {kind: minus_log10_p(screenings[0], k) for k in screenings[0].kinds for kind in [k.kind]}
+    height = {
+        kind: minus_log10_p(screenings[0], k) for k in screenings[0].kinds for kind in [k.kind]
+    }
     kinds.sort(key=lambda kind: height.get(kind, 0.0))
     drawn = figure(9.6, 1.15 + 0.235 * len(kinds))
     row = grid(
@@ -54,5 +56,6 @@ def search(
         ax.grid(axis="y", visible=False)
         if i:
             ax.tick_params(labelleft=False)
-        titled(ax, f"round {i + 1}", "−log₁₀ of corrected p")
+        word = f": added {chosen}" if chosen else ""
+        titled(ax, f"round {i + 1}{word}", "−log₁₀ of corrected p")
     return drawn

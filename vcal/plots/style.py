@@ -16,7 +16,9 @@ MARK = "#E69F00"
 """Palette of Okabe and Ito, which the colour-blind can tell apart."""
 DOTS = "#9aa5b1"
 INK = "#1f2933"
-FIELD = "cividis"
+FIELD = "viridis"
+TONE = "#21918c"
+"""Colour map of fields, and the middle of it."""
 
 DPI = 110
 
@@ -53,7 +55,8 @@ def grid(
     sharey: bool = False,
 ) -> np.ndarray:
     """Axes (rows, columns), styled, with margins and gaps in inches, so that nothing overlaps
-    whatever the size of the figure."""
+    whatever the size of the figure.
+    """
     width, height = drawn.get_size_inches()
     inner_w = (width - left - right - wspace * (columns - 1)) / columns
     inner_h = (height - top - bottom - hspace * (rows - 1)) / rows

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from ..effects.base import Effect
-from ..identify import Fit
+from ..fit import Fit
 from ..instruments.conditions import file_column
 from ..loop.unexplained import bins, displacements
 from ..plan import Plan
@@ -15,7 +15,6 @@ from .style import column_label
 
 _CLEAR = 0.5
 """Share of an effect's own pattern that a covariate must describe to be its axis in a picture."""
-_PRODUCTS = {"T": 20.0}
 
 
 @dataclass(frozen=True)
@@ -26,16 +25,25 @@ class View:
     """In the unit that `x_label` names."""
     x_label: str
     kind: str
-    """``"sides"`` (a direction of travel), ``"scatter"``, or ``"step"`` at `event`."""
+    """``"sides"`` (a direction of travel), ``"scatter"``, ``"step"`` at `event`, or ``"visible"``
+    where `x` is what is visible of the effect."""
     along: str
     """The direction in words, such as ``"along Y"``."""
     without: np.ndarray
     """Residual of the model that lacks the effect, um."""
     with_: np.ndarray
     """Residual of the model that has it, um."""
-    curve: tuple[np.ndarray, np.ndarray] | None = None
-    """What the effect predicts, where that is a function of `x`: (x, um)."""
     event: float | None = None
+    tone: np.ndarray | None = None
+    """Where `x` is what is visible of the effect: the covariate that betrays it best, as colour."""
+    tone_label: str = ""
+
+    @property
+    def visible(self) -> np.ndarray:
+        """What the effect changes in the residual, um: its displacement less what the other
+        parameters can take up of it.
+        """
+        return self.without - self.with_
 
 
 def column_of(covariate: str, plan: Plan) -> tuple[str, float]:
@@ -120,25 +128,18 @@ def effect_view(fit: Fit, effect: Effect) -> View:
 
     Direction: that in which its one port moves the tool point, row by row; of effects with several
     ports the main direction of what they displace. Abscissa: of the covariates that betray it the
-    one that describes its pattern best; where none does, the displacement it predicts.
+    one that describes best what is visible of it; where none does, that visible part itself.
     """
     place = place_of(fit, effect)
-    plan, used = fit.measurement.plan, fit.used
-    shape = fit.shapes.get(place, {})
-    moved = contribution(fit, place)
-    direction, along = _direction(fit, effect, shape, moved)
-    predicted = (moved * direction).sum(1)[used] * 1e6
-    without = (displacements(fit, residual_without(fit, place)) * direction).sum(1)[used] * 1e6
-    with_ = (displacements(fit) * direction).sum(1)[used] * 1e6
-    x, label, kind, event = _abscissa(plan, effect, shape, predicted, used)
-    curve = None
-    if described(x, predicted) > 0.9 or "modulo" in label:
-        order = np.argsort(x, kind="stable")
-        curve = (x[order], predicted[order])
-    if len(np.unique(x)) <= 12 and curve is not None:
-        levels = np.unique(x)
-        curve = (levels, np.array([predicted[x == level].mean() for level in levels]))
-    return View(x, label, kind, along, without, with_, curve, event)
+    used, shape = fit.used, fit.shapes.get(place, {})
+    direction, along = _direction(fit, effect, shape, contribution(fit, place))
+    without, with_ = (
+        (displacements(fit, residual) * direction).sum(1)[used] * 1e6
+        for residual in (residual_without(fit, place), fit.residual)
+    )
+    x, label, kind, event = _abscissa(fit, effect, shape, without - with_)
+    tone, tone_label = _tone(fit, effect, without - with_) if kind == "visible" else (None, "")
+    return View(x, label, kind, along, without, with_, event, tone, tone_label)
 
 
 def _direction(fit: Fit, effect: Effect, shape, moved: np.ndarray) -> tuple[np.ndarray, str]:
@@ -164,7 +165,8 @@ def _direction(fit: Fit, effect: Effect, shape, moved: np.ndarray) -> tuple[np.n
     return moved / np.where(length > 0, length, 1.0), "along the displacement it causes"
 
 
-def _abscissa(plan: Plan, effect: Effect, shape, predicted: np.ndarray, used: np.ndarray):
+def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray):
+    plan, used = fit.measurement.plan, fit.used
     named = [n for n in effect.betrayed_by if plan.has(n)]
     if "pitch" in shape and effect.placement in plan.axes:
         pitch = float(shape["pitch"]) * 1e3
@@ -176,7 +178,7 @@ def _abscissa(plan: Plan, effect: Effect, shape, predicted: np.ndarray, used: np
         column, factor = column_of(named[0], plan)
         x = values_of(named[0], plan)[used] * factor
         return x, column_label(column), "step", float(shape[steps[0]]) * factor
-    shares = [described(values_of(n, plan)[used], predicted) for n in named]
+    shares = [described(values_of(n, plan)[used], visible) for n in named]
     if shares and max(shares) > _CLEAR:
         name = named[int(np.argmax(shares))]
         column, factor = column_of(name, plan)
@@ -186,7 +188,22 @@ def _abscissa(plan: Plan, effect: Effect, shape, predicted: np.ndarray, used: np
     axes = [n for n in named if n in plan.axes]
     warm = [n for n in named if re.fullmatch(r"T_\w+", n)]
     if axes and warm:
-        x = (values_of(warm[0], plan) - 20.0) * values_of(axes[0], plan)
-        if described(x[used], predicted) > _CLEAR:
-            return x[used], f"({warm[0]} - 20 °C) × position of {axes[0]}, K m", "scatter", None
-    return predicted, f"displacement that {effect.key} predicts, µm", "scatter", None
+        x = (values_of(warm[0], plan) - 20.0)[used] * values_of(axes[0], plan)[used]
+        if described(x, visible) > _CLEAR:
+            return x, f"(temperature of {axes[0]} − 20 °C) × its position, K m", "scatter", None
+    return visible, f"what is visible of {effect.key}, µm", "visible", None
+
+
+def _tone(fit: Fit, effect: Effect, visible: np.ndarray) -> tuple[np.ndarray | None, str]:
+    """The betraying covariate that describes best what is visible, as ranks from 0 to 1."""
+    plan = fit.measurement.plan
+    table = {n: values_of(n, plan)[fit.used] for n in effect.betrayed_by if plan.has(n)}
+    table = {n: x for n, x in table.items() if np.ptp(x) > 0}
+    if not table:
+        return None, ""
+    name = max(table, key=lambda n: described(table[n], visible))
+    x = table[name]
+    ranks = np.searchsorted(np.unique(x), x) / (len(np.unique(x)) - 1)
+    column, factor = column_of(name, plan)
+    low, high = x.min() * factor, x.max() * factor
+    return ranks, f"dots: {column_label(column)}, {low:.4g} (dark) to {high:.4g} (bright)"

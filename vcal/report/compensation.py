@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..identify import Fit
+from ..fit import Fit
 from ..loop.closure import Closure
 from ..plan import Plan
 from ..plots import ErrorMotionTable
@@ -130,9 +130,7 @@ def effects_csv(closure: Closure) -> str:
     for found in closure.effects:
         for name, value, unit, u in parameters(closure, found):
             numbers = _number(value), _number(u)
-            rows.append(
-                [found.effect.name, found.placement, name, numbers[0], unit, numbers[1]]
-            )
+            rows.append([found.effect.name, found.placement, name, numbers[0], unit, numbers[1]])
     return _csv(rows)
 
 

@@ -1,17 +1,22 @@
-"""What follows from identified parameters: amplitude and phase of a sine and a cosine."""
+"""What follows from a closure: amplitudes and phases, and columns that were missed."""
 
 import math
 
 import numpy as np
 
 from ..effects.base import harmonic_summary
+from ..loop.candidates import Untestable
 from ..loop.closure import Closure, FoundEffect
-from ..plots import parameter_places, place_of
+from ..plan import Plan
+from ..plots import column_of, parameter_places, place_of
+
+_NO = "the data have no "
 
 
 def parameters(closure: Closure, found: FoundEffect) -> list[tuple[str, float, str, float]]:
     """(name, value, unit, standard uncertainty) of an effect, sine and cosine also as the
-    amplitude A and phase phi of A sin(u + phi)."""
+    amplitude A and phase phi of A sin(u + phi).
+    """
     listed = [(n, float(v), unit, float(u)) for n, v, unit, u in found.parameters]
     return listed + _harmonics(closure, found)
 
@@ -47,3 +52,12 @@ def _harmonics(closure: Closure, found: FoundEffect) -> list[tuple[str, float, s
 
 def _root(variance: float) -> float:
     return math.sqrt(max(float(variance), 0.0))
+
+
+def missing_columns(item: Untestable, plan: Plan) -> list[str]:
+    """Columns, as they are called in files, for want of which an effect could not be tested; none
+    where that was not the reason.
+    """
+    if not item.reason.startswith(_NO):
+        return []
+    return [column_of(name, plan)[0] for name in item.reason.removeprefix(_NO).split(", ")]

@@ -17,7 +17,7 @@ from ..io.study import Study
 from ..loop.closure import Closure, FoundEffect
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
-from .derived import parameters
+from .derived import missing_columns, parameters
 from .pictures import Picture
 from .record import plain, versions
 
@@ -71,7 +71,7 @@ def page(
         effects=[_effect(closure, found) for found in closure.effects],
         unexplained=_unexplained(closure),
         pictures=shown,
-        alpha=text.number(closure.settings["alpha"] * 100) + " %",
+        alpha=f"{100 * closure.settings['alpha']:g} %",
         tried=_tried(closure),
         rounds=len(closure.screenings),
         rejected=[
@@ -149,7 +149,9 @@ def _tiles(closure: Closure) -> list[dict[str, str]]:
     """The two or three figures that a reader looks for first."""
     tiles = []
     for attribute, name in (("check", "Error at check points"), ("heldout", "Held-out error")):
-        values = [getattr(closure.errors[c], attribute) for c in ("uncompensated", "before", "after")]
+        values = [
+            getattr(closure.errors[c], attribute) for c in ("uncompensated", "before", "after")
+        ]
         if any(v is None or not math.isfinite(v.value) for v in values):
             continue
         tiles.append(
@@ -271,30 +273,23 @@ def _tried(closure: Closure) -> list[dict[str, Any]]:
 
 
 def _untestable(closure: Closure) -> list[dict[str, str]]:
-    """One line per effect and reason, its places joined."""
-    places: dict[tuple[str, str], list[str]] = {}
+    """One line per effect: its places, and the columns that they would need."""
+    plan = closure.after.measurement.plan
+    places: dict[str, list[str]] = {}
+    reasons: dict[str, list[str]] = {}
     for item in closure.untestable:
-        places.setdefault((item.effect, item.reason), []).append(item.placement)
-    by_effect: dict[tuple[str, str], list[str]] = {}
-    for (effect, reason), found in places.items():
-        own = found[0] if len(found) == 1 else ""
-        # "no T_X", "no T_Y" of one effect is one line: no T_*.
-        by_effect.setdefault((effect, _general(reason, own)), []).extend(found)
+        places.setdefault(item.effect, []).append(item.placement)
+        missing = missing_columns(item, plan)
+        reasons.setdefault(item.effect, []).extend(missing or [item.reason])
     return [
         {
             "effect": effect,
             "summary": _summary(effect),
             "places": ", ".join(dict.fromkeys(p for p in found if p)),
-            "reason": reason,
+            "missing": ", ".join(dict.fromkeys(reasons[effect])),
         }
-        for (effect, reason), found in by_effect.items()
+        for effect, found in places.items()
     ]
-
-
-def _general(reason: str, placement: str) -> str:
-    if placement and reason.endswith(f"_{placement}"):
-        return reason.removesuffix(placement) + "* of these axes"
-    return reason
 
 
 def _unseen(closure: Closure) -> list[dict[str, str]]:

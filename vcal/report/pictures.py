@@ -54,9 +54,9 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
         )
         caption = (
             "Significance of the best candidate of every kind of effect, corrected for the whole "
-            "search, in each round. Dashed: the limit alpha. Blue: the kind that was added; orange: "
-            "significant, but rejected for the reason below. What an added effect had mimicked "
-            "falls below the limit in the next round."
+            "search, in each round. Dashed: the limit alpha. Blue: the kind that was added; "
+            "orange: significant, but rejected for the reason below. What an added effect had "
+            "mimicked falls below the limit in the next round."
         )
         yield Picture("search", "tried", caption, plots.png(figure))
     figure = plots.normal_plot(closure.before, closure.after)
@@ -102,7 +102,7 @@ def _errors(closure: Closure) -> Iterator[Picture]:
             "colour scale throughout; seen from above (top) and from the front (bottom)."
         )
         yield Picture("check_points", "volumetric", caption, plots.png(figure))
-    values = plots.error_field(closure.before, closure.after)
+    values = plots.error_field(closure.before, closure.after, closure.check)
     if values is not None:
         figure = plots.field(values)
         caption = (
@@ -112,10 +112,8 @@ def _errors(closure: Closure) -> Iterator[Picture]:
             "temperature or time come on top."
         )
         if abs(values.change).max() > 1e-3:
-            caption += (
-                f" Bottom: what closing the loop changed, at most {number(abs(values.change).max())}"
-                " µm."
-            )
+            largest = number(abs(values.change).max())
+            caption += f" Bottom: what closing the loop changed, at most {largest} µm."
         yield Picture("error_field", "volumetric", caption, plots.png(figure))
     folds, apart = closure.after.model.instrument.folds(closure.after.measurement.plan)
     if apart:

@@ -11,12 +11,13 @@ import numpy as np
 
 from .. import __version__
 from ..io.study import Study
+from ..loop.candidates import Untestable
 from ..loop.closure import Closure, Errors, FoundEffect
 from ..loop.heldout import Rms
 from ..loop.unexplained import Unexplained
 from ..plan import Plan
 from ..plots import column_of
-from .derived import parameters
+from .derived import missing_columns, parameters
 
 SCHEMA = "vcal-report/1"
 _PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
@@ -54,7 +55,7 @@ def record(
             for tried in closure.rejected
         ],
         "untestable": [
-            {"effect": item.effect, "placement": item.placement, "reason": item.reason}
+            {"effect": item.effect, "placement": item.placement, "reason": _reason(item, plan)}
             for item in closure.untestable
         ],
         "unseen": list(dict.fromkeys(closure.unseen)),
@@ -67,6 +68,11 @@ def record(
         "interrupted": closure.interrupted,
     }
     return plain(found)
+
+
+def _reason(item: Untestable, plan: Plan) -> str:
+    missing = missing_columns(item, plan)
+    return f"the data have no {', '.join(missing)}" if missing else item.reason
 
 
 def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:

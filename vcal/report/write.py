@@ -31,7 +31,11 @@ def check_folder(out: Path | str) -> None:
         return
     if not out.is_dir():
         raise refusal(
-            str(out), "output folder", "a file", "a folder, or a name that is free", "choose another"
+            str(out),
+            "output folder",
+            "a file",
+            "a folder, or a name that is free",
+            "choose another",
         )
     if any(out.iterdir()) and not _files_of(out):
         raise refusal(
@@ -89,7 +93,8 @@ def _make(
 @contextlib.contextmanager
 def _workshop(out: Path) -> Iterator[Path]:
     """A temporary folder on the file system of `out`, gone afterwards; so are parents of `out`
-    that had to be made, if they are still empty."""
+    that had to be made, if they are still empty.
+    """
     made = [p for p in out.absolute().parents if not p.exists()]
     home = out.absolute().parent
     home.mkdir(parents=True, exist_ok=True)
@@ -120,7 +125,8 @@ def _files_of(out: Path) -> list[str]:
 
 def _install(work: Path, out: Path, files: Sequence[str]) -> None:
     """Move the files from `work` to `out`, those of an earlier report out of the way; undo all of
-    it if anything comes in between."""
+    it if anything comes in between.
+    """
     fresh = not out.exists()
     out.mkdir(exist_ok=True)
     kept = work / _KEPT
@@ -146,4 +152,3 @@ def _install(work: Path, out: Path, files: Sequence[str]) -> None:
             with contextlib.suppress(OSError):
                 out.rmdir()
         raise
-

@@ -1,0 +1,233 @@
+"""The commands: each reads its arguments, calls one verb and prints what came of it.
+
+Modules that only some commands need are imported there, so that ``vcal --help`` answers at once.
+"""
+
+import shlex
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .. import __version__
+from .session import INTERRUPTED, guarded, start, tell, working
+
+app = typer.Typer(
+    name="vcal",
+    help="Virtual calibration of machine tools: simulate a measurement, find what a model lacks.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Setup = Annotated[
+    Path, typer.Argument(help="Study file (TOML), or a folder with a setup.toml.", metavar="SETUP")
+]
+Override = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Replace a key of the study file; repeatable."),
+]
+
+
+def main() -> None:
+    """Run the command line; the process ends with its exit code."""
+    try:
+        app()
+    except KeyboardInterrupt:  # outside of a command: while modules are imported
+        tell("interrupted")
+        raise SystemExit(INTERRUPTED) from None
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"vcal {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    del version
+
+
+@app.command()
+@guarded
+def loop(
+    setup: Setup,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the report; a new one.")],
+    alpha: Annotated[
+        float | None, typer.Option(help="Share of clean measurements that may get a name.")
+    ] = None,
+    effects: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="Try these effects only.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all random draws.")] = None,
+    draws: Annotated[int | None, typer.Option(help="Null draws behind a significance.")] = None,
+    max_effects: Annotated[
+        int | None, typer.Option(help="Effects after which the loop stops.")
+    ] = None,
+    override: Override = None,
+) -> None:
+    """Find, name and add the effect that a measurement says is missing; write a report."""
+    options = {"alpha": alpha, "seed": seed, "draws": draws, "max_effects": max_effects}
+    given = list(override or [])
+    command = ["vcal", "loop", str(setup), "--out", str(out)]
+    for name, value in options.items():
+        if value is not None:
+            given.append(f"loop.{name}={value}")
+            command += [f"--{name.replace('_', '-')}", str(value)]
+    if effects is not None:
+        names = [name.strip() for name in effects.split(",") if name.strip()]
+        quoted = ", ".join(f'"{name}"' for name in names)
+        given.append(f"loop.effects=[{quoted}]")
+        command += ["--effects", effects]
+    for text in override or []:
+        command += ["--set", text]
+    _close(setup, out, given, shlex.join(command))
+
+
+@app.command()
+@guarded
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder for the report; a new one.")] = Path(
+        "vcal-demo"
+    ),
+) -> None:
+    """Close the loop on the measurement that comes with vcal, which hides an effect."""
+    from .folders import demo_folder
+
+    command = ["vcal", "demo", "--out", str(out)]
+    with demo_folder() as folder:
+        _close(folder / "setup.toml", out, [], shlex.join(command))
+
+
+def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
+    began = time.perf_counter()
+    start()
+    from .. import close_loop, load_study
+    from ..errors import StudyError
+    from ..report import write_report
+    from .show import show_closure
+
+    with working("reading the study") as progress:
+        study = load_study(setup, overrides)
+        if study.measurement is None:
+            raise StudyError(
+                f"{study.settings.data.data}, header: found no column of readings, that is, a "
+                f"plan; expected the readings of a {study.settings.instrument.kind}; add them, or "
+                "make some with `vcal simulate`"
+            )
+        options = study.options
+        closure = close_loop(
+            study.model,
+            study.measurement,
+            check=study.check,
+            effects=[study.catalogue[name] for name in options.effects or study.catalogue],
+            alpha=options.alpha,
+            draws=options.draws,
+            seed=options.seed,
+            max_effects=options.max_effects,
+            progress=progress,
+        )
+        progress("writing the report")
+        seconds = time.perf_counter() - began
+        page = write_report(closure, study, out, command=command, seconds=seconds)
+    show_closure(closure)
+    typer.echo(f"Report: {page}")
+    if closure.interrupted:
+        tell("interrupted: the report holds what was known by then")
+        raise typer.Exit(INTERRUPTED)
+
+
+@app.command()
+@guarded
+def init(
+    folder: Annotated[Path, typer.Argument(help="Folder to write; a new or an empty one.")],
+    instrument: Annotated[
+        str, typer.Option(help="laser_tracker, ball_array or reflectors.")
+    ] = "laser_tracker",
+) -> None:
+    """Write a commented study folder to start from."""
+    from .folders import write_start
+
+    names = write_start(instrument, folder)
+    typer.echo(f"Wrote {folder}: {', '.join(names)}.")
+    typer.echo(f"Put your machine and data in, then: vcal check {folder / 'setup.toml'}")
+
+
+@app.command()
+@guarded
+def simulate(
+    setup: Setup,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write; a new or an empty one.")],
+    with_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with",
+            metavar="EFFECT",
+            help="An effect that is there but not declared, as NAME:PLACEMENT:KEY=VALUE,...; "
+            "what is not given is drawn from its prior. Repeatable.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random draws.")] = 0,
+    noise_factor: Annotated[
+        float, typer.Option(help="Multiplies the noise that the instrument declares.")
+    ] = 1.0,
+) -> None:
+    """Make data as of a machine drawn from its priors, at the positions of a study."""
+    start()
+    from .. import load_study
+    from ..effects.base import Setup as Place
+    from ..io.simulated import parse_with, write_simulated
+
+    with working("simulating"):
+        study = load_study(setup)
+        place = Place(
+            study.chain, study.model.layout, study.plan, study.model.effects,
+            study.instrument.artefact,
+        )  # fmt: skip
+        data = study.settings.data.data
+        effects = [parse_with(text, study.catalogue, place, data) for text in with_ or []]
+        result = write_simulated(
+            study, out, effects=effects, seed=seed, noise_factor=noise_factor
+        )
+    typer.echo(f"Wrote {out}: {result.measurement.rows} rows of a machine drawn with seed {seed}.")
+    for i, effect in enumerate(effects, start=len(study.model.effects)):
+        values = (f"{p.label} = {value:.4g}" for p, value in result.parameter_values(i))
+        typer.echo(f"In it, undeclared: {effect.key}, {', '.join(values)}")
+
+
+@app.command()
+@guarded
+def check(setup: Setup, override: Override = None) -> None:
+    """Read and check a study without computing anything; say what is in it."""
+    start()
+    from .. import load_study
+    from .show import show_study
+
+    show_study(load_study(setup, override or []))
+
+
+@app.command()
+@guarded
+def effects(
+    name: Annotated[str | None, typer.Argument(help="Show this one in full.")] = None,
+) -> None:
+    """List the effects that the loop knows, or explain one."""
+    import inspect
+
+    from ..effects import CATALOGUE, effect_class
+    from .show import show_catalogue
+
+    if name is None:
+        show_catalogue(CATALOGUE.values())
+        return
+    effect = effect_class(name)
+    typer.echo(f"{effect.name}: {effect.summary}\n")
+    typer.echo(inspect.cleandoc(effect.__doc__ or ""))
+    typer.echo(f"\nDisturbs the {effect.where}; {effect.kind}.")

@@ -1,0 +1,119 @@
+"""What all commands share: precision, compilation cache, progress, and how mistakes are told."""
+
+import functools
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+import typer
+
+from .. import enable_float64
+from ..errors import StudyError
+
+MISTAKE = 2
+"""Exit code where the input cannot be used."""
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells expect it: 128 + SIGINT."""
+_WORTH_KEEPING_S = 0.1
+"""Programs that compile faster than this are not kept: reading them back would take as long."""
+
+
+def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
+    """A command that tells a `StudyError` in one message with exit code 2, without a traceback.
+
+    So are files that cannot be read or written. Ctrl-C, where the command does not deal with it
+    itself, gives exit code 130.
+    """
+
+    @functools.wraps(command)
+    def run(*args: Any, **kwargs: Any) -> None:
+        try:
+            command(*args, **kwargs)
+        except StudyError as error:
+            tell(str(error))
+            raise typer.Exit(MISTAKE) from None
+        except OSError as error:
+            if error.filename is None:
+                raise
+            tell(f"{error.filename}: {error.strerror}")
+            raise typer.Exit(MISTAKE) from None
+        except KeyboardInterrupt:
+            tell("interrupted; nothing was written")
+            raise typer.Exit(INTERRUPTED) from None
+
+    return run
+
+
+def tell(message: str) -> None:
+    """Print a message to the user on stderr."""
+    typer.echo(f"vcal: {message}", err=True)
+
+
+def start() -> None:
+    """Make JAX ready for the commands that compute."""
+    enable_float64()
+    enable_cache()
+
+
+def cache_folder() -> Path | None:
+    """Where compiled programs are kept from one run to the next; None if they are not to be kept.
+
+    ``vcal`` in ``XDG_CACHE_HOME``, or in what the platform has for that purpose. The environment
+    variable ``VCAL_NO_CACHE`` switches it off.
+    """
+    if os.environ.get("VCAL_NO_CACHE"):
+        return None
+    try:
+        home = Path.home()
+    except RuntimeError:  # a user without a home
+        return None
+    if root := os.environ.get("XDG_CACHE_HOME"):
+        base = Path(root)
+    elif sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        base = home / "Library" / "Caches"
+    else:
+        base = home / ".cache"
+    return base / "vcal" / f"jax-{jax.__version__}"
+
+
+def enable_cache() -> None:
+    """Keep compiled programs in the user's cache folder, unless JAX was told of another one.
+
+    Without a word where that folder cannot be written: it is only there to save time.
+    """
+    folder = cache_folder()
+    if folder is None or jax.config.jax_compilation_cache_dir is not None:  # pyright: ignore[reportAttributeAccessIssue]
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+@contextmanager
+def working(text: str) -> Iterator[Callable[[str], None]]:
+    """Show on a terminal that something is going on, and what: a function to call with the step.
+
+    Quiet where stderr is not a terminal. Nothing of it remains on the screen.
+    """
+    if not sys.stderr.isatty():
+        yield lambda step: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(text, total=None)
+        yield lambda step: progress.update(task, description=step)

@@ -1,0 +1,132 @@
+"""What commands print: compact text on stdout, the details are in the files they write."""
+
+from collections.abc import Iterable
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ..effects.base import Effect
+from ..instruments.conditions import file_name
+from ..io import Study
+from ..loop.candidates import candidates
+from ..loop.closure import Closure, Errors
+from ..loop.heldout import Rms
+from ..measurement import Measurement
+
+_MOST = 6
+
+
+def show_closure(closure: Closure) -> None:
+    """Print the verdict, what was found, and the errors before and after."""
+    console = _console()
+    console.print(Text(closure.sentence, style="bold"))
+    for found in closure.effects:
+        values = ", ".join(
+            f"{name} = {value:.4g} ± {2 * u:.2g} {unit}".rstrip()
+            for name, value, unit, u in found.parameters
+        )
+        console.print(
+            Text(
+                f"  {found.effect.name} {found.placement}".rstrip()
+                + f": {values} (k = 2), p = {found.p_value:.2g}, {found.status}"
+            )
+        )
+        if found.separation:
+            console.print(Text(f"    to be certain: {found.separation}"))
+    console.print(_errors_table(closure.errors))
+    if closure.suspected:
+        rows = ", ".join(str(stray.row + 1) for stray in closure.suspected[:_MOST])
+        more = ", ..." if len(closure.suspected) > _MOST else ""
+        console.print(Text(f"Suspected readings, left out: rows {rows}{more}."))
+    for note in closure.notes:
+        console.print(Text(f"Note: {note}."))
+
+
+def _errors_table(errors) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
+    table.add_column("rms error, µm")
+    for name in errors:
+        table.add_column(name, justify="right")
+
+    def row(label: str, cells: Iterable[str]) -> None:
+        table.add_row(label, *cells)
+
+    every: list[Errors] = list(errors.values())
+    if all(e.check is not None for e in every):
+        row("check points, aligned", (_rms(e.check) for e in every))
+    row("held-out readings", (_rms(e.heldout) for e in every))
+    row("fitted readings", (f"{e.fit.value:.3g}" for e in every))
+    row("chi² per degree of freedom", (f"{e.chi2_per_dof:.3g}" for e in every))
+    return table
+
+
+def _rms(rms: Rms | None) -> str:
+    return "" if rms is None else f"{rms.value:.3g} ± {rms.u:.1g}"
+
+
+def show_study(study: Study) -> None:
+    """Print what a study holds, and what the loop could do with it."""
+    plan, chain = study.plan, study.chain
+    readings = len(study.instrument.readings)
+    kind = "readings" if study.measurement is not None else "a plan, without readings"
+    linear = chain.text if all(j.kind == "prismatic" for j in chain.joints) else ""
+    covariates = list(dict.fromkeys(file_name(name, plan.axes) for name in plan.covariates))
+    classes = [study.catalogue[n] for n in study.options.effects or study.catalogue]
+    measurement = study.measurement or Measurement(plan, _zeros(plan.rows, readings))
+    found, missing = candidates(study.model, measurement, classes)
+    rows = [
+        ("machine", f"{linear or f'{len(chain.joints)} joints'}: {', '.join(chain.axes)}"),
+        ("instrument", study.settings.instrument.kind),
+        ("data", f"{plan.rows} rows of {readings} {kind}"),
+        ("check points", str(study.check.plan.rows) if study.check else "none"),
+        ("conditions", ", ".join(covariates) or "none"),
+        ("declared", ", ".join(_size(effect) for effect in study.model.effects)),
+        ("to be tested", _kinds(found)),
+    ]
+    reasons: dict[str, list[str]] = {}
+    for item in missing:
+        reasons.setdefault(item.reason, []).append(f"{item.effect} {item.placement}".rstrip())
+    for reason, names in reasons.items():
+        rows.append(("not testable", f"{', '.join(_short(names))}: {reason}"))
+    console = _console()
+    console.print(Text(f"{study.name}: {study.path} can be used.", style="bold"))
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 2))
+    for label, value in rows:
+        table.add_row(Text(label), Text(value))
+    console.print(table)
+
+
+def _zeros(rows: int, columns: int):
+    import numpy as np
+
+    return np.zeros((rows, columns))
+
+
+def _size(effect: Effect) -> str:
+    count = len(effect.parameters)
+    return f"{effect.key} ({count} parameter{'s' if count > 1 else ''})"
+
+
+def _kinds(found: list[Effect]) -> str:
+    names = list(dict.fromkeys(effect.name for effect in found))
+    return f"{len(found)} candidates of {len(names)} kinds: {', '.join(names)}" if names else "none"
+
+
+def _short(names: list[str]) -> list[str]:
+    names = list(dict.fromkeys(names))
+    return names if len(names) <= _MOST else [*names[:_MOST], f"{len(names) - _MOST} more"]
+
+
+def show_catalogue(catalogue: Iterable[type[Effect]]) -> None:
+    """Print the effects with their summaries."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("effect")
+    table.add_column("what it is")
+    for effect in catalogue:
+        table.add_row(Text(effect.name), Text(effect.summary))
+    _console().print(table)
+
+
+def _console() -> Console:
+    return Console(highlight=False)

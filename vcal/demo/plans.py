@@ -1,0 +1,123 @@
+"""The plans behind the bundled studies; ``python -m vcal.demo.plans FOLDER`` writes them as CSV.
+
+They are input for `vcal simulate`, which turned them into the data beside this file (README.md).
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from ..io import write_table
+from ..spatial import euler_xyz
+
+Columns = dict[str, np.ndarray]
+
+
+def layers(counts: tuple[int, int, int], travel: np.ndarray, margin: float) -> np.ndarray:
+    """Positions (n, 3) of a grid in mm, layer by layer, every line the other way round."""
+    x, y, z = (
+        np.linspace(margin, length - margin, count)
+        for length, count in zip(travel, counts, strict=True)
+    )
+    points = []
+    for k, height in enumerate(z):
+        for j, depth in enumerate(y if k % 2 == 0 else y[::-1]):
+            line = x if (k * len(y) + j) % 2 == 0 else x[::-1]
+            points += [(along, depth, height) for along in line]
+    return np.array(points)
+
+
+def conditions(position: np.ndarray, t: np.ndarray, pause: tuple[float, float]) -> Columns:
+    """Columns of positions (mm) visited at the times `t` (s): directions, times, temperatures.
+
+    Axes warm up while they move, each with its own gain and time constant, and cool in the `pause`
+    (from, to); the air swings slowly.
+    """
+    move = np.sign(np.diff(position, axis=0, prepend=position[:1] - 1.0))
+    seconds = np.arange(t[-1] + 1.0)
+    running = (seconds < pause[0]) | (seconds > pause[1])
+    air = 20.2 + 0.3 * np.sin(2.0 * np.pi * seconds / 5400.0)
+    columns = {f"{c}_mm": position[:, i].round(3) for i, c in enumerate("xyz")}
+    columns |= {f"dir_{c}": np.where(move[:, i] < 0, -1, 1) for i, c in enumerate("xyz")}
+    columns["t_s"] = t.round(1)
+    for axis, gain, tau in (("x", 1.2, 700.0), ("y", 3.5, 900.0), ("z", 1.8, 400.0)):
+        warmth = np.full(len(seconds), 20.1)
+        for i in range(1, len(seconds)):
+            goal = air[i] + gain * running[i]
+            warmth[i] = warmth[i - 1] + (goal - warmth[i - 1]) / tau
+        columns[f"T_{axis}_degC"] = np.interp(t, seconds, warmth).round(2)
+    columns["T_air_degC"] = np.interp(t, seconds, air).round(2)
+    return columns
+
+
+def tracker(travel: tuple[float, float, float], counts: tuple[int, int, int], seed: int) -> Columns:
+    """A grid there and back with a little scatter, ten seconds per point, a pause in between."""
+    rng = np.random.default_rng(seed)
+    there = layers(counts, np.array(travel), 25.0)
+    position = np.concatenate([there, there[::-1]])
+    position += rng.uniform(-20.0, 20.0, position.shape)
+    n = len(position)
+    late = np.arange(n) >= n // 2
+    t = 10.0 * np.arange(n) + 1500.0 * late + rng.uniform(0.0, 1.0, n)
+    return {"point": np.arange(n)} | conditions(position, t, (t[n // 2 - 1], t[n // 2] - 10.0))
+
+
+def balls(seed: int) -> tuple[Columns, Columns]:
+    """Twelve set-ups of a beam with eight balls on a table of 1000 x 600 x 500 mm: plan, artefact.
+
+    Set-ups are (centre in mm, rotation about x, y and z in degrees).
+    """
+    rng = np.random.default_rng(seed)
+    along = np.linspace(-240.0, 240.0, 8)
+    centres = np.column_stack([along, 15.0 * (-1.0) ** np.arange(8), np.zeros(8)])
+    centres += rng.uniform(-0.05, 0.05, centres.shape)
+    setups = [
+        (300, 150, 120, 0, 0, 0), (700, 450, 120, 0, 0, 0), (500, 300, 380, 0, 0, 5),
+        (150, 300, 120, 0, 0, 90), (850, 300, 250, 0, 0, 95), (500, 300, 380, 0, 0, 85),
+        (350, 300, 250, 0, 0, 45), (650, 300, 250, 0, 0, -45), (300, 300, 250, 0, 40, 0),
+        (700, 300, 250, 0, -40, 0), (400, 300, 250, 0, 40, 90), (600, 300, 250, 0, -35, 50),
+    ]  # fmt: skip
+    found, pose = [], []
+    for k, (x, y, z, a, b, c) in enumerate(setups):
+        turn = np.asarray(euler_xyz(np.deg2rad(np.array([a, b, c], float))))
+        found.append(centres @ turn.T + [x, y, z])
+        pose += [k] * len(centres)
+    index = np.array(pose)
+    # Half a minute per ball, ten minutes to set the beam up again.
+    t = 30.0 * np.arange(len(index)) + 600.0 * index
+    columns = {"pose": index, "ball": np.tile(np.arange(8), len(setups))}
+    columns |= conditions(np.concatenate(found), t, (t[44], t[48] - 30.0))
+    artefact = {"ball": np.arange(8)} | {f"{c}_mm": centres[:, i] for i, c in enumerate("xyz")}
+    return columns, artefact
+
+
+def arm(seed: int) -> Columns:
+    """Eighty random poses of a six-joint arm, commanded and read back."""
+    rng = np.random.default_rng(seed)
+    low = np.array([-90.0, -40.0, -60.0, -120.0, -90.0, -170.0])
+    high = np.array([90.0, 60.0, 40.0, 120.0, 90.0, 170.0])
+    q = rng.uniform(low, high, (80, 6)).round(3)
+    columns = {"pose": np.arange(len(q))}
+    columns |= {f"q{j + 1}_cmd_deg": q[:, j] for j in range(6)}
+    read = (q + rng.normal(0.0, 1e-3, q.shape)).round(4)
+    return columns | {f"q{j + 1}_read_deg": read[:, j] for j in range(6)}
+
+
+def main(folder: Path) -> None:
+    """Write all plans below a folder that is laid out like this one."""
+    plan, artefact = balls(2)
+    tables = {
+        "data.csv": tracker((800.0, 500.0, 450.0), (8, 5, 4), 20),
+        "start/laser_tracker/data.csv": tracker((1000.0, 600.0, 500.0), (5, 4, 3), 1),
+        "start/ball_array/data.csv": plan,
+        "start/ball_array/artefact.csv": artefact,
+        "start/reflectors/data.csv": arm(3),
+    }
+    for name, columns in tables.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_table(folder / name, columns)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,191 @@
+"""A model identified from a measurement: numbers, and what follows from them directly."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from .measurement import Measurement
+from .model import Model, Shapes
+from .parameters import Parameter
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model identified from a measurement: numbers only.
+
+    Whitened quantities have one line per reading, row by row; parameters are in solver units
+    (prior sigma, or the declared scale where the prior is flat). `whitened` = W (y - h), and
+    `jacobian` = W dh/dtheta, so that the linearised data equation is
+    whitened(theta + d) = whitened - jacobian d.
+    """
+
+    model: Model
+    measurement: Measurement
+    theta: np.ndarray
+    shapes: Shapes
+    residual: np.ndarray = field(repr=False)
+    """y - h, (n, m), SI."""
+    whitener: np.ndarray = field(repr=False)
+    """(n, m, m); zero for rows that were left out."""
+    whitened: np.ndarray = field(repr=False)
+    jacobian: np.ndarray = field(repr=False)
+    port_jacobian: np.ndarray = field(repr=False)
+    """dh/dports (n, m, p), not whitened."""
+    precision: np.ndarray = field(repr=False)
+    """Diagonal of the prior precision L in solver units."""
+    converged: bool
+    steps: int
+
+    @property
+    def factor(self) -> tuple[np.ndarray, bool]:
+        """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`."""
+        return cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.precision))
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Posterior covariance H^-1 in solver units.
+
+        Where the readings of a row share errors that the noise does not declare
+        (`Instrument.clustered`): H^-1 (sum_i g_i g_i' + L) H^-1 with g_i = J_i'r_i, which needs no
+        model of what they share.
+        """
+        inverse = cho_solve(self.factor, np.eye(len(self.theta)))
+        if not self.model.instrument.clustered:
+            return inverse
+        n, m = self.residual.shape
+        scores = np.einsum(
+            "nik,ni->nk", self.jacobian.reshape(n, m, -1), self.whitened.reshape(n, m)
+        )
+        return inverse @ (scores.T @ scores + np.diag(self.precision)) @ inverse
+
+    @property
+    def used(self) -> np.ndarray:
+        """Rows that took part in the fit (n,)."""
+        return np.abs(self.whitener).sum((1, 2)) > 0
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared whitened data residuals."""
+        return float(self.whitened @ self.whitened)
+
+    @property
+    def dof(self) -> float:
+        """Effective degrees of freedom: readings less tr(J H^-1 J')."""
+        hat = np.trace(cho_solve(self.factor, self.jacobian.T @ self.jacobian))
+        return float(self.used.sum() * self.residual.shape[1] - hat)
+
+    @property
+    def entries(self) -> tuple[tuple[str, Parameter], ...]:
+        """(effect with placement, parameter) for every entry of `theta`: amplitudes, then the
+        shape parameters in which the deviation is smooth.
+        """
+        return entries(self.model)
+
+    @property
+    def information(self) -> np.ndarray:
+        """Share of each parameter's information that came from the data: 1 - posterior variance /
+        prior variance; 1 for flat priors.
+        """
+        variance = np.diag(cho_solve(self.factor, np.eye(len(self.theta))))
+        return np.where(self.precision > 0, 1.0 - variance * self.precision, 1.0)
+
+    def log_evidence(self, noise_scale: float = 1.0) -> float:
+        """Laplace's approximation of ln p(y | model), up to a constant of the data alone.
+
+        -chi2/2 - theta'L theta/2 + ln det L/2 - ln det H/2 + ln det W, plus the prior density of
+        the shape parameters: uniform over their scan, so one over its number of steps. Flat
+        directions enter as a unit of their scale, the same in every model that is compared.
+        `noise_scale` multiplies the declared noise.
+        """
+        s2 = noise_scale**2
+        proper = self.precision > 0
+        h = self.jacobian.T @ self.jacobian / s2 + np.diag(self.precision)
+        log_h = np.linalg.slogdet(h)[1]
+        prior = self.theta[proper] ** 2 @ self.precision[proper]
+        noise = np.linalg.slogdet(self.whitener[self.used])[1].sum()
+        readings = self.used.sum() * self.residual.shape[1]
+        shapes = 0.0
+        for effect in self.model.effects:
+            grids = effect.scan(self.measurement.plan)
+            for p in (p for p in effect.shapes if not p.known):
+                shapes += 0.5 * math.log(2 * math.pi) * p.moves - math.log(len(grids[p.name]))
+        return float(
+            -0.5 * (self.chi2 / s2 + prior + log_h)
+            + 0.5 * np.log(self.precision[proper]).sum()
+            + noise
+            - readings * math.log(noise_scale)
+            + shapes
+        )
+
+    def parameter_values(self) -> list[tuple[str, Parameter, float, float]]:
+        """(effect, parameter, value, standard uncertainty) of all entries, in edge units.
+
+        Shape parameters without a derivative (the time of a jump) have uncertainty nan, known ones
+        zero.
+        """
+        sigma = np.sqrt(np.diag(self.covariance))
+        found, k = [], 0
+        for entry in self.model.entries:
+            p = entry.parameter
+            found.append(
+                (entry.key, p, p.mean + self.theta[k] * p.step / p.si, sigma[k] * p.step / p.si)
+            )
+            k += 1
+        for i, effect in enumerate(self.model.effects):
+            for p in effect.shapes:
+                value = float(self.shapes[i][p.name])
+                if p.moves:
+                    step = shape_step(p, value, effect.scan(self.measurement.plan))
+                    found.append((effect.key, p, value / p.si, sigma[k] * step / p.si))
+                    k += 1
+                else:
+                    u = 0.0 if p.known else math.nan
+                    found.append((effect.key, p, value / p.si, u))
+        return found
+
+
+def entries(model: Model) -> tuple[tuple[str, Parameter], ...]:
+    """Amplitudes of all effects, then all smooth shape parameters."""
+    amplitudes = [(entry.key, entry.parameter) for entry in model.entries]
+    shapes = [(e.key, p) for e in model.effects for p in e.shapes if p.moves]
+    return (*amplitudes, *shapes)
+
+
+def shape_step(parameter: Parameter, value: float, grids: Mapping[str, np.ndarray]) -> float:
+    """What the solver counts as one for a shape parameter: one step of its scan there (SI)."""
+    grid = grids[parameter.name]
+    if len(grid) < 2:
+        return max(abs(value), parameter.si) * 0.1
+    return float(np.abs(np.gradient(grid))[np.argmin(np.abs(grid - value))])
+
+
+def null_directions(fit: Fit, share: float = 0.01, most: int = 6) -> list[str]:
+    """Combinations of parameters about which the data say next to nothing, in words.
+
+    Directions in which less than `share` of the information comes from the data: right singular
+    vectors of the Jacobian (solver units) with s^2 / (s^2 + 1) below it. Each is told by the
+    parameters that make up nine tenths of it.
+    """
+    systematic = np.array([p.informed and not p.known for _, p in fit.entries])
+    nuisance = fit.precision == 0
+    jacobian = fit.jacobian[:, systematic]
+    if nuisance.any():
+        q, _ = np.linalg.qr(fit.jacobian[:, nuisance])
+        jacobian = jacobian - q @ (q.T @ jacobian)
+    _, s, vt = np.linalg.svd(jacobian, full_matrices=True)
+    s = np.pad(s, (0, len(vt) - len(s)))
+    names = [p.name for (_, p), kept in zip(fit.entries, systematic, strict=True) if kept]
+    unseen = [v for v, size in zip(vt, s, strict=True) if size**2 / (size**2 + 1.0) < share]
+    found = []
+    for v in unseen[::-1][:most]:
+        order = np.argsort(-np.abs(v))
+        count = int(np.searchsorted(np.cumsum(v[order] ** 2), 0.9)) + 1
+        parts = [f"{v[i]:+.2f} {names[i]}" for i in order[: min(count, 5)]]
+        more = f" and {count - 5} more" if count > 5 else ""
+        found.append(" ".join(parts) + more)
+    if len(unseen) > most:
+        found.append(f"and {len(unseen) - most} further directions")
+    return found
