@@ -97,19 +97,16 @@ class Simulated:
         """
         if any(effect is other for other in self.model.random):
             return [(p, _deviation(p)) for p in effect.amplitudes]
-        start = 0
-        for i, other in enumerate(self.model.effects):
-            if other is effect:
-                break
-            start += len(other.amplitudes)
-        else:
+        places = [i for i, other in enumerate(self.model.effects) if other is effect]
+        if not places:
             keys = ", ".join(e.key for e in (*self.model.effects, *self.model.random))
             raise ValueError(f"effect {effect.key!r} is not in the model, which has {keys}")
+        start = sum(len(e.amplitudes) for e in self.model.effects[: places[0]])
         values = [
             (p, float(p.mean + self.theta[start + k] * p.step / p.si))
             for k, p in enumerate(effect.amplitudes)
         ]
-        return values + [(p, self.shapes[i][p.name] / p.si) for p in effect.shapes]
+        return values + [(p, self.shapes[places[0]][p.name] / p.si) for p in effect.shapes]
 
     def tool_points(self, plan: Plan) -> Float[np.ndarray, "n 3"]:
         """True tool points in the workpiece frame, m: all effects of the machine, none of the

@@ -111,9 +111,10 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
     start()
     from .. import close_loop, load_study
     from ..errors import StudyError
-    from ..report import write_report
+    from ..report import check_folder, write_report
     from .show import show_closure
 
+    check_folder(out)  # before the work, not after it
     with working("reading the study") as progress:
         study = load_study(setup, overrides)
         if study.measurement is None:
@@ -187,18 +188,16 @@ def simulate(
 
     with working("simulating"):
         study = load_study(setup)
+        model = study.model
         place = Place(
-            study.chain, study.model.layout, study.plan, study.model.effects,
-            study.instrument.artefact,
-        )  # fmt: skip
+            study.chain, model.layout, study.plan, model.effects, study.instrument.artefact
+        )
         data = study.settings.data.data
         effects = [parse_with(text, study.catalogue, place, data) for text in with_ or []]
-        result = write_simulated(
-            study, out, effects=effects, seed=seed, noise_factor=noise_factor
-        )
+        result = write_simulated(study, out, effects=effects, seed=seed, noise_factor=noise_factor)
     typer.echo(f"Wrote {out}: {result.measurement.rows} rows of a machine drawn with seed {seed}.")
-    for i, effect in enumerate(effects, start=len(study.model.effects)):
-        values = (f"{p.label} = {value:.4g}" for p, value in result.parameter_values(i))
+    for effect in effects:
+        values = (f"{p.label} = {value:.4g}" for p, value in result.values(effect))
         typer.echo(f"In it, undeclared: {effect.key}, {', '.join(values)}")
 
 

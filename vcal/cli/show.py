@@ -1,18 +1,20 @@
 """What commands print: compact text on stdout, the details are in the files they write."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from ..effects.base import Effect
-from ..instruments.conditions import file_name
-from ..io import Study
+from ..io import Study, read_header
 from ..loop.candidates import candidates
 from ..loop.closure import Closure, Errors
 from ..loop.heldout import Rms
 from ..measurement import Measurement
+from ..report.derived import parameters
 
 _MOST = 6
 
@@ -24,13 +26,14 @@ def show_closure(closure: Closure) -> None:
     for found in closure.effects:
         values = ", ".join(
             f"{name} = {value:.4g} ± {2 * u:.2g} {unit}".rstrip()
-            for name, value, unit, u in found.parameters
+            for name, value, unit, u in parameters(closure, found)
         )
         console.print(
             Text(
                 f"  {found.effect.name} {found.placement}".rstrip()
                 + f": {values} (k = 2), p = {found.p_value:.2g}, {found.status}"
-            )
+            ),
+            soft_wrap=True,
         )
         if found.separation:
             console.print(Text(f"    to be certain: {found.separation}"))
@@ -43,7 +46,7 @@ def show_closure(closure: Closure) -> None:
         console.print(Text(f"Note: {note}."))
 
 
-def _errors_table(errors) -> Table:
+def _errors_table(errors: Mapping[Any, Errors]) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
     table.add_column("rms error, µm")
     for name in errors:
@@ -52,7 +55,7 @@ def _errors_table(errors) -> Table:
     def row(label: str, cells: Iterable[str]) -> None:
         table.add_row(label, *cells)
 
-    every: list[Errors] = list(errors.values())
+    every = list(errors.values())
     if all(e.check is not None for e in every):
         row("check points, aligned", (_rms(e.check) for e in every))
     row("held-out readings", (_rms(e.heldout) for e in every))
@@ -69,38 +72,44 @@ def show_study(study: Study) -> None:
     """Print what a study holds, and what the loop could do with it."""
     plan, chain = study.plan, study.chain
     readings = len(study.instrument.readings)
-    kind = "readings" if study.measurement is not None else "a plan, without readings"
-    linear = chain.text if all(j.kind == "prismatic" for j in chain.joints) else ""
-    covariates = list(dict.fromkeys(file_name(name, plan.axes) for name in plan.covariates))
+    linear = all(joint.kind == "prismatic" for joint in chain.joints)
+    travels = ", ".join(
+        f"{j.name} {j.travel[0] * 1e3:g} to {j.travel[1] * 1e3:g} mm" for j in chain.joints
+    )
     classes = [study.catalogue[n] for n in study.options.effects or study.catalogue]
-    measurement = study.measurement or Measurement(plan, _zeros(plan.rows, readings))
+    measurement = study.measurement or Measurement(plan, np.zeros((plan.rows, readings)))
     found, missing = candidates(study.model, measurement, classes)
     rows = [
-        ("machine", f"{linear or f'{len(chain.joints)} joints'}: {', '.join(chain.axes)}"),
+        ("machine", f"{chain.text}; {travels}" if linear else chain.text),
         ("instrument", study.settings.instrument.kind),
-        ("data", f"{plan.rows} rows of {readings} {kind}"),
+        (
+            "data",
+            f"{plan.rows} rows of {readings} readings"
+            if study.measurement
+            else f"{plan.rows} rows without readings: a plan",
+        ),
+        ("columns", ", ".join(read_header(study.folder / study.settings.data.data))),
         ("check points", str(study.check.plan.rows) if study.check else "none"),
-        ("conditions", ", ".join(covariates) or "none"),
-        ("declared", ", ".join(_size(effect) for effect in study.model.effects)),
+        (
+            "declared",
+            ", ".join(_size(effect) for effect in (*study.model.effects, *study.model.random)),
+        ),
         ("to be tested", _kinds(found)),
     ]
     reasons: dict[str, list[str]] = {}
     for item in missing:
-        reasons.setdefault(item.reason, []).append(f"{item.effect} {item.placement}".rstrip())
-    for reason, names in reasons.items():
-        rows.append(("not testable", f"{', '.join(_short(names))}: {reason}"))
+        reasons.setdefault(item.effect, []).append(item.reason)
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for effect, why in reasons.items():
+        alike.setdefault(tuple(dict.fromkeys(why)), []).append(effect)
+    for why, effects in alike.items():
+        rows.append(("not testable", f"{', '.join(effects)}: {'; '.join(_short(why))}"))
     console = _console()
-    console.print(Text(f"{study.name}: {study.path} can be used.", style="bold"))
+    console.print(Text(f"{study.name}: {study.path} can be used.", style="bold"), soft_wrap=True)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 2))
     for label, value in rows:
         table.add_row(Text(label), Text(value))
     console.print(table)
-
-
-def _zeros(rows: int, columns: int):
-    import numpy as np
-
-    return np.zeros((rows, columns))
 
 
 def _size(effect: Effect) -> str:
@@ -113,9 +122,8 @@ def _kinds(found: list[Effect]) -> str:
     return f"{len(found)} candidates of {len(names)} kinds: {', '.join(names)}" if names else "none"
 
 
-def _short(names: list[str]) -> list[str]:
-    names = list(dict.fromkeys(names))
-    return names if len(names) <= _MOST else [*names[:_MOST], f"{len(names) - _MOST} more"]
+def _short(texts: Sequence[str]) -> list[str]:
+    return [*texts] if len(texts) <= _MOST else [*texts[:_MOST], f"{len(texts) - _MOST} more"]
 
 
 def show_catalogue(catalogue: Iterable[type[Effect]]) -> None:

@@ -15,21 +15,19 @@ from pydantic import ValidationError
 
 from ..effects.base import Effect, Setup
 from ..errors import StudyError
-from ..instruments.conditions import GROUPS, linear_plan
+from ..instruments.conditions import linear_plan, linear_plan_table
 from ..simulate import Simulated, scattered, simulate
 from .declared import Catalogue, declared_effects, unknown_effect
 from .messages import refusal
 from .settings import EffectSettings
 from .study import Study
-from .table import read_table, write_table
+from .table import read_header, read_table, write_table
 
 _CHECK_ROWS = 400
 _WITH = "NAME, NAME:PLACEMENT or NAME:PLACEMENT:KEY=VALUE,..., such as backlash:Y:size_um=12"
 
 
-def parse_with(
-    text: str, catalogue: Catalogue, setup: Setup, data: str = "data.csv"
-) -> Effect:
+def parse_with(text: str, catalogue: Catalogue, setup: Setup, data: str = "data.csv") -> Effect:
     """An effect from ``NAME:PLACEMENT:KEY=VALUE,KEY=VALUE``, such as ``backlash:Y:size_um=12``.
 
     The keys are those of a ``[[model.effect]]`` row: parameters with their unit, ``component``, and
@@ -92,9 +90,9 @@ def write_simulated(
     """Write a folder like that of `study`, with data of a machine drawn from its priors.
 
     The study file and the tables it names are copied as they are; the data are replaced by what the
-    instrument would read, the check points by the true tool points at random positions over the
-    travel, and ``truth.json`` says what was put in: `effects` beside the declared model, which no
-    other file tells. The result depends on `seed` alone.
+    instrument would read, the check points of linear axes by the true tool points at random
+    positions over the travel, and ``truth.json`` says what was put in: `effects` beside the
+    declared model, which no other file tells. The result depends on `seed` alone.
 
     Raises `StudyError` where `out` is there and not empty, a table lies outside the folder of the
     study, the factor is not a number of at least 0, or a position found lies outside the travel.
@@ -105,8 +103,8 @@ def write_simulated(
         raise refusal(
             "--noise-factor", "value", f"{noise_factor:g}", "a number of at least 0", "correct it"
         )
-    made = (study.settings.data.data, study.settings.data.check or "check.csv")
-    for name in {*study.hashes, *made}:
+    data, check = study.settings.data.data, study.settings.data.check or "check.csv"
+    for name in {*study.hashes, data, check}:
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise refusal(
                 study.path.name,
@@ -124,9 +122,12 @@ def write_simulated(
         noise_factor=noise_factor,
         name=study.name,
     )
-    _check_travel(study, result, made[0])
-    tables = {made[0]: _data(study, result), made[1]: _check(study, result, where)}
-    truth = _truth(study, result, seed, noise_factor)
+    _check_travel(study, result, data)
+    tables = {data: _data(study, result)}
+    points = _check(study, result, where)
+    if points is not None:
+        tables[check] = points
+    truth = _truth(study, result, effects, seed, noise_factor)
     out.parent.mkdir(parents=True, exist_ok=True)
     # Complete or not at all: the folder gets its name when everything is in it.
     work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
@@ -183,14 +184,14 @@ def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndar
     chain = study.chain
     if any(joint.kind != "prismatic" for joint in chain.joints):
         return None
-    names = {file_name(name, chain.axes) for name in study.plan.covariates}
-    columns = read_header(study.folder / study.settings.data.data)
+    data, kind = study.settings.data.data, study.instrument
+    plain, full = (
+        {c.name for c in kind.columns(study.settings.instrument, chain.axes, readings=readings)}
+        for readings in (False, True)
+    )
+    kept = set(read_header(study.folder / data)) - (full - plain)
     table = linear_plan_table(scattered(chain, study.plan, key, _CHECK_ROWS))
-    table = {
-        name: values
-        for name, values in table.items()
-        if name in columns or name not in names
-    }
+    table = {name: values for name, values in table.items() if name in kept}
     points = result.tool_points(linear_plan(chain, table))
     return table | {f"tcp_{c}_mm": points[:, i] * 1e3 for i, c in enumerate("xyz")}
 
@@ -215,24 +216,20 @@ def _check_travel(study: Study, result: Simulated, data: str) -> None:
             )
 
 
-def _truth(study: Study, result: Simulated, seed: int, noise_factor: float) -> dict[str, Any]:
-    declared = len(study.model.effects)
-    effects = [
-        {
-            "effect": effect.name,
-            "placement": effect.placement,
-            **{p.label: _rounded(value) for p, value in result.parameter_values(i)},
-        }
-        for i, effect in enumerate(result.model.effects)
-    ]
+def _truth(
+    study: Study, result: Simulated, effects: Sequence[Effect], seed: int, noise_factor: float
+) -> dict[str, Any]:
+    def told(effect: Effect) -> dict[str, Any]:
+        values = {p.label: _rounded(value) for p, value in result.values(effect)}
+        return {"effect": effect.name, "placement": effect.placement, **values}
+
     return {
         "seed": seed,
         "noise_factor": noise_factor,
-        "undeclared": effects[declared:],
-        "declared": effects[:declared],
+        "undeclared": [told(effect) for effect in effects],
+        "declared": [told(effect) for effect in (*study.model.effects, *study.model.random)],
     }
 
 
 def _rounded(value: float) -> float:
     return float(f"{value:.10g}")
-

@@ -37,7 +37,7 @@ def before_after(view: View, name: str) -> Figure:
     left, right = grid(
         drawn, 1, 2, left=0.75, right=0.2, top=0.45, bottom=0.6, wspace=0.35, sharey=True
     )[0]
-    bound = limit([view.without, view.with_])
+    bound = 1.1 * limit([view.without, view.with_])
     for ax, y, colour, word in (
         (left, view.without, BEFORE, "before: without"),
         (right, view.with_, AFTER, "after: with"),
@@ -159,16 +159,26 @@ def studentised(fit: Fit) -> np.ndarray:
     return np.sort(fit.whitened[used] / np.sqrt(np.clip(1.0 - leverage[used], 0.02, 1.0)))
 
 
-def normal_plot(before: Fit, after: Fit) -> Figure:
-    """Normal probability plot of the studentised residuals: on the line is as declared."""
-    drawn = figure(5.2, 3.9)
+def normal_plot(before: Fit, after: Fit, noise_scale: float = 1.0) -> Figure:
+    """Normal probability plot of the studentised residuals: on the line is as declared.
+
+    `noise_scale` is the factor by which the fit after closing the loop enlarged the declared noise.
+    """
+    drawn = figure(5.6, 3.9)
     ax = grid(drawn, 1, 1, left=0.75, right=0.25, top=0.45, bottom=0.6)[0, 0]
-    for fit, colour, name in ((before, BEFORE, "before"), (after, AFTER, "after")):
-        values = studentised(fit)
+    shown = []
+    for fit, scale, colour, name in (
+        (before, 1.0, BEFORE, "before"),
+        (after, noise_scale, AFTER, "after"),
+    ):
+        values = studentised(fit) * scale
+        shown.append(values)
         expected = ndtri((np.arange(len(values)) + 0.5) / len(values))
         ax.plot(expected, values, ".", markersize=3, color=colour, label=name)
     bound = max(abs(ax.get_xlim()[0]), abs(ax.get_xlim()[1]))
     ax.plot([-bound, bound], [-bound, bound], color=INK, linewidth=1.0, label="as declared")
+    top = max(1.1 * np.abs(shown[1]).max(), 1.3 * limit(shown[:1], 0.98), bound)
+    ax.set_ylim(-top, top)
     _legend(ax, "upper left")
     titled(
         ax,
@@ -218,7 +228,17 @@ def _dots(
             means.append(y[inside].mean())
             errors.append(2.0 * y[inside].std(ddof=1) / np.sqrt(inside.sum()))
     ax.errorbar(
-        centres, means, errors, fmt="o", color=colour, markersize=5, capsize=3, lw=1.4, zorder=3
+        centres,
+        means,
+        errors,
+        fmt="o",
+        color=colour,
+        markersize=5.5,
+        markeredgecolor="white",
+        markeredgewidth=0.6,
+        capsize=3,
+        lw=1.4,
+        zorder=3,
     )
     ax.axhline(0.0, color=INK, linewidth=0.8)
     if sides:

@@ -56,6 +56,10 @@ def search(
         ax.grid(axis="y", visible=False)
         if i:
             ax.tick_params(labelleft=False)
-        word = f": added {chosen}" if chosen else ""
-        titled(ax, f"round {i + 1}{word}", "−log₁₀ of corrected p")
+        word = f": added {chosen}" if chosen and len(screenings) <= 3 else ""
+        titled(
+            ax,
+            f"round {i + 1}{word}",
+            "−log₁₀ of corrected p" if len(screenings) <= 3 else "−log₁₀ p",
+        )
     return drawn

@@ -17,7 +17,7 @@ from ..io.study import Study
 from ..loop.closure import Closure, FoundEffect
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
-from .derived import missing_columns, parameters
+from .derived import missing_columns, parameters, sentence
 from .pictures import Picture
 from .record import plain, versions
 
@@ -61,7 +61,7 @@ def page(
         name=study.name,
         title=_TITLES[closure.verdict],
         verdict=closure.verdict,
-        sentence=closure.sentence,
+        sentence=sentence(closure),
         interrupted=closure.interrupted,
         notes=closure.notes,
         facts=_facts(closure, study),

@@ -8,7 +8,7 @@ from ..loop.closure import Closure
 from ..plots import ErrorMotionTable
 from .text import number, percent
 
-_DOTS = "Grey: readings; coloured: means of groups with two standard errors."
+_DOTS = "Small dots: readings; large: means of groups with two standard errors."
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
     if tables:
         figure = plots.error_motions(tables)
         caption = (
-            "Identified error motions (error = actual − nominal, ISO 230-1 names). Dark band: "
-            "expanded uncertainty U (k = 2); light grey: what was declared before the measurement "
-            "(± 2 standard deviations, cut off at the frame). Where the dark band is as wide as "
-            "the grey one, the data said nothing."
+            "Identified error motions (error = actual − nominal, ISO 230-1 names). Blue band or "
+            "bar: expanded uncertainty U (k = 2); grey: what was declared before the measurement "
+            "(± 2 standard deviations, cut off at the frame). Where blue is as wide as grey, the "
+            "data said nothing."
         )
         yield Picture("error_motions", "geometry", caption, plots.png(figure))
     if closure.screenings:
@@ -59,7 +59,7 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
             "mimicked falls below the limit in the next round."
         )
         yield Picture("search", "tried", caption, plots.png(figure))
-    figure = plots.normal_plot(closure.before, closure.after)
+    figure = plots.normal_plot(closure.before, closure.after, max(closure.noise_scale, 1.0))
     caption = (
         "Residuals of all fitted readings over the standard deviations they should have, against "
         "those of normal noise. On the line: noise as declared; steeper: larger than declared; "
@@ -76,8 +76,15 @@ def _effects(closure: Closure) -> Iterator[Picture]:
         caption = (
             f"Residual of the tool point {view.along}, without {key} on the left{others} and with "
             f"it on the right. {_DOTS} On the left the means follow the pattern; on the right they "
-            "lie on zero where the effect explains it."
+            "lie on zero where the effect explains it. "
         )
+        if view.kind == "visible":
+            caption += (
+                f"Abscissa: what {key} changes in the residual once station, poses and all other "
+                "parameters have taken up their share of it; no single column orders it as well."
+            )
+        else:
+            caption += f"Line: what station, poses and all other parameters leave of {key}."
         name = f"effect_{i}_{key.replace(' ', '_')}"
         yield Picture(name, key, caption, plots.png(plots.before_after(view, key)))
 

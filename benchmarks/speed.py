@@ -1,0 +1,102 @@
+"""Whole-process time and peak memory of what a user runs, cold and warm.
+
+Cold: with an empty cache of compiled programs; warm: with the cache the cold run left. Needs a
+POSIX system.
+
+    python benchmarks/speed.py --data ../shared/data --out benchmarks/results/speed.json
+"""
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+LIMITS = {"import": 1.5, "demo": 20.0, "practice_02": 25.0, "irb120": 90.0}
+"""Seconds that a cold run may take on two cores."""
+
+
+def timed(command: list[str], cache: Path) -> dict[str, float]:
+    """Wall seconds, processor seconds and peak memory (MiB) of one command.
+
+    The peak is that of the largest child so far, so every command runs in a fresh measuring
+    process.
+    """
+    script = (
+        "import json,resource,subprocess,sys,time\n"
+        "t=time.perf_counter()\n"
+        "p=subprocess.run(sys.argv[1:],stdout=subprocess.DEVNULL,stderr=subprocess.PIPE,text=True)\n"
+        "w=time.perf_counter()-t\n"
+        "u=resource.getrusage(resource.RUSAGE_CHILDREN)\n"
+        "print(json.dumps(dict(rc=p.returncode,err=p.stderr[-500:],wall_s=w,"
+        "cpu_s=u.ru_utime+u.ru_stime,peak_mib=u.ru_maxrss/1024)))\n"
+    )
+    environment = dict(os.environ, XDG_CACHE_HOME=str(cache))
+    done = subprocess.run(
+        [sys.executable, "-c", script, *command],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=True,
+    )
+    found = json.loads(done.stdout)
+    if found.pop("rc"):
+        raise SystemExit(f"{' '.join(command)} failed: {found['err']}")
+    found.pop("err")
+    return found
+
+
+def main() -> None:
+    """Run every command cold once and warm `--runs` times."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, help="folder with practice/ and real/, if present")
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--out", type=Path, default=HERE / "results" / "speed.json")
+    options = parser.parse_args()
+    vcal = [sys.executable, "-m", "vcal"]
+    commands = {"import": [sys.executable, "-c", "import vcal"], "demo": [*vcal, "demo"]}
+    if options.data:
+        cases = {
+            "practice_02": options.data / "practice" / "02_tracker_backlash",
+            "irb120": options.data / "real" / "irb120",
+        }
+        for name, folder in cases.items():
+            commands[name] = [*vcal, "loop", str(folder / "setup.toml")]
+    results = {}
+    for name, command in commands.items():
+        with tempfile.TemporaryDirectory() as scratch:
+            cache = Path(scratch) / "cache"
+            runs = []
+            for i in range(options.runs + 1):
+                out = [] if name == "import" else ["--out", str(Path(scratch) / f"out{i}")]
+                runs.append(timed([*command, *out], cache))
+        cold, warm = runs[0], runs[1:]
+        results[name] = {
+            "cold": cold,
+            "warm_median_wall_s": sorted(run["wall_s"] for run in warm)[len(warm) // 2],
+            "peak_mib": max(run["peak_mib"] for run in runs),
+            "limit_s": LIMITS[name],
+        }
+        print(
+            f"{name:12s} cold {cold['wall_s']:6.1f} s (limit {LIMITS[name]:g}), "
+            f"warm {results[name]['warm_median_wall_s']:6.1f} s, "
+            f"peak {results[name]['peak_mib']:.0f} MiB",
+            flush=True,
+        )
+    machine = {
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "system": platform.system(),
+        "date": str(datetime.date.today()),
+    }
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps({"machine": machine, "results": results}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

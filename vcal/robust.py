@@ -1,0 +1,50 @@
+"""Identification that single stray readings cannot pull away."""
+
+import numpy as np
+from scipy.special import gammainccinv
+
+from .fit import Fit
+from .identify import declared_whitener, identify
+from .measurement import Measurement
+from .model import Model, Shapes
+
+
+def identify_robust(
+    model: Model,
+    measurement: Measurement,
+    *,
+    tuning: float = 1.5,
+    rounds: int = 10,
+    theta: np.ndarray | None = None,
+    shapes: Shapes | None = None,
+    room: int = 0,
+) -> tuple[Fit, np.ndarray]:
+    """Fit with Huber's loss on whole rows, by iteratively reweighted least squares.
+
+    A row whose whitened residual has the norm d is weighted by min(1, c s / d): s is the robust
+    scale of all rows (median of d over its expectation), c is `tuning` times the expected norm.
+    Returns the fit and the weights (n,); rows with weights far below one are suspect.
+    """
+    whitener = declared_whitener(model, measurement)
+    fit = identify(
+        model, measurement, theta=theta, shapes=shapes, whitener=whitener, room=room
+    )
+    m = fit.residual.shape[1]
+    median = np.sqrt(2.0 * gammainccinv(0.5 * m, 0.5))
+    weights = np.ones(measurement.rows)
+    for _ in range(rounds):
+        distance = np.linalg.norm(np.einsum("nij,nj->ni", whitener, fit.residual), axis=1)
+        limit = tuning * np.sqrt(m) * np.median(distance) / median
+        new = np.minimum(1.0, limit / np.maximum(distance, 1e-30))
+        if np.abs(new - weights).max() < 1e-3:
+            break
+        weights = new
+        fit = identify(
+            model,
+            measurement,
+            theta=fit.theta,
+            shapes=fit.shapes,
+            whitener=whitener * np.sqrt(weights)[:, None, None],
+            room=room,
+        )
+    return fit, weights
