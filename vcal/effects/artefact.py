@@ -65,7 +65,9 @@ class ArtefactBending(Effect):
     """The artefact sags as a beam on its two supports, in proportion to the transverse gravity.
 
     Displacement of a ball = sag w(s) g_t, with w the beam's deflection scaled to a largest value
-    of one and g_t the part of the unit vector of gravity across the beam (length cos(tilt)).
+    of one and g_t the part of the unit vector of gravity across the beam (length cos(tilt)). Where
+    the supports let the balls sink straight down instead (`down`), g cos(tilt) takes its place;
+    the two differ along the beam only.
     """
 
     name = "artefact_bending"
@@ -73,10 +75,11 @@ class ArtefactBending(Effect):
     where = "instrument"
     supports: tuple[float, float] = eqx.field(static=True)
     beam: tuple[float, float, float] = eqx.field(static=True)
+    down: bool = eqx.field(static=True, default=False)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("sag", "um", sigma=5.0),)
+        return (Parameter("sag_down" if self.down else "sag", "um", sigma=5.0),)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -92,15 +95,18 @@ class ArtefactBending(Effect):
         w = w / jnp.max(jnp.abs(line))
         gravity = [plan.covariate(f"gravity_{c}") for c in "xyz"]
         lengthwise = sum(g * u for g, u in zip(gravity, self.beam, strict=True))
+        across = jnp.sqrt(jnp.maximum(1.0 - jnp.asarray(lengthwise) ** 2, 0.0))
+        name = self.parameters[0].name
         return {
-            (f"ball.{c}", "sag"): w * (g - lengthwise * u)
+            (f"ball.{c}", name): w * (g * across if self.down else g - lengthwise * u)
             for c, g, u in zip("XYZ", gravity, self.beam, strict=True)
         }
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         if setup.artefact is not None:
-            yield cls(supports=setup.artefact.supports, beam=setup.artefact.beam)
+            for down in (False, True):
+                yield cls(supports=setup.artefact.supports, beam=setup.artefact.beam, down=down)
 
 
 @register

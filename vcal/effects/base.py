@@ -107,6 +107,14 @@ class Effect(eqx.Module):
         del plan
         return {}
 
+    def shape_odds(
+        self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
+    ) -> float:
+        """Prior density of estimated shape values over the uniform one, averaged over their
+        uncertainty; one unless some values are known to be likelier than others."""
+        del plan, values, uncertainties
+        return 1.0
+
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable["Effect"]:
         """The instances the loop may try on this machine and plan; none by default."""

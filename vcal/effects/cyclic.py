@@ -15,6 +15,10 @@ from .registry import register
 SHORTEST_PITCH_M = 4e-3
 """The finest pitch of a positioning screw that is looked for."""
 
+NOMINAL_LEADS_M = (4e-3, 5e-3, 6e-3, 8e-3, 10e-3, 12e-3, 16e-3, 20e-3, 25e-3, 32e-3, 40e-3)
+"""Nominal leads of ball screws, ISO 3408-2. A plan of nearly equal steps s cannot tell a pitch p from
+its aliases 1/p +/- 1/s; that real screws have these leads often can."""
+
 
 @register
 class ScrewCyclic(Effect):
@@ -51,6 +55,19 @@ class ScrewCyclic(Effect):
         if highest <= lowest:
             return {"pitch": np.array([covered / 4.0])}
         return {"pitch": 1.0 / np.arange(lowest, highest, 0.25 / covered)}
+
+    def shape_odds(
+        self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
+    ) -> float:
+        # Half of the prior on the nominal leads, half even over the scan in 1/pitch.
+        ends = 1.0 / self.scan(plan)["pitch"]
+        pitch, u = values["pitch"], uncertainties["pitch"]
+        # A lead is made to a few parts in ten thousand.
+        width = np.hypot(u, 2e-4 * pitch)
+        even = 1.0 / (pitch**2 * max(float(np.ptp(ends)), 1e-9))
+        leads = np.asarray(NOMINAL_LEADS_M)
+        peaks = np.exp(-0.5 * ((pitch - leads) / width) ** 2) / (np.sqrt(2.0 * np.pi) * width)
+        return 0.5 + 0.5 * float(peaks.mean()) / even
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:

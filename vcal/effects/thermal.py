@@ -20,6 +20,11 @@ REFERENCE_DEGC = 20.0
 """ISO 1: the reference temperature for length."""
 
 
+def first_time(setup: Setup) -> float:
+    """Time of the first reading of the plan, s; zero where time was not recorded."""
+    return float(np.min(setup.plan.covariate("t"))) if setup.plan.has("t") else 0.0
+
+
 def _excess(plan: Plan, axis: str) -> Array:
     return plan.covariate(f"T_{axis}") - REFERENCE_DEGC
 
@@ -106,7 +111,7 @@ class ThermalTilt(Effect):
 
 @register
 class WarmUp(Effect):
-    """An axis that warms up: A (1 - exp(-t / tau)) on one of its error motions, t from the start.
+    """An axis that warms up: A (1 - exp(-t / tau)) on one of its error motions, t from `start`.
 
     tau is scanned in equal steps of its logarithm, from a twentieth of the run to twice the run.
     """
@@ -116,6 +121,8 @@ class WarmUp(Effect):
     odds = TIME_ODDS
     port: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
+    start: float = 0.0
+    """Time of the first reading, s."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -129,8 +136,7 @@ class WarmUp(Effect):
         return ("t",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        t = plan.covariate("t")
-        elapsed = t - jnp.min(t)
+        elapsed = plan.covariate("t") - self.start
         return {(self.port, f"size_{self.port}"): 1.0 - jnp.exp(-elapsed / shape["tau"])}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
@@ -141,18 +147,25 @@ class WarmUp(Effect):
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         for axis in setup.chain.axes:
             for c in "XYZABC":
-                yield cls(port=f"E{c}{axis}", unit="um" if c in "XYZ" else "urad", placement=axis)
+                yield cls(
+                    port=f"E{c}{axis}",
+                    unit="um" if c in "XYZ" else "urad",
+                    start=first_time(setup),
+                    placement=axis,
+                )
 
 
 @register
 class Drift(Effect):
-    """A joint that drifts in proportion to time: A t on one of its error motions."""
+    """A joint that drifts in proportion to time: A t on one of its error motions, t from `start`."""
 
     name = "drift"
     summary = "linear drift of a joint with time"
     odds = TIME_ODDS
     port: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
+    start: float = 0.0
+    """Time of the first reading, s."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -163,11 +176,15 @@ class Drift(Effect):
         return ("t",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        t = plan.covariate("t")
-        return {(self.port, f"rate_{self.port}"): t - jnp.mean(t)}
+        return {(self.port, f"rate_{self.port}"): plan.covariate("t") - self.start}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         for axis in setup.chain.axes:
             for c in "XYZABC":
-                yield cls(port=f"E{c}{axis}", unit="um" if c in "XYZ" else "urad", placement=axis)
+                yield cls(
+                    port=f"E{c}{axis}",
+                    unit="um" if c in "XYZ" else "urad",
+                    start=first_time(setup),
+                    placement=axis,
+                )

@@ -11,6 +11,7 @@ from ..plan import Plan
 from ..ports import COMPONENTS
 from .base import Effect, Response, Setup
 from .registry import register
+from .thermal import first_time
 
 
 @register
@@ -75,6 +76,8 @@ class StationDrift(Effect):
     name = "station_drift"
     summary = "drift of the instrument's frame with time"
     where = "instrument"
+    start: float = 0.0
+    """Time of the first reading, s."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -88,11 +91,10 @@ class StationDrift(Effect):
         return ("t",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        t = plan.covariate("t")
-        elapsed = t - jnp.mean(t)
+        elapsed = plan.covariate("t") - self.start
         return {(f"frame.{c}", f"rate_{c}"): elapsed for c in COMPONENTS}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         if "frame.X" in setup.layout:
-            yield cls()
+            yield cls(start=first_time(setup))

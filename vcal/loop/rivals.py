@@ -91,8 +91,19 @@ def refit_all(
         k = len(peak.effect.parameters)
         bic = (fit.chi2 - base.chi2) / noise**2 + k * math.log(rows)
         odds = math.log(peak.effect.odds / instances[peak.effect.name])
-        rivals.append(Rival(peak.effect, fit, fit.log_evidence(noise) - reference, odds, bic))
+        gain = fit.log_evidence(noise) - reference + _log_shape_odds(peak.effect, fit)
+        rivals.append(Rival(peak.effect, fit, gain, odds, bic))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
+
+
+def _log_shape_odds(effect: Effect, fit: Fit) -> float:
+    names = {p.name for p in effect.shapes}
+    if not names:
+        return 0.0
+    found = [row for row in fit.parameter_values() if row[0] == effect.key and row[1].name in names]
+    values = {p.name: value * p.si for _, p, value, _ in found}
+    uncertainties = {p.name: u * p.si for _, p, _, u in found}
+    return math.log(effect.shape_odds(fit.measurement.plan, values, uncertainties))
 
 
 def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:

@@ -108,7 +108,10 @@ def field(values: Field) -> Figure:
         rows = rows[:2]
     drawn = figure(9.6, 0.75 + 2.45 * len(rows))
     table = grid(
-        drawn, len(rows), 3, left=0.75, right=1.1, top=0.4, bottom=0.55, wspace=0.75, hspace=0.85
+        drawn,
+        len(rows),
+        3,
+        {"left": 0.75, "right": 1.1, "top": 0.4, "bottom": 0.55, "wspace": 0.75, "hspace": 0.85},
     )
     for i, (name, vectors) in enumerate(rows):
         size = np.linalg.norm(vectors, axis=-1)
@@ -146,7 +149,7 @@ def _arrows(ax: Axes, x, y, plane: tuple[str, str], vectors: np.ndarray, top: fl
     )
 
 
-def _bar(drawn: Figure, mesh, axes: Sequence[Axes], label: str) -> Axes:
+def _bar(drawn: Figure, mesh, axes: np.ndarray, label: str) -> Axes:
     """A colour bar right of axes, as high as the first to the last of them."""
     top, bottom = axes[0].get_position(), axes[-1].get_position()
     width = drawn.get_size_inches()[0]
@@ -180,7 +183,10 @@ def check_points(errors: Mapping[str, np.ndarray], check: CheckPoints) -> Figure
     norm = LogNorm(max(low, high / 300.0), high)
     drawn = figure(9.6, 5.4)
     table = grid(
-        drawn, 2, len(errors), left=0.75, right=1.1, top=0.45, bottom=0.55, wspace=0.3, hspace=0.6
+        drawn,
+        2,
+        len(errors),
+        {"left": 0.75, "right": 1.1, "top": 0.45, "bottom": 0.55, "wspace": 0.3, "hspace": 0.6},
     )
     dots = None
     for column, (name, size) in enumerate(sizes.items()):
@@ -217,7 +223,7 @@ def _plain_ticks(ax: Axes, norm: LogNorm) -> None:
 def error_over_time(fits: Mapping[str, Fit]) -> Figure:
     """3-D error of every observation over time: fitted ones faint, held-out ones full."""
     drawn = figure(9.6, 3.9)
-    ax = grid(drawn, 1, 1, left=0.8, right=0.2, top=0.45, bottom=0.6)[0, 0]
+    ax = grid(drawn, 1, 1, {"left": 0.8, "right": 0.2, "top": 0.45, "bottom": 0.6})[0, 0]
     plain(ax)
     colours = {"uncompensated": NOMINAL, "before": BEFORE, "after": AFTER}
     shown = []

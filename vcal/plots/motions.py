@@ -29,11 +29,8 @@ class ErrorMotionTable:
     prior: np.ndarray
     """Standard deviation before the measurement, in `unit`."""
 
-    @property
-    def information(self) -> np.ndarray:
-        """Share of the information that came from the data: 1 - variance / prior variance."""
-        safe = np.where(self.prior > 0, self.prior, 1.0)
-        return np.where(self.prior > 0, np.clip(1.0 - (self.u / safe) ** 2, 0.0, 1.0), 0.0)
+    information: np.ndarray
+    """Share of the information that came from the data: 1 - variance / prior variance."""
 
     @property
     def constant(self) -> bool:
@@ -55,12 +52,7 @@ def error_motions(tables: Sequence[ErrorMotionTable]) -> Figure:
         drawn,
         6,
         len(axes),
-        left=0.8,
-        right=0.2,
-        top=0.35,
-        bottom=0.5,
-        wspace=0.7,
-        hspace=0.42,
+        {"left": 0.8, "right": 0.2, "top": 0.35, "bottom": 0.5, "wspace": 0.7, "hspace": 0.42},
     )
     for column, axis in enumerate(axes):
         mine = [t for t in moving if t.axis == axis]
@@ -90,7 +82,9 @@ def _constants(tables: Sequence[ErrorMotionTable]) -> Figure:
     units = list(dict.fromkeys(t.unit for t in tables))
     tallest = max(sum(t.unit == unit for t in tables) for unit in units)
     drawn = figure(9.6, 1.1 + 0.21 * tallest)
-    row = grid(drawn, 1, len(units), left=0.7, right=0.2, top=0.45, bottom=0.6, wspace=0.8)[0]
+    row = grid(
+        drawn, 1, len(units), {"left": 0.7, "right": 0.2, "top": 0.45, "bottom": 0.6, "wspace": 0.8}
+    )[0]
     for ax, unit in zip(row, units, strict=True):
         mine = [t for t in tables if t.unit == unit]
         place = np.arange(len(mine))[::-1]

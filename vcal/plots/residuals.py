@@ -34,9 +34,7 @@ def before_after(view: View, name: str) -> Figure:
     what is visible of the effect, that is, not taken up by other parameters.
     """
     drawn = figure(9.6, 3.9)
-    left, right = grid(
-        drawn, 1, 2, left=0.75, right=0.2, top=0.45, bottom=0.6, wspace=0.35, sharey=True
-    )[0]
+    left, right = _panels(drawn, 2, sharey=True)
     bound = 1.1 * limit([view.without, view.with_])
     for ax, y, colour, word in (
         (left, view.without, BEFORE, "before: without"),
@@ -71,11 +69,13 @@ def _visible(ax: Axes, view: View, name: str) -> None:
             ax.plot([], [], ".", color=TONE, markersize=6, label=view.tone_label)
     else:
         ax.plot(*_means(x, y, 30), color=INK, linewidth=1.4, label=label)
-    _legend(ax, "upper left")
+    _legend(ax)
 
 
-def _legend(ax: Axes, place: str) -> None:
-    box = ax.legend(fontsize=8.5, loc=place, framealpha=0.85, edgecolor="none", borderpad=0.2)
+def _legend(ax: Axes) -> None:
+    box = ax.legend(
+        fontsize=8.5, loc="upper left", framealpha=0.85, edgecolor="none", borderpad=0.2
+    )
     box.set_zorder(4)
 
 
@@ -106,14 +106,13 @@ def unexplained(fit: Fit, what: Unexplained) -> Figure:
     used = fit.used
     moved = displacements(fit)[used] * 1e6
     drawn = figure(9.6, 3.9)
-    margins = {"left": 0.75, "right": 0.2, "top": 0.45, "bottom": 0.6}
     if not names:
-        ax = grid(drawn, 1, 1, **margins)[0, 0]
+        ax = _panels(drawn, 1)[0]
         ax.hist(np.linalg.norm(moved, axis=1), bins=40, color=BEFORE)
         titled(ax, "size of the residual", "residual of the tool point, µm", "readings")
         return drawn
     if what.bump is not None:
-        row = grid(drawn, 1, 2, **margins, wspace=0.35, sharey=True)[0]
+        row = _panels(drawn, 2, sharey=True)
         left = displacements(what.bump.fit)[used] * 1e6
         i = _component(fit, names[0], moved, what.direction)
         for ax, y, colour in zip(row, (moved, left), (BEFORE, AFTER), strict=True):
@@ -125,10 +124,17 @@ def unexplained(fit: Fit, what: Unexplained) -> Figure:
         row[1].set_title("with an empirical bump at this place", fontsize=10, color=INK, loc="left")
         row[1].set_ylabel("")
         return drawn
-    for ax, name in zip(grid(drawn, 1, len(names), **margins, wspace=0.8)[0], names, strict=True):
+    for ax, name in zip(_panels(drawn, len(names)), names, strict=True):
         i = _component(fit, name, moved, what.direction)
         _panel(ax, fit, name, moved[:, i], BEFORE, i)
     return drawn
+
+
+def _panels(drawn: Figure, count: int, sharey: bool = False) -> np.ndarray:
+    """Axes side by side, with the margins of all figures in this file."""
+    gap = 0.35 if sharey else 0.8
+    margins = {"left": 0.75, "right": 0.2, "top": 0.45, "bottom": 0.6, "wspace": gap}
+    return grid(drawn, 1, count, margins, sharey=sharey)[0]
 
 
 def _component(fit: Fit, name: str, moved: np.ndarray, direction: str) -> int:
@@ -153,7 +159,7 @@ def _panel(ax: Axes, fit: Fit, name: str, y: np.ndarray, colour: str, i: int) ->
 def studentised(fit: Fit) -> np.ndarray:
     """Residuals over their own standard deviations under the declared noise, sorted."""
     factor, lower = fit.factor
-    half = solve_triangular(factor, fit.jacobian.T, trans=0 if lower else "T", lower=lower)
+    half = solve_triangular(factor, fit.jacobian.T, trans=0 if lower else 1, lower=lower)
     leverage = np.einsum("kn,kn->n", half, half)
     used = np.repeat(fit.used, fit.residual.shape[1])
     return np.sort(fit.whitened[used] / np.sqrt(np.clip(1.0 - leverage[used], 0.02, 1.0)))
@@ -165,7 +171,7 @@ def normal_plot(before: Fit, after: Fit, noise_scale: float = 1.0) -> Figure:
     `noise_scale` is the factor by which the fit after closing the loop enlarged the declared noise.
     """
     drawn = figure(5.6, 3.9)
-    ax = grid(drawn, 1, 1, left=0.75, right=0.25, top=0.45, bottom=0.6)[0, 0]
+    ax = _panels(drawn, 1)[0]
     shown = []
     for fit, scale, colour, name in (
         (before, 1.0, BEFORE, "before"),
@@ -179,7 +185,7 @@ def normal_plot(before: Fit, after: Fit, noise_scale: float = 1.0) -> Figure:
     ax.plot([-bound, bound], [-bound, bound], color=INK, linewidth=1.0, label="as declared")
     top = max(1.1 * np.abs(shown[1]).max(), 1.3 * limit(shown[:1], 0.98), bound)
     ax.set_ylim(-top, top)
-    _legend(ax, "upper left")
+    _legend(ax)
     titled(
         ax,
         "residuals against the declared noise",

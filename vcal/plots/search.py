@@ -34,7 +34,10 @@ def search(
     kinds.sort(key=lambda kind: height.get(kind, 0.0))
     drawn = figure(9.6, 1.15 + 0.235 * len(kinds))
     row = grid(
-        drawn, 1, len(screenings), left=1.75, right=0.25, top=0.45, bottom=0.65, wspace=0.25
+        drawn,
+        1,
+        len(screenings),
+        {"left": 1.75, "right": 0.25, "top": 0.45, "bottom": 0.65, "wspace": 0.25},
     )[0]
     top = max(10.0, *(minus_log10_p(s, k) for s in screenings for k in s.kinds))
     for i, (ax, screening) in enumerate(zip(row, screenings, strict=True)):

@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -44,33 +44,29 @@ def grid(
     drawn: Figure,
     rows: int,
     columns: int,
+    margins: Mapping[str, float],
     *,
-    left: float,
-    right: float,
-    top: float,
-    bottom: float,
-    wspace: float = 0.0,
-    hspace: float = 0.0,
-    sharex: bool = False,
     sharey: bool = False,
 ) -> np.ndarray:
-    """Axes (rows, columns), styled, with margins and gaps in inches, so that nothing overlaps
-    whatever the size of the figure.
+    """Axes (rows, columns), styled, so that nothing overlaps whatever the size of the figure.
+
+    `margins` are in inches: ``left``, ``right``, ``top``, ``bottom``, and the gaps ``wspace`` and
+    ``hspace`` between columns and rows.
     """
     width, height = drawn.get_size_inches()
-    inner_w = (width - left - right - wspace * (columns - 1)) / columns
-    inner_h = (height - top - bottom - hspace * (rows - 1)) / rows
+    wspace, hspace = margins.get("wspace", 0.0), margins.get("hspace", 0.0)
+    inner_w = (width - margins["left"] - margins["right"] - wspace * (columns - 1)) / columns
+    inner_h = (height - margins["top"] - margins["bottom"] - hspace * (rows - 1)) / rows
     table = drawn.subplots(
         rows,
         columns,
         squeeze=False,
-        sharex=sharex,
         sharey=sharey,
         gridspec_kw={
-            "left": left / width,
-            "right": 1.0 - right / width,
-            "top": 1.0 - top / height,
-            "bottom": bottom / height,
+            "left": margins["left"] / width,
+            "right": 1.0 - margins["right"] / width,
+            "top": 1.0 - margins["top"] / height,
+            "bottom": margins["bottom"] / height,
             "wspace": wspace / inner_w,
             "hspace": hspace / inner_h,
         },

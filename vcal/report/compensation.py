@@ -5,8 +5,10 @@ import io
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_solve
 
 from ..fit import Fit
 from ..loop.closure import Closure
@@ -29,7 +31,9 @@ def error_motion_tables(fit: Fit, nodes: int = NODES) -> list[ErrorMotionTable]:
     """
     chain, model = fit.model.chain, fit.model
     lines = [_line(fit, axis, nodes) for axis in chain.axes]
-    on_lines = Plan(chain.axes, np.stack(lines, axis=1))
+    # As many rows as the measurement has, the last one repeated: shapes that are compiled already.
+    rows = np.minimum(np.arange(max(nodes, fit.measurement.rows)), nodes - 1)
+    on_lines = Plan(chain.axes, np.stack(lines, axis=1)[rows])
     columns: dict[str, np.ndarray] = {}
     means: dict[str, np.ndarray] = {}
     start = 0
@@ -42,19 +46,43 @@ def error_motion_tables(fit: Fit, nodes: int = NODES) -> list[ErrorMotionTable]:
             k, p = amplitudes[amplitude]
             located = _LOCATION.fullmatch(amplitude)
             name = amplitude if located else port
-            rows = 1 if located else nodes
-            column = np.ones(1) if located else np.broadcast_to(np.asarray(response), (nodes,))
-            block = columns.setdefault(name, np.zeros((rows, len(fit.theta))))
+            full = np.broadcast_to(np.asarray(response), rows.shape)[:nodes]
+            column = np.ones(1) if located else full
+            block = columns.setdefault(name, np.zeros((len(column), len(fit.theta))))
             block[:, k] = column * p.step  # a location error has several ports: the same once
-            mean = means.setdefault(name, np.zeros(rows))
+            mean = means.setdefault(name, np.zeros(len(column)))
             if not located or not mean.any():
                 means[name] = mean + column * p.mean * p.si
-    covariance = fit.covariance
-    prior = np.where(fit.precision > 0, 1.0 / np.where(fit.precision > 0, fit.precision, 1.0), 0.0)
+    proper = fit.precision > 0
+    spread = _Spread(
+        stated=fit.covariance,
+        # The share of information is that of the plan, whatever the residuals turned out to be.
+        planned=cho_solve(fit.factor, np.eye(len(fit.theta))),
+        prior=np.where(proper, 1.0 / np.where(proper, fit.precision, 1.0), 0.0),
+    )
     return [
-        _table(name, block, means[name], fit, covariance, prior, lines)
+        _table(name, block, means[name], fit, spread, lines)
         for name, block in _sorted(columns, chain.axes)
     ]
+
+
+@dataclass(frozen=True)
+class _Spread:
+    """Covariances of theta: as stated, as planned, and the diagonal of the prior's."""
+
+    stated: np.ndarray
+    planned: np.ndarray
+    prior: np.ndarray
+
+    def of(self, block: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Standard uncertainty, prior standard deviation and share of information of F theta."""
+        stated, planned = (
+            ((block @ matrix) * block).sum(1) for matrix in (self.stated, self.planned)
+        )
+        prior = block**2 @ self.prior
+        information = 1.0 - planned / np.where(prior > 0, prior, np.inf)
+        information = np.where(prior > 0, np.clip(information, 0.0, 1.0), 0.0)
+        return np.sqrt(np.maximum(stated, 0.0)), np.sqrt(prior), information
 
 
 def _sorted(columns: dict[str, np.ndarray], axes: Sequence[str]):
@@ -79,8 +107,7 @@ def _table(
     block: np.ndarray,
     mean: np.ndarray,
     fit: Fit,
-    covariance: np.ndarray,
-    prior: np.ndarray,
+    spread: _Spread,
     lines: Sequence[np.ndarray],
 ) -> ErrorMotionTable:
     axes = fit.model.chain.axes
@@ -89,7 +116,7 @@ def _table(
     unit = "um" if name[1] in "XYZ" else "urad"
     position_unit = "mm" if fit.model.chain.joint(axis).kind == "prismatic" else "deg"
     si = si_factor(unit)
-    variance = np.einsum("nk,kl,nl->n", block, covariance, block, optimize=True)
+    u, prior, information = spread.of(block)
     return ErrorMotionTable(
         name=name,
         axis=axis,
@@ -97,8 +124,9 @@ def _table(
         position=np.zeros(0) if located else lines[axes.index(axis)] / si_factor(position_unit),
         position_unit=position_unit,
         value=(mean + block @ fit.theta) / si,
-        u=np.sqrt(np.maximum(variance, 0.0)) / si,
-        prior=np.sqrt(block**2 @ prior) / si,
+        u=u / si,
+        prior=prior / si,
+        information=information,
     )
 
 

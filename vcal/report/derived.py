@@ -50,7 +50,7 @@ def _harmonics(closure: Closure, found: FoundEffect) -> list[tuple[str, float, s
     return derived
 
 
-def _root(variance: float) -> float:
+def _root(variance: np.ndarray | float) -> float:
     return math.sqrt(max(float(variance), 0.0))
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import jinja2
 import numpy as np
+from scipy.linalg import cho_solve
 
 from ..effects.registry import CATALOGUE
 from ..io.study import Study
@@ -337,7 +338,8 @@ def _information(closure: Closure) -> dict[str, Any]:
     if not len(proper):
         return {"directions": 0, "determined": 0, "unseen": 0, "hardly": []}
     root = np.sqrt(fit.precision[proper])
-    scaled = fit.covariance[np.ix_(proper, proper)] * np.outer(root, root)
+    inverse = cho_solve(fit.factor, np.eye(len(fit.theta)))
+    scaled = inverse[np.ix_(proper, proper)] * np.outer(root, root)
     learnt = 1.0 - np.linalg.eigvalsh(scaled)
     return {
         "directions": len(proper),

@@ -18,7 +18,7 @@ class Picture:
     name: str
     """File name without its ending."""
     section: str
-    """Where the page shows it: the key of an effect, or the name of a section."""
+    """Where the page shows it: ``"effect 1"``, or the name of a section."""
     caption: str
     data: bytes
     """PNG."""
@@ -86,7 +86,7 @@ def _effects(closure: Closure) -> Iterator[Picture]:
         else:
             caption += f"Line: what station, poses and all other parameters leave of {key}."
         name = f"effect_{i}_{key.replace(' ', '_')}"
-        yield Picture(name, key, caption, plots.png(plots.before_after(view, key)))
+        yield Picture(name, f"effect {i}", caption, plots.png(plots.before_after(view, key)))
 
 
 def _unexplained(closure: Closure) -> str:

@@ -1,0 +1,390 @@
+"""The report: complete, strict, self-contained, and written whole or not at all."""
+
+import dataclasses
+import json
+import math
+import os
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from oracle import error_motions, make_case
+
+from vcal import CATALOGUE, StudyError, close_loop, load_study, plots
+from vcal.instruments.conditions import file_column
+from vcal.io import read_table
+from vcal.loop.stray import Stray
+from vcal.loop.unexplained import Interval, Unexplained
+from vcal.plan import Plan
+from vcal.plots.views import residual_without
+from vcal.report import check_folder, record, text, write_report
+from vcal.report.derived import parameters
+
+SEARCHED = ("backlash", "lateral_reversal", "screw_cyclic", "thermal_tilt", "artefact_bending")
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory):
+    """Case, study and closure of a small tracker measurement with an undeclared backlash."""
+    folder = tmp_path_factory.mktemp("report") / "study"
+    backlash = {"effect": "backlash", "axis": "Y", "size_um": 15}
+    case = make_case(
+        "laser_tracker",
+        seed=3,
+        effects=[backlash],
+        plan={"shape": (6, 5, 4)},
+        n_check=60,
+        folder=folder,
+    )
+    study = load_study(folder)
+    assert study.measurement is not None
+    closure = close_loop(
+        study.model,
+        study.measurement,
+        check=study.check,
+        effects=[CATALOGUE[name] for name in SEARCHED],
+        draws=100,
+    )
+    return case, study, closure
+
+
+@pytest.fixture(scope="module")
+def written(closed, tmp_path_factory):
+    """Folder of a report."""
+    _, study, closure = closed
+    out = tmp_path_factory.mktemp("written") / "deep" / "report"
+    page = write_report(closure, study, out, command="vcal loop study", seconds=1.5)
+    assert page == out / "index.html"
+    return out
+
+
+def strict(path):
+    def refuse(word):
+        raise AssertionError(f"{word} is not JSON")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+# --- the record ----------------------------------------------------------------------------------
+
+KEYS = {
+    "schema": str,
+    "name": str,
+    "verdict": str,
+    "sentence": str,
+    "effects": list,
+    "errors": dict,
+    "unexplained": type(None),
+    "noise_scale": float,
+    "suspected_readings": list,
+    "rejected": list,
+    "untestable": list,
+    "unseen": list,
+    "settings": dict,
+    "versions": dict,
+    "seconds": float,
+    "input_files": dict,
+    "command": str,
+    "notes": list,
+    "interrupted": bool,
+    "files": list,
+}
+
+
+def test_record_has_the_keys_and_types_of_its_schema(written):
+    content = strict(written / "report.json")
+    assert {key: type(value) for key, value in content.items()} == KEYS
+    assert content["schema"] == "vcal-report/1"
+    assert content["verdict"] == "named"
+    assert content["seconds"] == 1.5
+    (effect,) = content["effects"]
+    assert effect["effect"] == "backlash" and effect["placement"] == "Y"
+    assert effect["status"] == "named"
+    for key in ("p_value", "log_evidence", "delta_bic", "heldout_gain"):
+        assert isinstance(effect[key], float)
+    (size,) = effect["parameters"]
+    assert set(size) == {"name", "value", "unit", "standard_uncertainty"}
+    assert size["name"] == "size" and size["unit"] == "um"
+    assert abs(size["value"] - 15.0) < 4.0 * size["standard_uncertainty"] < 8.0
+
+
+def test_record_tells_errors_before_and_after(written):
+    errors = strict(written / "report.json")["errors"]
+    assert list(errors) == ["uncompensated", "before", "after"]
+    for values in errors.values():
+        assert list(values) == [
+            "check_rms_um",
+            "check_raw_rms_um",
+            "heldout_rms_um",
+            "fit_rms_um",
+            "chi2_per_dof",
+            "u_check_rms_um",
+            "u_heldout_rms_um",
+        ]
+        assert all(isinstance(v, float) and v > 0 for v in values.values())
+    assert errors["after"]["check_rms_um"] < errors["before"]["check_rms_um"]
+
+
+def test_record_names_inputs_and_versions(closed, written):
+    _, study, _ = closed
+    content = strict(written / "report.json")
+    assert content["input_files"] == dict(study.hashes)
+    assert {"setup.toml", "data.csv", "check.csv", "errors.csv"} <= set(content["input_files"])
+    assert set(content["versions"]) == {"vcal", "python", "jax", "jaxlib", "optimistix", "numpy"}
+    assert content["settings"]["seed"] == 0
+    assert content["settings"]["study"]["instrument"]["kind"] == "laser_tracker"
+
+
+def test_what_is_unexplained_is_told_in_columns_of_the_file(closed):
+    _, study, closure = closed
+    what = Unexplained(
+        depends_on=["X", "T_Y", "t"],
+        shares=[0.5, 0.2, 0.1],
+        where=[Interval("X", 0.2, 0.45), Interval("T_Y", 20.5, 21.0)],
+        direction="Z",
+        size_um=12.0,
+        share_of_variance=0.5,
+        p_value=1e-9,
+        reason="for the test",
+    )
+    told = record(dataclasses.replace(closure, verdict="unexplained", unexplained=what), study)
+    assert told["unexplained"]["depends_on"] == ["x_mm", "T_y_degC", "t_s"]
+    assert told["unexplained"]["where"] == [
+        {"column": "x_mm", "low": 200.0, "high": 450.0},
+        {"column": "T_y_degC", "low": 20.5, "high": 21.0},
+    ]
+    assert told["sentence"].endswith("it depends on x_mm.")
+
+
+def test_rows_count_as_in_the_file_and_what_is_not_a_number_is_null(closed):
+    _, study, closure = closed
+    changed = dataclasses.replace(closure, suspected=[Stray(0, 7.0, 1e-6)], noise_scale=math.nan)
+    told = record(changed, study)
+    assert told["suspected_readings"] == [{"row": 1, "distance": 7.0, "p_value": 1e-6}]
+    assert told["noise_scale"] is None and told["seconds"] is None
+    json.dumps(told, allow_nan=False)
+
+
+def test_amplitude_and_phase_follow_from_sine_and_cosine():
+    effect = CATALOGUE["encoder_eccentricity"](angle="azimuth", placement="azimuth")
+    # In units of the prior's 10 urad.
+    covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
+    fit = SimpleNamespace(
+        model=SimpleNamespace(effects=(effect,)), theta=np.array([0.3, 0.4]), covariance=covariance
+    )
+    rows = [("sine", 3.0, "urad", 2.0), ("cosine", 4.0, "urad", 3.0)]
+    found = SimpleNamespace(effect=effect, parameters=rows)
+    listed = {row[0]: row[1:] for row in parameters(SimpleNamespace(after=fit), found)}  # type: ignore[arg-type]
+    draws = np.random.default_rng(0).multivariate_normal([30, 40], covariance, 200_000)
+    assert listed["amplitude"] == (
+        pytest.approx(5.0),
+        "urad",
+        pytest.approx(10 * np.hypot(*draws.T).std(), rel=0.01),
+    )
+    assert listed["phase"][0] == pytest.approx(math.atan2(4.0, 3.0))
+    # Far from the origin the phase is linear in both; there it scales with one over the amplitude.
+    spread = np.arctan2(draws[:, 1], draws[:, 0]).std() * 100.0
+    assert listed["phase"][2] == pytest.approx(spread, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("inside", "axes", "column", "factor"),
+    [
+        ("X", ("X", "Y"), "x_mm", 1e3),
+        ("dir_Y", ("X", "Y"), "dir_y", 1.0),
+        ("T_X", ("X", "Y"), "T_x_degC", 1.0),
+        ("T_air", ("X", "Y"), "T_air_degC", 1.0),
+        ("T_gradient_z_K_per_m", ("X", "Y"), "T_gradient_z_K_per_m", 1.0),
+        ("t", ("X", "Y"), "t_s", 1.0),
+        ("range", ("X", "Y"), "range_mm", 1e3),
+        ("J2", ("J1", "J2"), "q2_cmd_deg", math.degrees(1)),
+        ("read_J2", ("J1", "J2"), "q2_read_deg", math.degrees(1)),
+        ("order", ("J1", "J2"), "pose", 1.0),
+        ("load_kg", ("X", "Y"), "load_kg", 1.0),
+    ],
+)
+def test_columns_of_covariates(inside, axes, column, factor):
+    assert file_column(inside, axes) == (column, pytest.approx(factor))
+
+
+def test_joints_that_were_read_back_are_told_by_that_column():
+    read, commanded = np.array([[0.1], [0.2]]), np.array([[0.11], [0.21]])
+    covariates = {"read_J1": read[:, 0], "commanded_J1": commanded[:, 0]}
+    assert plots.column_of("J1", Plan(("J1",), read, covariates))[0] == "q1_read_deg"
+    assert plots.column_of("J1", Plan(("J1",), commanded, covariates))[0] == "q1_cmd_deg"
+
+
+# --- the files -----------------------------------------------------------------------------------
+
+
+def test_all_files_are_there_and_nothing_else(written):
+    files = strict(written / "report.json")["files"]
+    assert sorted(p.name for p in written.iterdir()) == sorted(files)
+    assert {"index.html", "report.json", "compensation.csv", "effects.csv"} <= set(files)
+    pictures = [name for name in files if name.endswith(".png")]
+    assert len(pictures) >= 5
+    for name in pictures:
+        assert (written / name).read_bytes().startswith(b"\x89PNG")
+    assert [p.name for p in written.parent.iterdir()] == [written.name]
+
+
+def test_page_is_self_contained_and_says_what_matters(written):
+    page = (written / "index.html").read_text(encoding="utf-8")
+    targets = re.findall(r"""(?:src|href)\s*=\s*["']([^"']*)""", page)
+    assert targets and all(t.startswith(("data:image/png;base64,", "#")) for t in targets)
+    assert "<script" not in page and "http" not in page and "@import" not in page
+    assert "The declared model lacked backlash Y." in page
+    for word in ("U (k = 2)", "SHA-256", "Frames, signs and units", "artefact_bending"):
+        assert (word in page) == (word != "artefact_bending") or "searched for" in page
+    anchors = {t[1:] for t in targets if t.startswith("#")}
+    assert anchors == set(re.findall(r'id="([^"]*)"', page))
+
+
+def test_compensation_table_is_right(closed, written):
+    case, _, closure = closed
+    lines = (written / "compensation.csv").read_text(encoding="utf-8").splitlines()
+    header = "component,axis,position_mm,value,unit,standard_uncertainty,information_share"
+    assert lines[0] == header
+    rows = [line.split(",") for line in lines[1:]]
+    motions = [row for row in rows if row[2]]
+    assert len(motions) == 18 * 41
+    assert [row[0] for row in rows if not row[2]] == ["EC0Y", "EB0Z", "EA0Z"]
+    assert {row[4] for row in rows if row[0][1] in "XYZ"} == {"um"}
+    assert {row[4] for row in rows if row[0][1] in "ABC"} == {"urad"}
+    q = np.tile(np.array([float(r[2]) for r in motions if r[0] == "EYY"])[:, None] * 1e-3, 3)
+    true = error_motions(case.machine, q)[0][:, 1, 1] * 1e6
+    value, u, share = (
+        np.array([float(r[k]) for r in motions if r[0] == "EYY"]) for k in (3, 5, 6)
+    )
+    assert np.abs(value - true).max() < 4.0 * u.max()
+    assert ((0 <= share) & (share <= 1)).all()
+    assert share.max() > 0.9
+    read_table(written / "compensation.csv", [], labels=("component", "axis", "unit"))
+
+
+def test_effects_table_repeats_the_record(written):
+    header, row = (written / "effects.csv").read_text(encoding="utf-8").splitlines()
+    assert header == "effect,placement,parameter,value,unit,standard_uncertainty"
+    (size,) = strict(written / "report.json")["effects"][0]["parameters"]
+    assert row.split(",")[:3] == ["backlash", "Y", "size"]
+    assert float(row.split(",")[3]) == pytest.approx(size["value"])
+
+
+def test_residual_without_the_effect_is_that_of_the_declared_model(closed):
+    _, _, closure = closed
+    place = plots.place_of(closure.after, closure.effects[0].effect)
+    without = residual_without(closure.after, place)
+    size = np.abs(closure.before.residual).max(0)
+    assert (np.abs(without - closure.before.residual).max(0) < 1e-3 * size).all()
+
+
+# --- whole or not at all ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_failure_leaves_nothing_behind(closed, tmp_path, monkeypatch, error):
+    _, study, closure = closed
+
+    def fail(*_):
+        raise error("no picture")
+
+    monkeypatch.setattr(plots, "normal_plot", fail)
+    with pytest.raises(error, match="no picture"):
+        write_report(closure, study, tmp_path / "new" / "report")
+    assert list(tmp_path.iterdir()) == []
+
+
+def contents(folder):
+    return {p.name: p.read_bytes() for p in folder.iterdir()}
+
+
+def test_earlier_report_is_replaced_and_other_files_are_not(closed, tmp_path):
+    _, study, closure = closed
+    out = tmp_path / "report"
+    write_report(closure, study, out)
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    old = strict(out / "report.json")
+    (out / "stale.png").write_bytes(b"")
+    (out / "report.json").write_text(
+        json.dumps(old | {"files": [*old["files"], "stale.png"]}), encoding="utf-8"
+    )
+    write_report(closure, study, out, command="again")
+    assert set(contents(out)) == {*old["files"], "notes.txt"}
+    assert strict(out / "report.json")["command"] == "again"
+    assert (out / "notes.txt").read_text(encoding="utf-8") == "mine"
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+@pytest.mark.parametrize("moves", [1, 5, 14])
+def test_interrupted_move_restores_the_earlier_report(closed, tmp_path, monkeypatch, moves):
+    _, study, closure = closed
+    out = tmp_path / "report"
+    write_report(closure, study, out, command="first")
+    before, left, replace = contents(out), moves, os.replace
+
+    def interrupted(source, target):
+        nonlocal left
+        left -= 1
+        if left == 0:
+            raise KeyboardInterrupt
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_report(closure, study, out, command="second")
+    monkeypatch.undo()
+    assert contents(out) == before
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+def test_foreign_places_are_refused(closed, tmp_path):
+    _, study, closure = closed
+    file = tmp_path / "file"
+    file.write_text("mine", encoding="utf-8")
+    with pytest.raises(StudyError, match="found a file, expected a folder"):
+        write_report(closure, study, file)
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "report.json").write_text('{"schema": "other/1"}', encoding="utf-8")
+    with pytest.raises(StudyError, match=r"other files \(report.json"):
+        write_report(closure, study, folder)
+    assert contents(folder) == {"report.json": b'{"schema": "other/1"}'}
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    check_folder(empty)
+    check_folder(tmp_path / "none")
+
+
+def test_earlier_record_reaches_no_file_outside_its_folder(closed, tmp_path):
+    _, study, closure = closed
+    out = tmp_path / "report"
+    out.mkdir()
+    (tmp_path / "precious").write_text("mine", encoding="utf-8")
+    tampered = {"schema": "vcal-report/1", "files": ["../precious"]}
+    (out / "report.json").write_text(json.dumps(tampered), encoding="utf-8")
+    write_report(closure, study, out)
+    assert (tmp_path / "precious").read_text(encoding="utf-8") == "mine"
+
+
+# --- numbers as text -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "shown"),
+    [
+        (11.4496, 0.3451, ("11.45", "0.35")),
+        (-0.00123456, 0.0000996, ("−0.00123", "0.00010")),
+        (1234.5, 62.0, ("1234", "62")),
+        (123456.0, 4321.0, ("123500", "4300")),
+        (3.14159, math.nan, ("3.1416", "–")),
+    ],
+)
+def test_values_are_rounded_to_their_uncertainty(value, u, shown):
+    assert text.rounded(value, u) == shown
+
+
+def test_small_probabilities_are_powers_of_ten():
+    assert text.probability(1.07e-191) == "1.1 × 10⁻¹⁹¹"
+    assert text.probability(0.0) == "< 10⁻³⁰⁰"
+    assert text.probability(0.04321) == "0.043"
