@@ -18,7 +18,7 @@ MISTAKE = 2
 """Exit code where the input cannot be used."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells expect it: 128 + SIGINT."""
-_WORTH_KEEPING_S = 0.0
+_WORTH_KEEPING_S = 0.1
 """Programs that compile faster than this are not kept: reading them back would take as long."""
 
 

@@ -180,7 +180,7 @@ class LoopSettings(Table):
     seed: int = Field(default=0, ge=0)
     effects: tuple[str, ...] | None = None
     """Identifiers of the effects to try; all of the catalogue by default."""
-    draws: int = Field(default=1000, ge=1)
+    draws: int = Field(default=500, ge=1)
     """Null draws behind a significance."""
     max_effects: int = Field(default=6, ge=0)
     """Effects after which the loop stops."""

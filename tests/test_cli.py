@@ -1,0 +1,414 @@
+"""The command line as a user runs it."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import vcal
+import vcal.cli.show
+import vcal.report
+from vcal.cli import app
+from vcal.cli.session import cache_folder, working
+from vcal.io import load_study, read_table
+from vcal.io.settings import (
+    DataSettings,
+    FourierSettings,
+    JointSettings,
+    LinkSettings,
+    LoopSettings,
+    MachineSettings,
+    SmoothSettings,
+)
+
+DEMO = Path(vcal.__file__).parent / "demo"
+STARTS = ("laser_tracker", "ball_array", "reflectors")
+
+
+@pytest.fixture(autouse=True)
+def no_cache(monkeypatch):
+    monkeypatch.setenv("VCAL_NO_CACHE", "1")
+
+
+def run(*arguments, code=0):
+    """Run a command in this process; what it printed, and nothing else, is checked for its code."""
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == code, result.output
+    assert "Traceback" not in result.output
+    return result
+
+
+def refused(*arguments):
+    """The message of a command that must fail with exit code 2."""
+    result = run(*arguments, code=2)
+    assert result.stdout == ""
+    assert result.stderr.startswith("vcal: ")
+    return result.stderr
+
+
+def process(*arguments, cwd, **environment):
+    """Run vcal in a process of its own."""
+    package = str(Path(vcal.__file__).parents[1])
+    return subprocess.run(
+        [sys.executable, "-m", "vcal", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        timeout=300,
+        env={**os.environ, "PYTHONPATH": package, **environment},
+    )
+
+
+# --- without computing ---------------------------------------------------------------------------
+
+
+def test_version_and_help(tmp_path):
+    assert process("--version", cwd=tmp_path).stdout == f"vcal {vcal.__version__}\n"
+    help_text = run("--help").output
+    for command in ("loop", "demo", "init", "simulate", "check", "effects"):
+        assert command in help_text
+        assert "--help" in run(command, "--help").output
+
+
+def test_a_mistake_in_a_process_of_its_own(tmp_path):
+    found = process("loop", "nowhere.toml", "--out", "out", cwd=tmp_path)
+    assert found.returncode == 2
+    assert found.stdout == ""
+    assert found.stderr.startswith("vcal: nowhere.toml, file: found no such file")
+    assert found.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+    assert process("loop", "nowhere.toml", cwd=tmp_path).returncode == 2  # no --out
+
+
+def test_effects():
+    listed = run("effects").output
+    for name in vcal.CATALOGUE:
+        assert name in listed
+    page = run("effects", "thermal_tilt").output
+    assert "k (T_axis - 20 degC)" in page and "Disturbs the machine; systematic." in page
+    assert "unknown effect 'backlsh' (did you mean 'backlash'?)" in refused("effects", "backlsh")
+
+
+def test_check(small_tracker_study):
+    shown = " ".join(run("check", small_tracker_study / "setup.toml").output.split())
+    assert "small: " in shown
+    assert "w X b Y Z t; X 0 to 2000 mm, Y 0 to 1000 mm, Z 0 to 600 mm" in shown
+    assert "48 rows of 3 readings" in shown
+    assert "geometric (93 parameters), station (6 parameters)" in shown
+    assert "candidates of" in shown and "backlash" in shown
+    assert "not testable" not in shown
+
+
+def test_check_names_what_cannot_be_tested(small_tracker_study):
+    table = read_table(small_tracker_study / "data.csv", [])
+    kept = {name: v for name, v in table.items() if not name.startswith(("dir_", "T_"))}
+    vcal.io.write_table(small_tracker_study / "data.csv", kept)
+    shown = " ".join(run("check", small_tracker_study).output.split())
+    assert "not testable" in shown
+    assert "backlash, lateral_reversal, angular_reversal: " in shown
+
+
+def test_check_with_overrides(small_arm_study):
+    setup = small_arm_study / "setup.toml"
+    assert "16 rows of 9 readings" in run("check", setup, "--set", "instrument.joints=read").output
+    message = refused("check", setup, "--set", "instrument.joints=red")
+    assert "override instrument.joints=red" in message and "(did you mean 'read'?)" in message
+    assert "expected key=value" in refused("check", setup, "--set", "joints")
+
+
+# --- init ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("instrument", STARTS)
+def test_init_writes_a_study_that_can_be_used(tmp_path, instrument):
+    folder = tmp_path / "new" / "study"
+    printed = run("init", folder, "--instrument", instrument).output
+    assert "setup.toml" in printed and f"vcal check {folder / 'setup.toml'}" in printed
+    assert "can be used" in run("check", folder).output
+    assert load_study(folder).measurement is not None
+    assert [p.name for p in folder.parent.iterdir()] == ["study"]
+    before = sorted(folder.iterdir())
+    assert "found a folder that is not empty" in refused("init", folder)
+    assert sorted(folder.iterdir()) == before
+
+
+def test_init_of_an_instrument_there_is_not(tmp_path):
+    message = refused("init", tmp_path / "x", "--instrument", "laser")
+    assert "found 'laser' (did you mean 'laser_tracker'?), expected one of ball_array" in message
+    assert not (tmp_path / "x").exists()
+
+
+def test_every_key_is_explained():
+    texts = {kind: (DEMO / "start" / kind / "setup.toml").read_text() for kind in STARTS}
+    assert set(STARTS) == set(vcal.io.study.INSTRUMENTS)
+    for kind, text in texts.items():
+        known = [DataSettings, LoopSettings, vcal.io.study.INSTRUMENTS[kind].Settings]
+        known += [LinkSettings, JointSettings] if kind == "reflectors" else [
+            FourierSettings, SmoothSettings,
+        ]  # fmt: skip
+        for settings in known:
+            for key in settings.model_fields:
+                assert key in text, f"{key} of {settings.__name__} in start/{kind}"
+        assert "[[model.effect]]" in text and "effects_file" in text
+    for key in MachineSettings.model_fields:
+        assert any(key in text for text in texts.values()), key
+
+
+# --- simulate ------------------------------------------------------------------------------------
+
+
+def test_simulate_makes_a_study_of_the_same_kind(tmp_path, small_tracker_study):
+    out = tmp_path / "made"
+    arguments = ("--with", "backlash:Y:size_um=12", "--with", "screw_cyclic:X:pitch_mm=20")
+    shown = run("simulate", small_tracker_study, "--out", out, *arguments, "--seed", 4)
+    assert shown.stderr == ""
+    assert "undeclared: backlash Y, size_um = 12" in shown.output
+    names = ["check.csv", "data.csv", "errors.csv", "setup.toml", "truth.json"]
+    assert sorted(p.name for p in out.iterdir()) == names
+    for name in ("setup.toml", "errors.csv"):
+        assert (out / name).read_bytes() == (small_tracker_study / name).read_bytes()
+    header = (small_tracker_study / "data.csv").read_text().splitlines()[0]
+    assert (out / "data.csv").read_text().splitlines()[0] == header
+    truth = json.loads((out / "truth.json").read_text())
+    assert truth["seed"] == 4
+    backlash, screw = truth["undeclared"]
+    assert backlash == {"effect": "backlash", "placement": "Y", "size_um": 12.0}
+    assert screw["pitch_mm"] == pytest.approx(20) and abs(screw["sine_um"]) < 15
+    assert [e["effect"] for e in truth["declared"]] == ["geometric", "station"]
+    assert truth["declared"][0]["EXX.a1_um"] != 0
+    # It can be read again, its check points too, and they lie all over the travel.
+    study = load_study(out)
+    assert study.measurement.rows == 48
+    low, high = study.check.plan.position.min(0), study.check.plan.position.max(0)
+    assert (high - low > [1.9, 0.95, 0.57]).all()
+    error = study.check.tool_point - study.check.plan.position - [0, 0, -0.15]
+    assert 2e-6 < np.sqrt(np.mean(error**2)) < 200e-6
+
+
+def test_simulate_depends_on_the_seed_alone(tmp_path, small_ball_study):
+    def made(name, *more):
+        run("simulate", small_ball_study, "--out", tmp_path / name, *more)
+        return {p.name: p.read_bytes() for p in (tmp_path / name).iterdir()}
+
+    first = made("a", "--seed", 1)
+    assert made("b", "--seed", 1) == first
+    other = made("c", "--seed", 2)
+    assert other["data.csv"] != first["data.csv"]
+    assert other["artefact.csv"] == first["artefact.csv"]
+
+
+def test_simulate_fills_a_plan_of_an_arm(tmp_path, small_arm_study):
+    table = read_table(small_arm_study / "data.csv", [])
+    plan = {name: v for name, v in table.items() if name == "pose" or name.startswith("q")}
+    vcal.io.write_table(small_arm_study / "data.csv", plan)
+    message = refused("loop", small_arm_study, "--out", tmp_path / "out")
+    assert "data.csv, header: found no column of readings" in message
+    run("simulate", small_arm_study, "--out", tmp_path / "made", "--with", "backlash:J1")
+    study = load_study(tmp_path / "made")
+    assert study.measurement.readings.shape == (16, 9)
+    assert study.check is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("backlsh:Y", "name: found the unknown effect 'backlsh' (did you mean 'backlash'?)"),
+        ("backlash:y", "key placement (backlash): found 'y' (did you mean 'Y'?), expected one of"),
+        ("backlash", "key placement (backlash): found nothing, expected one of X, Y, Z"),
+        ("backlash:Y:siz_um=3", "found the unknown key 'siz_um' (did you mean 'size_um'?)"),
+        ("backlash:Y:size_um=big", 'key size_um (backlash): found "big", expected a number'),
+        ("backlash:Y:size_um", "found too many parts"),
+        ("backlash:Y:size_um=1,size_um=2", "values: found size_um a second time, expected"),
+        ("backlash:Y:size_um=", "values: found 'size_um=', expected KEY=VALUE"),
+        (":Y", "found ':Y', expected NAME, NAME:PLACEMENT"),
+        ("thermal_tilt:Y", "found 3 effects that these keys fit, expected one, by its component"),
+        ("thermal_tilt:Y:k_EAY_urad_per_K=1,k_EBY_urad_per_K=2", "write one --with for each"),
+        ("range_scale:Y:component=3", "key component: found 3, expected text"),
+        ("joint_compliance:X", "an effect that has no place here"),
+        ("artefact_expansion", "an effect that has no place here"),
+    ],
+)
+def test_mistakes_in_with(tmp_path, small_tracker_study, text, message):
+    out = tmp_path / "made"
+    told = refused("simulate", small_tracker_study, "--out", out, "--with", text)
+    assert told.startswith(f"vcal: --with {text}")
+    assert message in told
+    assert "model.effect" not in told
+    assert not out.exists()
+
+
+def test_an_effect_without_its_covariate(tmp_path, small_tracker_study):
+    table = read_table(small_tracker_study / "data.csv", [])
+    del table["T_y_degC"]
+    vcal.io.write_table(small_tracker_study / "data.csv", table)
+    text = "thermal_tilt:Y:k_EAY_urad_per_K=40"
+    out = tmp_path / "made"
+    told = refused("simulate", small_tracker_study, "--out", out, "--with", text)
+    assert "data.csv, column T_y_degC: found no such column" in told
+    assert "model.effect" not in told
+
+
+def test_simulate_leaves_alone_what_is_there(tmp_path, small_tracker_study):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    simulated = ("simulate", small_tracker_study, "--out")
+    assert "found a folder that is not empty" in refused(*simulated, tmp_path / "out")
+    assert "found a file, expected" in refused(*simulated, tmp_path / "file")
+    assert "noise-factor, value: found -1" in refused(
+        *simulated, tmp_path / "new", "--noise-factor=-1"
+    )
+    names = ["file", "out", small_tracker_study.name]
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names)
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["mine.txt"]
+
+
+def test_simulate_copies_no_file_from_elsewhere(tmp_path, small_tracker_study):
+    (small_tracker_study / "errors.csv").rename(tmp_path / "errors.csv")
+    setup = small_tracker_study / "setup.toml"
+    setup.write_text(setup.read_text().replace("errors.csv", "../errors.csv"))
+    told = refused("simulate", setup, "--out", tmp_path / "made")
+    assert "file ../errors.csv: found a file outside the folder of the study" in told
+
+
+# --- the loop ------------------------------------------------------------------------------------
+
+
+def test_simulate_then_loop(tmp_path, small_tracker_study):
+    made, out = tmp_path / "made", tmp_path / "deep" / "report"
+    run("simulate", small_tracker_study, "--out", made, "--with", "backlash:Y:size_um=60")
+    options = ("--effects", "backlash,scale_growth", "--max-effects", 2, "--set", "name=mine")
+    shown = run("loop", made, "--out", out, "--draws", 100, "--seed", 5, *options)
+    assert shown.stderr == ""
+    assert "The declared model lacked backlash Y." in shown.output
+    assert "check points, aligned" in shown.output
+    assert f"Report: {out / 'index.html'}" in shown.output
+    assert "backlash" in (out / "index.html").read_text(encoding="utf-8")
+    report = json.loads((out / "report.json").read_text())
+    assert (report["verdict"], report["name"]) == ("named", "mine")
+    assert report["settings"]["draws"] == 100
+    assert report["settings"]["effects"] == ["backlash", "scale_growth"]
+    assert report["seconds"] > 0
+    expected = f"vcal loop {made} --out {out} --seed 5 --draws 100 --max-effects 2"
+    assert report["command"] == f"{expected} --effects backlash,scale_growth --set name=mine"
+    # A report may replace an earlier one, but nothing else, and that is known before the work.
+    (tmp_path / "deep" / "mine.txt").write_text("mine")
+    assert "found other files (mine.txt" in refused("loop", made, "--out", tmp_path / "deep")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--effects", "backlash,drif"), "unknown effect 'drif' (did you mean 'drift'?)"),
+        (("--alpha", 2), "override loop.alpha=2.0"),
+        (("--draws", 0), "expected a number of at least 1"),
+        (("--set", "loop.alfa=0.1"), "the unknown key 'alfa' (did you mean 'alpha'?)"),
+        (("--set", "instrument.kind=lasertracker"), "(did you mean 'laser_tracker'?)"),
+    ],
+)
+def test_mistakes_in_options(tmp_path, small_tracker_study, options, message):
+    told = refused("loop", small_tracker_study, "--out", tmp_path / "out", *options)
+    assert message in told
+    assert not (tmp_path / "out").exists()
+
+
+def test_interrupted_before_there_is_anything(tmp_path, small_tracker_study, monkeypatch):
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(vcal, "close_loop", interrupted)
+    shown = run("loop", small_tracker_study, "--out", tmp_path / "out", code=130)
+    assert shown.stderr == "vcal: interrupted; nothing was written\n"
+    assert not (tmp_path / "out").exists()
+
+
+def test_interrupted_with_something_to_tell(tmp_path, small_tracker_study, monkeypatch):
+    def write(closure, study, out, *, command, seconds):
+        out.mkdir()
+        (out / "index.html").write_text(f"{closure.found} after {seconds >= 0}: {command}")
+        return out / "index.html"
+
+    closure = SimpleNamespace(interrupted=True, found="what is known")
+    monkeypatch.setattr(vcal, "close_loop", lambda *args, **kwargs: closure)
+    monkeypatch.setattr(vcal.report, "write_report", write)
+    monkeypatch.setattr(vcal.cli.show, "show_closure", lambda closure: print("a sentence"))
+    out = tmp_path / "out"
+    shown = run("loop", small_tracker_study, "--out", out, code=130)
+    assert shown.stdout == f"a sentence\nReport: {out / 'index.html'}\n"
+    assert "the report holds what was known by then" in shown.stderr
+    assert (out / "index.html").read_text().startswith("what is known after True: vcal loop ")
+
+
+def test_an_output_that_cannot_be_written(small_tracker_study, monkeypatch):
+    def unwritable(*args, **kwargs):
+        raise PermissionError(13, "Permission denied", "/nowhere/out")
+
+    monkeypatch.setattr(vcal, "close_loop", unwritable)
+    told = refused("loop", small_tracker_study, "--out", small_tracker_study / "out")
+    assert told == "vcal: /nowhere/out: Permission denied\n"
+
+
+def test_demo(tmp_path):
+    """The first thing a user runs: in a process of its own, in an empty folder."""
+    cache = tmp_path / "cache"
+    (tmp_path / "work").mkdir()
+    found = process("demo", cwd=tmp_path / "work", VCAL_NO_CACHE="", XDG_CACHE_HOME=str(cache))
+    assert found.returncode == 0, found.stderr
+    assert found.stderr == ""
+    assert "The declared model lacked thermal_tilt Y." in found.stdout
+    out = tmp_path / "work" / "vcal-demo"
+    assert [p.name for p in (tmp_path / "work").iterdir()] == [out.name]
+    report = json.loads((out / "report.json").read_text())
+    (effect,) = report["effects"]
+    (truth,) = json.loads((DEMO / "truth.json").read_text())["undeclared"]
+    assert (effect["effect"], effect["placement"]) == (truth["effect"], truth["placement"])
+    (parameter,) = effect["parameters"]
+    off = parameter["value"] - truth["k_EAY_urad_per_K"]
+    assert abs(off) < 3 * parameter["standard_uncertainty"] < 3
+    errors = report["errors"]
+    assert errors["after"]["check_rms_um"] < 0.6 * errors["before"]["check_rms_um"]
+    # Compiled programs were kept for the next run.
+    kept = list((cache / "vcal").glob("*/*-cache"))
+    assert any("solve" in path.name for path in kept)
+
+
+# --- the session ---------------------------------------------------------------------------------
+
+
+def test_where_compiled_programs_are_kept(monkeypatch, tmp_path):
+    assert cache_folder() is None
+    monkeypatch.delenv("VCAL_NO_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder().parent == tmp_path / "vcal"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    for platform, expected in (
+        ("linux", ".cache"),
+        ("darwin", "Library/Caches"),
+        ("win32", "AppData/Local"),
+    ):
+        monkeypatch.setattr(sys, "platform", platform)
+        monkeypatch.delenv("LOCALAPPDATA", raising=False)
+        assert cache_folder().parent == tmp_path / expected / "vcal"
+
+
+def test_progress_is_for_terminals_only(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setenv("TERM", "xterm")
+    for stream, shows in ((io.StringIO(), False), (Terminal(), True)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        with working("first") as progress:
+            progress("round 1: screening")
+        assert ("round 1: screening" in stream.getvalue()) == shows
