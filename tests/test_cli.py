@@ -226,7 +226,7 @@ def test_simulate_fills_a_plan_of_an_arm(tmp_path, small_arm_study):
         ("backlash", "key placement (backlash): found nothing, expected one of X, Y, Z"),
         ("backlash:Y:siz_um=3", "found the unknown key 'siz_um' (did you mean 'size_um'?)"),
         ("backlash:Y:size_um=big", 'key size_um (backlash): found "big", expected a number'),
-        ("backlash:Y:size_um", "found too many parts"),
+        ("backlash:Y:size_um", "expected NAME, NAME:PLACEMENT or NAME:PLACEMENT:KEY=VALUE"),
         ("backlash:Y:size_um=1,size_um=2", "values: found size_um a second time, expected"),
         ("backlash:Y:size_um=", "values: found 'size_um=', expected KEY=VALUE"),
         (":Y", "found ':Y', expected NAME, NAME:PLACEMENT"),

@@ -41,6 +41,7 @@ SPANS = {"X": (0.0, 2.0), "Y": (0.0, 1.0), "Z": (-0.1, 0.6)}
 TRAVEL = np.array(list(SPANS.values()))
 TOOL = (0.01, -0.02, -0.15)
 UM = 1e-6
+ROWS = 50  # the same everywhere: compiled once per chain
 
 
 @pytest.fixture
@@ -83,13 +84,10 @@ def test_rotation_and_its_derivatives_at_zero():
 def test_rotation_derivative_on_both_sides_of_the_series(size):
     v = size * np.array([0.6, -0.64, 0.48])
     step = 1e-5
-    differences = [
-        (Rotation.from_rotvec(v + step * e).as_matrix() - Rotation.from_rotvec(v - step * e).as_matrix())
-        / (2 * step)
-        for e in np.eye(3)
-    ]  # fmt: skip
+    ends = [Rotation.from_rotvec(v + sign * step * np.eye(3)).as_matrix() for sign in (1, -1)]
+    differences = np.moveaxis(ends[0] - ends[1], 0, -1) / (2 * step)
     slope = jax.jit(jax.jacfwd(rotation))(v)
-    np.testing.assert_allclose(slope, np.stack(differences, -1), atol=1e-9)
+    np.testing.assert_allclose(slope, differences, atol=1e-9)
 
 
 def test_euler_angles_are_about_moving_axes(rng):
@@ -255,11 +253,11 @@ def test_impossible_chain_strings(text, told):
 def test_linear_axes(text, rng):
     """Without errors the tool point is command plus tool offset; with them, the oracle's."""
     chain = chain_from_string(text, SPANS, TOOL)
-    q = rng.uniform(*TRAVEL.T, (50, 3))
+    q = rng.uniform(*TRAVEL.T, (ROWS, 3))
     np.testing.assert_allclose(points(chain, q), q + TOOL, rtol=0, atol=1e-15)
     # Errors a hundred times those of a real machine, so that products of errors count.
-    translation, turned = rng.normal(0, 2e-3, (2, 50, 3, 3))
-    tool = rng.normal(0, 1e-4, (50, 3))
+    translation, turned = rng.normal(0, 2e-3, (2, ROWS, 3, 3))
+    tool = rng.normal(0, 1e-4, (ROWS, 3))
     machine = nominal_machine(text, TRAVEL, TOOL)
     expected = compose(machine, q, translation, turned, np.array(TOOL) + tool)
     got = points(chain, q, translation, turned, tool)
@@ -269,21 +267,17 @@ def test_linear_axes(text, rng):
 
 @pytest.mark.parametrize("text", CHAINS)
 @pytest.mark.parametrize(
-    ("name", "factor"),
-    [
-        ("EC0Y", lambda x, y, z: (-y, 0, 0)),
-        ("EB0Z", lambda x, y, z: (z, 0, 0)),
-        ("EA0Z", lambda x, y, z: (0, -z, 0)),
-    ],
+    ("name", "axis", "tilt"),
+    [("EC0Y", 1, (-1, 0, 0)), ("EB0Z", 2, (1, 0, 0)), ("EA0Z", 2, (0, -1, 0))],
 )
-def test_squareness_signs(text, name, factor):
+def test_squareness_signs(text, name, axis, tilt, rng):
     """A squareness tilts the motion relative to the workpiece, whichever side carries the axis."""
     chain = chain_from_string(text, SPANS, TOOL)
     effect = GeometricErrors(locations=(LocationError.of(chain, name, 100e-6),))
-    q = np.array([[0.5, 0.9, 0.3], [1.5, 0.2, 0.5]])
+    q = rng.uniform(*TRAVEL.T, (ROWS, 3))
     terms = effect_terms(effect, PortLayout.of(chain.axes, ()), Plan(chain.axes, q), {})
     moved = points_of(chain, q, terms, [1.0]) - q - TOOL
-    expected = 100e-6 * np.array([factor(*row) for row in q])
+    expected = 100e-6 * q[:, axis, None] * np.array(tilt)
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-15)
 
 
@@ -308,7 +302,7 @@ def test_declared_family_against_the_oracle(text, rng):
         values += [UM * true[label] for label in motions[-1].basis.labels]
     locations = tuple(LocationError.of(chain, name, 1.0) for name in ("EC0Y", "EB0Z", "EA0Z"))
     effect = GeometricErrors(motions=tuple(motions), locations=locations)
-    run = check_plan(machine, rng, 60)
+    run = check_plan(machine, rng, ROWS)
     terms = effect_terms(effect, PortLayout.of(chain.axes, ()), Plan(chain.axes, run.q), {})
     theta = np.array([*values, *machine.squareness]) / [p.step for p in effect.amplitudes]
     got = points_of(chain, run.q, terms, theta)
@@ -322,7 +316,7 @@ def test_exact_rotations_against_the_printed_small_angle_form(rng):
     S_xy = EC0Y, S_xz = -EB0Z, S_yz = EA0Z.
     """
     chain = chain_from_string("XFYZ", {"X": (0, 3), "Y": (0, 1.5), "Z": (0, 1.3)}, (0, 0, -0.2))
-    n = 400
+    n = ROWS
     q = rng.uniform(0, [3, 1.5, 1.3], (n, 3))
     delta = 50e-6 * rng.choice([-1.0, 1.0], (n, 3, 3))
     epsilon = 50e-6 * rng.choice([-1.0, 1.0], (n, 3, 3))
@@ -371,11 +365,11 @@ def test_arm_against_the_oracle(prismatic, rng):
     chain = chain_from_dh(dh_rows(arm, prismatic), TOOL)
     assert chain.axes == ("J1", "J2", "J3", "J4", "J5", "J6")
     np.testing.assert_array_equal(chain.joint("J3").travel, [-3.0, np.inf])
-    q = rng.uniform(-1.5, 1.5, (40, 6))
+    q = rng.uniform(-1.5, 1.5, (ROWS, 6))
     frames, origins = arm_frames(arm, q)
     expected = origins[:, -1] + frames[:, -1] @ TOOL
     np.testing.assert_allclose(points(chain, q), expected, rtol=0, atol=1e-12)
-    translation, turned = rng.normal(0, 2e-3, (2, 40, 6, 3))
+    translation, turned = rng.normal(0, 2e-3, (2, ROWS, 6, 3))
     # A slide moves first and errs then, in front of its link: to the oracle, all of it is error.
     slid = translation + np.where(slides, q, 0.0)[:, :, None] * np.eye(3)[2]
     moved, ends = arm_frames(arm, np.where(slides, 0.0, q), slid, turned)
@@ -392,7 +386,7 @@ def test_constant_link_errors_are_the_oracles(rng):
     arm = example_arm()
     chain = chain_from_dh(dh_rows(arm), TOOL)
     effect = link_errors(chain, 5e-4, 2e-3)
-    q = rng.uniform(-1.5, 1.5, (20, 6))
+    q = rng.uniform(-1.5, 1.5, (ROWS, 6))
     theta = rng.standard_normal((6, 6))
     terms = effect_terms(effect, PortLayout.of(chain.axes, ()), Plan(chain.axes, q), {})
     frames, origins = arm_frames(arm, q, 5e-4 * theta[:, :3], 2e-3 * theta[:, 3:])

@@ -133,6 +133,7 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
             draws=options.draws,
             seed=options.seed,
             max_effects=options.max_effects,
+            learn=options.learn,
             progress=progress,
         )
         progress("writing the report")

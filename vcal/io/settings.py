@@ -184,6 +184,8 @@ class LoopSettings(Table):
     """Null draws behind a significance."""
     max_effects: int = Field(default=6, ge=0)
     """Effects after which the loop stops."""
+    learn: bool = False
+    """Whether the sizes of the declared families are learned for the final fit, after the search."""
 
 
 class StudySettings(Table):

@@ -11,6 +11,7 @@ from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
 from ..fit import Fit
 from ..identify import declared_whitener, identify
+from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from .candidates import LocalBump, Untestable, candidates
@@ -58,6 +59,7 @@ def close_loop(
     draws: int = 500,
     seed: int = 0,
     max_effects: int = 6,
+    learn: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Closure:
     """Find, name and add what is missing from `model`.
@@ -65,7 +67,8 @@ def close_loop(
     Fit, screen every effect of the catalogue, pay for the search, refit the best, weigh it against
     its rivals, check it on held-out readings, add it, and repeat until nothing is significant at
     `alpha` (of the whole search). `effects` restricts the search to some classes; `check` adds the
-    error at independent points. `KeyboardInterrupt` ends the loop with what is known so far.
+    error at independent points; `learn` learns the sizes of the declared families (`vcal.learn`)
+    for the final fit, after the search. `KeyboardInterrupt` ends the loop with what is known so far.
     Raises `RuntimeError` in float32.
     """
     classes = list(CATALOGUE.values()) if effects is None else list(effects)
@@ -74,6 +77,7 @@ def close_loop(
         "draws": draws,
         "seed": seed,
         "max_effects": max_effects,
+        "learn": learn,
         "effects": [cls.name for cls in classes],
     }
     progress("fitting the declared model")
@@ -92,6 +96,10 @@ def close_loop(
             state = added
         if run.unexplained is None:
             state = run.prune(state)
+            if learn:
+                progress("learning the sizes of the families")
+                learned = with_sizes(state.model, learned_sizes(state.fit))
+                state = _fit(learned, measurement, state.fit, room)
             progress("describing what remains")
             run.unexplained = from_structure(
                 state.fit, _chi2_per_dof(state.fit), alpha, draws, seed + 1
