@@ -3,8 +3,10 @@
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,7 +18,7 @@ import vcal
 import vcal.cli.show
 import vcal.report
 from vcal.cli import app
-from vcal.cli.session import cache_folder, working
+from vcal.cli.session import cache_folder, listen, working
 from vcal.io import load_study, read_table
 from vcal.io.settings import (
     DataSettings,
@@ -399,6 +401,23 @@ def test_where_compiled_programs_are_kept(monkeypatch, tmp_path):
         monkeypatch.setattr(sys, "platform", platform)
         monkeypatch.delenv("LOCALAPPDATA", raising=False)
         assert cache_folder().parent == tmp_path / expected / "vcal"
+
+
+def test_ctrl_c_is_not_lost_in_the_garbage_collector():
+    def _xla_gc_callback():
+        signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        listen()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        _xla_gc_callback()
+        with pytest.raises(KeyboardInterrupt):
+            time.sleep(10)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_progress_is_for_terminals_only(monkeypatch):

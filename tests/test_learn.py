@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from oracle import make_case, write_study
 
 import vcal
+from oracle import make_case, write_study
 from vcal.learn import learned_sizes, with_sizes
 from vcal.loop.heldout import check_rms
 from vcal.robust import identify_robust

@@ -9,17 +9,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from oracle import error_motions, make_case
 
+from oracle import error_motions, make_case
 from vcal import CATALOGUE, StudyError, close_loop, load_study, plots
 from vcal.instruments.conditions import file_column
-from vcal.io import read_table
 from vcal.loop.stray import Stray
 from vcal.loop.unexplained import Interval, Unexplained
 from vcal.plan import Plan
 from vcal.plots.views import residual_without
-from vcal.report import check_folder, record, text, write_report
+from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.derived import parameters
+from vcal.report.pictures import Picture
 
 SEARCHED = ("backlash", "lateral_reversal", "screw_cyclic", "thermal_tilt", "artefact_bending")
 
@@ -66,7 +66,7 @@ def strict(path):
     return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
 
 
-# --- the record ----------------------------------------------------------------------------------
+# --- the record --------------------------------------------------------------------------------
 
 KEYS = {
     "schema": str,
@@ -215,7 +215,7 @@ def test_joints_that_were_read_back_are_told_by_that_column():
     assert plots.column_of("J1", Plan(("J1",), commanded, covariates))[0] == "q1_cmd_deg"
 
 
-# --- the files -----------------------------------------------------------------------------------
+# --- the files ---------------------------------------------------------------------------------
 
 
 def test_all_files_are_there_and_nothing_else(written):
@@ -233,10 +233,15 @@ def test_page_is_self_contained_and_says_what_matters(written):
     page = (written / "index.html").read_text(encoding="utf-8")
     targets = re.findall(r"""(?:src|href)\s*=\s*["']([^"']*)""", page)
     assert targets and all(t.startswith(("data:image/png;base64,", "#")) for t in targets)
-    assert "<script" not in page and "http" not in page and "@import" not in page
-    assert "The declared model lacked backlash Y." in page
-    for word in ("U (k = 2)", "SHA-256", "Frames, signs and units", "artefact_bending"):
-        assert (word in page) == (word != "artefact_bending") or "searched for" in page
+    plain = re.sub('data:image/png;base64,[^"]*', "", page)
+    assert not any(word in plain for word in ("<script", "http", "@import", "url("))
+    for words in (
+        "The declared model lacked backlash Y.",
+        "U (k = 2)",
+        "SHA-256",
+        "vcal loop study",
+    ):
+        assert words in plain
     anchors = {t[1:] for t in targets if t.startswith("#")}
     assert anchors == set(re.findall(r'id="([^"]*)"', page))
 
@@ -254,13 +259,10 @@ def test_compensation_table_is_right(closed, written):
     assert {row[4] for row in rows if row[0][1] in "ABC"} == {"urad"}
     q = np.tile(np.array([float(r[2]) for r in motions if r[0] == "EYY"])[:, None] * 1e-3, 3)
     true = error_motions(case.machine, q)[0][:, 1, 1] * 1e6
-    value, u, share = (
-        np.array([float(r[k]) for r in motions if r[0] == "EYY"]) for k in (3, 5, 6)
-    )
+    value, u, share = (np.array([float(r[k]) for r in motions if r[0] == "EYY"]) for k in (3, 5, 6))
     assert np.abs(value - true).max() < 4.0 * u.max()
     assert ((0 <= share) & (share <= 1)).all()
     assert share.max() > 0.9
-    read_table(written / "compensation.csv", [], labels=("component", "axis", "unit"))
 
 
 def test_effects_table_repeats_the_record(written):
@@ -279,7 +281,7 @@ def test_residual_without_the_effect_is_that_of_the_declared_model(closed):
     assert (np.abs(without - closure.before.residual).max(0) < 1e-3 * size).all()
 
 
-# --- whole or not at all ---------------------------------------------------------------------------
+# --- whole or not at all -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
@@ -295,11 +297,18 @@ def test_failure_leaves_nothing_behind(closed, tmp_path, monkeypatch, error):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.fixture
+def quick(monkeypatch):
+    """Reports without pictures, where only their files matter."""
+    picture = Picture("one", "noise", "a picture", b"\x89PNG")
+    monkeypatch.setattr(write, "pictures", lambda *_: [picture])
+
+
 def contents(folder):
     return {p.name: p.read_bytes() for p in folder.iterdir()}
 
 
-def test_earlier_report_is_replaced_and_other_files_are_not(closed, tmp_path):
+def test_earlier_report_is_replaced_and_other_files_are_not(closed, quick, tmp_path):
     _, study, closure = closed
     out = tmp_path / "report"
     write_report(closure, study, out)
@@ -316,8 +325,8 @@ def test_earlier_report_is_replaced_and_other_files_are_not(closed, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["report"]
 
 
-@pytest.mark.parametrize("moves", [1, 5, 14])
-def test_interrupted_move_restores_the_earlier_report(closed, tmp_path, monkeypatch, moves):
+@pytest.mark.parametrize("moves", [1, 4, 6, 10])
+def test_interrupted_move_restores_the_earlier_report(closed, quick, tmp_path, monkeypatch, moves):
     _, study, closure = closed
     out = tmp_path / "report"
     write_report(closure, study, out, command="first")
@@ -356,7 +365,7 @@ def test_foreign_places_are_refused(closed, tmp_path):
     check_folder(tmp_path / "none")
 
 
-def test_earlier_record_reaches_no_file_outside_its_folder(closed, tmp_path):
+def test_earlier_record_reaches_no_file_outside_its_folder(closed, quick, tmp_path):
     _, study, closure = closed
     out = tmp_path / "report"
     out.mkdir()
@@ -367,7 +376,7 @@ def test_earlier_record_reaches_no_file_outside_its_folder(closed, tmp_path):
     assert (tmp_path / "precious").read_text(encoding="utf-8") == "mine"
 
 
-# --- numbers as text -------------------------------------------------------------------------------
+# --- numbers as text -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

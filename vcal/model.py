@@ -213,11 +213,13 @@ def predict(
     """Reduced readings of a plan.
 
     `theta` are the amplitudes in solver units (`Model.entries`), `shapes` the values of shape
-    parameters in SI. Raises `RuntimeError` where JAX runs in float32.
+    parameters in SI. Of these, `theta` may be traced by `jax.jit`, `jax.vmap` and the like. Raises
+    `RuntimeError` where JAX runs in float32.
     """
     require_float64()
-    plan = model.motion(plan, shapes)
-    terms = model.terms(plan, shapes)
+    with jax.ensure_compile_time_eval():  # also where theta is traced, the effects are plain data
+        plan = model.motion(plan, shapes)
+        terms = model.terms(plan, shapes)
     ports = port_values(terms, jnp.asarray(theta), len(model.layout))
     readings = observe_all(
         model.chain, model.instrument, plan.position, model.instrument.rows(plan), ports

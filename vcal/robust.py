@@ -26,9 +26,7 @@ def identify_robust(
     Returns the fit and the weights (n,); rows with weights far below one are suspect.
     """
     whitener = declared_whitener(model, measurement)
-    fit = identify(
-        model, measurement, theta=theta, shapes=shapes, whitener=whitener, room=room
-    )
+    fit = identify(model, measurement, theta=theta, shapes=shapes, whitener=whitener, room=room)
     m = fit.residual.shape[1]
     median = np.sqrt(2.0 * gammainccinv(0.5 * m, 0.5))
     weights = np.ones(measurement.rows)

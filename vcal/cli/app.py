@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from .session import INTERRUPTED, guarded, start, tell, working
+from .session import INTERRUPTED, guarded, leave, listen, start, tell, working
 
 app = typer.Typer(
     name="vcal",
@@ -32,11 +32,16 @@ Override = Annotated[
 
 def main() -> None:
     """Run the command line; the process ends with its exit code."""
+    listen()
     try:
         app()
     except KeyboardInterrupt:  # outside of a command: while modules are imported
         tell("interrupted")
-        raise SystemExit(INTERRUPTED) from None
+        leave(INTERRUPTED)
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            leave(INTERRUPTED)
+        raise
 
 
 def _version(wanted: bool) -> None:

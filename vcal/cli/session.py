@@ -2,11 +2,15 @@
 
 import functools
 import os
+import signal
 import sys
+import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
 
 import jax
 import typer
@@ -18,6 +22,7 @@ MISTAKE = 2
 """Exit code where the input cannot be used."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells expect it: 128 + SIGINT."""
+_CALLBACK = "_xla_gc_callback"
 _WORTH_KEEPING_S = 0.1
 """Programs that compile faster than this are not kept: reading them back would take as long."""
 
@@ -51,6 +56,37 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
 def tell(message: str) -> None:
     """Print a message to the user on stderr."""
     typer.echo(f"vcal: {message}", err=True)
+
+
+def listen() -> None:
+    """Have Ctrl-C raise `KeyboardInterrupt`, and not where it would be lost.
+
+    What is raised in a callback of the garbage collector is printed and forgotten, and JAX has one
+    that runs often; the interruption then comes again a moment later.
+    """
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        if frame is not None and frame.f_code.co_name == _CALLBACK:
+            later = threading.Timer(0.05, signal.raise_signal, [number])
+            later.daemon = True
+            later.start()
+            return
+        raise KeyboardInterrupt
+
+    # Whoever started the process without Ctrl-C, such as nohup, meant it.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt)
+
+
+def leave(code: int) -> NoReturn:
+    """End the process at once.
+
+    For interruptions: the compiler's threads may still be at work, and crash where the interpreter
+    is taken down below them.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def start() -> None:
@@ -96,6 +132,8 @@ def enable_cache() -> None:
         return
     if not os.access(folder, os.W_OK | os.X_OK):
         return
+    # A file that was cut off, or is being written by another process, is compiled anew.
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -14,7 +14,7 @@ from ..loop.candidates import candidates
 from ..loop.closure import Closure, Errors
 from ..loop.heldout import Rms
 from ..measurement import Measurement
-from ..report.derived import parameters
+from ..report.derived import missing_columns, parameters
 
 _MOST = 6
 
@@ -22,7 +22,11 @@ _MOST = 6
 def show_closure(closure: Closure) -> None:
     """Print the verdict, what was found, and the errors before and after."""
     console = _console()
-    console.print(Text(closure.sentence, style="bold"))
+    sentence = closure.sentence
+    if closure.interrupted:
+        names = " and ".join(found.effect.key for found in closure.effects)
+        sentence = f"Interrupted; found by then: {names or 'nothing'}."
+    console.print(Text(sentence, style="bold"))
     for found in closure.effects:
         values = ", ".join(
             f"{name} = {value:.4g} ± {2 * u:.2g} {unit}".rstrip()
@@ -96,14 +100,15 @@ def show_study(study: Study) -> None:
         ),
         ("to be tested", _kinds(found)),
     ]
-    reasons: dict[str, list[str]] = {}
+    wanted: dict[str, list[str]] = {}
     for item in missing:
-        reasons.setdefault(item.effect, []).append(item.reason)
+        why = missing_columns(item, plan) or [item.reason]
+        wanted.setdefault(item.effect, []).extend(why)
     alike: dict[tuple[str, ...], list[str]] = {}
-    for effect, why in reasons.items():
+    for effect, why in wanted.items():
         alike.setdefault(tuple(dict.fromkeys(why)), []).append(effect)
     for why, effects in alike.items():
-        rows.append(("not testable", f"{', '.join(effects)}: {'; '.join(_short(why))}"))
+        rows.append(("not testable", f"{', '.join(effects)}: wants {', '.join(_short(why))}"))
     console = _console()
     console.print(Text(f"{study.name}: {study.path} can be used.", style="bold"), soft_wrap=True)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 2))

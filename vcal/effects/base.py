@@ -111,7 +111,8 @@ class Effect(eqx.Module):
         self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
     ) -> float:
         """Prior density of estimated shape values over the uniform one, averaged over their
-        uncertainty; one unless some values are known to be likelier than others."""
+        uncertainty; one unless some values are known to be likelier than others.
+        """
         del plan, values, uncertainties
         return 1.0
 

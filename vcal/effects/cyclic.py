@@ -16,8 +16,8 @@ SHORTEST_PITCH_M = 4e-3
 """The finest pitch of a positioning screw that is looked for."""
 
 NOMINAL_LEADS_M = (4e-3, 5e-3, 6e-3, 8e-3, 10e-3, 12e-3, 16e-3, 20e-3, 25e-3, 32e-3, 40e-3)
-"""Nominal leads of ball screws, ISO 3408-2. A plan of nearly equal steps s cannot tell a pitch p from
-its aliases 1/p +/- 1/s; that real screws have these leads often can."""
+"""Nominal leads of ball screws, ISO 3408-2. A plan of nearly equal steps s cannot tell a pitch p
+from its aliases 1/p +/- 1/s; that real screws have these leads often can."""
 
 
 @register

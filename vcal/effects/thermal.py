@@ -157,7 +157,7 @@ class WarmUp(Effect):
 
 @register
 class Drift(Effect):
-    """A joint that drifts in proportion to time: A t on one of its error motions, t from `start`."""
+    """A joint that drifts in proportion to time: A t on one error motion, t from `start`."""
 
     name = "drift"
     summary = "linear drift of a joint with time"

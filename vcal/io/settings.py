@@ -185,7 +185,7 @@ class LoopSettings(Table):
     max_effects: int = Field(default=6, ge=0)
     """Effects after which the loop stops."""
     learn: bool = False
-    """Whether the sizes of the declared families are learned for the final fit, after the search."""
+    """Whether the families' sizes are learned for the final fit, after the search."""
 
 
 class StudySettings(Table):

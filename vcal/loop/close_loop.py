@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaincc
+from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
@@ -49,6 +50,9 @@ class _State:
     strays: list[Stray]
 
 
+# The loop is many products of small matrices: a second BLAS thread gains nothing on an idle machine
+# and, waiting for a busy one, costs a multiple.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def close_loop(
     model: Model,
     measurement: Measurement,
@@ -68,8 +72,8 @@ def close_loop(
     its rivals, check it on held-out readings, add it, and repeat until nothing is significant at
     `alpha` (of the whole search). `effects` restricts the search to some classes; `check` adds the
     error at independent points; `learn` learns the sizes of the declared families (`vcal.learn`)
-    for the final fit, after the search. `KeyboardInterrupt` ends the loop with what is known so far.
-    Raises `RuntimeError` in float32.
+    for the final fit, after the search. `KeyboardInterrupt` ends the loop with what is known so
+    far. Raises `RuntimeError` in float32.
     """
     classes = list(CATALOGUE.values()) if effects is None else list(effects)
     settings = {

@@ -104,7 +104,7 @@ def field(values: Field) -> Figure:
         ("standard uncertainty", values.u[..., None]),
         ("changed by closing the loop", values.change),
     ]
-    if np.abs(values.change).max() < 1e-3:
+    if np.linalg.norm(values.change, axis=-1).max() <= 1e-3:
         rows = rows[:2]
     drawn = figure(9.6, 0.75 + 2.45 * len(rows))
     table = grid(

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
 from ..fit import Fit
@@ -103,14 +103,18 @@ def residual_without(fit: Fit, place: int) -> np.ndarray:
     """Residual (n, m), SI, of the model less one effect, all other parameters fitted anew.
 
     Exact for the linearised problem: taking the effect out adds its share C a to the residual, of
-    which the others take up J (J'J + L)^-1 J' C a.
+    which the others take up J (J'J + L)^-1 J' C a. That inverse is the one of the whole model with
+    the effect's own block taken out.
     """
     amplitudes, shapes = parameter_places(fit, place)
     step = fit.jacobian[:, amplitudes] @ fit.theta[amplitudes]
-    others = np.setdiff1d(np.arange(len(fit.theta)), np.concatenate([amplitudes, shapes]))
-    j = fit.jacobian[:, others]
-    factor = cho_factor(j.T @ j + np.diag(fit.precision[others]))
-    return _unwhitened(fit, fit.whitened + step - j @ cho_solve(factor, j.T @ step))
+    own = np.concatenate([amplitudes, shapes])
+    inverse = cho_solve(fit.factor, np.eye(len(fit.theta)))
+    shared = inverse[:, own]
+    inverse = inverse - shared @ np.linalg.solve(inverse[np.ix_(own, own)], shared.T)
+    return _unwhitened(
+        fit, fit.whitened + step - fit.jacobian @ (inverse @ (fit.jacobian.T @ step))
+    )
 
 
 def described(x: np.ndarray, y: np.ndarray) -> float:

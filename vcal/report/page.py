@@ -332,15 +332,14 @@ def _information(closure: Closure) -> dict[str, Any]:
     """
     fit = closure.after
     proper = np.flatnonzero(fit.precision > 0)
-    names = [f"{key}: {p.name}" for key, p in fit.entries]
-    shares = fit.information
-    hardly = [names[k] for k in proper if shares[k] < _HARDLY]
     if not len(proper):
         return {"directions": 0, "determined": 0, "unseen": 0, "hardly": []}
+    names = [f"{key}: {p.name}" for key, p in fit.entries]
     root = np.sqrt(fit.precision[proper])
     inverse = cho_solve(fit.factor, np.eye(len(fit.theta)))
     scaled = inverse[np.ix_(proper, proper)] * np.outer(root, root)
     learnt = 1.0 - np.linalg.eigvalsh(scaled)
+    hardly = [names[k] for k, v in zip(proper, np.diag(scaled), strict=True) if 1.0 - v < _HARDLY]
     return {
         "directions": len(proper),
         "determined": int((learnt > 0.5).sum()),

@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from .. import plots
 from ..loop.closure import Closure
 from ..plots import ErrorMotionTable
@@ -118,9 +120,9 @@ def _errors(closure: Closure) -> Iterator[Picture]:
             "uncertainty. Only what depends on the axis positions alone: effects of direction, "
             "temperature or time come on top."
         )
-        if abs(values.change).max() > 1e-3:
-            largest = number(abs(values.change).max())
-            caption += f" Bottom: what closing the loop changed, at most {largest} µm."
+        largest = np.linalg.norm(values.change, axis=-1).max()
+        if largest > 1e-3:
+            caption += f" Bottom: what closing the loop changed, at most {number(largest)} µm."
         yield Picture("error_field", "volumetric", caption, plots.png(figure))
     folds, apart = closure.after.model.instrument.folds(closure.after.measurement.plan)
     if apart:

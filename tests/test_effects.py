@@ -1,0 +1,313 @@
+"""Every effect against finite differences, and against the oracle's effect of the same name."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from known import Known, know_all
+from oracle import (
+    Tracker,
+    arm_frames,
+    arm_points,
+    make_case,
+    tool_point,
+    tracker_readings,
+    write_study,
+)
+from oracle.effects import ball_positions, gravity_torque, joint_angles
+from vcal import CATALOGUE, load_study, predict
+from vcal.effects.arm import gravity_levers
+from vcal.effects.random import Repeatability
+from vcal.fit import shape_step
+from vcal.identify import declared_whitener, linearised_terms
+from vcal.model import observe_with_jacobian, port_values
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory) -> dict[str, Known]:
+    return know_all(tmp_path_factory.mktemp("known"))
+
+
+# --- derivatives ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_effect_columns_against_finite_differences(name, known):
+    """Terms times port Jacobian: the derivative of `predict`, shape parameters included."""
+    tested = 0
+    for it in known.values():
+        found = list(CATALOGUE[name].candidates(it.setup))
+        found = [e for e in found if it.plan.has(*e.needs) and e.kind == "systematic"]
+        for effect in found[:: max(1, len(found) // 2)]:
+            _check_columns(it, effect)
+            tested += 1
+    assert tested or CATALOGUE[name].kind == "random"
+
+
+def _check_columns(it: Known, effect) -> None:
+    model, first = it.model.with_effects(effect), len(it.theta)
+    theta = np.concatenate([it.theta, 1.0 + np.arange(len(effect.amplitudes))])
+    grids = effect.scan(it.plan)
+    # Between two points of the scan; near its fine end, where phases turn fastest.
+    shape = {k: float(0.4 * v[-2] + 0.6 * v[-1]) for k, v in grids.items()}
+    shapes = {len(it.model.effects): shape}
+    terms = linearised_terms(model, it.plan, shapes, theta)
+    ports = port_values(terms, np.pad(theta, (0, 9)), len(model.layout))
+    _, by_port = observe_with_jacobian(
+        it.chain, it.instrument, it.plan.position, it.instrument.rows(it.plan), ports
+    )
+    by_term = np.asarray(by_port)[:, :, terms.port] * np.asarray(terms.values)[:, None, :]
+    moving = [p for p in effect.shapes if p.moves]
+    assert terms.parameter.max() == len(theta) + len(moving) - 1
+    for k in range(first, len(theta) + len(moving)):
+        column = by_term[:, :, terms.parameter == k].sum(2)
+        ends = []
+        for sign in (1.0, -1.0):
+            if k < len(theta):
+                ends.append(predict(model, it.plan, theta + sign * np.eye(len(theta))[k], shapes))
+            else:
+                p = moving[k - len(theta)]
+                moved = shape[p.name] + sign * 1e-3 * shape_step(p, shape[p.name], grids)
+                ends.append(
+                    predict(model, it.plan, theta, {len(it.model.effects): shape | {p.name: moved}})
+                )
+        slope = np.asarray(ends[0] - ends[1]) / (2.0 if k < len(theta) else 2e-3)
+        assert np.abs(slope).max() > 0, effect.key
+        np.testing.assert_allclose(column, slope, rtol=0, atol=2e-5 * np.abs(slope).max() + 1e-15)
+
+
+def test_response_that_names_nothing_is_refused(known):
+    """A port or an amplitude that does not exist, as a user's own effect may name it."""
+    it = known["laser_tracker"]
+    good = it.effect("backlash:Y:size_um=1")
+    with pytest.raises(ValueError, match="no port named 'EYV'"):
+        it.readings(dataclasses.replace(good, port="EYV"))
+
+    class Wrong(type(good)):
+        def response(self, plan, shape):
+            return {("EYY", "sise"): np.ones(plan.rows)}
+
+    wrong = Wrong(port="EYY", unit="um", placement="Y")
+    with pytest.raises(ValueError, match="amplitude 'sise', but its amplitudes are size"):
+        it.readings(wrong)
+
+
+# --- effects against the oracle ------------------------------------------------------------------
+
+SINE, COSINE = 6 * np.cos(0.7), 6 * np.sin(0.7)
+ON_MACHINE = [
+    ("backlash:X:size_um=12", {"axis": "X", "size_um": 12}),
+    ("backlash:Y:size_um=-9", {"axis": "Y", "size_um": -9}),
+    ("lateral_reversal:X:size_EZX_um=7", {"axis": "X", "component": "Z", "size_um": 7}),
+    ("lateral_reversal:Z:size_EXZ_um=7", {"axis": "Z", "component": "X", "size_um": 7}),
+    ("angular_reversal:X:size_EBX_urad=8", {"axis": "X", "component": "B", "size_urad": 8}),
+    ("scale_growth:X:alpha_um_per_m_K=11", {"axis": "X", "ppm_per_K": 11}),
+    ("scale_growth:Y:alpha_um_per_m_K=11", {"axis": "Y", "ppm_per_K": 11}),
+    ("thermal_offset:X:k_EYX_um_per_K=5", {"axis": "X", "component": "Y", "um_per_K": 5}),
+    ("thermal_tilt:Y:k_EAY_urad_per_K=40", {"axis": "Y", "component": "A", "urad_per_K": 40}),
+    ("warm_up:Z:size_EXZ_um=10,tau_h=0.1",
+     {"axis": "Z", "component": "X", "size_um": 10, "tau_h": 0.1}),
+    ("drift:Y:rate_EAY_urad_per_h=90", {"axis": "Y", "component": "A", "urad_per_h": 90}),
+    (f"screw_cyclic:X:sine_um={SINE},cosine_um={COSINE},pitch_mm=20",
+     {"axis": "X", "amplitude_um": 6, "pitch_mm": 20, "phase": 0.7}),
+    ("cross_axis:Y:EZY_y_x_um=8", {"axis": "Y", "other": "X", "component": "Z", "size_um": 8}),
+    ("cross_axis:Y:EZY_y2_x_um=8",
+     {"axis": "Y", "other": "X", "component": "Z", "size_um": 8, "powers": (2, 1)}),
+    ("cross_axis:X:EBX_x_z2_urad=8",
+     {"axis": "X", "other": "Z", "component": "B", "size_urad": 8, "powers": (1, 2)}),
+    ("tool_offset:X_um=30,Y_um=-20,Z_um=10", {"vector": [30e-6, -20e-6, 10e-6]}),
+]  # fmt: skip
+ON_TRACKER = [
+    ("range_scale:offset_um=3,scale_um_per_m=5", {"offset_um": 3, "ppm": 5}),
+    (f"encoder_eccentricity:azimuth:sine_urad={SINE},cosine_urad={COSINE}",
+     {"amplitude_urad": 6, "phase": 0.7}),
+]  # fmt: skip
+
+
+def from_start(run):
+    """The run with times from its first reading, where vcal's effects of time start."""
+    return dataclasses.replace(run, t=run.t - run.t[0])
+
+
+@pytest.mark.parametrize(("text", "keys"), [*ON_MACHINE, *ON_TRACKER])
+def test_effect_on_a_tracker_is_the_oracles(text, keys, known):
+    it = known["laser_tracker"]
+    case, effect = it.case, {"effect": text.split(":")[0]} | keys
+    run = from_start(case.run)
+    tracker = Tracker(1e-3 * np.array(case.station_mm), np.deg2rad(case.euler_xyz_deg))
+    p = tool_point(case.machine, run, [effect])
+    expected = tracker_readings(tracker, p, run.t, [effect])
+    got, without = it.readings(it.effect(text)), it.readings()
+    assert np.abs(got - without).max() > 1e-6
+    # Errors of the tracker are evaluated at the nominal angles, 1e-4 off: 1e-9 at most.
+    tolerance = 2e-9 if (text, keys) in ON_TRACKER else 2e-12
+    np.testing.assert_allclose(got, expected, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize(("text", "keys"), ON_MACHINE)
+def test_effect_on_a_ball_array_is_the_oracles(text, keys, known):
+    it = known["ball_array"]
+    effect, run = {"effect": text.split(":")[0]} | keys, from_start(it.case.run)
+    machine = it.case.machine
+    expected = tool_point(machine, run, [effect]) - tool_point(machine, run)
+    got = it.readings(it.effect(text)) - it.readings()
+    assert np.abs(expected).max() > 1e-6
+    np.testing.assert_allclose(got, expected, rtol=0, atol=2e-12)
+
+
+def test_jump_and_station_drift_are_the_oracles(known):
+    it = known["laser_tracker"]
+    case, run = it.case, from_start(it.case.run)
+    at = float(run.t[40] + it.case.run.t[0] + 0.1)
+    tracker = Tracker(1e-3 * np.array(case.station_mm), np.deg2rad(case.euler_xyz_deg))
+    got = it.readings(it.effect(f"jump:tool:X_um=20,Y_um=0,Z_um=-15,at_s={at}"))
+    jumps = [
+        {"effect": "jump", "axis": "Z", "component": c, "size_um": size, "t0": at}
+        for c, size in (("X", 20), ("Z", -15))
+    ]
+    expected = tracker_readings(tracker, tool_point(case.machine, case.run, jumps))
+    # In the tool's frame, that is, behind the rotation of Z: the product of two errors apart.
+    np.testing.assert_allclose(got, expected, rtol=0, atol=5e-9)
+    assert np.abs(got - it.readings()).max(1).argmax() > 40
+    rates = {"X": 300, "Y": -200, "Z": 100, "A": 90, "B": 50, "C": -70}
+    keys = ",".join(
+        f"rate_{c}_{'um' if c in 'XYZ' else 'urad'}_per_h={v}" for c, v in rates.items()
+    )
+    got = it.readings(it.effect(f"station_drift:{keys}"))
+    per_s = 1e-6 * np.array(list(rates.values())) / 3600
+    own = it.instrument.orientation @ per_s[3:]  # the oracle turns about the machine's axes
+    drift = {"effect": "station_drift", "translation": per_s[:3], "rotation": own}
+    expected = tracker_readings(tracker, tool_point(case.machine, run), run.t, [drift])
+    np.testing.assert_allclose(got, expected, rtol=0, atol=2e-12)
+    assert np.abs(got - it.readings()).max() > 1e-5
+
+
+def test_artefact_effects_are_the_oracles(known):
+    it = known["ball_array"]
+    balls, run, instrument = it.case.balls, it.case.run, it.instrument
+    middle = balls.balls.mean(0)
+
+    def expected(*effects):
+        """Ball centres with effects, for an artefact whose frame sits at its middle."""
+        rotation = instrument.pose_rotation
+        origin = instrument.pose_origin + rotation @ middle
+        return ball_positions(
+            balls.balls - middle, run, rotation, origin, effects, instrument.supports
+        )
+
+    for text, effect in [
+        ("ball_error:ball 4:X_um=10,Y_um=-20,Z_um=30",
+         {"effect": "ball_error", "ball": 4, "vector": [10e-6, -20e-6, 30e-6]}),
+        ("artefact_expansion:alpha_um_per_m_K=8", {"effect": "artefact_expansion", "ppm_per_K": 8}),
+    ]:  # fmt: skip
+        moved = it.readings() - it.readings(it.effect(text))
+        np.testing.assert_allclose(moved, expected(effect) - expected(), rtol=0, atol=1e-12)
+        assert np.abs(moved).max() > 0.3e-6
+    # The oracle lets the beam sag along -Z, vcal across itself: the same where it lies level, but
+    # for the zigzag of its balls (1 %), and as long everywhere.
+    moved = it.readings() - it.readings(it.effect("artefact_bending:sag_um=10"))
+    sag = expected({"effect": "artefact_bending", "size_um": 10}) - expected()
+    level = np.abs(it.plan.covariate("tilt")) < 0.05
+    assert 0.3 < level.mean() < 0.7
+    np.testing.assert_allclose(moved[level], sag[level], rtol=0, atol=0.3e-6)
+    lengths = np.linalg.norm(moved, axis=1), np.linalg.norm(sag, axis=1)
+    np.testing.assert_allclose(*lengths, rtol=0, atol=0.3e-6)
+    assert (moved[np.abs(moved[:, 2]) > 1e-6, 2] < 0).mean() > 0.3
+
+
+@pytest.mark.parametrize(
+    ("text", "keys"),
+    [
+        ("backlash:J3:size_urad=300", {"joint": 2, "size_urad": 300}),
+        (f"gear_harmonic:J2:sine3_urad={SINE},cosine3_urad={COSINE}",
+         {"joint": 1, "order": 3, "amplitude_urad": 6, "phase": 0.7}),
+        ("joint_coupling:J6:k_J5_urad_per_rad=1000", {"joint": 5, "other": 4, "coefficient": 1e-3}),
+    ],
+)  # fmt: skip
+def test_effect_on_an_arm_is_the_oracles(text, keys, known):
+    it = known["reflectors"]
+    effect, plan = {"effect": text.split(":")[0]} | keys, it.case.arm_run
+    true = joint_angles(it.case.arm, plan.q, plan.t, [effect])
+    own = arm_points(it.case.arm, true, it.instrument.points)
+    expected = (own - it.instrument.station) @ it.instrument.orientation
+    got = it.readings(it.effect(text)).reshape(expected.shape)
+    # Into the first pose vcal knows of no move.
+    np.testing.assert_allclose(got[1:], expected[1:], rtol=0, atol=1e-11)
+    assert np.abs(got - it.readings().reshape(got.shape)).max() > 1e-6
+
+
+def test_joint_compliance_spans_the_oracles_torque(known):
+    it = known["reflectors"]
+    arm, q = it.case.arm, it.case.arm_run.q
+    nominal = dataclasses.replace(arm, translation=None, rotation=None)
+    for j, joint in enumerate(it.chain.axes):
+        levers = gravity_levers(it.chain, q, joint)
+        torque = gravity_torque(nominal, q, j, 1 / 9.81, np.zeros(3))
+        np.testing.assert_allclose(levers[:, -1], torque, rtol=0, atol=1e-13)
+    # A mass at every frame behind the joint, seen through the patterns that are kept.
+    (effect,) = (
+        e for e in CATALOGUE["joint_compliance"].candidates(it.setup) if e.placement == "J2"
+    )
+    response = effect.response(it.plan, {})
+    assert {port for port, _ in response} == {"ECJ2"}
+    columns = np.column_stack([*response.values(), np.ones(it.plan.rows)])
+    _, origins = arm_frames(nominal, q)
+    for k in range(2, 7):
+        frames = arm_frames(nominal, q)[0]
+        moment = np.cross(origins[:, k] - origins[:, 1], [0.0, 0.0, -1.0])
+        torque = np.sum(frames[:, 1, :, 2] * moment, axis=1)
+        left = torque - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
+        assert np.linalg.norm(left) < 0.02 * np.linalg.norm(torque - torque.mean())
+
+
+def test_readback_lag_of_one_is_the_command(known, tmp_path):
+    case = make_case(
+        "reflectors", seed=3, plan=SMALL["reflectors"], noise_factor=0.0,
+        effects=[{"effect": "readback_lag", "share": 1e-3}],
+    )  # fmt: skip
+    folder = write_study(tmp_path / "lag", case)
+    ends = {
+        kind: load_study(folder, [f"instrument.joints={kind}"]) for kind in ("read", "commanded")
+    }
+    commanded = ends["commanded"]
+    theta = np.zeros(len(commanded.model.entries))
+    expected = predict(commanded.model, commanded.plan, theta)
+    read = commanded.model, ends["read"].plan
+    lag = next(iter(CATALOGUE["readback_lag"].candidates(known["reflectors"].setup)))
+    for share, close in ((1.0, True), (0.0, False), (-1.0, False)):
+        model = read[0].with_effects(dataclasses.replace(lag, given=(("share", share, 0.0),)))
+        off = np.abs(predict(model, read[1], np.pad(theta, (0, 1))) - expected).max()
+        assert (off < 1e-9) == close
+
+
+# --- random effects ------------------------------------------------------------------------------
+
+
+def test_repeatability_widens_the_covariance(known):
+    """W'W is the inverse of sigma^2 I + sum c c', c the response of each random effect."""
+    it = known["laser_tracker"]
+    sizes = {"X": 3.0, "Z": 5.0}
+    fresh = [
+        Repeatability(port=f"E{a}{a}", unit="um", placement=a, given=(("size", s, 0.0),))
+        for a, s in sizes.items()
+    ]
+    model = it.model.with_effects(*fresh)
+    assert model.entries == it.model.entries
+    whitener = declared_whitener(model, it.measurement)
+    got = np.linalg.inv(np.swapaxes(whitener, 1, 2) @ whitener)
+    sigma = it.instrument.noise(it.plan, it.measurement.readings)
+    expected = np.einsum("ni,ij->nij", sigma**2, np.eye(3))
+    zero = np.zeros(len(it.theta))
+    for axis, size in sizes.items():
+        step = it.effect(f"backlash:{axis}:size_um=2")  # 1 um in the direction of travel
+        c = size * (it.readings(step, theta=zero) - it.readings(theta=zero))
+        expected += np.einsum("ni,nj->nij", c, c)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
+    alone = declared_whitener(it.model, it.measurement)
+    np.testing.assert_allclose(np.linalg.inv(alone), np.einsum("ni,ij->nij", sigma, np.eye(3)))
+    # Without a declared value, the prior's sigma.
+    plain = it.model.with_effects(Repeatability(port="EXX", unit="um", placement="X"))
+    one = it.model.with_effects(dataclasses.replace(fresh[0], given=(("size", 1.0, 0.0),)))
+    ends = [declared_whitener(m, it.measurement) for m in (plain, one)]
+    np.testing.assert_allclose(*ends)
