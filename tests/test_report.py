@@ -273,6 +273,36 @@ def test_effects_table_repeats_the_record(written):
     assert float(row.split(",")[3]) == pytest.approx(size["value"])
 
 
+def test_report_without_check_points(closed, tmp_path):
+    _, study, closure = closed
+    errors = {
+        name: dataclasses.replace(value, check=None, check_raw=None)
+        for name, value in closure.errors.items()
+    }
+    bare = dataclasses.replace(closure, check=None, errors=errors, screenings=[], interrupted=True)
+    page = write_report(bare, study, tmp_path / "report").read_text(encoding="utf-8")
+    content = strict(tmp_path / "report" / "report.json")
+    assert content["interrupted"] and "Interrupted." in page
+    for values in content["errors"].values():
+        assert values["check_rms_um"] is values["u_check_rms_um"] is None
+    assert "check_points.png" not in content["files"]
+    assert "error_field.png" in content["files"]
+
+
+def test_report_of_an_arm(small_arm_study, tmp_path):
+    study = load_study(small_arm_study)
+    assert study.measurement is not None
+    effects = [CATALOGUE["drift"], CATALOGUE["backlash"]]
+    closure = close_loop(study.model, study.measurement, effects=effects, draws=50)
+    write_report(closure, study, tmp_path / "report")
+    content = strict(tmp_path / "report" / "report.json")
+    assert {"error_motions.png", "held_out.png"} <= set(content["files"])
+    assert {u["reason"] for u in content["untestable"]} == {"the data have no t_s"}
+    lines = (tmp_path / "report" / "compensation.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0].split(",")[2] == "position_deg"
+    assert len(lines) == 1 + 18 * 41
+
+
 def test_residual_without_the_effect_is_that_of_the_declared_model(closed):
     _, _, closure = closed
     place = plots.place_of(closure.after, closure.effects[0].effect)

@@ -201,10 +201,18 @@ def tool_points(chain: Chain, position: Array, ports: Array) -> Float[Array, "n 
 
 
 @eqx.filter_jit
-def tool_point_jacobian(chain: Chain, position: Array, ports: Array) -> Float[Array, "n 3 p"]:
-    """Derivative of the tool points with respect to the ports."""
-    one = jax.jacfwd(lambda p, q: tool_point(chain, q, p))
-    return jax.vmap(one)(ports, position)
+def tool_points_with_jacobian(
+    chain: Chain, position: Array, ports: Array
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 p"]]:
+    """`tool_point` over all rows, and its derivative with respect to each row's ports."""
+
+    def one(q, p):
+        def push(t):
+            return jax.jvp(lambda x: tool_point(chain, q, x), (p,), (t,))
+
+        return jax.vmap(push, out_axes=(None, -1))(jnp.eye(p.shape[0]))
+
+    return jax.vmap(one)(position, ports)
 
 
 def predict(

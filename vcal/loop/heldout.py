@@ -8,7 +8,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..fit import Fit
 from ..measurement import CheckPoints
-from ..model import Terms, concatenate, effect_terms, tool_point_jacobian, tool_points
+from ..model import Terms, concatenate, effect_terms, tool_points_with_jacobian
 from ..spatial import align_rigid, rigid_columns
 
 
@@ -110,8 +110,10 @@ def compensated_points(fit: Fit, plan) -> tuple[np.ndarray, np.ndarray]:
     terms, _ = machine_terms(fit, plan)
     size = len(fit.model.layout)
     ports = terms.offset + (terms.values * fit.theta[terms.parameter]) @ np.eye(size)[terms.port]
-    points = np.asarray(tool_points(fit.model.chain, np.asarray(plan.position), ports))
-    by_port = np.asarray(tool_point_jacobian(fit.model.chain, np.asarray(plan.position), ports))
+    points, by_port = (
+        np.asarray(v)
+        for v in tool_points_with_jacobian(fit.model.chain, np.asarray(plan.position), ports)
+    )
     by_term = by_port[:, :, terms.port] * terms.values[:, None, :]
     gather = np.zeros((len(terms.parameter), len(fit.theta)))
     gather[np.arange(len(terms.parameter)), terms.parameter] = 1.0

@@ -210,4 +210,5 @@ def _tone(fit: Fit, effect: Effect, visible: np.ndarray) -> tuple[np.ndarray | N
     ranks = np.searchsorted(np.unique(x), x) / (len(np.unique(x)) - 1)
     column, factor = column_of(name, plan)
     low, high = x.min() * factor, x.max() * factor
-    return ranks, f"dots: {column_label(column)}, {low:.4g} (dark) to {high:.4g} (bright)"
+    ends = f"{low:.4g} (dark) to {high:.4g} (bright)".replace("-", "−")
+    return ranks, f"dots: {column_label(column)}, {ends}"

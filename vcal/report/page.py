@@ -198,9 +198,7 @@ def _parameter(name: str, value: float, unit: str, u: float) -> dict[str, str]:
 
 def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
     return {
-        "key": found.effect.key,
-        "name": found.effect.name,
-        "placement": found.placement,
+        "title": f"{found.effect.name} {found.placement}".strip(),
         "summary": found.effect.summary,
         "status": found.status,
         "p": text.probability(found.p_value),
