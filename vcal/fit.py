@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -39,12 +40,12 @@ class Fit:
     converged: bool
     steps: int
 
-    @property
+    @cached_property
     def factor(self) -> tuple[np.ndarray, bool]:
         """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`."""
         return cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.precision))
 
-    @property
+    @cached_property
     def covariance(self) -> np.ndarray:
         """Posterior covariance H^-1 in solver units.
 
@@ -71,7 +72,7 @@ class Fit:
         """Sum of squared whitened data residuals."""
         return float(self.whitened @ self.whitened)
 
-    @property
+    @cached_property
     def dof(self) -> float:
         """Effective degrees of freedom: readings less tr(J H^-1 J')."""
         hat = np.trace(cho_solve(self.factor, self.jacobian.T @ self.jacobian))

@@ -47,7 +47,7 @@ def linear_plan(
         if name in GROUPS:
             groups[name] = np.asarray(values, int)
             continue
-        covariates[_inside_name(name, axes)] = np.asarray(values, float)
+        covariates[inside_name(name, axes)] = np.asarray(values, float)
     return Plan(axes, position, covariates, groups)
 
 
@@ -67,7 +67,8 @@ def linear_plan_table(plan: Plan, derived: Collection[str] = ()) -> dict[str, np
     return table
 
 
-def _inside_name(column: str, axes: tuple[str, ...]) -> str:
+def inside_name(column: str, axes: tuple[str, ...]) -> str:
+    """Name inside vcal of a column of conditions: the inverse of `file_name`."""
     if match := re.fullmatch(r"dir_(\w+)", column):
         return f"dir_{match[1].upper()}" if match[1].upper() in axes else column
     if match := re.fullmatch(r"T_(\w+)_degC", column):

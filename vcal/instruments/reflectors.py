@@ -1,6 +1,7 @@
 """Reflectors: several points on the tool (and on the base) in the tracker's frame."""
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Self
 
@@ -18,6 +19,7 @@ from ..plan import Plan
 from ..ports import group
 from ..spatial import best_rigid, rotation
 from .base import Column, Instrument, InstrumentSettings, Loader, register
+from .conditions import inside_name
 from .frame import Station
 
 
@@ -139,6 +141,10 @@ class Reflectors(Instrument):
             covariates[f"commanded_{axis}"] = commanded[:, i]
             covariates[f"dir_{axis}"] = np.sign(move[:, i])
             covariates[f"move_{axis}"] = move[:, i]
+        # Time, temperatures and whatever else was recorded; not the angles and the readings.
+        own = re.compile(r"q\d+_(cmd|read)_\w+|(smr|base)\d+_[xyz]_mm|pose")
+        others = {name: values for name, values in table.items() if not own.fullmatch(name)}
+        covariates |= {inside_name(name, chain.axes): values for name, values in others.items()}
         return Plan(chain.axes, position, covariates, {"pose": pose})
 
     def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:

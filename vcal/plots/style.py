@@ -111,7 +111,8 @@ def pretty_unit(unit: str) -> str:
 def column_label(column: str) -> str:
     """A column as an axis label: ``"x_mm"`` gives ``"x, mm"``."""
     if match := re.fullmatch(r"dir_(\w+)", column):
-        return f"direction of travel of {match[1].upper()}"
+        joint = re.fullmatch(r"q(\d+)", match[1])
+        return f"direction of travel of {f'joint {joint[1]}' if joint else match[1].upper()}"
     if match := re.fullmatch(r"q(\d+)_(cmd|read)_deg", column):
         return f"joint {match[1]}, {'commanded' if match[2] == 'cmd' else 'read back'}, °"
     if match := re.fullmatch(r"T_(\w+)_degC", column):

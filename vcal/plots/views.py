@@ -160,13 +160,16 @@ def _direction(fit: Fit, effect: Effect, shape, moved: np.ndarray) -> tuple[np.n
             return direction, f"along {'XYZ'[int(np.argmax(np.abs(mean)))]}{frame}"
         return direction, f"in the direction in which {ports[0]} moves the tool point"
     _, s, vt = np.linalg.svd(moved, full_matrices=False)
+    main = vt[0] * np.sign(vt[0][np.argmax(np.abs(vt[0]))])
     if s[0] ** 2 > 0.8 * (s**2).sum():
-        main = vt[0] * np.sign(vt[0][np.argmax(np.abs(vt[0]))])
         name = "XYZ"[int(np.argmax(main))]
         words = f"along {name}{frame}" if main.max() > 0.9 else "along its main direction"
         return np.broadcast_to(main, moved.shape), words
     length = np.linalg.norm(moved, axis=1, keepdims=True)
-    return moved / np.where(length > 0, length, 1.0), "along the displacement it causes"
+    # Rows that the effect does not touch are seen along its main direction.
+    touched = length > 1e-9 * length.max()
+    direction = np.where(touched, moved / np.where(touched, length, 1.0), main)
+    return direction, "along the displacement it causes"
 
 
 def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray):
