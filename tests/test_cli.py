@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -97,6 +98,8 @@ def test_effects():
         assert name in listed
     page = run("effects", "thermal_tilt").output
     assert "k (T_axis - 20 degC)" in page and "Disturbs the machine; systematic." in page
+    assert "k_EAX_urad_per_K (50)" in page and "columns: T_x_degC" in page
+    assert "pattern1_urad (500)" in run("effects", "joint_compliance").output
     assert "unknown effect 'backlsh' (did you mean 'backlash'?)" in refused("effects", "backlsh")
 
 
@@ -163,6 +166,24 @@ def test_every_key_is_explained():
         assert "[[model.effect]]" in text and "effects_file" in text
     for key in MachineSettings.model_fields:
         assert any(key in text for text in texts.values()), key
+
+
+@pytest.mark.parametrize("instrument", STARTS)
+def test_keys_that_are_commented_out_can_be_used(tmp_path, instrument):
+    run("init", tmp_path / "study", "--instrument", instrument)
+    setup = tmp_path / "study" / "setup.toml"
+    lines = setup.read_text(encoding="utf-8").splitlines()
+    other = ("# effects_file", "# family", *(["# check"] if instrument == "reflectors" else []))
+    lines = [
+        line[2:] if re.match(r"# (\[|\w+ = )", line) and not line.startswith(other) else line
+        for line in lines
+    ]
+    setup.write_text("\n".join(lines), encoding="utf-8")
+    study = load_study(setup)
+    assert len(study.settings.model.effect) == 1
+    assert study.options.model_fields_set == set(LoopSettings.model_fields)
+    plain = LoopSettings(effects=("backlash",))
+    assert study.options == plain  # what is shown is the default
 
 
 # --- simulate ------------------------------------------------------------------------------------
@@ -407,7 +428,7 @@ def test_ctrl_c_is_not_lost_in_the_garbage_collector():
     def _xla_gc_callback():
         signal.raise_signal(signal.SIGINT)
 
-    before = signal.getsignal(signal.SIGINT)
+    began, before = time.monotonic(), signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         listen()
@@ -415,7 +436,8 @@ def test_ctrl_c_is_not_lost_in_the_garbage_collector():
             signal.raise_signal(signal.SIGINT)
         _xla_gc_callback()
         with pytest.raises(KeyboardInterrupt):
-            time.sleep(10)
+            time.sleep(20)
+        assert time.monotonic() - began < 10
     finally:
         signal.signal(signal.SIGINT, before)
 

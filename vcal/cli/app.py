@@ -104,11 +104,10 @@ def demo(
     ),
 ) -> None:
     """Close the loop on the measurement that comes with vcal, which hides an effect."""
-    from .folders import demo_folder
+    from ..demo import FOLDER
 
     command = ["vcal", "demo", "--out", str(out)]
-    with demo_folder() as folder:
-        _close(folder / "setup.toml", out, [], shlex.join(command))
+    _close(FOLDER / "setup.toml", out, [], shlex.join(command))
 
 
 def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
@@ -134,11 +133,7 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
             study.measurement,
             check=study.check,
             effects=[study.catalogue[name] for name in options.effects or study.catalogue],
-            alpha=options.alpha,
-            draws=options.draws,
-            seed=options.seed,
-            max_effects=options.max_effects,
-            learn=options.learn,
+            **options.model_dump(exclude={"effects"}),
             progress=progress,
         )
         progress("writing the report")
@@ -224,15 +219,13 @@ def effects(
     name: Annotated[str | None, typer.Argument(help="Show this one in full.")] = None,
 ) -> None:
     """List the effects that the loop knows, or explain one."""
-    import inspect
-
     from ..effects import CATALOGUE, effect_class
-    from .show import show_catalogue
+    from .folders import example
+    from .show import show_catalogue, show_effect
 
     if name is None:
         show_catalogue(CATALOGUE.values())
         return
     effect = effect_class(name)
-    typer.echo(f"{effect.name}: {effect.summary}\n")
-    typer.echo(inspect.cleandoc(effect.__doc__ or ""))
-    typer.echo(f"\nDisturbs the {effect.where}; {effect.kind}.")
+    start()
+    show_effect(effect, example(effect))

@@ -1,30 +1,22 @@
-"""Folders that come with the package: the demo, and studies to start from."""
+"""The studies to start from that come with the package, and what they tell of an effect."""
 
 import shutil
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib.resources import as_file, files
 from pathlib import Path
 
+from ..demo import FOLDER
+from ..effects.base import Effect, Setup
 from ..errors import StudyError
+from ..io import load_study
 from ..io.messages import listed, nearest
 from ..io.simulated import publish, require_empty
 
-_PACKAGE = "vcal"
-
-
-@contextmanager
-def demo_folder() -> Iterator[Path]:
-    """The study of `vcal demo` as a folder on the disk."""
-    with as_file(files(_PACKAGE) / "demo") as folder:
-        yield folder
+_STARTS = FOLDER / "start"
 
 
 def starts() -> list[str]:
     """Instruments for which there is a study to start from."""
-    found = (files(_PACKAGE) / "demo" / "start").iterdir()
-    return sorted(entry.name for entry in found if entry.is_dir())
+    return sorted(entry.name for entry in _STARTS.iterdir() if entry.is_dir())
 
 
 def write_start(instrument: str, out: Path) -> list[str]:
@@ -43,11 +35,25 @@ def write_start(instrument: str, out: Path) -> list[str]:
     work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     try:
         names = []
-        for entry in (files(_PACKAGE) / "demo" / "start" / instrument).iterdir():
-            (work / entry.name).write_bytes(entry.read_bytes())
+        for entry in (_STARTS / instrument).iterdir():
+            shutil.copyfile(entry, work / entry.name)
             names.append(entry.name)
         publish(work, out)
     except BaseException:
         shutil.rmtree(work, ignore_errors=True)
         raise
     return sorted(names)
+
+
+def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
+    """An instance of an effect on a bundled study where it has a place; None if there is none.
+
+    Raises `RuntimeError` where JAX runs in float32.
+    """
+    for instrument in starts():
+        study = load_study(_STARTS / instrument)
+        artefact = study.instrument.artefact
+        setup = Setup(study.chain, study.model.layout, study.plan, study.model.effects, artefact)
+        for instance in effect.candidates(setup):
+            return instance, setup
+    return None

@@ -67,7 +67,7 @@ def listen() -> None:
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         if frame is not None and frame.f_code.co_name == _CALLBACK:
-            later = threading.Timer(0.05, signal.raise_signal, [number])
+            later = threading.Timer(0.05, _again, [number])
             later.daemon = True
             later.start()
             return
@@ -76,6 +76,15 @@ def listen() -> None:
     # Whoever started the process without Ctrl-C, such as nohup, meant it.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
+
+
+def _again(number: int) -> None:
+    """Send a signal to the main thread, so that it wakes up for it."""
+    main = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main is not None:
+        signal.pthread_kill(main, number)
+    else:  # Windows
+        signal.raise_signal(number)
 
 
 def leave(code: int) -> NoReturn:

@@ -1,5 +1,6 @@
 """What commands print: compact text on stdout, the details are in the files they write."""
 
+import inspect
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -8,7 +9,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ..effects.base import Effect
+from ..effects.base import Effect, Setup
+from ..instruments.conditions import file_name
 from ..io import Study, read_header
 from ..loop.candidates import candidates
 from ..loop.closure import Closure, Errors
@@ -139,6 +141,31 @@ def show_catalogue(catalogue: Iterable[type[Effect]]) -> None:
     for effect in catalogue:
         table.add_row(Text(effect.name), Text(effect.summary))
     _console().print(table)
+
+
+def show_effect(effect: type[Effect], example: tuple[Effect, Setup] | None) -> None:
+    """Print what an effect is, and the keys and columns of an example of it."""
+    console = _console()
+    console.print(Text(f"{effect.name}: {effect.summary}", style="bold"), soft_wrap=True)
+    console.print(Text(f"\n{inspect.cleandoc(effect.__doc__ or '')}\n"), soft_wrap=True)
+    console.print(Text(f"Disturbs the {effect.where}; {effect.kind}."))
+    if example is None:
+        return
+    instance, setup = example
+    priors = (
+        f"{p.label} (looked for)" if p.shape else f"{p.label} ({p.sigma:g})"
+        for p in instance.parameters
+    )
+    columns = dict.fromkeys(file_name(need, setup.plan.axes) for need in instance.needs)
+    place = f"placement {instance.placement}" if instance.placement else "no placement"
+    console.print(
+        Text(
+            f"For example, with {place}:\n"
+            f"  parameters (standard deviation of the prior): {', '.join(priors)}\n"
+            f"  columns: {', '.join(columns) or 'no further ones'}"
+        ),
+        soft_wrap=True,
+    )
 
 
 def _console() -> Console:
