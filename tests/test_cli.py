@@ -98,7 +98,7 @@ def test_effects():
         assert name in listed
     page = run("effects", "thermal_tilt").output
     assert "k (T_axis - 20 degC)" in page and "Disturbs the machine; systematic." in page
-    assert "k_EAX_urad_per_K (50)" in page and "columns: T_x_degC" in page
+    assert "k_EAX_urad_per_K (50)" in page and "depends on: T_x_degC" in page
     assert "pattern1_urad (500)" in run("effects", "joint_compliance").output
     assert "unknown effect 'backlsh' (did you mean 'backlash'?)" in refused("effects", "backlsh")
 

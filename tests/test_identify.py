@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from known import Known
+from known import PLANS, Known
 from oracle import TABLE, as_study, lmmse, make_case, write_study
 from vcal import Measurement, Model, identify, load_study, predict
 from vcal.fit import null_directions
@@ -52,9 +52,9 @@ def test_noise_free_data_give_the_truth_but_for_the_prior(kind, request):
     assert np.abs(pulled).max() > 0.1
     sharp = declared_whitener(it.model, it.measurement) * 1e3
     fit = identify(it.model, it.measurement, whitener=sharp, room=it.room)
-    seen = fit.information > 0.9999
-    assert seen.mean() > 0.5
-    np.testing.assert_allclose(fit.theta[seen], it.theta[seen], rtol=0, atol=0.02)
+    seen = fit.information > 0.999
+    assert seen.mean() > 0.3
+    np.testing.assert_allclose(fit.theta[seen], it.theta[seen], rtol=0, atol=0.05)
 
 
 def test_estimate_against_scipy(tracker):
@@ -86,13 +86,13 @@ def test_estimate_against_scipy(tracker):
 @pytest.mark.parametrize("seed", [21, 22])
 def test_check_error_is_at_the_bound(kind, seed, tmp_path):
     """The LMMSE of the oracle, on data as they come from files."""
-    case = make_case(kind, seed=seed)
+    case = make_case(kind, seed=seed, plan=PLANS[kind])
     bound = lmmse(as_study(case))
     study = load_study(write_study(tmp_path / "study", case))
     fit = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
     after, raw = check_rms(fit, study.check)
     assert after.value == pytest.approx(1e6 * bound.check_rms, rel=0.01)
-    assert after.value < 0.4e6 * bound.check_rms_before
+    assert after.value < 0.6e6 * bound.check_rms_before
     assert raw.value > after.value
     assert fit.chi2 / fit.dof == pytest.approx(bound.chi2_dof, rel=0.02)
 
@@ -123,14 +123,15 @@ def test_arm_uncertainties_allow_for_what_rows_share(tmp_path):
     it = Known("reflectors", tmp_path, noise_factor=1.0)
     fit = identify(it.model, it.measurement, room=it.room)
     assert fit.chi2 / fit.dof > 1.5
-    seen = fit.information > 0.5
-    off = (fit.theta - it.theta)[seen]
-    given = np.diag(fit.covariance)[seen]
-    declared = np.diag(np.linalg.inv(fit.jacobian.T @ fit.jacobian + np.diag(fit.precision)))[seen]
-    print(
-        np.median(given / declared), np.mean(off**2 / given), np.mean(off**2 / declared), seen.sum()
-    )
+    # In the directions that the data determine, not the prior.
+    normal = fit.jacobian.T @ fit.jacobian
+    sizes, directions = np.linalg.eigh(normal)
+    seen = directions[:, sizes > 100.0]
+    off = seen.T @ (fit.theta - it.theta)
+    given = np.diag(seen.T @ fit.covariance @ seen)
+    declared = np.diag(seen.T @ np.linalg.inv(normal + np.diag(fit.precision)) @ seen)
     assert 0.5 < np.mean(off**2 / given) < 1.7
+    assert np.mean(off**2 / declared) > 1.7
     assert np.median(given / declared) > 1.3
 
 
@@ -158,7 +159,7 @@ def test_priors_are_those_of_the_declared_family(tracker):
 
 
 def test_smooth_family_prior_is_its_kernel(tmp_path):
-    case = make_case("laser_tracker", seed=1, plan={"shape": (4, 4, 3)})
+    case = make_case("laser_tracker", seed=1, plan=PLANS["laser_tracker"])
     folder = write_study(tmp_path / "smooth", case)
     text = (folder / "setup.toml").read_text()
     told = 'family = "smooth"\ntranslation_um = 12\nrotation_urad = 20\nsquareness_urad = 30\n'
@@ -253,19 +254,20 @@ def marginal(target: np.ndarray, jacobian: np.ndarray, precision: np.ndarray, no
 @pytest.mark.parametrize("noise", [1.0, 1.3])
 def test_evidence_against_the_exact_marginal_likelihood(noise, tracker):
     it = tracker
-    true = it.effect("thermal_tilt:Y:k_EAY_urad_per_K=15")
+    true = it.effect("backlash:Y:size_um=3")
     measurement = noisy(it, 4, it.readings(true))
     plain = identify(it.model, measurement, room=it.room)
     exact, found = [], []
-    for text in ("thermal_tilt:Y:component=EAY", "thermal_tilt:Y:component=EBY", "backlash:X"):
+    for text in ("backlash:Y", "lateral_reversal:X:component=EYX", "backlash:X"):
         fit = identify(it.model.with_effects(it.effect(text)), measurement, room=it.room)
         target = fit.whitened + fit.jacobian @ fit.theta
         size = len(plain.theta)
         without = marginal(target, fit.jacobian[:, :size], fit.precision[:size], noise)
         exact.append(marginal(target, fit.jacobian, fit.precision, noise) - without)
         found.append(fit.log_evidence(noise) - plain.log_evidence(noise))
-    np.testing.assert_allclose(found, exact, atol=0.02)
-    assert exact[0] > 5 > 0 > exact[2]
+    # With another noise than the one fitted with, the estimate is not quite the mode.
+    np.testing.assert_allclose(found, exact, atol=1e-3 if noise == 1.0 else 0.02)
+    assert exact[0] > 1 > 0 > exact[2]
 
 
 # --- stray readings, learned sizes ---------------------------------------------------------------

@@ -162,7 +162,7 @@ def show_effect(effect: type[Effect], example: tuple[Effect, Setup] | None) -> N
         Text(
             f"For example, with {place}:\n"
             f"  parameters (standard deviation of the prior): {', '.join(priors)}\n"
-            f"  columns: {', '.join(columns) or 'no further ones'}"
+            f"  depends on: {', '.join(columns) or 'nothing that is recorded'}"
         ),
         soft_wrap=True,
     )

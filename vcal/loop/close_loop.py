@@ -114,7 +114,7 @@ def close_loop(
     noise = _noise_scale(state.fit)
     after = _at_noise(state.fit, noise, room)
     found = [run.finished(item, after) for item in run.added]
-    verdict: Verdict = "nothing_missing"
+    verdict: Verdict | None = None if interrupted else "nothing_missing"
     if run.unexplained is not None:
         verdict = "unexplained"
     elif any(item.status == "ambiguous" for item in found):

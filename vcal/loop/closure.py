@@ -64,7 +64,8 @@ class Rejected:
 class Closure:
     """The result of `close_loop`."""
 
-    verdict: Verdict
+    verdict: Verdict | None
+    """None where the search was interrupted before it had found anything."""
     effects: list[FoundEffect]
     errors: Mapping[Literal["uncompensated", "before", "after"], Errors]
     before: Fit = field(repr=False)
@@ -90,6 +91,8 @@ class Closure:
         """The verdict in words."""
         names = [f"{e.effect.name} {e.placement}".strip() for e in self.effects]
         listed = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+        if self.interrupted:
+            return f"Interrupted before the search ended; found by then: {listed or 'nothing'}."
         if self.verdict == "nothing_missing":
             return "The declared model explains the measurement: nothing is missing."
         if self.verdict == "named":

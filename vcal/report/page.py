@@ -60,8 +60,8 @@ def page(
     after = closure.after
     return environment.get_template("page.html.j2").render(
         name=study.name,
-        title=_TITLES[closure.verdict],
-        verdict=closure.verdict,
+        title=_TITLES[closure.verdict] if closure.verdict else "Interrupted",
+        verdict=closure.verdict or "interrupted",
         sentence=sentence(closure),
         interrupted=closure.interrupted,
         notes=closure.notes,
