@@ -154,7 +154,7 @@ def test_what_is_unexplained_is_told_in_columns_of_the_file(closed):
         {"column": "x_mm", "low": 200.0, "high": 450.0},
         {"column": "T_y_degC", "low": 20.5, "high": 21.0},
     ]
-    assert told["sentence"].endswith("it depends on x_mm.")
+    assert told["sentence"].endswith("a local error along Z where x_mm is 200 to 450.")
 
 
 def test_rows_count_as_in_the_file_and_what_is_not_a_number_is_null(closed):
@@ -282,7 +282,7 @@ def test_report_without_check_points(closed, tmp_path):
     bare = dataclasses.replace(closure, check=None, errors=errors, screenings=[], interrupted=True)
     page = write_report(bare, study, tmp_path / "report").read_text(encoding="utf-8")
     content = strict(tmp_path / "report" / "report.json")
-    assert content["interrupted"] and "Interrupted." in page
+    assert content["interrupted"] and "Interrupted" in page
     for values in content["errors"].values():
         assert values["check_rms_um"] is values["u_check_rms_um"] is None
     assert "check_points.png" not in content["files"]

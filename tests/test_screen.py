@@ -6,32 +6,236 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 
 from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, identify
-from vcal.effects.events import Jump
 from vcal.loop.candidates import candidates
 from vcal.loop.rivals import refit_all, weigh
 from vcal.loop.screen import Screen, minus_log_chi2_tail, screen
 from vcal.loop.stray import stray_rows
 
-KINDS = ("laser_tracker", "ball_array")
 FEW = ("backlash", "lateral_reversal", "thermal_offset", "thermal_tilt", "drift", "cross_axis")
 
 
 @pytest.fixture(scope="module")
 def known(tmp_path_factory) -> dict[str, Known]:
     folder = tmp_path_factory.mktemp("known")
-    return {kind: Known(kind, folder) for kind in KINDS}
+    return {kind: Known(kind, folder) for kind in ("laser_tracker", "ball_array")}
 
 
-def noisy(it: Known, rng, *effects: Effect, theta=None, factor: float = 1.0) -> Measurement:
-    """Readings with noise; for a ball array the noise of the residual, which is the same."""
-    theta = it.theta if theta is None else theta
-    sign = -1.0 if it.case.balls is not None else 1.0  # residual zero at the true effects
-    ideal = it.readings(*effects, theta=theta)
-    if sign < 0:
-        ideal = 2.0 * it.readings(theta=theta) - ideal
+def noisy(it: Known, seed: int, *effects: Effect, theta=None, factor=1.0) -> Measurement:
+    """What the true machine with further effects gives, with `factor` times the declared noise."""
     sigma = it.instrument.noise(it.plan, it.measurement.readings)
-    return Measurement(it.plan, ideal + factor * sigma * rng.standard_normal(sigma.shape))
+    noise = factor * sigma * np.random.default_rng(seed).standard_normal(sigma.shape)
+    return Measurement(it.plan, it.readings(*effects, theta=theta) + noise)
+
+
+def screened(it: Known, measurement: Measurement, draws: int = 200, seed: int = 0) -> Screen:
+    return Screen(identify(it.model, measurement, room=it.room), draws, seed)
+
+
+# --- the statistic -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("laser_tracker", "backlash:Y"),
+        ("laser_tracker", "backlash:X"),
+        ("laser_tracker", "lateral_reversal:X:component=EZX"),
+        ("laser_tracker", "angular_reversal:X:component=EBX"),
+        ("laser_tracker", "scale_growth:X"),
+        ("laser_tracker", "encoder_eccentricity:azimuth"),
+        ("laser_tracker", "station_drift"),
+        ("laser_tracker", "cross_axis:Y:component=EZY,other=X"),
+        ("ball_array", "backlash:X"),
+        ("ball_array", "thermal_tilt:Y:component=EAY"),
+        ("ball_array", "ball_error:ball 4"),
+        ("ball_array", "artefact_expansion"),
+    ],
+)
+def test_statistic_is_the_drop_of_the_cost_of_a_refit(kind, text, known):
+    """s'G^-1 s, with a flat prior on the candidate's amplitudes, which G^-1 s estimates."""
+    it = known[kind]
+    measurement = noisy(it, 1, it.effect("backlash:Y:size_um=4"))
+    state = screened(it, measurement, draws=5)
+    effect = it.effect(text)
+    tested = state.test(effect)
+    assert tested.rank[0] == len(effect.amplitudes)
+    flat = tuple((p.name, 0.0, math.inf) for p in effect.amplitudes)
+    model = it.model.with_effects(dataclasses.replace(effect, given=flat))
+    fit = identify(model, measurement, room=it.room)
+    before, after = (f.chi2 + f.theta**2 @ f.precision for f in (state.fit, fit))
+    assert tested.stat[0] == pytest.approx(before - after, rel=2e-3, abs=1e-3)
+    first = len(it.model.entries)
+    scale = [p.scale / p.sigma for p in effect.amplitudes]
+    expected = fit.theta[first:] * scale
+    sigma = np.sqrt(np.diag(fit.covariance))[first:] * scale
+    np.testing.assert_allclose(tested.amplitudes[0], expected, rtol=0, atol=0.01 * sigma.min())
+    np.testing.assert_allclose(
+        np.diag(np.linalg.inv(state.information(state.columns(effect, {})))), sigma**2, rtol=1e-3
+    )
+
+
+def test_what_the_model_spans_is_unseen(known):
+    it = known["laser_tracker"]
+
+    class Twin(Effect):
+        """A constant along X: the station takes it up."""
+
+        name = "twin"
+
+        @property
+        def parameters(self):
+            return (Parameter("size", "um", sigma=10.0),)
+
+        def response(self, plan, shape):
+            return {("EXX", "size"): jnp.ones(plan.rows)}
+
+    state = screened(it, noisy(it, 2), draws=5)
+    tool, twin, seen = it.effect("tool_offset"), Twin(), it.effect("backlash:X")
+    assert state.test(twin) is None
+    result = screen(state, [tool, twin, seen])
+    assert result.unseen == [tool, twin]
+    assert [kind.kind for kind in result.kinds] == ["backlash"]
+    nothing = screen(state, [twin])
+    assert (nothing.p_value, nothing.kinds) == (1.0, [])
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 6, 30])
+def test_tail_of_chi_square(dof):
+    x = np.concatenate([np.linspace(0, 100, 201), np.geomspace(100, 1200, 30)])
+    expected = -chi2.logsf(x, dof)
+    np.testing.assert_allclose(minus_log_chi2_tail(x, dof), expected, rtol=1e-9, atol=1e-12)
+    # Far out scipy's own logarithm is lost; the tail of two degrees is exp(-x/2) for ever.
+    assert minus_log_chi2_tail(1e5, 2) == pytest.approx(5e4, rel=1e-12)
+    far = minus_log_chi2_tail(np.array([1380.0, 1400.0, 3000.0]), dof)
+    slope = np.diff(far) / [20.0, 1600.0]
+    np.testing.assert_allclose(slope, 0.5, atol=0.5 * dof / 1380)
+    joint = minus_log_chi2_tail(np.linspace(1300, 1400, 101), dof)
+    assert np.ptp(np.diff(joint)) < 1e-3  # no step where the one form takes over from the other
+
+
+# --- chance --------------------------------------------------------------------------------------
+
+
+def test_null_draws_have_the_covariance_of_residuals(known):
+    """Cov r = I - J H^-1 J' (S = I): noise, and parameters from their prior."""
+    it = known["ball_array"]
+    state = screened(it, noisy(it, 3), draws=800)
+    fit, null = state.fit, state.null.reshape(-1, 800).astype(float)
+    hat = fit.jacobian @ np.linalg.solve(
+        fit.jacobian.T @ fit.jacobian + np.diag(fit.precision), fit.jacobian.T
+    )
+    rng = np.random.default_rng(0)
+    for way in rng.standard_normal((20, len(null))):
+        expected = way @ way - way @ hat @ way
+        assert np.mean((way @ null) ** 2) == pytest.approx(expected, rel=4.5 * np.sqrt(2 / 800))
+    assert state.null_chi2.mean() == pytest.approx(fit.dof, rel=0.02)
+    again = Screen(fit, 800, 0)
+    np.testing.assert_array_equal(again.null, state.null)
+    assert np.abs(Screen(fit, 800, 1).null - state.null).max() > 0.1
+
+
+def test_p_values_are_even_where_nothing_is_missing(known):
+    """40 clean machines drawn from their family, half of them noisier than declared."""
+    it, rng = known["laser_tracker"], np.random.default_rng(11)
+    informed = np.array([float(e.parameter.informed) for e in it.model.entries])
+    found = []
+    for k in range(40):
+        theta = informed * rng.standard_normal(len(informed))
+        measurement = noisy(it, 100 + k, theta=theta, factor=1.0 if k % 2 else 1.2)
+        tried, _ = candidates(it.model, measurement, [CATALOGUE[name] for name in FEW])
+        found.append(screen(screened(it, measurement, seed=k), tried).p_value)
+    found = np.array(found)
+    assert (found < 0.1).sum() <= binom.ppf(0.999, 40, 0.1)
+    assert (found < 0.01).sum() <= 3
+    assert found.mean() == pytest.approx(0.5, abs=4 * np.sqrt(1 / 12 / 40))
+
+
+def test_p_value_pays_for_the_search(known):
+    """The corrected p grows with what was tried, and is small for what is there."""
+    it = known["laser_tracker"]
+    measurement = noisy(it, 4, it.effect("backlash:Y:size_um=12"))
+    state = screened(it, measurement)
+    alone = screen(state, [it.effect("backlash:X")])
+    tried, _ = candidates(it.model, measurement, CATALOGUE.values())
+    result = screen(state, [e for e in tried if e.key != "backlash Y"])
+    (mine,) = (kind for kind in result.kinds if kind.kind == "backlash")
+    (own,) = alone.kinds
+    assert own.trials == pytest.approx(1.0, rel=0.2)
+    assert mine.instances == 2
+    assert result.trials > 3
+    full = screen(state, tried)
+    assert full.p_value < 1e-8
+    assert full.kinds[0].kind == "backlash"
+    assert full.peaks[0].effect.key == "backlash Y"
+    assert full.corrected(full.kinds[0]) == pytest.approx(full.p_value, rel=1e-9)
+    assert full.noise_scale == pytest.approx(1.0, abs=0.15)
+
+
+# --- what it finds -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pitch_mm", [17.3, 9.31])
+def test_pitch_between_the_steps_of_the_scan_is_found(pitch_mm, tmp_path):
+    """At scattered points: a regular grid has aliases."""
+    scattered = {"shape": (4, 4, 3), "margin": 0.12, "jitter": 0.1}
+    it = Known("laser_tracker", tmp_path, seed=6, plan=scattered)
+    true = it.effect(f"screw_cyclic:X:sine_um=5,cosine_um=4,pitch_mm={pitch_mm}")
+    state = screened(it, noisy(it, 5, true))
+    tested = state.test(it.effect("screw_cyclic:X"))
+    best = tested.peaks(5)[0]
+    covered = np.ptp(it.plan.x("X"))
+    off = abs(1 / best.shape["pitch"] - 1e3 / pitch_mm) * covered
+    assert off < 0.5  # in periods over the travel; the scan's step is a quarter
+    refined = state.refine(best)
+    assert abs(1 / refined.shape["pitch"] - 1e3 / pitch_mm) * covered < 0.1
+    assert refined.statistic >= best.statistic
+    np.testing.assert_allclose(refined.amplitudes * 3.0, [5, 4], atol=1.5)
+    # Other peaks are other pitches.
+    others = [1 / p.shape["pitch"] for p in tested.peaks(5)]
+    assert np.min(np.diff(np.sort(others))) * covered > 0.5
+
+
+def test_placements_that_move_the_same_are_one_class(known):
+    """A drift along X of any axis moves the tool alike; a drift of its yaw does not."""
+    it = known["laser_tracker"]
+    true = it.effect("drift:Y:rate_EXY_um_per_h=120")
+    state = screened(it, noisy(it, 6, true))
+    tried = [it.effect(f"drift:{a}:component=EX{a}") for a in "XYZ"]
+    tried += [it.effect(f"drift:{a}:component=EC{a}") for a in "XY"]
+    peaks = screen(state, tried).peaks
+    rivals = refit_all(state.fit, peaks, {"drift": len(tried)}, state.fit.used, it.room)
+    assert rivals[0].effect in tried[:3]
+    weighed = weigh(state.fit, rivals[0], rivals)
+    same = {rivals[0].effect.placement, *(name.split()[1] for name in weighed.equivalent)}
+    assert same == {"X", "Y", "Z"}
+    assert weighed.probability + sum(p for *_, p in weighed.alternatives) == pytest.approx(1.0)
+    assert weighed.probability > 0.95
+    values = {r.effect.placement: r.fit.theta[-1] for r in rivals if r.effect in tried[:3]}
+    # The table X moves against the others.
+    assert values["X"] == pytest.approx(-values["Y"], rel=1e-2)
+    assert values["Z"] == pytest.approx(values["Y"], rel=1e-2)
+    assert values["Y"] * 20 == pytest.approx(120, abs=60)
+
+
+# --- stray readings ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["laser_tracker", "ball_array"])
+def test_stray_readings(kind, known):
+    it = known[kind]
+    measurement = noisy(it, 7)
+    assert stray_rows(identify(it.model, measurement, room=it.room)) == []
+    readings = measurement.readings.copy()
+    readings[33, 1] += 15 * it.instrument.noise(it.plan, readings)[33, 1]
+    (stray,) = stray_rows(identify(it.model, Measurement(it.plan, readings), room=it.room))
+    assert stray.row == 33
+    assert 7 < stray.distance < 16
+    assert stray.p_value < 1e-6
+    # Ten of them are something systematic, and left to the search.
+    many = measurement.readings.copy()
+    many[30:40, 1] += 20 * it.instrument.noise(it.plan, many)[30:40, 1]
+    assert stray_rows(identify(it.model, Measurement(it.plan, many), room=it.room)) == []

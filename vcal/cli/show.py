@@ -24,11 +24,7 @@ _MOST = 6
 def show_closure(closure: Closure) -> None:
     """Print the verdict, what was found, and the errors before and after."""
     console = _console()
-    sentence = closure.sentence
-    if closure.interrupted:
-        names = " and ".join(found.effect.key for found in closure.effects)
-        sentence = f"Interrupted; found by then: {names or 'nothing'}."
-    console.print(Text(sentence, style="bold"))
+    console.print(Text(closure.sentence, style="bold"))
     for found in closure.effects:
         values = ", ".join(
             f"{name} = {value:.4g} ± {2 * u:.2g} {unit}".rstrip()

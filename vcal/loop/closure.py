@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from ..effects.base import Effect
 from ..fit import Fit
+from ..instruments.conditions import file_column
 from ..measurement import CheckPoints
 from .candidates import Untestable
 from .heldout import Rms
@@ -100,6 +101,17 @@ class Closure:
         if self.verdict == "ambiguous":
             return f"The declared model lacks something: most likely {listed}, but not for certain."
         found = f"Found {listed}; the rest is unexplained" if names else "Unexplained"
+        return f"{found}: {self._remainder()}."
+
+    def _remainder(self) -> str:
         what = self.unexplained
-        where = f": it depends on {what.depends_on[0]}" if what and what.depends_on else ""
-        return f"{found}{where}."
+        if what is None or not what.depends_on:
+            return "no covariate orders it"
+        axes = self.after.measurement.plan.axes
+        if what.where:
+            place = what.where[0]
+            column, factor = file_column(place.covariate, axes)
+            along = f" along {what.direction}" if what.direction in "XYZ" else ""
+            low, high = place.low * factor, place.high * factor
+            return f"a local error{along} where {column} is {low:.4g} to {high:.4g}"
+        return f"it depends on {file_column(what.depends_on[0], axes)[0]}"

@@ -61,12 +61,3 @@ def missing_columns(item: Untestable, plan: Plan) -> list[str]:
     if not item.reason.startswith(_NO):
         return []
     return [column_of(name, plan)[0] for name in item.reason.removeprefix(_NO).split(", ")]
-
-
-def sentence(closure: Closure) -> str:
-    """The verdict in words, with the column of the data file that the rest depends on."""
-    words, what = closure.sentence, closure.unexplained
-    if what is None or not what.depends_on:
-        return words
-    column = column_of(what.depends_on[0], closure.after.measurement.plan)[0]
-    return words.replace(f"depends on {what.depends_on[0]}.", f"depends on {column}.")

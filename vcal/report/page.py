@@ -18,7 +18,7 @@ from ..io.study import Study
 from ..loop.closure import Closure, FoundEffect
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
-from .derived import missing_columns, parameters, sentence
+from .derived import missing_columns, parameters
 from .pictures import Picture
 from .record import plain, versions
 
@@ -62,7 +62,7 @@ def page(
         name=study.name,
         title=_TITLES[closure.verdict] if closure.verdict else "Interrupted",
         verdict=closure.verdict or "interrupted",
-        sentence=sentence(closure),
+        sentence=closure.sentence,
         interrupted=closure.interrupted,
         notes=closure.notes,
         facts=_facts(closure, study),

@@ -17,7 +17,7 @@ from ..loop.heldout import Rms
 from ..loop.unexplained import Unexplained
 from ..plan import Plan
 from ..plots import column_of
-from .derived import missing_columns, parameters, sentence
+from .derived import missing_columns, parameters
 
 SCHEMA = "vcal-report/1"
 _PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
@@ -36,7 +36,7 @@ def record(
         "schema": SCHEMA,
         "name": study.name,
         "verdict": closure.verdict,
-        "sentence": sentence(closure),
+        "sentence": closure.sentence,
         "effects": [_effect(closure, effect) for effect in closure.effects],
         "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
         "unexplained": _unexplained(closure.unexplained, plan),

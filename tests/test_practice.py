@@ -1,0 +1,109 @@
+"""The verdicts on the practice cases and on the measured arm, judged by what was put in."""
+
+from pathlib import Path
+
+import pytest
+
+from vcal import close_loop, load_study
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+pytestmark = [
+    pytest.mark.practice,
+    pytest.mark.slow,
+    pytest.mark.skipif(not DATA.is_dir(), reason="no measurement data beside the checkout"),
+]
+
+
+def closed(path: Path, overrides=()):
+    """The loop with its defaults."""
+    study = load_study(path, overrides)
+    return close_loop(
+        study.model,
+        study.measurement,
+        check=study.check,
+        effects=study.catalogue.values(),
+        alpha=study.options.alpha,
+        seed=study.options.seed,
+    )
+
+
+def named(closure):
+    return [f"{item.effect.name} {item.placement}".strip() for item in closure.effects]
+
+
+@pytest.mark.parametrize(
+    ("case", "verdict", "effects", "limit_um"),
+    [
+        ("01_tracker_clean", "nothing_missing", [], 0.82),
+        ("02_tracker_backlash", "named", ["backlash Y"], 1.08),
+        ("03_tracker_screw", "named", ["screw_cyclic X"], 1.36),
+        ("04_balls_scale_growth", "named", ["scale_growth X"], 4.2),
+        ("05_balls_clean", "nothing_missing", [], 4.8),
+        ("07_balls_two_effects", "named", ["backlash X", "thermal_tilt Y"], 5.0),
+    ],
+)
+def test_practice_case(case, verdict, effects, limit_um):
+    closure = closed(DATA / "practice" / case)
+    assert closure.verdict == verdict
+    assert sorted(named(closure)) == effects
+    assert all(item.status == "named" and item.p_value <= 0.01 for item in closure.effects)
+    errors = closure.errors
+    assert errors["after"].check.value <= limit_um
+    assert errors["after"].check.value < errors["uncompensated"].check.value / 3
+    assert errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.15)
+    assert closure.unexplained is None
+    assert closure.noise_scale == 1.0
+    values = {p[0]: p[1] for item in closure.effects for p in item.parameters}
+    us = {p[0]: p[3] for item in closure.effects for p in item.parameters}
+    true = {
+        "02_tracker_backlash": {"size": 12},
+        "03_tracker_screw": {"pitch": 20},
+        "04_balls_scale_growth": {"alpha": 11},
+        "07_balls_two_effects": {"size": 9, "k_EAY": 40},
+    }.get(case, {})
+    for name, value in true.items():
+        assert values[name] == pytest.approx(value, abs=3.5 * us[name])
+    if "pitch" in true:
+        assert values["pitch"] == pytest.approx(20, abs=0.02)
+        assert (values["sine"] ** 2 + values["cosine"] ** 2) ** 0.5 == pytest.approx(6, abs=0.5)
+
+
+def test_a_dent_is_unexplained():
+    closure = closed(DATA / "practice" / "06_tracker_dent")
+    assert closure.verdict == "unexplained"
+    assert closure.effects == []
+    what = closure.unexplained
+    assert what.depends_on[0] == "X"
+    (where,) = what.where
+    assert where.covariate == "X"
+    assert where.low < 1.234 < where.high
+    assert where.high - where.low < 0.4
+    assert what.direction == "Z"
+    assert what.size_um == pytest.approx(18, abs=5)
+
+
+def test_arm_by_its_commanded_joints():
+    closure = closed(DATA / "real" / "irb120")
+    names = named(closure)
+    assert sorted(names[:2]) == ["joint_compliance J2", "joint_compliance J3"]
+    assert all(item.heldout_gain >= 0.02 for item in closure.effects)
+    assert not any(name.startswith("backlash") for name in names)
+    assert closure.verdict == "unexplained"
+    assert closure.unexplained.depends_on
+    assert closure.unexplained.reason
+    assert closure.errors["after"].heldout.value <= 115
+    # After the first two effects: the gains that followed are taken back.
+    first = closure.errors["after"].heldout.value
+    for item in closure.effects[2:]:
+        first /= 1.0 - item.heldout_gain
+    assert first <= 155
+
+
+def test_arm_by_its_read_back_joints():
+    closure = closed(DATA / "real" / "irb120", ["instrument.joints=read"])
+    names = named(closure)
+    assert names[0] == "readback_lag"
+    assert not any(name.startswith("backlash") for name in names)
+    assert closure.effects[0].heldout_gain >= 0.5
+    assert closure.errors["after"].heldout.value <= closure.errors["before"].heldout.value / 2
