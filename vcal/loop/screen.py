@@ -292,7 +292,7 @@ class _Tested:
         for i in order:
             if self.rank[i] == 0:
                 continue
-            if all(np.abs(grid[i] - grid[j]).max(initial=9) > 2 for j in chosen) or not self.names:
+            if all(np.abs(grid[i] - grid[j]).max() > 2 for j in chosen) or not self.names:
                 chosen.append(int(i))
             if len(chosen) == (most if self.names else 1):
                 break
