@@ -213,9 +213,11 @@ class _Run:
             else:
                 weighed = weigh(fit, rival, named)
                 p = p_values[rival.effect.name]
+                self.progress(f"round {number}: adding {rival.effect.key}")
+                refitted = _fit(rival.fit.model, measurement, after, self.room)
+                # Last, so that an interruption leaves no effect without its fit.
                 self.added.append(_Added(rival.effect, weighed, p, share))
-                self.progress(f"round {number}: added {rival.effect.key}")
-                return _fit(rival.fit.model, measurement, after, self.room)
+                return refitted
         return None
 
     def prune(self, state: _State) -> _State:

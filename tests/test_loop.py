@@ -1,0 +1,235 @@
+"""Closing the loop on small studies: what it names, and what it does not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from known import LATERAL, PLANS, Known
+from oracle import make_case, tool_point, tracker_readings, write_study
+from vcal import CATALOGUE, Measurement, close_loop, load_study
+
+STAGES = ("screening", "refitting", "adding", "describing")
+
+
+@pytest.fixture(scope="module")
+def tracker(tmp_path_factory) -> Known:
+    return Known("laser_tracker", tmp_path_factory.mktemp("tracker"))
+
+
+@pytest.fixture(scope="module")
+def backlash(tracker) -> Measurement:
+    return noisy(tracker, 1, tracker.effect("backlash:Y:size_um=12"))
+
+
+def noisy(it: Known, seed: int, *effects, factor: float = 1.0) -> Measurement:
+    """What the true machine with further effects gives, with `factor` times the declared noise."""
+    sigma = it.instrument.noise(it.plan, it.measurement.readings)
+    noise = factor * sigma * np.random.default_rng(seed).standard_normal(sigma.shape)
+    return Measurement(it.plan, it.readings(*effects) + noise)
+
+
+def closed(it: Known, measurement: Measurement, **options):
+    options = {"draws": 200, "check": it.study.check} | options
+    return close_loop(it.model, measurement, **options)
+
+
+def plain(closure):
+    """What a report would tell, without arrays."""
+    return (
+        closure.verdict,
+        [(e.effect.key, e.status, e.parameters, e.p_value, e.log_evidence, e.alternatives)
+         for e in closure.effects],
+        closure.errors,
+        closure.rejected,
+        closure.noise_scale,
+        [(s.p_value, s.trials) for s in closure.screenings],
+    )  # fmt: skip
+
+
+def test_nothing_is_missing_from_a_clean_machine(tracker):
+    closure = closed(tracker, noisy(tracker, 2))
+    assert closure.verdict == "nothing_missing"
+    assert (closure.effects, closure.rejected, closure.suspected) == ([], [], [])
+    assert closure.unexplained is None
+    assert closure.noise_scale == 1.0
+    errors = closure.errors
+    assert errors["before"] == errors["after"]
+    assert errors["after"].check.value < errors["uncompensated"].check.value / 3
+    assert errors["after"].heldout.value < errors["uncompensated"].heldout.value / 3
+    assert errors["uncompensated"].chi2_per_dof > 10 > 1.3 > errors["after"].chi2_per_dof > 0.7
+    assert closure.screenings[0].p_value > 0.01
+    assert closure.unseen == ["tool_offset"]
+    assert {"artefact_bending", "joint_compliance"}.isdisjoint(u.effect for u in closure.untestable)
+    assert "nothing is missing" in closure.sentence
+
+
+def test_backlash_is_named(tracker, backlash):
+    said = []
+    closure = closed(tracker, backlash, progress=said.append)
+    assert closure.verdict == "named"
+    (found,) = closure.effects
+    assert (found.effect.key, found.status, found.placement) == ("backlash Y", "named", "Y")
+    ((name, value, unit, u),) = found.parameters
+    assert (name, unit) == ("size", "um")
+    assert value == pytest.approx(12, abs=3 * u)
+    assert 0.1 < u < 2.0
+    assert found.p_value < 1e-6
+    assert found.log_evidence > 10
+    assert found.delta_bic < -20
+    assert found.equivalent == []
+    assert sum(p for *_, p in found.alternatives) < 0.05
+    before, after = closure.errors["before"], closure.errors["after"]
+    assert after.check.value < before.check.value - 2 * after.check.u
+    assert after.heldout.value < before.heldout.value
+    assert found.heldout_gain == pytest.approx(
+        1 - after.heldout.value / before.heldout.value, rel=0.01
+    )
+    assert after.chi2_per_dof == pytest.approx(1.0, abs=0.25)
+    assert closure.after.model.effects[-1] == found.effect
+    assert [any(stage in text for text in said) for stage in STAGES] == [True] * 4
+
+
+def test_same_seed_same_result(tracker, backlash):
+    one, two, other = (closed(tracker, backlash, seed=seed) for seed in (5, 5, 6))
+    assert plain(one) == plain(two)
+    assert plain(one) != plain(other)
+    assert other.verdict == one.verdict
+    assert one.settings["seed"] == 5
+
+
+@pytest.mark.parametrize(
+    ("stage", "effects"), [*zip(STAGES, (0, 0, 0, 1), strict=True), ("round 2: screening", 1)]
+)
+def test_interruption_keeps_what_is_known(stage, effects, tracker, backlash):
+    def progress(text):
+        if stage in text:
+            raise KeyboardInterrupt
+
+    closure = closed(tracker, backlash, progress=progress)
+    assert closure.interrupted
+    assert [e.effect.key for e in closure.effects] == ["backlash Y"] * effects
+    assert closure.verdict == (None, "named")[effects]
+    for found in closure.effects:
+        assert found.effect in closure.after.model.effects
+        assert found.parameters[0][1] == pytest.approx(12, abs=4)
+    assert closure.after.converged
+    assert np.isfinite(closure.errors["after"].check.value)
+    assert closure.sentence.startswith("Interrupted")
+
+
+def test_larger_noise_is_told_but_not_named(tracker):
+    closure = closed(tracker, noisy(tracker, 3, factor=1.4))
+    assert closure.verdict == "nothing_missing"
+    assert closure.effects == []
+    assert closure.noise_scale == pytest.approx(1.4, abs=0.15)
+    assert any("1.4" in note or "1.3" in note for note in closure.notes)
+    sigma = [np.diag(fit.covariance) for fit in (closure.before, closure.after)]
+    assert (sigma[1] >= sigma[0] * 0.999).all()
+    assert sigma[1][-1] > 1.3 * sigma[0][-1]  # of the station, which has no prior
+
+
+def test_search_can_be_restricted(tracker, backlash):
+    only = [CATALOGUE["thermal_tilt"], CATALOGUE["range_scale"]]
+    closure = closed(tracker, backlash, effects=only)
+    assert "backlash" not in {e.effect.name for e in closure.effects}
+    assert closure.settings["effects"] == ["thermal_tilt", "range_scale"]
+    kinds = {kind.kind for screening in closure.screenings for kind in screening.kinds}
+    assert kinds == {"thermal_tilt", "range_scale", "local_bump"}
+    none = closed(tracker, backlash, max_effects=0)
+    assert (none.effects, none.screenings) == ([], [])
+
+
+def test_an_effect_below_alpha_is_not_named(tracker):
+    weak = noisy(tracker, 4, tracker.effect("backlash:Y:size_um=5"))
+    p = closed(tracker, weak).screenings[0].p_value
+    assert 0 < p < 0.01
+    closure = closed(tracker, weak, alpha=p / 2)
+    assert closure.effects == []
+    assert closure.verdict in ("nothing_missing", "unexplained")
+
+
+def test_stray_reading_is_listed_and_left_out(tracker):
+    measurement = noisy(tracker, 5)
+    readings = measurement.readings.copy()
+    readings[17, 2] += 80e-6
+    closure = closed(tracker, dataclasses.replace(measurement, readings=readings))
+    assert closure.verdict == "nothing_missing"
+    assert [stray.row for stray in closure.suspected] == [17]
+    assert not closure.after.used[17]
+    assert closure.after.used.sum() == tracker.plan.rows - 1
+    clean = closed(tracker, measurement)
+    assert closure.errors["after"].check.value == pytest.approx(
+        clean.errors["after"].check.value, abs=0.3
+    )
+
+
+def test_two_effects_one_after_the_other(tracker):
+    both = noisy(
+        tracker, 6, tracker.effect("backlash:Y:size_um=14"),
+        tracker.effect("lateral_reversal:X:size_EZX_um=12"),
+    )  # fmt: skip
+    closure = closed(tracker, both, check=None)
+    assert closure.verdict == "named"
+    found = {e.effect.key: e.parameters[0] for e in closure.effects}
+    assert set(found) == {"backlash Y", "lateral_reversal X"}
+    for key, true in (("backlash Y", 14), ("lateral_reversal X", 12)):
+        assert found[key][1] == pytest.approx(true, abs=3.5 * found[key][3])
+    assert len(closure.screenings) == 3
+    assert closure.errors["after"].check is None
+    assert closed(tracker, both, max_effects=1).effects[0].effect.key in found
+
+
+OWN = '''\
+import vcal
+
+
+class CoolantLift(vcal.Effect):
+    """The table floats on coolant: k p along Z of the X axis."""
+
+    name = "coolant_lift"
+
+    @property
+    def parameters(self):
+        return (vcal.Parameter("k", "um", sigma=5.0),)
+
+    @property
+    def needs(self):
+        return ("coolant_bar",)
+
+    def response(self, plan, shape):
+        return {("EZX", "k"): plan.covariate("coolant_bar")}
+
+    @classmethod
+    def candidates(cls, setup):
+        yield cls(placement="X")
+'''
+
+
+def test_an_effect_of_the_users_own(tmp_path):
+    """A class in a file, and a column nobody else knows."""
+    case = make_case("laser_tracker", seed=8, plan=PLANS["laser_tracker"], tool_offset=LATERAL)
+    pressure = np.random.default_rng(8).uniform(0, 4, len(case.run.t))
+    run = case.run
+    up = {"effect": "lateral_reversal", "axis": "X", "component": "Z", "size_um": 2 * 6.0}
+    lifted = dataclasses.replace(run, direction=np.outer(pressure, [1.0, 0.0, 0.0]))
+    moved = tracker_readings(case.tracker, tool_point(case.machine, lifted, [up]))
+    change = moved - tracker_readings(case.tracker, tool_point(case.machine, run))
+    for i, name in enumerate(("range_mm", "azimuth_rad", "elevation_rad")):
+        case.data[name] += change[:, i] * (1e3 if i == 0 else 1.0)
+    case.data["coolant_bar"] = pressure
+    folder = write_study(tmp_path / "study", case)
+    (folder / "own.py").write_text(OWN)
+    setup = folder / "setup.toml"
+    setup.write_text(setup.read_text() + '\n[model]\neffects_file = "own.py"\n')
+    study = load_study(setup)
+    assert "coolant_lift" not in CATALOGUE
+    closure = close_loop(
+        study.model, study.measurement, effects=study.catalogue.values(), draws=200
+    )
+    assert closure.verdict == "named"
+    (found,) = closure.effects
+    assert found.effect.key == "coolant_lift X"
+    ((name, value, unit, u),) = found.parameters
+    assert (name, unit) == ("k", "um")
+    assert value == pytest.approx(6.0, abs=3 * u)
