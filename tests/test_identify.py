@@ -13,9 +13,7 @@ from vcal import Measurement, Model, identify, load_study, predict
 from vcal.fit import null_directions
 from vcal.identify import declared_whitener
 from vcal.instruments.ball_array import ArtefactPoses
-from vcal.learn import learned_sizes, with_sizes
 from vcal.loop.heldout import check_rms, heldout_residuals
-from vcal.robust import identify_robust
 
 
 @pytest.fixture(scope="module")
@@ -268,35 +266,3 @@ def test_evidence_against_the_exact_marginal_likelihood(noise, tracker):
     # With another noise than the one fitted with, the estimate is not quite the mode.
     np.testing.assert_allclose(found, exact, atol=1e-3 if noise == 1.0 else 0.02)
     assert exact[0] > 1 > 0 > exact[2]
-
-
-# --- stray readings, learned sizes ---------------------------------------------------------------
-
-
-def test_robust_loss_is_not_pulled_by_stray_readings(tracker):
-    it, measurement = tracker, noisy(tracker, 6)
-    clean = identify(it.model, measurement, room=it.room)
-    readings = measurement.readings.copy()
-    stray = [7, 40, 71]
-    readings[stray, 0] += 300e-6
-    spoilt = Measurement(it.plan, readings)
-    pulled = identify(it.model, spoilt, room=it.room)
-    fit, weights = identify_robust(it.model, spoilt, room=it.room)
-    assert set(np.flatnonzero(weights < 0.1)) == set(stray)
-    sigma = np.sqrt(np.diag(clean.covariance))
-    off = [np.abs((f.theta - clean.theta) / sigma).max() for f in (fit, pulled)]
-    assert off[0] < 1.0 < 3.0 < off[1]
-
-
-def test_sizes_of_the_family_are_learned(tmp_path):
-    """A machine ten times better than declared, and the same for one error motion only."""
-    it = Known("laser_tracker", tmp_path, seed=5, error_size=0.1, noise_factor=1.0)
-    fit = identify(it.model, it.measurement, room=it.room)
-    factors = learned_sizes(fit)
-    assert set(factors) == set(TABLE)
-    seen = [factors[name] for name in ("EXX", "EYY", "EC0Y", "ECX", "EZZ")]
-    assert max(seen) < 0.5
-    again = identify(with_sizes(it.model, factors), it.measurement, room=it.room)
-    assert again.log_evidence() > fit.log_evidence() + 10
-    sizes = {e.parameter.name: e.parameter.sigma for e in again.model.entries}
-    assert sizes["EXX.a1"] == pytest.approx(factors["EXX"] * 40 / 3**0.5)

@@ -103,6 +103,26 @@ def test_what_the_model_spans_is_unseen(known):
     assert (nothing.p_value, nothing.kinds) == (1.0, [])
 
 
+RELATIVE = pytest.mark.xfail(
+    reason="columns are scaled with what flat nuisances take up: thermal_tilt X of a ball array, "
+    "whose rotations the poses mostly absorb, counts as unseen, though k is known to a quarter"
+)
+
+
+@pytest.mark.parametrize("kind", ["laser_tracker", pytest.param("ball_array", marks=RELATIVE)])
+def test_what_the_data_determine_is_tested(kind, known):
+    """Nothing is unseen of which the data tell more than the prior does."""
+    it = known[kind]
+    state = screened(it, noisy(it, 2), draws=5)
+    tried, _ = candidates(it.model, it.measurement, CATALOGUE.values())
+    missed = set()
+    for effect in (e for e in tried if not e.shapes):
+        information = state.information(state.columns(effect, {}))  # in prior sigmas
+        if np.linalg.eigvalsh(information)[-1] > 4.0 and state.test(effect) is None:
+            missed.add(effect.key)
+    assert missed == set()
+
+
 @pytest.mark.parametrize("dof", [1, 2, 3, 6, 30])
 def test_tail_of_chi_square(dof):
     x = np.concatenate([np.linspace(0, 100, 201), np.geomspace(100, 1200, 30)])
