@@ -103,13 +103,7 @@ def test_what_the_model_spans_is_unseen(known):
     assert (nothing.p_value, nothing.kinds) == (1.0, [])
 
 
-RELATIVE = pytest.mark.xfail(
-    reason="columns are scaled with what flat nuisances take up: thermal_tilt X of a ball array, "
-    "whose rotations the poses mostly absorb, counts as unseen, though k is known to a quarter"
-)
-
-
-@pytest.mark.parametrize("kind", ["laser_tracker", pytest.param("ball_array", marks=RELATIVE)])
+@pytest.mark.parametrize("kind", ["laser_tracker", "ball_array"])
 def test_what_the_data_determine_is_tested(kind, known):
     """Nothing is unseen of which the data tell more than the prior does."""
     it = known[kind]

@@ -103,6 +103,9 @@ class Screen:
         lower = np.tril(self.factor[0]) if self.factor[1] else np.triu(self.factor[0]).T
         # H^-1 = whitening whitening', so that J'C times it has the projection's inner product.
         self.whitening = solve_triangular(lower, np.eye(len(lower)), lower=True).T
+        # The same for the nuisances alone, which may take up nearly all of a candidate's columns.
+        self.flat = fit.precision == 0
+        self.whitening_flat = np.linalg.pinv(np.linalg.qr(fit.jacobian[:, self.flat], mode="r"))
         self.dof = fit.dof
         self.chi2 = fit.chi2
         used = np.repeat(fit.used, m)
@@ -230,9 +233,14 @@ class Screen:
                     cc[:, b, a] += value
         half = (cj.reshape(size * c, k) @ self.whitening).reshape(size, c, k)
         g = cc - np.einsum("gak,gbk->gab", half, half)
-        scale = np.sqrt(np.einsum("gaa->ga", cc))
-        # A column that is zero on this plan (no point under a bump) is not seen.
-        seen = scale > 1e-9 * max(float(scale.max()), 1e-30)
+        # Scaled by what flat nuisances leave: a pose may take up all but 1e-5 of a column, and the
+        # rest still be many times the noise. A column that is zero on this plan (no point under a
+        # bump), or that they take up entirely, is not seen.
+        whole = np.einsum("gaa->ga", cc)
+        taken = cj[:, :, self.flat] @ self.whitening_flat
+        left = whole - np.einsum("gak,gak->ga", taken, taken)
+        seen = (whole > 1e-18 * max(float(whole.max()), 1e-60)) & (left > 1e-8 * whole)
+        scale = np.sqrt(np.maximum(left, 0.0))
         scale = np.where(seen, scale, 1.0)
         scaled = g / scale[:, :, None] / scale[:, None, :]
         values, vectors = np.linalg.eigh(scaled * seen[:, :, None] * seen[:, None, :])
