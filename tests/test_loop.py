@@ -121,6 +121,16 @@ def test_interruption_keeps_what_is_known(stage, effects, backlash):
     assert closure.sentence.startswith("Interrupted")
 
 
+def test_interruption_after_the_search_loses_nothing(backlash):
+    def progress(text):
+        if "comparing" in text:
+            raise KeyboardInterrupt
+
+    closure = closed(backlash, progress=progress)
+    assert not closure.interrupted  # the search was finished
+    assert plain(closure) == plain(closed(backlash))
+
+
 def test_larger_noise_is_told_but_not_named(tracker):
     closure = closed(tracker, noisy(tracker, 3, factor=1.4))
     assert closure.verdict == "nothing_missing"

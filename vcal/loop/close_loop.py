@@ -72,8 +72,9 @@ def close_loop(
     its rivals, check it on held-out readings, add it, and repeat until nothing is significant at
     `alpha` (of the whole search). `effects` restricts the search to some classes; `check` adds the
     error at independent points; `learn` learns the sizes of the declared families (`vcal.learn`)
-    for the final fit, after the search. `KeyboardInterrupt` ends the loop with what is known so
-    far. Raises `RuntimeError` in float32.
+    for the final fit, after the search. `KeyboardInterrupt` ends the search with what
+    is known so far; before the declared model is fitted nothing is, and it passes on. Raises
+    `RuntimeError` in float32.
     """
     classes = list(CATALOGUE.values()) if effects is None else list(effects)
     settings = {
@@ -110,40 +111,11 @@ def close_loop(
             )
     except KeyboardInterrupt:
         interrupted = True
-    progress("comparing before and after")
-    noise = _noise_scale(state.fit)
-    after = _at_noise(state.fit, noise, room)
-    found = [run.finished(item, after) for item in run.added]
-    verdict: Verdict | None = None if interrupted else "nothing_missing"
-    if run.unexplained is not None:
-        verdict = "unexplained"
-    elif any(item.status == "ambiguous" for item in found):
-        verdict = "ambiguous"
-    elif found:
-        verdict = "named"
-    return Closure(
-        verdict=verdict,
-        effects=found,
-        errors={
-            "uncompensated": errors(nominal, check),
-            "before": errors(before, check),
-            "after": errors(after, check),
-        },
-        before=before,
-        after=after,
-        nominal=nominal,
-        check=check,
-        unexplained=run.unexplained,
-        suspected=state.strays,
-        rejected=run.rejected,
-        untestable=run.untestable,
-        unseen=run.unseen,
-        screenings=run.screenings,
-        noise_scale=noise,
-        settings=settings,
-        interrupted=interrupted,
-        notes=_notes(noise, state),
-    )
+    try:
+        progress("comparing before and after")
+        return _finish(run, nominal, before, state, settings, interrupted)
+    except KeyboardInterrupt:  # what was found is known, and the comparison takes a moment only
+        return _finish(run, nominal, before, state, settings, interrupted)
 
 
 @dataclass(frozen=True)
@@ -267,6 +239,45 @@ class _Run:
             alternatives=weighed.alternatives,
             separation="" if certain else _separation(weighed),
         )
+
+
+def _finish(
+    run: _Run, nominal: Fit, before: Fit, state: _State, settings: dict, interrupted: bool
+) -> Closure:
+    """The result of a search: the final fit with the noise found, and the errors on the way."""
+    noise = _noise_scale(state.fit)
+    after = _at_noise(state.fit, noise, run.room)
+    found = [run.finished(item, after) for item in run.added]
+    verdict: Verdict | None = None if interrupted else "nothing_missing"
+    if run.unexplained is not None:
+        verdict = "unexplained"
+    elif any(item.status == "ambiguous" for item in found):
+        verdict = "ambiguous"
+    elif found:
+        verdict = "named"
+    return Closure(
+        verdict=verdict,
+        effects=found,
+        errors={
+            "uncompensated": errors(nominal, run.check),
+            "before": errors(before, run.check),
+            "after": errors(after, run.check),
+        },
+        before=before,
+        after=after,
+        nominal=nominal,
+        check=run.check,
+        unexplained=run.unexplained,
+        suspected=state.strays,
+        rejected=run.rejected,
+        untestable=run.untestable,
+        unseen=run.unseen,
+        screenings=run.screenings,
+        noise_scale=noise,
+        settings=settings,
+        interrupted=interrupted,
+        notes=_notes(noise, state),
+    )
 
 
 def _shortlist(state: Screen, worth: Sequence[Peak], others: Sequence[Peak]) -> list[Peak]:
