@@ -1,0 +1,83 @@
+"""The loop on measurements with known and unknown causes, as a user runs it: verdicts and errors.
+
+Needs the measurement data that lies beside the checkout; nothing of it is copied, and no setting
+differs between the cases but the one that is printed.
+
+    python benchmarks/practice.py --data ../shared/data --out benchmarks/results/practice.json
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+CASES: list[tuple[str, str, str, float | None]] = [
+    ("practice/01_tracker_clean", "", "check", 0.82),
+    ("practice/02_tracker_backlash", "", "check", 1.08),
+    ("practice/03_tracker_screw", "", "check", 1.36),
+    ("practice/04_balls_scale_growth", "", "check", 4.2),
+    ("practice/05_balls_clean", "", "check", 4.8),
+    ("practice/06_tracker_dent", "", "check", None),
+    ("practice/07_balls_two_effects", "", "check", 5.0),
+    ("real/irb120", "", "heldout", 115.0),
+    ("real/irb120", "instrument.joints=read", "heldout", None),
+]
+"""Folder, override of the study file, error that counts, and its limit in um."""
+
+
+def run(folder: Path, override: str, error: str, limit: float | None) -> dict:
+    """What `vcal loop` reports of one study."""
+    with tempfile.TemporaryDirectory() as scratch:
+        command = [sys.executable, "-m", "vcal", "loop", str(folder / "setup.toml")]
+        command += ["--out", scratch + "/out", *(["--set", override] if override else [])]
+        subprocess.run(command, check=True, capture_output=True, text=True)
+        report = json.loads((Path(scratch) / "out" / "report.json").read_text(encoding="utf-8"))
+    key = f"{error}_rms_um"
+    return {
+        "study": folder.name,
+        "override": override,
+        "verdict": report["verdict"],
+        "effects": [
+            {
+                "key": f"{e['effect']} {e['placement']}".strip(),
+                "status": e["status"],
+                "parameters": e["parameters"],
+                "p_value": e["p_value"],
+                "alternatives": e["alternatives"],
+            }
+            for e in report["effects"]
+        ],
+        "unexplained": report["unexplained"],
+        "error": error,
+        "before_um": report["errors"]["before"][key],
+        "after_um": report["errors"]["after"][key],
+        "limit_um": limit,
+        "seconds": report["seconds"],
+    }
+
+
+def main() -> None:
+    """Run every case and keep what was found."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--out", type=Path, default=HERE / "results" / "practice.json")
+    options = parser.parse_args()
+    results = []
+    for name, *settings in CASES:
+        found = run(options.data / name, *settings)
+        results.append(found)
+        keys = ", ".join(e["key"] for e in found["effects"])
+        print(
+            f"{found['study']:24s} {found['override']:24s} {found['verdict']:16s} "
+            f"{found['before_um']:8.3f} -> {found['after_um']:8.3f} um  {keys}",
+            flush=True,
+        )
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(results, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

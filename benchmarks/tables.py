@@ -1,0 +1,120 @@
+"""The tables of benchmarks/README.md, made from results/*.json.
+
+    python benchmarks/tables.py
+
+Every table stands below a line `<!-- table NAME -->` and is replaced up to the next empty line.
+"""
+
+import json
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+NAMES = {
+    "import": "`import vcal`",
+    "demo": "`vcal demo`",
+    "practice_02": "`vcal loop`, tracker with backlash (630 readings)",
+    "irb120": "`vcal loop`, arm and tracker (785 poses)",
+}
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table."""
+    head = list(head)
+    lines = [head, ["---"] * len(head), *map(list, rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def false_alarms(found: dict) -> str:
+    return table(
+        [
+            "instrument",
+            "noise / declared",
+            "sets",
+            "named, %",
+            "unexplained, %",
+            "median s per loop",
+        ],
+        (
+            [
+                row["instrument"],
+                f"{row['noise']:g}",
+                str(row["sets"]),
+                f"{row['named_percent']:.1f}",
+                f"{row['unexplained_percent']:.1f}",
+                f"{row['seconds_median']:.2f}",
+            ]
+            for row in found["summary"]
+        ),
+    )
+
+
+def speed(found: dict) -> str:
+    rows = (
+        [
+            NAMES[name],
+            f"{r['cold']['wall_s']:.1f}",
+            f"{r['limit_s']:g}",
+            f"{r['warm_median_wall_s']:.1f}",
+            f"{r['peak_mib']:.0f}",
+        ]
+        for name, r in found["results"].items()
+    )
+    machine = f"{found['machine']['cores']} cores, Python {found['machine']['python']}"
+    return table([machine, "cold, s", "limit, s", "warm, s", "peak memory, MiB"], rows)
+
+
+def practice(found: list[dict]) -> str:
+    def effects(case: dict) -> str:
+        return ", ".join(e["key"] for e in case["effects"]) or "none"
+
+    def left(case: dict) -> str:
+        rest = case["unexplained"]
+        if rest is None:
+            return ""
+        where = "; ".join(f"{w['column']} {w['low']:.0f} to {w['high']:.0f}" for w in rest["where"])
+        parts = [", ".join(rest["depends_on"]), where, rest["direction"]]
+        return "; ".join(filter(None, parts))
+
+    rows = (
+        [
+            f"{c['study']} {c['override']}".strip(),
+            c["verdict"],
+            effects(c),
+            left(c),
+            c["error"],
+            f"{c['before_um']:.3f}",
+            f"{c['after_um']:.3f}",
+            "" if c["limit_um"] is None else f"{c['limit_um']:g}",
+        ]
+        for c in found
+    )
+    head = "study,verdict,named,not explained,rms,before um,after um,limit um"
+    return table(head.split(","), rows)
+
+
+TABLES: dict[str, Callable[..., str]] = {
+    "false_alarms": false_alarms,
+    "speed": speed,
+    "practice": practice,
+}
+
+
+def main() -> None:
+    """Renew every table of the README."""
+    readme = HERE / "README.md"
+    text = readme.read_text(encoding="utf-8")
+    for name, make in TABLES.items():
+        found = json.loads((HERE / "results" / f"{name}.json").read_text(encoding="utf-8"))
+        pattern = rf"(<!-- table {name} -->\n\n).*?(?=\n\n|\n?\Z)"
+        text, count = re.subn(
+            pattern, lambda m, t=make(found): m.group(1) + t, text, flags=re.DOTALL
+        )
+        if count != 1:
+            raise SystemExit(f"{readme}: expected one '<!-- table {name} -->', found {count}")
+    readme.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
