@@ -46,6 +46,7 @@ def run(folder: Path, override: str, error: str, limit: float | None) -> dict:
                 "status": e["status"],
                 "parameters": e["parameters"],
                 "p_value": e["p_value"],
+                "heldout_gain": e["heldout_gain"],
                 "alternatives": e["alternatives"],
             }
             for e in report["effects"]

@@ -108,11 +108,10 @@ def main() -> None:
     for name, make in TABLES.items():
         found = json.loads((HERE / "results" / f"{name}.json").read_text(encoding="utf-8"))
         pattern = rf"(<!-- table {name} -->\n\n).*?(?=\n\n|\n?\Z)"
-        text, count = re.subn(
-            pattern, lambda m, t=make(found): m.group(1) + t, text, flags=re.DOTALL
-        )
-        if count != 1:
-            raise SystemExit(f"{readme}: expected one '<!-- table {name} -->', found {count}")
+        places = list(re.finditer(pattern, text, re.DOTALL))
+        if len(places) != 1:
+            raise SystemExit(f"{readme}: {len(places)} lines '<!-- table {name} -->', expected 1")
+        text = text[: places[0].end(1)] + make(found) + text[places[0].end() :]
     readme.write_text(text, encoding="utf-8")
 
 
