@@ -108,7 +108,7 @@ def test_compiled_and_mapped_draws_are_the_single_ones(tracker):
         traces.append(1)
         return jax.vmap(lambda key: draw(simulator, key))(keys)
 
-    theta, readings = mapped(simulator, keys)
+    theta, readings, _ = mapped(simulator, keys)
     mapped(simulator, jax.random.split(jax.random.key(9), 4))
     assert len(traces) == 1
     for i, key in enumerate(keys):
@@ -123,7 +123,7 @@ def test_compiled_and_mapped_draws_are_the_single_ones(tracker):
 def test_draws_have_the_declared_spread(tracker):
     simulator = prepare(tracker.model, tracker.plan)
     keys = jax.random.split(KEY, 200)
-    theta, readings = eqx.filter_jit(jax.vmap(draw, (None, 0)))(simulator, keys)
+    theta, readings, _ = eqx.filter_jit(jax.vmap(draw, (None, 0)))(simulator, keys)
     informed = np.array([e.parameter.informed for e in tracker.model.entries])
     assert (np.asarray(theta)[:, ~informed] == 0).all()  # a flat prior stays nominal
     drawn = np.asarray(theta)[:, informed]
@@ -131,7 +131,7 @@ def test_draws_have_the_declared_spread(tracker):
     assert np.abs(drawn.std(0) - 1).max() < 4.5 / np.sqrt(400)
     # The machine drops out of the difference between two draws that differ in their noise only.
     louder = eqx.tree_at(lambda s: s.sigma, simulator, 2.0 * simulator.sigma)
-    _, more = eqx.filter_jit(jax.vmap(draw, (None, 0)))(louder, keys)
+    _, more, _ = eqx.filter_jit(jax.vmap(draw, (None, 0)))(louder, keys)
     noise = np.asarray(more - readings) / np.asarray(simulator.sigma)
     assert abs(noise.std() - 1) < 4.5 / np.sqrt(2 * noise.size)
     r = np.linalg.norm(np.asarray(tracker.plan.position) + [0.9, -0.3, -0.85], axis=1)

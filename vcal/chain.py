@@ -9,15 +9,27 @@ joint (standard DH) rotates by theta + q about z, then comes the error twist, th
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .arrays import Array
-from .spatial import rotation
+from .rigid import (
+    ARRAYS,
+    COMPONENTS,
+    ORIGIN,
+    Algebra,
+    Rotation,
+    Scalar,
+    Vector,
+    left_jacobian,
+    like,
+    spun,
+)
 
 _DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
@@ -42,18 +54,18 @@ class Joint(eqx.Module):
         """+1 where the joint moves with its command, -1 on the workpiece side."""
         return 1.0 if self.side == "tool" else -1.0
 
-    def transform(
-        self, q: Float[Array, ""], twist: Float[Array, "6"]
-    ) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
-        """Rotation and translation of this joint at position `q` with the error `twist`."""
-        r, t = self.before[:3, :3], self.before[:3, 3]
-        if self.kind == "prismatic":
-            t = t + r @ (self.sign * q * self.direction)
-        else:
-            r = r @ rotation(self.sign * q * self.direction)
-        t = t + r @ twist[:3]
-        r = r @ rotation(twist[3:])
-        return r @ self.after[:3, :3], t + r @ self.after[:3, 3]
+
+class _Hinge(NamedTuple):
+    """Where the motion and the errors of one joint act, in the bed's frame."""
+
+    drive: Vector
+    """Direction of its motion."""
+    base: Vector
+    """A point on its axis."""
+    frame: Rotation
+    """Frame in which its error translation acts."""
+    origin: Vector
+    """Point about which its error rotation turns."""
 
 
 class Chain(eqx.Module):
@@ -80,33 +92,111 @@ class Chain(eqx.Module):
         return self.joints[self.axes.index(name)]
 
     def pose(
+        self, q: Sequence[Scalar], twists: Sequence[Sequence[Scalar]]
+    ) -> tuple[Rotation, Vector]:
+        """Pose of the last joint's frame in the workpiece frame, T = T_w^-1 T_t, for one row.
+
+        `q` are the axis positions, `twists` six errors per joint. The derivative is that of a
+        serial chain: every motion moves what it carries by a translation, or by w x (p - origin).
+        Raises `NotImplementedError` where it is differentiated by the chain's own dimensions.
+        """
+        return _pose(self, tuple(q), tuple(tuple(twist) for twist in twists))
+
+    def pose_as_arrays(
         self, q: Float[Array, " axes"], twists: Float[Array, "axes 6"]
     ) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
-        """Pose of the last joint's frame in the workpiece frame, T = T_w^-1 T_t, for one row."""
-        r, t = jnp.eye(3), jnp.zeros(3)
-        for i in self.tool_side:
-            rj, tj = self.joints[i].transform(q[i], twists[i])
-            r, t = r @ rj, t + r @ tj
-        rw, tw = jnp.eye(3), jnp.zeros(3)
-        for i in self.workpiece_side:
-            rj, tj = self.joints[i].transform(q[i], twists[i])
-            rw, tw = rw @ rj, tw + rw @ tj
-        return rw.T @ r, rw.T @ (t - tw)
+        """`pose` in arrays: R (3, 3) and t (3,)."""
+        rt, pt, _ = self._walk(self.tool_side, q, twists, ARRAYS)
+        rw, pw, _ = self._walk(self.workpiece_side, q, twists, ARRAYS)
+        return rw.T @ rt, rw.T @ (pt - pw)
+
+    def _walk(
+        self, side: Sequence[int], q: Any, twists: Any, algebra: Algebra = COMPONENTS
+    ) -> tuple[Any, Any, list[_Hinge]]:
+        """Pose of the last frame of one side in the bed's frame, and the joints on the way."""
+        r, t = algebra.identity, algebra.origin
+        hinges = []
+        for i in side:
+            joint, twist = self.joints[i], twists[i]
+            turn, shift = algebra.placement(joint.before)
+            base, r = t + r @ shift, r @ turn
+            direction = algebra.vector(joint.direction)
+            drive = r @ (direction * joint.sign)
+            if joint.kind == "prismatic":
+                t = base + drive * q[i]
+            else:
+                t, r = base, r @ algebra.about(direction, joint.sign * q[i])
+            t = t + r @ algebra.vector(twist[:3])
+            hinges.append(_Hinge(drive, base, r, t))
+            r = r @ algebra.exp(algebra.vector(twist[3:]))
+            turn, shift = algebra.placement(joint.after)
+            t, r = t + r @ shift, r @ turn
+        return r, t, hinges
+
+    def _velocity(
+        self,
+        side: Sequence[int],
+        hinges: Sequence[_Hinge],
+        point: Vector,
+        twists: Sequence[Sequence[Scalar]],
+        dq: Sequence[Scalar],
+        dtwists: Sequence[Sequence[Scalar]],
+    ) -> tuple[Vector, Vector]:
+        """Displacement of a point carried by one side, and the rotation with it."""
+        moved, turned = ORIGIN, ORIGIN
+        for i, hinge in zip(side, hinges, strict=True):
+            spin = hinge.drive * dq[i]
+            if self.joints[i].kind == "prismatic":
+                moved = moved + spin
+            else:
+                moved, turned = moved + spin.cross(point - hinge.base), turned + spin
+            moved = moved + hinge.frame @ Vector.of(dtwists[i][:3])
+            w = hinge.frame @ left_jacobian(Vector.of(twists[i][3:]), Vector.of(dtwists[i][3:]))
+            moved, turned = moved + w.cross(point - hinge.origin), turned + w
+        return moved, turned
 
     def frames(self, q: Float[Array, " axes"]) -> tuple[Array, Array]:
         """Nominal frame of every joint before its motion, in the bed frame: R (axes, 3, 3) and
         origin (axes, 3); for gravity torques.
         """
+        still = jnp.zeros((len(self.joints), 6))
         rotations: list[Array] = [jnp.eye(3)] * len(self.joints)
         origins: list[Array] = [jnp.zeros(3)] * len(self.joints)
         for side in (self.tool_side, self.workpiece_side):
-            r, t = jnp.eye(3), jnp.zeros(3)
-            for i in side:
+            for k, i in enumerate(side):
+                r, t, _ = self._walk(side[:k], q, still, ARRAYS)
                 before = self.joints[i].before
                 rotations[i], origins[i] = r @ before[:3, :3], t + r @ before[:3, 3]
-                rj, tj = self.joints[i].transform(q[i], jnp.zeros(6))
-                r, t = r @ rj, t + r @ tj
         return jnp.stack(rotations), jnp.stack(origins)
+
+
+@eqx.filter_custom_jvp
+def _pose(chain: Chain, q, twists):
+    rt, pt, _ = chain._walk(chain.tool_side, q, twists)
+    rw, pw, _ = chain._walk(chain.workpiece_side, q, twists)
+    return rw.T @ rt, rw.T @ (pt - pw)
+
+
+@_pose.def_jvp
+def _(primals, tangents):
+    chain, q, twists = primals
+    if jax.tree.leaves(tangents[0]):
+        raise NotImplementedError(
+            "the pose of a chain has no derivative with respect to the chain's own dimensions; "
+            "give them as errors, or differentiate Chain.pose_as_arrays"
+        )
+    # What is not varied has no tangent, and drops out of the expression.
+    still = lambda v: 0.0 if v is None else v  # noqa: E731
+    dq = jax.tree.map(still, tangents[1], is_leaf=lambda v: v is None)
+    dtwists = jax.tree.map(still, tangents[2], is_leaf=lambda v: v is None)
+    rt, pt, tool = chain._walk(chain.tool_side, q, twists)
+    rw, pw, work = chain._walk(chain.workpiece_side, q, twists)
+    moved, turned = chain._velocity(chain.tool_side, tool, pt, twists, dq, dtwists)
+    back, undone = chain._velocity(chain.workpiece_side, work, pt, twists, dq, dtwists)
+    r, t = rw.T @ rt, rw.T @ (pt - pw)
+    slopes = spun(r, rw.T @ (turned - undone)), rw.T @ (moved - back)
+    # A component that does not change is a number; its tangent must look like the component.
+    return (r, t), jax.tree.map(like, slopes, (r, t))
 
 
 def chain_from_string(

@@ -22,6 +22,7 @@ from .instruments.base import Instrument
 from .parameters import Parameter
 from .plan import Plan
 from .ports import PortLayout
+from .rigid import Rotation, Scalar, Vector, exp
 from .spatial import require_float64, rotation
 
 Shapes = Mapping[int, Mapping[str, Any]]
@@ -138,18 +139,22 @@ def concatenate(blocks: Sequence[Terms], rows: int, ports: int) -> Terms:
 
 
 def observe_row(
-    chain: Chain, instrument: Instrument, q: Array, row: Any, ports: Float[Array, " p"]
-) -> Float[Array, " m"]:
+    chain: Chain, instrument: Instrument, q: Sequence[Scalar], row: Any, ports: Sequence[Scalar]
+) -> tuple[Scalar, ...]:
     """Reading of one observation from its axis positions and ports: pose - observe - read."""
     joints = 6 * len(chain.joints)
-    r, t = chain.pose(q, ports[:joints].reshape(-1, 6))
+    r, t = chain.pose(q, _twists(chain, ports))
     tool = ports[joints : joints + 6]
-    t = t + r @ (chain.tool_offset + tool[:3])
-    r = r @ rotation(tool[3:])
-    return instrument.observe(row, r, t, split_ports(instrument, ports[joints + 6 :]))
+    t = t + r @ (Vector.of(chain.tool_offset) + Vector.of(tool[:3]))
+    r = r @ exp(Vector.of(tool[3:]))
+    return tuple(instrument.observe(row, r, t, split_ports(instrument, ports[joints + 6 :])))
 
 
-def split_ports(instrument: Instrument, ports: Array) -> dict[str, Array]:
+def _twists(chain: Chain, ports: Sequence[Scalar]) -> list[Sequence[Scalar]]:
+    return [ports[6 * i : 6 * i + 6] for i in range(len(chain.joints))]
+
+
+def split_ports(instrument: Instrument, ports: Sequence[Scalar]) -> dict[str, Sequence[Scalar]]:
     """The instrument's part of the port vector by group name."""
     bounds: dict[str, list[int]] = {}
     for i, name in enumerate(instrument.ports):
@@ -168,8 +173,19 @@ def observe_all(
     chain: Chain, instrument: Instrument, position: Array, rows: Any, ports: Array
 ) -> Float[Array, "n m"]:
     """`observe_row` over all rows."""
-    return jax.vmap(lambda q, row, p: observe_row(chain, instrument, q, row, p))(
-        position, rows, ports
+    found = observe_columns(chain, instrument, position, rows, list(jnp.asarray(ports).T))
+    return jnp.stack(found, -1)
+
+
+def observe_columns(
+    chain: Chain, instrument: Instrument, position: Array, rows: Any, ports: Sequence[Scalar]
+) -> tuple[Float[Array, " n"], ...]:
+    """`observe_row` over all rows, with one array per port and per component of the reading.
+
+    A port that is a plain number is the same constant in every row.
+    """
+    return _over_rows(
+        lambda q, row, p: observe_row(chain, instrument, q, row, p), position, rows, ports
     )
 
 
@@ -180,24 +196,44 @@ def observe_with_jacobian(
     """`observe_row` over all rows, and its derivative with respect to each row's ports."""
 
     def one(q, row, p):
-        # Value and derivative from one trace of the kinematics: half as much to compile.
-        push = lambda t: jax.jvp(lambda x: observe_row(chain, instrument, q, row, x), (p,), (t,))  # noqa: E731
-        return jax.vmap(push, out_axes=(None, -1))(jnp.eye(p.shape[0]))
+        def reading(ports):
+            r, t = _tool_as_arrays(chain, q, ports)
+            own = split_ports(instrument, list(ports[6 * len(chain.joints) + 6 :]))
+            return jnp.stack(instrument.observe(row, Rotation.of(r), Vector.of(t), own))
+
+        return _value_and_jacobian(reading, p)
 
     return jax.vmap(one)(position, rows, ports)
 
 
-def tool_point(chain: Chain, q: Array, ports: Array) -> Float[Array, "3"]:
+def _tool_as_arrays(chain: Chain, q: Array, ports: Array) -> tuple[Array, Array]:
+    """Tool frame and tool point in the workpiece frame."""
+    joints = 6 * len(chain.joints)
+    r, t = chain.pose_as_arrays(q, ports[:joints].reshape(-1, 6))
+    tool = ports[joints : joints + 6]
+    return r @ rotation(tool[3:]), t + r @ (chain.tool_offset + tool[:3])
+
+
+def _value_and_jacobian(function, p: Array) -> tuple[Array, Array]:
+    # Value and derivative from one trace of the kinematics: half as much to compile.
+    def push(t):
+        return jax.jvp(function, (p,), (t,))
+
+    return jax.vmap(push, out_axes=(None, -1))(jnp.eye(p.shape[0]))
+
+
+def tool_point(chain: Chain, q: Sequence[Scalar], ports: Sequence[Scalar]) -> Vector:
     """Tool point in the workpiece frame for one row, from the chain's and the tool's ports."""
     joints = 6 * len(chain.joints)
-    r, t = chain.pose(q, ports[:joints].reshape(-1, 6))
-    return t + r @ (chain.tool_offset + ports[joints : joints + 3])
+    r, t = chain.pose(q, _twists(chain, ports))
+    offset = Vector.of(chain.tool_offset) + Vector.of(ports[joints : joints + 3])
+    return t + r @ offset
 
 
 @eqx.filter_jit
 def tool_points(chain: Chain, position: Array, ports: Array) -> Float[Array, "n 3"]:
     """`tool_point` over all rows."""
-    return jax.vmap(lambda q, p: tool_point(chain, q, p))(position, ports)
+    return jnp.stack(tool_columns(chain, position, list(jnp.asarray(ports).T)), -1)
 
 
 @eqx.filter_jit
@@ -207,12 +243,33 @@ def tool_points_with_jacobian(
     """`tool_point` over all rows, and its derivative with respect to each row's ports."""
 
     def one(q, p):
-        def push(t):
-            return jax.jvp(lambda x: tool_point(chain, q, x), (p,), (t,))
-
-        return jax.vmap(push, out_axes=(None, -1))(jnp.eye(p.shape[0]))
+        return _value_and_jacobian(lambda ports: _tool_as_arrays(chain, q, ports)[1], p)
 
     return jax.vmap(one)(position, ports)
+
+
+def tool_columns(
+    chain: Chain, position: Array, ports: Sequence[Scalar]
+) -> tuple[Float[Array, " n"], ...]:
+    """`tool_point` over all rows, with one array per port and per coordinate.
+
+    A port that is a plain number is the same constant in every row.
+    """
+    return _over_rows(lambda q, _, p: tool_point(chain, q, p).parts, position, (), ports)
+
+
+def _over_rows(
+    function, position: Array, rows: Any, ports: Sequence[Scalar]
+) -> tuple[Float[Array, " n"], ...]:
+    """`function(q, row, ports)` of one row over all rows, ports given one by one."""
+    varying = [p for p in ports if not isinstance(p, float)]
+
+    def one(q, row, values):
+        left = iter(values)
+        here = [p if isinstance(p, float) else next(left) for p in ports]
+        return tuple(jnp.asarray(v) for v in function(list(q), row, here))
+
+    return jax.vmap(one)(position, rows, varying)
 
 
 def predict(

@@ -7,7 +7,7 @@ of a key, which may be compiled and mapped over keys. `simulate` makes one measu
 the positions an implicit instrument would find.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -29,11 +29,14 @@ from .model import (
     concatenate,
     effect_terms,
     observe_all,
+    observe_columns,
     port_values,
     tool_points,
 )
+from .noise import standard_normal
 from .parameters import Parameter
 from .plan import Plan
+from .port_map import PortColumn, PortMap, columns_of, port_map
 from .spatial import require_float64
 
 
@@ -46,6 +49,56 @@ class Truth(NamedTuple):
     """Shape parameters in SI, by position of the effect in the model."""
 
 
+class Draw(NamedTuple):
+    """One virtual measurement: what it found, and what is behind it."""
+
+    theta: Float[Array, " k"]
+    """True amplitudes in solver units."""
+    readings: Float[Array, "n m"]
+    """Reduced readings with noise, SI."""
+    shapes: dict[int, dict[str, Float[Array, ""]]]
+    """True values (SI) of the shape parameters that were drawn, by position of the effect."""
+
+
+class _DrawnShape(eqx.Module):
+    """The uniform prior of one shape parameter, in the coordinate of its scan."""
+
+    effect: int = eqx.field(static=True)
+    index: int = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    coordinate: str = eqx.field(static=True)
+    low: Float[Array, ""]
+    high: Float[Array, ""]
+
+    def sample(self, key: PRNGKeyArray) -> Float[Array, ""]:
+        """A value (SI), from the key of the machine."""
+        own = jax.random.fold_in(jax.random.fold_in(key, self.effect), 1)
+        share = jax.random.uniform(jax.random.fold_in(own, self.index))
+        _, back = _COORDINATES[self.coordinate]
+        return back(self.low + (self.high - self.low) * share)
+
+
+_COORDINATES = {
+    "linear": (lambda v: v, lambda v: v),
+    "reciprocal": (lambda v: 1.0 / v, lambda v: 1.0 / v),
+    "log": (jnp.log, jnp.exp),
+}
+
+
+def _drawn_shapes(model: Model, plan: Plan) -> tuple[_DrawnShape, ...]:
+    """The shape parameters of a model that are not declared."""
+    found = []
+    for i, effect in enumerate(model.effects):
+        declared = {name for name, *_ in effect.given}
+        grids = effect.scan(plan) if effect.shapes else {}
+        for k, p in enumerate(effect.shapes):
+            if p.name not in declared:
+                there, _ = _COORDINATES[p.coordinate]
+                ends = there(jnp.asarray(grids[p.name], float))
+                found.append(_DrawnShape(i, k, p.name, p.coordinate, ends.min(), ends.max()))
+    return tuple(found)
+
+
 class Simulator(eqx.Module):
     """A model on a plan, ready to draw from: arrays, none of which depends on the draw."""
 
@@ -53,9 +106,11 @@ class Simulator(eqx.Module):
     instrument: Instrument
     plan: Plan
     rows: Any
-    terms: Terms
-    scatter: Terms
+    ports: PortMap
+    scatter: tuple[PortColumn, ...]
     """Random effects, per standard deviation."""
+    shapes: tuple[_DrawnShape, ...]
+    """Shape parameters that are drawn; none, unless `prepare` was asked for it."""
     sigma: Float[Array, "n m"]
     """Noise of the readings at the nominal machine, one standard deviation, SI."""
     informed: Float[Array, " k"]
@@ -126,19 +181,13 @@ def draw_truth(model: Model, plan: Plan, key: PRNGKeyArray) -> Truth:
     informed = jnp.asarray([float(e.parameter.informed) for e in model.entries])
     counts = tuple(len(e.amplitudes) for e in model.effects)
     theta = np.asarray(_amplitudes(key, counts, informed))
-    shapes: dict[int, dict[str, float]] = {}
-    for i, effect in enumerate(model.effects):
-        if not effect.shapes:
-            continue
-        declared = {name for name, *_ in effect.given}
-        grids = effect.scan(plan)
-        own = jax.random.fold_in(jax.random.fold_in(key, i), 1)
-        shapes[i] = {
-            p.name: p.mean * p.si
-            if p.name in declared
-            else _shape(p, grids[p.name], jax.random.fold_in(own, k))
-            for k, p in enumerate(effect.shapes)
-        }
+    shapes = {
+        i: {p.name: p.mean * p.si for p in effect.shapes}
+        for i, effect in enumerate(model.effects)
+        if effect.shapes
+    }
+    for item in _drawn_shapes(model, plan):
+        shapes[item.effect][item.name] = float(item.sample(key))
     return Truth(theta, shapes)
 
 
@@ -149,23 +198,18 @@ def _amplitudes(key: PRNGKeyArray, counts: Sequence[int], informed: Array) -> Fl
     return informed * jnp.concatenate(drawn) if drawn else jnp.zeros(0)
 
 
-def _shape(parameter: Parameter, grid: np.ndarray, key: PRNGKeyArray) -> float:
-    there, back = {
-        "linear": (np.asarray, float),
-        "reciprocal": (np.reciprocal, lambda v: 1.0 / v),
-        "log": (np.log, np.exp),
-    }[parameter.coordinate]
-    ends = there(np.asarray(grid, float))
-    low, high = float(ends.min()), float(ends.max())
-    return float(back(low + (high - low) * float(jax.random.uniform(key))))
-
-
 def prepare(
-    model: Model, plan: Plan, shapes: Shapes | None = None, *, noise_factor: float = 1.0
+    model: Model,
+    plan: Plan,
+    shapes: Shapes | None = None,
+    *,
+    noise_factor: float = 1.0,
+    draw_shapes: bool = False,
 ) -> Simulator:
     """All of a simulation that is the same for every draw.
 
-    `shapes` are the values of shape parameters (SI), `noise_factor` multiplies the instrument's
+    `shapes` are the values of shape parameters (SI); with `draw_shapes`, those that are not
+    declared are drawn with the amplitudes instead. `noise_factor` multiplies the instrument's
     declared noise. Raises `RuntimeError` where JAX runs in float32, `ValueError` for a negative
     factor, and `KeyError` where an effect needs a covariate that the plan does not hold.
     """
@@ -173,7 +217,9 @@ def prepare(
     if not 0.0 <= noise_factor < np.inf:
         raise ValueError(f"noise_factor: found {noise_factor}, expected a number of at least 0")
     plan = model.motion(plan, shapes)
-    terms, (scatter, fresh) = model.terms(plan, shapes), _scatter(model, plan)
+    drawn = _drawn_shapes(model, plan) if draw_shapes else ()
+    moving = sorted({item.effect for item in drawn})
+    scatter, fresh = _scatter(model, plan)
     rows = model.instrument.rows(plan)
     nominal = jnp.zeros((plan.rows, len(model.layout)))
     readings = observe_all(model.chain, model.instrument, plan.position, rows, nominal)
@@ -183,8 +229,9 @@ def prepare(
         instrument=model.instrument,
         plan=plan,
         rows=rows,
-        terms=jax.tree.map(jnp.asarray, terms),
-        scatter=jax.tree.map(jnp.asarray, scatter),
+        ports=port_map(model, plan, shapes, moving),
+        scatter=columns_of(scatter),
+        shapes=drawn,
         sigma=jnp.asarray(noise_factor * model.instrument.noise(plan, reduced)),
         informed=jnp.asarray([float(e.parameter.informed) for e in model.entries]),
         counts=tuple(len(e.amplitudes) for e in model.effects),
@@ -208,36 +255,44 @@ def _deviation(parameter: Parameter) -> float:
     return parameter.mean or parameter.sigma
 
 
-def draw(simulator: Simulator, key: PRNGKeyArray) -> tuple[Float[Array, " k"], Float[Array, "n m"]]:
-    """Amplitudes (k,) in solver units and reduced readings (n, m) of one draw: a pure function.
+def draw(simulator: Simulator, key: PRNGKeyArray) -> Draw:
+    """One virtual measurement: a pure function of the key.
 
     The amplitudes are those `draw_truth` gives for the first of the three keys that `key` splits
     into. The readings of an implicit instrument are its residuals at the planned positions.
     """
     machine, noise, fresh = jax.random.split(key, 3)
     theta = _amplitudes(machine, simulator.counts, simulator.informed)
-    ideal = ideal_readings(simulator, theta, draw_scatter(simulator, fresh))
-    return theta, ideal + simulator.sigma * jax.random.normal(noise, ideal.shape)
+    shapes: dict[int, dict[str, Any]] = {}
+    for item in simulator.shapes:
+        shapes.setdefault(item.effect, {})[item.name] = item.sample(machine)
+    ideal = ideal_readings(simulator, theta, draw_scatter(simulator, fresh), shapes)
+    return Draw(theta, ideal + simulator.sigma * standard_normal(noise, ideal.shape), shapes)
 
 
 def draw_scatter(simulator: Simulator, key: PRNGKeyArray) -> Float[Array, "n r"]:
     """Amplitudes of the random effects for every row, in standard deviations."""
-    return jax.random.normal(key, (simulator.plan.rows, simulator.fresh))
+    return standard_normal(key, (simulator.plan.rows, simulator.fresh))
 
 
 def ideal_readings(
-    simulator: Simulator, theta: Float[Array, " k"], scatter: Float[Array, "n r"]
+    simulator: Simulator,
+    theta: Float[Array, " k"],
+    scatter: Float[Array, "n r"],
+    shapes: Mapping[int, Mapping[str, Any]] | None = None,
 ) -> Float[Array, "n m"]:
     """Reduced readings without the instrument's noise: a pure function.
 
-    `theta` are the amplitudes in solver units, `scatter` those of the random effects (n, r).
+    `theta` are the amplitudes in solver units, `scatter` those of the random effects (n, r),
+    `shapes` the values (SI) of the shape parameters that are drawn.
     """
-    s, size = simulator, simulator.terms.offset.shape[1]
-    ports = port_values(s.terms, theta, size)
-    fresh = s.scatter.values * scatter[:, s.scatter.parameter]
-    ports = ports + fresh @ jax.nn.one_hot(s.scatter.port, size, dtype=fresh.dtype)
-    readings = observe_all(s.chain, s.instrument, s.plan.position, s.rows, ports)
-    return s.instrument.reduce(readings, s.plan)
+    s = simulator
+    ports = s.ports(theta, shapes)
+    for column in s.scatter:
+        fresh = (column.values * scatter[:, column.parameter].T).sum(0)
+        ports[column.port] = ports[column.port] + fresh
+    readings = observe_columns(s.chain, s.instrument, s.plan.position, s.rows, ports)
+    return s.instrument.reduce(jnp.stack(readings, -1), s.plan)
 
 
 def simulate(
@@ -270,7 +325,7 @@ def simulate(
             f"({len(model.entries)},), one value per amplitude of the model with its effects"
         )
     simulator = prepare(model, plan, truth.shapes, noise_factor=noise_factor)
-    drawn = simulator.sigma * jax.random.normal(noise, simulator.sigma.shape)
+    drawn = simulator.sigma * standard_normal(noise, simulator.sigma.shape)
     scatter = draw_scatter(simulator, fresh)
 
     def ideal(at: Plan) -> np.ndarray:

@@ -39,7 +39,7 @@ def _geometry(chain: Chain, position: Array) -> tuple[Array, Array, Array]:
 
     def one(q):
         rotations, origins = chain.frames(q)
-        return rotations, origins, chain.pose(q, zero)[1]
+        return rotations, origins, chain.pose_as_arrays(q, zero)[1]
 
     return jax.vmap(one)(position)
 

@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
-from jaxtyping import Float
 from pydantic import Field
 
 from ..arrays import Array
@@ -15,10 +14,11 @@ from ..errors import StudyError
 from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import COMPONENTS, group
-from ..spatial import best_rigid, rotation
-from .base import Column, Instrument, InstrumentSettings, Loader, register
+from ..rigid import Rotation, Scalar, Vector
+from ..spatial import best_rigid
+from .base import Column, Instrument, InstrumentSettings, Loader, Ports, register
 from .conditions import linear_plan, linear_plan_table
-from .frame import pose_parameters
+from .frame import displaced, pose_parameters
 
 _FOUND_M = 1e-12
 _STEPS = 20
@@ -186,17 +186,11 @@ class BallArray(Instrument):
             self.pose_origin[pose],
         )
 
-    def observe(
-        self,
-        row: Any,
-        rotation_: Float[Array, "3 3"],
-        tool: Float[Array, "3"],
-        ports: Mapping[str, Array],
-    ) -> Float[Array, "3"]:
+    def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
         centre, r0, t0 = row
-        twist = ports["target"]
-        ball = t0 + twist[:3] + r0 @ rotation(twist[3:]) @ (centre + ports["ball"])
-        return tool - ball + ports["read"]
+        turn, origin = displaced(r0, t0, ports["target"])
+        ball = origin + turn @ (Vector.of(centre) + Vector.of(ports["ball"]))
+        return (tool - ball + Vector.of(ports["read"])).parts
 
     def record(
         self, plan: Plan, ideal: Callable[[Plan], np.ndarray], noise: np.ndarray

@@ -13,6 +13,7 @@ from ..arrays import Array
 from ..chain import Chain
 from ..effects.base import Artefact, Effect
 from ..plan import Plan
+from ..rigid import Rotation, Scalar, Vector
 
 
 class Column(BaseModel):
@@ -30,6 +31,10 @@ class Column(BaseModel):
 
 Loader = Callable[[str, list[Column]], Mapping[str, np.ndarray]]
 """Reads and checks a table beside the study file: (file name, columns) -> columns."""
+
+
+Ports = Mapping[str, Sequence[Scalar]]
+"""The instrument's own ports of one row, by group: ``ports["frame"]`` has six."""
 
 
 class InstrumentSettings(BaseModel):
@@ -98,14 +103,12 @@ class Instrument(eqx.Module):
         return ()
 
     @abc.abstractmethod
-    def observe(
-        self,
-        row: Any,
-        rotation: Float[Array, "3 3"],
-        tool: Float[Array, "3"],
-        ports: Mapping[str, Array],
-    ) -> Float[Array, " m"]:
-        """Ideal reading of one row: tool frame in the workpiece frame, instrument's own ports."""
+    def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
+        """Ideal reading of one row: tool frame in the workpiece frame, instrument's own ports.
+
+        In components (`vcal.rigid`), so that it stays one elementwise expression when it is mapped
+        over rows and draws.
+        """
 
     def reduce(self, values: Float[Array, "n m *k"], plan: Plan) -> Float[Array, "n m *k"]:
         """Linear step from readings to what is fitted, applied to data, model and derivatives."""

@@ -1,6 +1,6 @@
 """The unknown pose of an instrument's frame, as a nuisance."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 
@@ -9,6 +9,7 @@ from ..effects.base import Effect, Response
 from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import COMPONENTS
+from ..rigid import Rotation, Scalar, Vector, exp
 
 
 def pose_parameters(prefix: str = "") -> tuple[Parameter, ...]:
@@ -33,3 +34,9 @@ class Station(Effect):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         one = jnp.ones(plan.rows)
         return {(f"frame.{c}", c): one for c in COMPONENTS}
+
+
+def displaced(rotation: Array, origin: Array, twist: Sequence[Scalar]) -> tuple[Rotation, Vector]:
+    """A frame after the displacement `twist`: R0 exp(A, B, C) and s0 + (X, Y, Z)."""
+    turn = Rotation.of(rotation) @ exp(Vector.of(twist[3:]))
+    return turn, Vector.of(origin) + Vector.of(twist[:3])

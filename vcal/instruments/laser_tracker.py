@@ -5,7 +5,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 from pydantic import Field
 
 from ..arrays import Array
@@ -13,10 +12,11 @@ from ..chain import Chain
 from ..effects.base import Effect
 from ..plan import Plan
 from ..ports import group
-from ..spatial import euler_xyz, rotation
-from .base import Column, Instrument, InstrumentSettings, Loader, register
+from ..rigid import Rotation, Scalar, Vector
+from ..spatial import euler_xyz
+from .base import Column, Instrument, InstrumentSettings, Loader, Ports, register
 from .conditions import linear_plan, linear_plan_table
-from .frame import Station
+from .frame import Station, displaced
 
 _READ = ("range", "azimuth", "elevation")
 
@@ -110,19 +110,12 @@ class LaserTracker(Instrument):
             "elevation_rad": readings[:, 2],
         }
 
-    def observe(
-        self,
-        row: Any,
-        rotation_: Float[Array, "3 3"],
-        tool: Float[Array, "3"],
-        ports: Mapping[str, Array],
-    ) -> Float[Array, "3"]:
-        twist = ports["frame"]
-        r = self.orientation @ rotation(twist[3:])
-        v = r.T @ (tool - self.station - twist[:3])
-        length = jnp.sqrt(v @ v)
-        ideal = jnp.stack([length, jnp.arctan2(v[1], v[0]), jnp.arcsin(v[2] / length)])
-        return ideal + ports["read"]
+    def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
+        turn, station = displaced(self.orientation, self.station, ports["frame"])
+        v = turn.T @ (tool - station)
+        length = jnp.sqrt(v.dot(v))
+        ideal = length, jnp.arctan2(v.y, v.x), jnp.arcsin(v.z / length)
+        return [value + port for value, port in zip(ideal, ports["read"], strict=True)]
 
     def difference(self, measured: Array, predicted: Array) -> Array:
         d = measured - predicted

@@ -8,7 +8,6 @@ from typing import Any, Literal, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 from pydantic import Field
 
 from ..arrays import Array
@@ -17,10 +16,11 @@ from ..effects.base import Effect, Response
 from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import group
-from ..spatial import best_rigid, rotation
-from .base import Column, Instrument, InstrumentSettings, Loader, register
+from ..rigid import Rotation, Scalar, Vector
+from ..spatial import best_rigid
+from .base import Column, Instrument, InstrumentSettings, Loader, Ports, register
 from .conditions import inside_name
-from .frame import Station
+from .frame import Station, displaced
 
 
 class ReflectorsSettings(InstrumentSettings):
@@ -174,20 +174,13 @@ class Reflectors(Instrument):
                 table[f"base{k + 1}_{c}_mm"] = np.full(plan.rows, 500.0 * (i == k % 3))
         return table
 
-    def observe(
-        self,
-        row: Any,
-        rotation_: Float[Array, "3 3"],
-        tool: Float[Array, "3"],
-        ports: Mapping[str, Array],
-    ) -> Float[Array, " m"]:
-        twist = ports["frame"]
-        r = self.orientation @ rotation(twist[3:])
-        coordinates = []
+    def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
+        turn, station = displaced(self.orientation, self.station, ports["frame"])
+        coordinates: list[Scalar] = []
         for k in range(self.count):
-            point = tool + rotation_ @ (self.points[k] + ports[f"point{k + 1}"])
-            coordinates.append(r.T @ (point - self.station - twist[:3]))
-        return jnp.concatenate(coordinates)
+            place = Vector.of(self.points[k]) + Vector.of(ports[f"point{k + 1}"])
+            coordinates += (turn.T @ (tool + rotation @ place - station)).parts
+        return coordinates
 
     def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         return np.full((plan.rows, 3 * self.count), self.sigma)
@@ -246,6 +239,6 @@ def _points(table: Mapping[str, np.ndarray], kind: str, count: int) -> np.ndarra
 
 def _nominal_poses(chain: Chain, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     zero = jnp.zeros((len(chain.joints), 6))
-    r, t = jax.jit(jax.vmap(lambda q: chain.pose(q, zero)))(position)
+    r, t = jax.jit(jax.vmap(lambda q: chain.pose_as_arrays(q, zero)))(position)
     r = np.asarray(r)
     return r, np.asarray(t) + r @ np.asarray(chain.tool_offset)

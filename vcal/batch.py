@@ -1,0 +1,261 @@
+"""Identification of many measurements that are neighbours of one nominal problem.
+
+All draws of a Monte Carlo campaign share the plan, the model and very nearly the curvature
+H = J'J + L of the cost
+
+    f(theta) = |W (y - h(theta))|^2 / 2 + |L^(1/2) theta|^2 / 2.
+
+So the nominal problem is linearised and H factored once; every draw starts at the linear solution
+and then takes steps theta <- theta - H^-1 g with its own exact gradient g, until the Newton
+decrement sqrt(g' H^-1 g) - the distance still to go, in posterior standard deviations - is small.
+Where the error motions are 1e-5, one such step is enough.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Bool, Float, Int
+
+from .arrays import Array
+from .chain import Chain
+from .fit import entries, shape_step
+from .identify import declared_whitener, linearised_terms
+from .instruments.base import Instrument
+from .measurement import Measurement
+from .model import Model, Shapes, observe_columns, observe_with_jacobian, port_values
+from .plan import Plan
+from .port_map import PortMap, port_map
+from .spatial import require_float64
+
+_CAREFUL = 10.0
+"""What the contraction seen in the last step must leave to spare: it was seen once only."""
+
+
+class _Steps(eqx.Module):
+    """State of `SharedCurvature`."""
+
+    decrement: Float[Array, ""]
+    """Length of the last step, in posterior standard deviations."""
+    before: Float[Array, ""]
+    """That of the step before."""
+    count: Int[Array, ""]
+
+
+class SharedCurvature(optx.AbstractLeastSquaresSolver):
+    """theta <- theta - H^-1 g(theta): a fixed H, the exact gradient g, as an optimistix solver.
+
+    `y` is the parameter vector. Converged when the Newton decrement, or what the observed
+    contraction leaves of it after the step just taken, is below `tolerance`; diverged when steps
+    grow. `options["decrement"]` is the length of the step that led to the start, if there was one.
+    """
+
+    inverse: Float[Array, "k k"]
+    """H^-1, shared by all problems."""
+    tolerance: float
+    # Names that optimistix asks every solver for; convergence is judged by the decrement alone.
+    rtol: float = 0.0
+    atol: float = 0.0
+    norm: Any = optx.max_norm
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Steps:
+        first = jnp.asarray(options.get("decrement", jnp.inf))
+        return _Steps(first, jnp.asarray(jnp.inf), jnp.asarray(0))
+
+    def step(self, fn, y, args, options, state, tags):
+        del options, tags
+        residual, pull, aux = jax.vjp(lambda theta: fn(theta, args), y, has_aux=True)
+        (gradient,) = pull(residual)
+        step = self.inverse @ gradient
+        # Rounding may leave a gradient of zero with a product just below it.
+        decrement = jnp.sqrt(jnp.maximum(gradient @ step, 0.0))
+        return y - step, _Steps(decrement, state.decrement, state.count + 1), aux
+
+    def terminate(self, fn, y, args, options, state, tags):
+        contraction = jnp.where(jnp.isfinite(state.before), state.decrement / state.before, 1.0)
+        left = jnp.minimum(_CAREFUL * contraction, 1.0) * state.decrement
+        done = (state.count > 0) & (left < self.tolerance)
+        grows = (state.count > 0) & ~(state.decrement <= 10.0 * state.before)
+        result = optx.RESULTS.where(
+            grows, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
+        )
+        return done | grows, result
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        return y, aux, {}
+
+
+class Batch(eqx.Module):
+    """A model on a plan, linearised once, ready to be identified from many measurements.
+
+    Parameters are in solver units, amplitudes first, then the shape parameters that the solver
+    moves, as in `Fit.entries`; shapes count in steps of their scan from their nominal values.
+    """
+
+    chain: Chain
+    instrument: Instrument
+    plan: Plan
+    rows: Any
+    ports: PortMap
+    shapes: tuple[tuple[int, str, Float[Array, ""], Float[Array, ""]], ...]
+    """Shape parameters that move: position of the effect, name, nominal value and step (SI)."""
+    fixed: dict[int, dict[str, Float[Array, ""]]]
+    """Other shape parameters of the effects that have a moving one."""
+    amplitudes: int = eqx.field(static=True)
+    nominal: Float[Array, "n m"]
+    """Readings at the nominal parameters."""
+    whitener: Float[Array, "n m m"]
+    root_precision: Float[Array, " k"]
+    jacobian: Float[Array, "nm k"]
+    """Whitened, at the nominal parameters."""
+    inverse: Float[Array, "k k"]
+    """H^-1: the posterior covariance."""
+    gain: Float[Array, "k nm"]
+    """H^-1 J' W: the linear estimate from a residual."""
+
+    def predict(self, theta: Float[Array, " k"]) -> Float[Array, "n m"]:
+        """Reduced readings of one parameter vector."""
+        values: dict[int, dict[str, Any]] = {i: dict(known) for i, known in self.fixed.items()}
+        for place, (i, name, at, step) in enumerate(self.shapes, start=self.amplitudes):
+            values.setdefault(i, {})[name] = at + step * theta[place]
+        ports = self.ports(theta, values)
+        readings = observe_columns(
+            self.chain, self.instrument, self.plan.position, self.rows, ports
+        )
+        return self.instrument.reduce(jnp.stack(readings, -1), self.plan)
+
+    def residual(self, theta: Float[Array, " k"], readings: Float[Array, "n m"]) -> Array:
+        """Whitened data residual, then the prior's rows: what is squared and minimised."""
+        off = self.instrument.difference(readings, self.predict(theta))
+        return jnp.concatenate([self._whitened(off), self.root_precision * theta])
+
+    def _whitened(self, off: Float[Array, "n m"]) -> Float[Array, " nm"]:
+        return (self.whitener * off[:, None, :]).sum(-1).reshape(-1)
+
+    def linear(self, readings: Float[Array, "n m"]) -> tuple[Float[Array, " k"], Float[Array, ""]]:
+        """The solution of the linearised problem, and its length in posterior deviations."""
+        off = self.instrument.difference(readings, self.nominal).reshape(-1)
+        theta = self.gain @ off
+        # theta' H theta without H: H = J'J + L.
+        seen = self.jacobian @ theta
+        return theta, jnp.sqrt(seen @ seen + jnp.sum((self.root_precision * theta) ** 2))
+
+
+class Identified(NamedTuple):
+    """One identified draw."""
+
+    theta: Float[Array, " k"]
+    converged: Bool[Array, ""]
+    steps: Int[Array, ""]
+    """Exact gradients that were needed."""
+
+
+def prepare_batch(
+    model: Model,
+    plan: Plan,
+    *,
+    shapes: Shapes | None = None,
+    keep: Bool[np.ndarray, " n"] | None = None,
+) -> Batch:
+    """All of a batched identification that is the same for every draw.
+
+    `shapes` are the nominal values (SI) of shape parameters; those not given are their declared
+    values, or the middle of their scan. `keep` (n,) leaves rows out. Raises `RuntimeError` in
+    float32 and `numpy.linalg.LinAlgError` where data and prior leave a parameter undetermined.
+    """
+    require_float64()
+    plan = model.motion(plan, shapes)
+    at = nominal_shapes(model, plan, shapes)
+    rows = model.instrument.rows(plan)
+    names = entries(model)
+    moving = sorted({i for i, e in enumerate(model.effects) if any(p.moves for p in e.shapes)})
+    size = len(names)
+    terms = linearised_terms(model, plan, at, np.zeros(size))
+    zero = jnp.zeros(size)
+    ports = port_values(terms, zero, len(model.layout))
+    readings, by_port = observe_with_jacobian(
+        model.chain, model.instrument, plan.position, rows, ports
+    )
+    nominal = np.asarray(model.instrument.reduce(readings, plan))
+    by_port = np.asarray(model.instrument.reduce(by_port, plan))
+    whitener = declared_whitener(model, Measurement(plan, nominal))
+    if keep is not None:
+        whitener = whitener * np.asarray(keep, float)[:, None, None]
+    by_term = np.einsum("nij,njp->nip", whitener, by_port)[:, :, terms.port]
+    by_term = by_term * np.asarray(terms.values)[:, None, :]
+    jacobian = np.zeros((by_term.shape[0] * by_term.shape[1], size))
+    np.add.at(jacobian.T, np.asarray(terms.parameter), by_term.reshape(len(jacobian), -1).T)
+    precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in names])
+    curvature = jacobian.T @ jacobian + np.diag(precision)
+    inverse = np.linalg.inv(np.linalg.cholesky(curvature))
+    inverse = inverse.T @ inverse
+    n, m = nominal.shape
+    weighted = np.einsum("nik,nij->njk", jacobian.reshape(n, m, size), whitener)
+    moves, fixed = [], {}
+    for i in moving:
+        grids = model.effects[i].scan(plan)
+        for p in model.effects[i].shapes:
+            value = at[i][p.name]
+            if p.moves:
+                step = shape_step(p, value, grids)
+                moves.append((i, p.name, jnp.asarray(value), jnp.asarray(step)))
+            else:
+                fixed.setdefault(i, {})[p.name] = jnp.asarray(value)
+    return Batch(
+        chain=model.chain,
+        instrument=model.instrument,
+        plan=plan,
+        rows=rows,
+        ports=port_map(model, plan, at, moving),
+        shapes=tuple(moves),
+        fixed=fixed,
+        amplitudes=len(model.entries),
+        nominal=jnp.asarray(nominal),
+        whitener=jnp.asarray(whitener),
+        root_precision=jnp.asarray(np.sqrt(precision)),
+        jacobian=jnp.asarray(jacobian),
+        inverse=jnp.asarray(inverse),
+        gain=jnp.asarray(inverse @ weighted.reshape(n * m, size).T),
+    )
+
+
+def identify_one(
+    batch: Batch, readings: Float[Array, "n m"], *, tolerance: float = 1e-3, steps: int = 12
+) -> Identified:
+    """Identify one draw with the shared curvature: a pure function, to be mapped over readings.
+
+    `tolerance` is in posterior standard deviations; a draw that is not there after `steps` exact
+    gradients says so in `converged`.
+    """
+    start, length = batch.linear(readings)
+    found = optx.least_squares(
+        batch.residual,
+        SharedCurvature(inverse=batch.inverse, tolerance=tolerance),
+        start,
+        readings,
+        options={"decrement": length},
+        max_steps=steps,
+        throw=False,
+    )
+    good = (found.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(found.value))
+    return Identified(found.value, good, found.stats["num_steps"])
+
+
+def nominal_shapes(model: Model, plan: Plan, shapes: Shapes | None) -> dict[int, dict[str, float]]:
+    """Values (SI) of all shape parameters: as given, as declared, or the middle of their scan."""
+    found: dict[int, dict[str, float]] = {}
+    for i, effect in enumerate(model.effects):
+        if not effect.shapes:
+            continue
+        declared = {name for name, *_ in effect.given}
+        grids = effect.scan(plan)
+        found[i] = {
+            p.name: p.mean * p.si
+            if p.name in declared
+            else float(grids[p.name][len(grids[p.name]) // 2])
+            for p in effect.shapes
+        } | {k: float(v) for k, v in (shapes or {}).get(i, {}).items()}
+    return found
