@@ -104,6 +104,8 @@ class Batch(eqx.Module):
     """Shape parameters that move: position of the effect, name, nominal value and step (SI)."""
     fixed: dict[int, dict[str, Float[Array, ""]]]
     """Other shape parameters of the effects that have a moving one."""
+    nominal_shapes: dict[int, dict[str, float]]
+    """Nominal values (SI) of all shape parameters."""
     amplitudes: int = eqx.field(static=True)
     nominal: Float[Array, "n m"]
     """Readings at the nominal parameters."""
@@ -116,15 +118,18 @@ class Batch(eqx.Module):
     gain: Float[Array, "k nm"]
     """H^-1 J' W: the linear estimate from a residual."""
 
-    def predict(self, theta: Float[Array, " k"]) -> Float[Array, "n m"]:
-        """Reduced readings of one parameter vector."""
+    def shape_values(self, theta: Float[Array, " k"]) -> dict[int, dict[str, Any]]:
+        """Shape parameters (SI) of the effects that have a moving one, by place of the effect."""
         values: dict[int, dict[str, Any]] = {i: dict(known) for i, known in self.fixed.items()}
         for place, (i, name, at, step) in enumerate(self.shapes, start=self.amplitudes):
             values.setdefault(i, {})[name] = at + step * theta[place]
-        ports = self.ports(theta, values)
-        readings = observe_columns(
-            self.chain, self.instrument, self.plan.position, self.rows, ports
-        )
+        return values
+
+    def predict(self, theta: Float[Array, " k"]) -> Float[Array, "n m"]:
+        """Reduced readings of one parameter vector."""
+        ports = self.ports(theta, self.shape_values(theta))
+        position = self.plan.position
+        readings = observe_columns(self.chain, self.instrument, position, self.rows, ports)
         return self.instrument.reduce(jnp.stack(readings, -1), self.plan)
 
     def residual(self, theta: Float[Array, " k"], readings: Float[Array, "n m"]) -> Array:
@@ -212,6 +217,7 @@ def prepare_batch(
         ports=port_map(model, plan, at, moving),
         shapes=tuple(moves),
         fixed=fixed,
+        nominal_shapes=at,
         amplitudes=len(model.entries),
         nominal=jnp.asarray(nominal),
         whitener=jnp.asarray(whitener),

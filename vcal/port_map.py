@@ -76,16 +76,23 @@ class PortMap(eqx.Module):
 
 
 def port_map(
-    model: Model, plan: Plan, shapes: Shapes | None = None, moving: Sequence[int] = ()
+    model: Model,
+    plan: Plan,
+    shapes: Shapes | None = None,
+    moving: Sequence[int] = (),
+    *,
+    machine_only: bool = False,
 ) -> PortMap:
-    """The ports of a model on a plan.
+    """The ports of a model on a plan, or what the machine's own effects make of them.
 
     `shapes` are the values of the shape parameters (SI) of all effects but those at the positions
     `moving`, whose shapes are arguments of the result.
     """
     blocks, items, start = [], [], 0
     for i, effect in enumerate(model.effects):
-        if i in moving:
+        if machine_only and effect.where != "machine":
+            pass
+        elif i in moving:
             items.append(_Moving(effect, i, start))
         else:
             shape = (shapes or {}).get(i, {})

@@ -111,6 +111,8 @@ class Simulator(eqx.Module):
     """Random effects, per standard deviation."""
     shapes: tuple[_DrawnShape, ...]
     """Shape parameters that are drawn; none, unless `prepare` was asked for it."""
+    fixed: dict[int, dict[str, float]]
+    """Values (SI) of the shape parameters that are not drawn."""
     sigma: Float[Array, "n m"]
     """Noise of the readings at the nominal machine, one standard deviation, SI."""
     informed: Float[Array, " k"]
@@ -232,6 +234,7 @@ def prepare(
         ports=port_map(model, plan, shapes, moving),
         scatter=columns_of(scatter),
         shapes=drawn,
+        fixed={i: dict(v) for i, v in (shapes or {}).items()},
         sigma=jnp.asarray(noise_factor * model.instrument.noise(plan, reduced)),
         informed=jnp.asarray([float(e.parameter.informed) for e in model.entries]),
         counts=tuple(len(e.amplitudes) for e in model.effects),

@@ -1,0 +1,231 @@
+"""What a distribution is.
+
+A distribution is frozen numbers: its parameters, as float64 arrays. It can be passed through
+compiled functions; mistakes in its parameters are found when it is made outside of them, where the
+numbers are known.
+"""
+
+import abc
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.scipy.special import ndtr
+from jax.typing import ArrayLike
+from jaxtyping import Float, PRNGKeyArray
+
+from ..arrays import Array
+from .scores import score_coefficients
+
+
+class Distribution(eqx.Module):
+    """Base class of all distributions; subclasses are final.
+
+    Class attribute: `name`, the identifier used in study files and tables.
+    """
+
+    name: ClassVar[str]
+
+    mean: eqx.AbstractVar[Array]
+    """Expectation, (): univariate, or (d,)."""
+    dof: eqx.AbstractVar[Array]
+    """Degrees of freedom of the standard uncertainty (JCGM 100 G.3), in the shape of `mean`; `inf`
+    where the standard deviation is taken as known.
+    """
+    covariance: eqx.AbstractVar[Array]
+    """Covariance matrix (d, d) of the elements of one draw; (1, 1) where that is one number."""
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, ...]:
+        """Shape of one draw: (), or (d,)."""
+
+    @property
+    @abc.abstractmethod
+    def independent(self) -> bool:
+        """Whether the elements of one draw are independent of each other."""
+
+    @property
+    @abc.abstractmethod
+    def symmetric(self) -> bool:
+        """Whether the distribution is its own mirror image in its mean; not inside `jit`."""
+
+    @property
+    @abc.abstractmethod
+    def kinds(self) -> tuple[str, ...]:
+        """Names of the distributions of the elements of one draw, for tables."""
+
+    @abc.abstractmethod
+    def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+        """Draws of shape `shape` + `self.shape`, which depend on the key and the shape alone."""
+
+
+class Univariate(Distribution):
+    """A distribution of one number; subclasses are final."""
+
+    std: eqx.AbstractVar[Array]
+    """Standard deviation: the standard uncertainty of JCGM 100 4.3."""
+
+    @property
+    @abc.abstractmethod
+    def support(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Smallest interval that holds all of the probability."""
+
+    @abc.abstractmethod
+    def cdf(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """P(X <= x), elementwise."""
+
+    @abc.abstractmethod
+    def log_density(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Natural logarithm of the density, elementwise; -inf outside of the support."""
+
+    @abc.abstractmethod
+    def inverse(self, p: Float[Array, "..."], q: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The x with P(X <= x) = p and P(X > x) = q, where p + q = 1.
+
+        Both are taken, because 1 - q has lost a small q: in the upper tail only q is used.
+        """
+
+    def quantile(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The x with P(X <= x) = p, elementwise; nan unless 0 <= p <= 1."""
+        p = jnp.asarray(p, dtype=float)
+        inside = (p >= 0.0) & (p <= 1.0)
+        safe = jnp.where(inside, p, 0.5)
+        return jnp.where(inside, self.inverse(safe, 1.0 - safe), jnp.nan)
+
+    def from_score(self, z: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The x with P(X <= x) = Phi(z): what a standard normal z becomes in a Gaussian copula."""
+        return self.inverse(ndtr(z), ndtr(-z))
+
+    def score_series(self, order: int) -> Float[Array, " order"]:
+        """Coefficients 1 to `order` of `from_score` in normalised Hermite polynomials.
+
+        They belong to (X - mean) / std, so that their squares add to one as the order grows.
+        """
+        return _score_series(self, order)
+
+    def standardised(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
+        """Draws of (X - mean) / std: a prior in units of its own standard deviation."""
+        return (self.sample(key, shape) - self.mean) / self.std
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return ()
+
+    @property
+    def covariance(self) -> Float[Array, "1 1"]:
+        return jnp.reshape(self.std**2, (1, 1))
+
+    @property
+    def independent(self) -> bool:
+        return True
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        return (self.name,)
+
+
+# Compiled once for a class of distributions, whatever their parameters.
+@eqx.filter_jit
+def _score_series(d: Univariate, order: int) -> Float[Array, " order"]:
+    return score_coefficients(lambda z: (d.from_score(z) - d.mean) / d.std, order)
+
+
+class Multivariate(Distribution):
+    """A distribution of several numbers; subclasses are final."""
+
+    @property
+    def dimension(self) -> int:
+        """Number of elements of one draw."""
+        return self.mean.shape[0]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self.dimension,)
+
+
+def number(value: Any) -> Float[Array, ""]:
+    """`value` as one float64 number.
+
+    Raises `ValueError` if it is not one number, `RuntimeError` where JAX runs in float32.
+    """
+    try:
+        array = jnp.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        array = None
+    if array is None or array.ndim:
+        raise ValueError(
+            f"found {value!r}, expected one number; several quantities are several distributions, "
+            "or a multivariate one"
+        )
+    return in_float64(array)
+
+
+def in_float64(array: jax.Array) -> jax.Array:
+    """The array; raises `RuntimeError` that says how to switch float64 on if it is not in it."""
+    if array.dtype != jnp.dtype("float64"):
+        raise RuntimeError(
+            "vcal computes in float64, but JAX is set to float32. Call vcal.enable_float64() "
+            "(or jax.config.update('jax_enable_x64', True)) once, before any other call."
+        )
+    return array
+
+
+def degrees(name: str, dof: ArrayLike) -> Float[Array, ""]:
+    """Degrees of freedom that come with a standard deviation: `inf` where it is known.
+
+    Raises `ValueError` if they are not one number above zero.
+    """
+    value = number(dof)
+    counts(name, value)
+    return value
+
+
+def finite(name: str, **values: Array) -> None:
+    """Raise `ValueError` for values that are nan or infinite."""
+    for key, value in values.items():
+        if _known(value) and not np.isfinite(value):
+            raise ValueError(f"{name}: found {key} = {value}, expected a finite number; correct it")
+
+
+def positive(name: str, **values: Array) -> None:
+    """Raise `ValueError` for values that are not finite and above zero."""
+    finite(name, **values)
+    for key, value in values.items():
+        if _known(value) and not value > 0.0:
+            raise ValueError(
+                f"{name}: found {key} = {value}, expected a number above 0; a quantity that is "
+                "known exactly needs no distribution"
+            )
+
+
+def counts(name: str, dof: Array) -> None:
+    """Raise `ValueError` for degrees of freedom that are not above zero (`inf` is)."""
+    if _known(dof) and not np.all(np.asarray(dof) > 0.0):
+        raise ValueError(
+            f"{name}: found dof = {dof}, expected a number above 0; leave it out where the "
+            "standard deviation is known"
+        )
+
+
+def ordered(name: str, low: Array, high: Array) -> None:
+    """Raise `ValueError` unless low < high, both finite."""
+    finite(name, low=low, high=high)
+    if _known(low) and _known(high) and not low < high:
+        raise ValueError(
+            f"{name}: found low = {low} and high = {high}, expected low < high; exchange them, or "
+            "give a quantity that is known exactly without a distribution"
+        )
+
+
+def demand(condition: Any, message: str) -> None:
+    """Raise `ValueError` with this message if the condition is known to be false."""
+    if _known(condition) and not condition:
+        raise ValueError(message)
+
+
+def _known(value: Any) -> bool:
+    return not isinstance(value, Tracer)

@@ -1,0 +1,249 @@
+"""The inputs of an evaluation of uncertainty: named quantities and their joint distribution."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from ..arrays import Array
+from .base import Distribution
+from .copula import GaussianCopula
+from .registry import nearest
+
+Correlation = Mapping[tuple[str, str], float]
+"""(name, name) -> correlation of the normal scores of two univariate inputs."""
+
+
+class Inputs(eqx.Module):
+    """Named quantities with a joint distribution; flattened, k numbers in a row.
+
+    `distributions` gives every input its distribution, univariate (its value is a number) or
+    multivariate (an array (d,)). `correlation` couples univariate inputs pair by pair by a Gaussian
+    copula: it is the correlation of their *normal scores*, which is that of the quantities
+    themselves for normal distributions only. `covariance` is always that of the quantities. Pairs
+    that are not named are uncorrelated.
+
+        Inputs({"x": Normal(0, 1), "y": Uniform(0, 1)}, correlation={("x", "y"): 0.5})
+
+    Raises `ValueError` for no inputs, one that is no distribution, an unknown name, a multivariate
+    input in `correlation`, a pair of a name with itself or stated twice, a correlation outside
+    [-1, 1], or correlations that cannot all hold (with the smallest eigenvalue).
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    _distributions: tuple[Distribution, ...]
+    _groups: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    """Positions of the inputs that each copula couples."""
+    _copulas: tuple[GaussianCopula, ...]
+
+    def __init__(
+        self,
+        distributions: Mapping[str, Distribution],
+        correlation: Correlation | None = None,
+    ):
+        if not distributions:
+            raise ValueError("inputs: found none, expected at least one named distribution")
+        for name, d in distributions.items():
+            if not isinstance(d, Distribution):
+                raise ValueError(
+                    f"inputs: found {d!r} for {name!r}, expected a distribution; a quantity that "
+                    "is known exactly belongs into the function itself"
+                )
+        self.names = tuple(distributions)
+        self._distributions = tuple(distributions.values())
+        matrix = self._correlation_matrix({} if correlation is None else correlation)
+        self._groups = _connected(matrix)
+        self._copulas = tuple(
+            GaussianCopula(
+                [self._distributions[i] for i in group],  # pyright: ignore[reportArgumentType]
+                matrix[np.ix_(group, group)],
+                [self.names[i] for i in group],
+            )
+            for group in self._groups
+        )
+
+    @property
+    def distributions(self) -> dict[str, Distribution]:
+        """Distribution of every input by name, in order."""
+        return dict(zip(self.names, self._distributions, strict=True))
+
+    @property
+    def size(self) -> int:
+        """Numbers k in the flattened inputs."""
+        return self._starts[-1]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the flattened inputs (k,): ``"V"``, or ``"phi[1]"`` for element 1 from 0 of an
+        input that is an array.
+        """
+        return tuple(
+            label
+            for name, d in self.distributions.items()
+            for label in ((name,) if d.shape == () else (f"{name}[{i}]" for i in range(d.shape[0])))
+        )
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Names of the distributions of the flattened inputs (k,)."""
+        return tuple(kind for d in self._distributions for kind in d.kinds)
+
+    @property
+    def mean(self) -> dict[str, Array]:
+        """Expectation of every input: the estimates."""
+        return {name: d.mean for name, d in self.distributions.items()}
+
+    @property
+    def flat_mean(self) -> Float[Array, " k"]:
+        """Expectation of the flattened inputs (k,)."""
+        return self.flatten(self.mean)
+
+    @property
+    def dof(self) -> Float[Array, " k"]:
+        """Degrees of freedom of the standard uncertainties of the flattened inputs (k,)."""
+        return jnp.concatenate([jnp.ravel(d.dof) for d in self._distributions])
+
+    @property
+    def covariance(self) -> Float[Array, "k k"]:
+        """Covariance of the flattened inputs (k, k), computed anew at every call."""
+        starts = self._starts
+        matrix = jnp.zeros((self.size, self.size))
+        for start, d in zip(starts, self._distributions, strict=False):
+            n = math.prod(d.shape)
+            matrix = matrix.at[start : start + n, start : start + n].set(d.covariance)
+        for group, copula in zip(self._groups, self._copulas, strict=True):
+            at = np.array([starts[i] for i in group])
+            matrix = matrix.at[np.ix_(at, at)].set(copula.covariance)
+        return matrix
+
+    @property
+    def std(self) -> Float[Array, " k"]:
+        """Standard uncertainties of the flattened inputs (k,)."""
+        variances = [jnp.diagonal(d.covariance) for d in self._distributions]
+        return jnp.sqrt(jnp.concatenate(variances))
+
+    @property
+    def independent(self) -> bool:
+        """Whether the flattened inputs are all independent of each other; not inside `jit`."""
+        return not self._groups and all(d.independent for d in self._distributions)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether every input is symmetric about its mean; not inside `jit`."""
+        return all(d.symmetric for d in self._distributions)
+
+    def flatten(self, values: Mapping[str, Any]) -> Float[Array, " k"]:
+        """Values by name as k numbers in a row.
+
+        Raises `ValueError` for a name that is missing or unknown, or a value of another shape.
+        """
+        if set(values) != set(self.names):
+            for name in values:
+                self._position(name, "values")
+            missing = ", ".join(name for name in self.names if name not in values)
+            raise ValueError(f"values: {missing} missing, expected {', '.join(self.names)}")
+        parts = []
+        for name, d in self.distributions.items():
+            value = jnp.asarray(values[name], dtype=float)
+            if value.shape != d.shape:
+                raise ValueError(
+                    f"values: found {name} of shape {value.shape}, expected {d.shape}, as its "
+                    "distribution has"
+                )
+            parts.append(jnp.ravel(value))
+        return jnp.concatenate(parts)
+
+    def unflatten(self, vector: Float[Array, "... k"]) -> dict[str, Array]:
+        """Values by name from k numbers in a row; leading axes stay.
+
+        Raises `ValueError` for another length.
+        """
+        if vector.shape[-1] != self.size:
+            raise ValueError(
+                f"vector: found {vector.shape[-1]} numbers, expected {self.size}, one for every "
+                "label"
+            )
+        return {
+            name: jnp.reshape(
+                vector[..., start : start + math.prod(d.shape)], (*vector.shape[:-1], *d.shape)
+            )
+            for start, (name, d) in zip(self._starts, self.distributions.items(), strict=False)
+        }
+
+    def sample(self, key: PRNGKeyArray) -> dict[str, Array]:
+        """One draw of every input by name: a pure function of the key.
+
+        Every input has a key of its own, derived from its position: one that is added at the end
+        leaves the others as they were. Those that a copula couples share that of the first.
+        """
+        found: dict[str, Array] = {}
+        coupled = {i for group in self._groups for i in group}
+        for i, d in enumerate(self._distributions):
+            if i not in coupled:
+                found[self.names[i]] = d.sample(jax.random.fold_in(key, i))
+        for group, copula in zip(self._groups, self._copulas, strict=True):
+            drawn = copula.sample(jax.random.fold_in(key, group[0]))
+            found |= {self.names[i]: drawn[place] for place, i in enumerate(group)}
+        return {name: found[name] for name in self.names}
+
+    @property
+    def _starts(self) -> tuple[int, ...]:
+        """Position of the first number of every input, and their total."""
+        sizes = [math.prod(d.shape) for d in self._distributions]
+        return (0, *np.cumsum(sizes).tolist())
+
+    def _position(self, name: str, where: str) -> int:
+        if name not in self.names:
+            raise ValueError(
+                f"{where}: unknown input {name!r}{nearest(name, self.names)}, expected one of "
+                f"{', '.join(self.names)}"
+            )
+        return self.names.index(name)
+
+    def _correlation_matrix(self, correlation: Correlation) -> Float[np.ndarray, "n n"]:
+        matrix = np.eye(len(self.names))
+        stated: set[frozenset[str]] = set()
+        for pair, r in correlation.items():
+            if isinstance(pair, str) or len(pair) != 2:
+                raise ValueError(
+                    f"correlation: found {pair!r}, expected a pair of names such as ('x', 'y')"
+                )
+            i, j = (self._position(name, "correlation") for name in pair)
+            if i == j or frozenset(pair) in stated:
+                raise ValueError(
+                    f"correlation: found {pair}, "
+                    + ("a name with itself" if i == j else "which is stated twice")
+                    + ", expected every pair of two inputs at most once"
+                )
+            for name in pair:
+                if self.distributions[name].shape != ():
+                    raise ValueError(
+                        f"correlation: {name} is multivariate, expected two univariate inputs; "
+                        "put all that is correlated with it into its covariance"
+                    )
+            if not -1.0 <= r <= 1.0:
+                raise ValueError(
+                    f"correlation: found {r} for {pair}, expected a number from -1 to 1"
+                )
+            stated.add(frozenset(pair))
+            matrix[i, j] = matrix[j, i] = r
+        return matrix
+
+
+def _connected(matrix: Float[np.ndarray, "n n"]) -> tuple[tuple[int, ...], ...]:
+    """Groups of more than one input that correlations connect, directly or through others."""
+    found, left = [], set(range(len(matrix)))
+    while left:
+        group, fresh = set(), {min(left)}
+        while fresh:
+            group |= fresh
+            fresh = {int(j) for i in fresh for j in np.flatnonzero(matrix[i])} - group
+        left -= group
+        if len(group) > 1:
+            found.append(tuple(sorted(group)))
+    return tuple(found)

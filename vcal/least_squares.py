@@ -1,0 +1,419 @@
+"""Dense non-linear least squares: the solver behind every identification.
+
+    minimise  |r(theta)|^2
+
+`optimistix` iterates; the solver is its own. Gauss-Newton as long as the linear model foretells the
+cost, from the first failure on Levenberg-Marquardt: damping in units of the columns of the Jacobian
+(More' 1978), Nielsen's update of it (1999), and the geodesic acceleration of Transtrum and Sethna
+(arXiv:1201.5885), whose size also says how far the linear model may be trusted.
+
+All tests are free of the units of parameters and residuals. The step that is left to the minimum of
+the linear model, g = -J^+ r, is compared with the standard uncertainties: |J g| <= tolerance s,
+s^2 = |r|^2 / (n - p), is the relative offset of Bates and Watts (1981). A short step says nothing
+about convergence: on a plateau the damped step is short and g is long.
+"""
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Bool, Float, Int
+
+from .arrays import Array
+from .spatial import require_float64
+
+_EPS = float(jnp.finfo(jnp.float64).eps)
+_TRUSTED = 0.9
+"""Least share of the foretold reduction that an undamped step must bring."""
+_LOWERED = 1e-4
+"""The same of a damped step: any real reduction will do."""
+_DAMPING = 2e-4
+"""First damping, in squared column norms: a thousandth of the way from Gauss-Newton."""
+_HOPELESS = 1e20
+"""Damping at which a step no longer changes anything."""
+_FORGET = 0.5
+"""Share of its size that the damping scale of a parameter keeps from step to step, so that a
+column that collapses does not set its parameter free at once."""
+_CURVED = 0.75
+"""Largest length of the acceleration, relative to the step, at which a step is tried."""
+_PROBE = 0.1
+"""Share of the step at which the curvature of the residual is probed."""
+_CLOSE = 1e-8
+"""Relative reduction of the cost below which its difference is mostly rounding, so that a step is
+judged by whether the remaining one has shrunk."""
+_ROUNDING = 1e-12
+"""Relative reduction of the cost that may be rounding alone."""
+_DEFICIENT = 1e-10
+"""Singular value, relative to the largest, below which a combination of parameters counts as free:
+its step would keep less than six digits."""
+_LEAST = 1e-6
+"""Remaining step relative to the residual at which one that shrinks no further is rounding."""
+_RELATIVE = 1e-11
+"""Remaining step relative to every parameter at which a zero-residual problem counts as solved."""
+
+
+class Status(IntEnum):
+    """How a minimisation ended."""
+
+    CONVERGED = 0
+    SINGULAR = 1
+    STALLED = 2
+    STEP_LIMIT = 3
+    NON_FINITE = 4
+
+    @property
+    def prose(self) -> str:
+        """What it means, and what to do."""
+        return _PROSE[self]
+
+
+_PROSE = {
+    Status.CONVERGED: "a minimum, with a Jacobian of full rank",
+    Status.SINGULAR: "the gradient vanishes but the Jacobian is rank deficient, so that some "
+    "combinations of parameters are free: give them a prior, or measure what they depend on",
+    Status.STALLED: "no step lowers the cost any more although its gradient does not vanish: a "
+    "plateau, a kink, or noise in the residual; start elsewhere",
+    Status.STEP_LIMIT: "the step limit was reached first: parameters may run away to infinity; "
+    "start elsewhere or allow more steps",
+    Status.NON_FINITE: "the residual or its Jacobian is not finite at the start: start elsewhere",
+}
+
+
+class Solution(eqx.Module):
+    """A minimum found, or the best point seen. Under `vmap` every field has a leading axis."""
+
+    value: Float[Array, " p"]
+    status: Int[Array, ""]
+    """A `Status`; its prose is `Status(int(status)).prose`."""
+    steps: Int[Array, ""]
+    """Steps tried, the rejected ones included."""
+    cost: Float[Array, ""]
+    """|r|^2 at `value`."""
+    residual: Float[Array, " n"]
+    jacobian: Float[Array, "n p"]
+    """At `value`."""
+    rank: Int[Array, ""]
+    """Of the Jacobian with columns of unit length."""
+    condition: Float[Array, ""]
+    """Of the Jacobian with columns of unit length; infinite if a column is zero."""
+
+    @property
+    def converged(self) -> Bool[Array, ""]:
+        """Whether `value` is a minimum and the only one near by."""
+        return self.status == Status.CONVERGED
+
+
+class _Point(eqx.Module):
+    """What is known about the residual at one value of the parameters."""
+
+    residual: Float[Array, " n"]
+    jacobian: Float[Array, "n p"]
+    cost: Float[Array, ""]
+    columns: Float[Array, " p"]
+    """Column norms of the Jacobian; one for a column of zeros."""
+    triangle: Float[Array, "k p"]
+    """R of the Jacobian with columns of unit length."""
+    projected: Float[Array, " k"]
+    """Q' r."""
+    singular: Float[Array, " m"]
+    newton: Float[Array, " p"]
+    """The shortest step to the minimum of the linear model, g = -J^+ r."""
+    decrement: Float[Array, ""]
+    """|J g|: how much of the residual the linear model promises to remove."""
+    rounding: Float[Array, ""]
+    """What the last digits of the parameters change in the residual, eps |J diag(theta)|."""
+
+    @property
+    def rank(self) -> Int[Array, ""]:
+        return jnp.sum(_seen(self.singular))
+
+
+class _State(eqx.Module):
+    point: _Point
+    trial: Float[Array, " p"]
+    foretold: Float[Array, ""]
+    """Reduction of the cost that the linear model expects at the trial."""
+    usable: Bool[Array, ""]
+    damping: Float[Array, ""]
+    growth: Float[Array, ""]
+    scale: Float[Array, " p"]
+    evaluations: Int[Array, ""]
+    status: Int[Array, ""]
+    done: Bool[Array, ""]
+
+
+def _seen(singular: Array) -> Array:
+    return singular > _DEFICIENT * singular[0]
+
+
+def _point(theta: Array, residual: Array, jacobian: Array) -> tuple[_Point, Array]:
+    """The point, and whether all of it is finite."""
+    norms, cost = _norm(jacobian), residual @ residual
+    finite = jnp.isfinite(jnp.sum(norms) + cost)
+    columns = jnp.where(norms > 0.0, norms, 1.0)
+    # R alone is enough: the residual, carried along as a last column, comes out as Q' r.
+    both = jnp.linalg.qr(jnp.column_stack([jacobian / columns, residual]), mode="r")
+    both = jnp.where(finite, both, 0.0)
+    triangle, projected = both[:, :-1], both[:, -1]
+    u, singular, vt = jnp.linalg.svd(triangle, full_matrices=False)
+    seen = _seen(singular)
+    along = jnp.where(seen, projected @ u, 0.0)
+    point = _Point(
+        residual=residual,
+        jacobian=jacobian,
+        cost=cost,
+        columns=columns,
+        triangle=triangle,
+        projected=projected,
+        singular=singular,
+        newton=-((along / jnp.where(seen, singular, 1.0)) @ vt) / columns,
+        decrement=_norm(along),
+        rounding=_EPS * _norm(norms * theta),
+    )
+    return point, finite
+
+
+def _norm(values: Array) -> Array:
+    """Euclidean, over the first axis."""
+    return jnp.sqrt(jnp.sum(values**2, axis=0))
+
+
+def _noise(point: _Point) -> Array:
+    """Change of the cost that may be mere rounding."""
+    return _ROUNDING * point.cost + 10.0 * point.rounding * jnp.sqrt(point.cost)
+
+
+class DampedGaussNewton(optx.AbstractLeastSquaresSolver):
+    """Gauss-Newton while it can be trusted, then Levenberg-Marquardt with geodesic acceleration.
+
+    For one array of parameters (p,) and one of residuals (n,).
+    """
+
+    atol: float | Array
+    """Remaining step at which to stop, in standard uncertainties of the parameters."""
+    noise: float | Array = 0.0
+    """Known standard deviation of a residual; the scatter s is not taken to be smaller."""
+    damped: bool = True
+    """Whether to go on, damped, where Gauss-Newton fails."""
+    rtol: float = _RELATIVE
+    """Remaining step at which to stop, relative to every single parameter."""
+    norm: Callable[[Any], Array] = optx.two_norm
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        n, p = f_struct.shape[0], y.shape[0]
+        k, zero = min(n, p + 1), jnp.zeros((), y.dtype)
+        point = _Point(
+            residual=jnp.zeros(n, y.dtype),
+            jacobian=jnp.zeros((n, p), y.dtype),
+            cost=jnp.full((), jnp.inf, y.dtype),
+            columns=jnp.ones(p, y.dtype),
+            triangle=jnp.zeros((k, p), y.dtype),
+            projected=jnp.zeros(k, y.dtype),
+            singular=jnp.zeros(min(k, p), y.dtype),
+            newton=jnp.zeros(p, y.dtype),
+            decrement=jnp.full((), jnp.inf, y.dtype),
+            rounding=zero,
+        )
+        return _State(
+            point=point,
+            trial=y,
+            foretold=zero,
+            usable=jnp.array(True),
+            damping=zero,
+            growth=jnp.full((), 2.0, y.dtype),
+            scale=jnp.zeros(p, y.dtype),
+            evaluations=jnp.array(0),
+            status=jnp.array(int(Status.STEP_LIMIT)),
+            done=jnp.array(False),
+        )
+
+    def step(self, fn, y, args, options, state, tags):
+        def push(tangent):
+            return jax.jvp(lambda theta: fn(theta, args)[0], (state.trial,), (tangent,))
+
+        residual, jacobian = jax.vmap(push, out_axes=(None, 1))(jnp.eye(y.shape[0]))
+        new, finite = _point(state.trial, residual, jacobian)
+        old, first = state.point, state.evaluations == 0
+
+        reduction, noise = old.cost - new.cost, _noise(old)
+        needed = jnp.where(state.damping == 0.0, _TRUSTED, _LOWERED)
+        tiny = _CLOSE * old.cost + noise
+        close = (state.foretold <= tiny) & (jnp.abs(reduction) <= tiny)
+        shrunk = new.decrement < 0.99 * old.decrement
+        lowered = (state.foretold > 0.0) & (reduction >= needed * state.foretold)
+        accept = first | (finite & state.usable & (lowered | (close & shrunk)))
+        least = _LEAST * jnp.sqrt(old.cost) + 10.0 * old.rounding
+        exhausted = ~first & close & ~shrunk & (old.decrement <= least)
+
+        share = jnp.where(close, 1.0, reduction / jnp.where(first, 1.0, state.foretold))
+        eased = state.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * share - 1.0) ** 3)
+        raised = jnp.where(state.damping == 0.0, _DAMPING, state.damping * state.growth)
+        damping = jnp.where(first, 0.0, jnp.where(accept, eased, raised))
+        growth = jnp.where(accept, 2.0, 2.0 * state.growth)
+        scale = jnp.where(accept, jnp.maximum(_FORGET * state.scale, new.columns), state.scale)
+        y = jnp.where(accept, state.trial, y)
+        point = jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, old)
+
+        stationary = self._stationary(y, point) | exhausted
+        full = point.rank == y.shape[0]
+        trial, foretold, usable = self._next(fn, y, args, point, damping, scale)
+        hopeless = (damping > _HOPELESS) | jnp.all(trial == y) | (not self.damped)
+        stuck = ~stationary & (damping > 0.0) & hopeless
+        broken = first & ~finite
+        status = jnp.where(stuck, int(Status.STALLED), int(Status.STEP_LIMIT))
+        end = jnp.where(full, int(Status.CONVERGED), int(Status.SINGULAR))
+        status = jnp.where(stationary, end, status)
+        status = jnp.where(broken, int(Status.NON_FINITE), status)
+        state = _State(
+            point=point,
+            trial=trial,
+            foretold=foretold,
+            usable=usable,
+            damping=damping,
+            growth=growth,
+            scale=scale,
+            evaluations=state.evaluations + 1,
+            status=status,
+            done=stationary | stuck | broken,
+        )
+        return y, state, None
+
+    def _stationary(self, y: Array, point: _Point) -> Array:
+        n, p = point.jacobian.shape
+        scatter = jnp.maximum(jnp.sqrt(point.cost / max(n - p, 1)), self.noise)
+        return (
+            point.decrement <= jnp.maximum(self.atol * scatter, 2.0 * point.rounding)
+        ) | jnp.all(jnp.abs(point.newton) <= self.rtol * jnp.abs(y))
+
+    def _next(self, fn, y, args, point: _Point, damping, scale):
+        """The next trial, the reduction it is foretold to bring, and whether it may be used."""
+
+        def damped():
+            # Every parameter in units of 1 / scale, where the damping is mu times the identity.
+            u, singular, vt = jnp.linalg.svd(
+                point.triangle * (point.columns / scale), full_matrices=False
+            )
+            inverse = 1.0 / (singular**2 + damping)
+            along = inverse * singular * (u.T @ point.projected)
+            velocity = -(vt.T @ along)
+            foretold = jnp.sum((singular * along) ** 2) + 2.0 * damping * jnp.sum(along**2)
+            # r(theta + v t + a t^2/2) stays closest to its linear model for J a = -r_vv.
+            probe = fn(y + _PROBE * velocity / scale, args)[0]
+            linear = point.jacobian @ (velocity / scale)
+            bend = 2.0 / _PROBE * ((probe - point.residual) / _PROBE - linear)
+            size = _norm(bend)
+            floor = point.rounding + _EPS * jnp.sqrt(point.cost)
+            told = (size > 20.0 * floor / _PROBE**2) & (foretold > _ROUNDING * point.cost)
+            finite = jnp.isfinite(size)
+            bend = jnp.where(told & finite, bend, 0.0)
+            pull = (bend @ point.jacobian) / scale
+            acceleration = -(vt.T @ (inverse * (vt @ pull)))
+            usable = finite & (_norm(acceleration) <= _CURVED * _norm(velocity))
+            move = jnp.where(usable, velocity + 0.5 * acceleration, velocity) / scale
+            return move, foretold, usable
+
+        free = (point.newton, point.decrement**2, jnp.array(True))
+        move, foretold, usable = (
+            jax.lax.cond(damping > 0.0, damped, lambda: free) if self.damped else free
+        )
+        return y + move, foretold, usable
+
+    def terminate(self, fn, y, args, options, state, tags):
+        return state.done, optx.RESULTS.successful
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        return y, aux, {}
+
+
+def least_squares(
+    residual: Callable[[Array, Any], Array],
+    start: Float[Array, " p"],
+    args: Any = None,
+    *,
+    tolerance: float = 1e-10,
+    noise: float = 0.0,
+    damped: bool = True,
+    max_steps: int = 1000,
+) -> Solution:
+    """Minimise |residual(theta, args)|^2 over theta, from one start.
+
+    `residual` is a pure JAX function of theta (p,) and of `args` that gives (n,); it is compiled
+    once for one function, one set of options and one set of shapes. Its forward derivative is
+    taken, by a `custom_jvp` if it has one. `tolerance` is the remaining step in standard
+    uncertainties of the parameters, those that follow from the scatter of the residuals, or from
+    `noise`, the known standard deviation of a residual, if that is larger. Without `damped` it is
+    Gauss-Newton alone, which compiles in two thirds of the time and ends as stalled at the first
+    step that the linear model does not foretell; its value is a good start for a damped attempt.
+
+    May be jitted and mapped. The derivative of `value` comes from the implicit function theorem,
+    the other fields have none. Failure is a value: see `Solution.status`. A minimum may be a local
+    one.
+
+    Raises `RuntimeError` where JAX runs in float32, and `ValueError` for a start or residual that
+    is not one-dimensional, a tolerance that is not positive, a negative noise, or no steps.
+    """
+    require_float64()
+    start = jnp.asarray(start, float)
+    if start.ndim != 1 or start.size == 0:
+        raise ValueError(f"start: found shape {start.shape}, expected (p,) with p of at least 1")
+    if not tolerance > 0.0:
+        raise ValueError(f"tolerance: found {tolerance}, expected a positive number")
+    if not noise >= 0.0:
+        raise ValueError(f"noise: found {noise}, expected a standard deviation of at least 0")
+    if max_steps < 1:
+        raise ValueError(f"max_steps: found {max_steps}, expected at least 1")
+    # Arrays are not static: another tolerance compiles nothing.
+    solver = DampedGaussNewton(atol=jnp.asarray(tolerance), noise=jnp.asarray(noise), damped=damped)
+    return _solve(residual, solver, start, args, max_steps)
+
+
+@eqx.filter_jit
+def _solve(residual, solver: DampedGaussNewton, start: Array, args, max_steps: int) -> Solution:
+    shape = jax.eval_shape(residual, start, args).shape
+    if len(shape) != 1 or shape[0] == 0:
+        raise ValueError(f"residual: found shape {shape}, expected (n,) with n of at least 1")
+    # The first evaluation is that of the start.
+    found = optx.least_squares(residual, solver, start, args, max_steps=max_steps + 1, throw=False)
+    point = found.state.point
+    smallest = point.singular[-1] if len(point.singular) == len(start) else jnp.array(0.0)
+    zero = smallest == 0.0
+    # A start that is no number is turned down before the first evaluation.
+    refused = found.state.evaluations == 0
+    return Solution(
+        value=found.value,
+        status=jnp.where(refused, int(Status.NON_FINITE), found.state.status),
+        steps=found.state.evaluations - jnp.where(refused, 0, 1),
+        cost=point.cost,
+        residual=point.residual,
+        jacobian=point.jacobian,
+        rank=point.rank,
+        condition=jnp.where(zero, jnp.inf, point.singular[0] / jnp.where(zero, 1.0, smallest)),
+    )
+
+
+def covariance(solution: Solution, *, scaled: bool = True) -> Float[Array, "p p"]:
+    """Covariance of the parameters, s^2 (J'J)^-1 at the minimum.
+
+    s^2 = |r|^2 / (n - p) if `scaled`, else one: for residuals that are whitened already. By
+    singular values of the Jacobian with columns of unit length. All nan where the Jacobian is
+    rank deficient: some variance is then infinite. Of one solution; map it over many.
+
+    Raises `ValueError` if `scaled` and there are no more residuals than parameters.
+    """
+    n, p = solution.jacobian.shape
+    if scaled and n <= p:
+        raise ValueError(
+            f"covariance: found {n} residuals for {p} parameters, which leaves none to tell their "
+            "scatter; expected more, or scaled=False for residuals in units of their noise"
+        )
+    norms = _norm(solution.jacobian)
+    columns = jnp.where(norms > 0.0, norms, 1.0)
+    _, singular, vt = jnp.linalg.svd(solution.jacobian / columns, full_matrices=False)
+    full = solution.rank == p
+    root = vt / jnp.where(full, singular, jnp.nan)[:, None] / columns
+    variance = solution.cost / (n - p) if scaled else 1.0
+    return variance * (root.T @ root)

@@ -1,0 +1,45 @@
+"""Uncertainty: by the GUM, by Monte Carlo, and how far the two agree."""
+
+from .budget import Budget
+from .compare import Attained, Comparison, attained_coverage, compare
+from .ensemble import Ensemble, FieldResult
+from .functions import propagate_distributions
+from .outputs import Field, Output
+from .propagate import propagate
+from .regions import (
+    Box,
+    Ellipsoid,
+    coverage_box,
+    coverage_ellipsoid,
+    normal_box,
+    normal_ellipsoid,
+)
+from .steps import Adaptive, Precision, numerical_tolerance
+from .stream import stream
+from .table import budget_table, comparison_table
+
+__all__ = [
+    "Adaptive",
+    "Attained",
+    "Box",
+    "Budget",
+    "Comparison",
+    "Ellipsoid",
+    "Ensemble",
+    "Field",
+    "FieldResult",
+    "Output",
+    "Precision",
+    "attained_coverage",
+    "budget_table",
+    "compare",
+    "comparison_table",
+    "coverage_box",
+    "coverage_ellipsoid",
+    "normal_box",
+    "normal_ellipsoid",
+    "numerical_tolerance",
+    "propagate",
+    "propagate_distributions",
+    "stream",
+]

@@ -1,0 +1,170 @@
+"""A campaign in a folder: what is known so far, written so that a killed run can go on from it.
+
+`campaign.state` holds the summary after the last finished chunk, `values-*.part` the values kept,
+one file per chunk. Each file appears whole or not at all: it is written under another name, forced
+to the disk and renamed. The state names the parts that belong to it, and is written after them.
+
+A file is one line of JSON, which tells what it belongs to and the arrays it holds, after the
+SHA-256 of that line; then the arrays, whose SHA-256 is in the line.
+"""
+
+import hashlib
+import json
+import math
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import StudyError
+
+STATE = "campaign.state"
+_FORMAT = 1
+_PART = re.compile(r"values-\d+-\d+\.part(\.new)?")
+_REMEDY = "delete the folder to start anew, or choose another"
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a folder holds of a campaign."""
+
+    arrays: dict[str, np.ndarray]
+    kept: list[np.ndarray]
+    """Values of the first draws, part after part, (n, k) each."""
+
+
+class Checkpoint:
+    """The folder of one campaign, which is known by its fingerprint: settings by name."""
+
+    def __init__(self, folder: Path, fingerprint: Mapping[str, Any]):
+        self.folder = folder
+        self.fingerprint = json.loads(json.dumps(fingerprint))
+        self.parts: list[dict[str, Any]] = []
+        """Name and SHA-256 of the files of values that belong to the state."""
+        self._rows, self._blocks = 0, 0
+
+    def load(self) -> Held | None:
+        """What the folder holds, or None if no chunk was finished.
+
+        Files of a chunk that was not finished are removed. Raises `StudyError` for a file that is
+        missing, was cut or edited, or belongs to a campaign with other settings.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / STATE
+        held = self._load(path) if path.is_file() else None
+        own = {part["file"] for part in self.parts}
+        for other in self.folder.iterdir():
+            if _PART.fullmatch(other.name) and other.name not in own:
+                other.unlink()
+        return held
+
+    def save(self, arrays: Mapping[str, np.ndarray], kept: Sequence[np.ndarray]) -> None:
+        """Write the summary after a chunk, and those of the values kept that are new.
+
+        `kept` begins with what `load` gave, in the same pieces.
+        """
+        if len(kept) > self._blocks:
+            fresh = np.concatenate(kept[self._blocks :])
+            rows = self._rows + len(fresh)
+            name = f"values-{self._rows:012d}-{rows:012d}.part"
+            digest = _write(self.folder / name, self.fingerprint, {"values": fresh}, [])
+            self.parts.append({"file": name, "sha256": digest})
+            self._rows, self._blocks = rows, len(kept)
+        _write(self.folder / STATE, self.fingerprint, arrays, self.parts)
+
+    def _load(self, path: Path) -> Held:
+        header, arrays = _read(path, self.fingerprint)
+        kept = []
+        for part in header["parts"]:
+            at = self.folder / part["file"]
+            if not at.is_file():
+                raise StudyError(
+                    f"{at}: found no such file, expected the values that {STATE} names; {_REMEDY}"
+                )
+            own, values = _read(at, self.fingerprint)
+            if own["sha256"] != part["sha256"]:
+                raise _refusal(at, "other values than were written", f"those {STATE} names")
+            kept.append(values["values"])
+        self.parts = header["parts"]
+        self._rows, self._blocks = sum(map(len, kept)), len(kept)
+        return Held(arrays, kept)
+
+
+def _write(
+    path: Path,
+    fingerprint: Mapping[str, Any],
+    arrays: Mapping[str, np.ndarray],
+    parts: Sequence[Mapping[str, Any]],
+) -> str:
+    """Write a file whole or not at all; the SHA-256 of its arrays."""
+    contents = {name: np.ascontiguousarray(value).reshape(-1) for name, value in arrays.items()}
+    digest = hashlib.sha256()
+    for value in contents.values():
+        digest.update(value.data)
+    header = {
+        "format": _FORMAT,
+        "fingerprint": fingerprint,
+        "parts": parts,
+        "arrays": [[name, v.dtype.str, arrays[name].shape] for name, v in contents.items()],
+        "sha256": digest.hexdigest(),
+    }
+    line = json.dumps(header).encode()
+    new = path.with_name(path.name + ".new")
+    with new.open("wb") as file:
+        file.write(f"{hashlib.sha256(line).hexdigest()} ".encode() + line + b"\n")
+        for value in contents.values():
+            file.write(value.data)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(new, path)
+    if os.name != "nt":  # there, folders cannot be opened
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)  # the new name, too, is on the disk before anything refers to it
+        finally:
+            os.close(folder)
+    return digest.hexdigest()
+
+
+def _read(
+    path: Path, fingerprint: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a file; raises `StudyError` unless it is whole and of this campaign."""
+    with path.open("rb") as file:
+        checksum, _, line = file.readline().rstrip(b"\n").partition(b" ")
+        if checksum != hashlib.sha256(line).hexdigest().encode():
+            raise _refusal(path, "a first line without its checksum", "a whole file")
+        header = json.loads(line)
+        if header["format"] != _FORMAT:
+            raise StudyError(
+                f"{path}: found format {header['format']}, expected {_FORMAT}: the file is from "
+                f"another version of vcal; {_REMEDY}"
+            )
+        _check_fingerprint(path, header["fingerprint"], fingerprint)
+        digest, arrays = hashlib.sha256(), {}
+        for name, kind, shape in header["arrays"]:
+            value = np.fromfile(file, np.dtype(kind), math.prod(shape))
+            digest.update(value.data)
+            arrays[name] = value
+        if file.read(1) or digest.hexdigest() != header["sha256"]:
+            raise _refusal(path, "numbers that do not match their checksum", "a whole file")
+    return header, {name: arrays[name].reshape(shape) for name, _, shape in header["arrays"]}
+
+
+def _check_fingerprint(path: Path, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+    for name in sorted(found.keys() | expected.keys()):
+        if found.get(name) != expected.get(name):
+            raise StudyError(
+                f"{path}: belongs to another campaign: found {name} = {found.get(name)!r}, "
+                f"expected {expected.get(name)!r}; {_REMEDY}"
+            )
+
+
+def _refusal(path: Path, found: str, expected: str) -> StudyError:
+    return StudyError(
+        f"{path}: found {found}, expected {expected}: the file was cut or edited; {_REMEDY}"
+    )

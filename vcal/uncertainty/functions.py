@@ -1,0 +1,104 @@
+"""Propagation of distributions through a measurement function: JCGM 101, 5.9 and 7; JCGM 102, 7."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PRNGKeyArray, UInt32
+
+from ..arrays import Array
+from ..distributions import Inputs
+from ..spatial import require_float64
+from .ensemble import Ensemble
+from .intervals import Kind
+from .propagate import Function, named, outputs_of
+from .stream import MOST, Progress, stream
+
+_BLOCK = 10_000
+
+
+def propagate_distributions(
+    function: Function,
+    inputs: Inputs,
+    draws: int | Literal["adaptive"] = 1_000_000,
+    seed: int = 0,
+    *,
+    coverage: float = 0.95,
+    kind: Kind = "symmetric",
+    digits: Literal[1, 2] = 2,
+    most: int = MOST,
+    folder: Path | str | None = None,
+    chunk: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Ensemble:
+    """Distribution of the outputs of a measurement function by Monte Carlo.
+
+        y_r = f(x_r),   x_r drawn from the joint distribution of the inputs,   r = 1 ... M
+
+    `function` takes the values of the inputs by name and gives a number (an output called
+    ``"y"``), an array, or a dictionary of these; it is written in JAX, for one draw. Draw r uses
+    the key ``fold_in(key(seed), r)`` and all local devices take part; the result depends on the
+    seed alone. The other arguments are those of `stream`; the campaign in a `folder` is known by
+    its seed, and by the compiled function and the numbers of the inputs.
+
+    Raises `RuntimeError` where JAX runs in float32, `ValueError` for a function that is not written
+    in JAX and for settings that make no sense, and `StudyError` for a folder of another campaign.
+    """
+    require_float64()
+    outputs = outputs_of(function, inputs)
+    key = jax.random.key(seed)
+    local = jax.local_devices()
+
+    def evaluate(first: int, count: int, device: Any = None) -> Mapping[str, Array]:
+        here = key if device is None else jax.device_put(key, device)
+        return _draw(function, inputs, here, np.asarray(first, np.uint32), count)
+
+    fingerprint = None
+    if folder is not None:
+        fingerprint = {"seed": seed} | _identity(function, inputs, key)
+    return stream(
+        evaluate,
+        draws,
+        outputs,
+        block=_BLOCK,
+        chunk=chunk,
+        folder=folder,
+        fingerprint=fingerprint,
+        progress=progress,
+        devices=local if len(local) > 1 else (),
+        coverage=coverage,
+        kind=kind,
+        digits=digits,
+        most=most,
+    )
+
+
+@eqx.filter_jit
+def _draw(
+    function: Function,
+    inputs: Inputs,
+    key: PRNGKeyArray,
+    first: UInt32[np.ndarray, ""],
+    count: int,
+) -> dict[str, Array]:
+    """Outputs of `count` draws from `first` on."""
+
+    def one(index: Array) -> dict[str, Array]:
+        return named(function(inputs.sample(jax.random.fold_in(key, index))))
+
+    return jax.vmap(one)(first + jnp.arange(count, dtype=jnp.uint32))
+
+
+def _identity(function: Function, inputs: Inputs, key: PRNGKeyArray) -> dict[str, str]:
+    """Checksums of the compiled program and of the numbers that enter it."""
+    lowered = _draw.lower(function, inputs, key, np.asarray(0, np.uint32), _BLOCK)
+    numbers = hashlib.sha256()
+    for leaf in jax.tree.leaves(eqx.filter((function, inputs), eqx.is_array)):
+        numbers.update(np.asarray(leaf).tobytes())
+    program = hashlib.sha256(lowered.as_text().encode())
+    return {"measurement function": program.hexdigest(), "inputs": numbers.hexdigest()}

@@ -1,0 +1,76 @@
+"""Coverage intervals of a scalar output from the order of its values: JCGM 101, 7.7."""
+
+import math
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+Kind = Literal["symmetric", "shortest"]
+"""Probabilistically symmetric (7.7.2, Note 2) or shortest (7.7.2, Note 3)."""
+Ranked = Callable[[Int[np.ndarray, " n"]], Float[np.ndarray, " n"]]
+"""Values of given ranks, counted from one in rising order."""
+
+
+def coverage_interval(
+    values: Float[np.ndarray, " n"], p: float, kind: Kind = "symmetric"
+) -> tuple[float, float]:
+    """Coverage interval [y_(r), y_(r+q)] of values in any order (JCGM 101, 7.7.2).
+
+    `p` is the coverage probability. Raises `ValueError` as `interval_ranks` does.
+    """
+    if kind == "shortest":
+        ordered = np.sort(values)
+        low, high = interval_ranks(lambda ranks: ordered[ranks - 1], len(values), p, kind)
+    else:
+        low, high = interval_ranks(lambda ranks: values[ranks - 1], len(values), p, kind)
+        ordered = np.partition(values, [low - 1, high - 1])  # half the time of putting all in order
+    return float(ordered[low - 1]), float(ordered[high - 1])
+
+
+def interval_ranks(
+    ranked: Ranked,
+    draws: int,
+    p: float,
+    kind: Kind = "symmetric",
+    knots: Int[np.ndarray, " m"] | None = None,
+) -> tuple[int, int]:
+    """Ranks r and r + q of the ends of a coverage interval (JCGM 101, 7.7.2).
+
+    q = p M where that is an integer, otherwise the integer part of p M + 1/2. Symmetric:
+    r = (M - q)/2 or the integer part of (M - q + 1)/2; shortest: the r of 1 ... M - q for which
+    y_(r+q) - y_(r) is least, the first of several. Where `ranked` is linear between ranks, it is
+    enough to name those at which it bends, `knots`: the least width then has an end at one.
+
+    Raises `ValueError` for a probability outside of (0, 1), an unknown kind, or too few draws.
+    """
+    check_coverage(p)
+    count = math.floor(p * draws + 0.5)
+    spare = draws - count
+    if spare < 1:
+        raise ValueError(
+            f"found {draws} draws, expected more than {0.5 / (1.0 - p):.6g} for a coverage "
+            f"probability of {p}; draw more"
+        )
+    if kind == "symmetric":
+        low = (spare + 1) // 2
+    elif kind == "shortest":
+        low = _shortest(ranked, count, spare, knots)
+    else:
+        raise ValueError(f"interval: found kind {kind!r}, expected 'symmetric' or 'shortest'")
+    return low, low + count
+
+
+def check_coverage(p: float) -> None:
+    """Raises `ValueError` for a coverage probability that is not above 0 and below 1."""
+    if not 0.0 < p < 1.0:
+        raise ValueError(f"coverage probability: found {p}, expected a number above 0 and below 1")
+
+
+def _shortest(ranked: Ranked, count: int, spare: int, knots: Int[np.ndarray, " m"] | None) -> int:
+    if knots is None:
+        low = np.arange(1, spare + 1)
+    else:
+        low = np.unique(np.clip(np.concatenate([knots, knots - count]), 1, spare))
+    return int(low[np.argmin(ranked(low + count) - ranked(low))])

@@ -1,0 +1,147 @@
+"""Mean, covariance and range of any number of draws, block after block.
+
+Blocks are merged by the update of Chan, Golub and LeVeque (1983), which keeps sums of deviations
+from the mean and so does not lose digits where the spread is small against the mean.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .sketch import slices
+
+
+class Moments:
+    """Joint moments of k scalar outputs, in which a failed value takes no part.
+
+    A value that is not finite is left out of everything its output enters: variances use the draws
+    in which the output is finite, covariances those in which both outputs are. As long as no draw
+    fails, or draws fail as a whole, that is the usual covariance matrix; where outputs fail in
+    different draws it need not be positive semi-definite.
+    """
+
+    def __init__(self, size: int):
+        self.count = np.zeros((size, size), np.int64)
+        """Draws in which outputs i and j are both finite."""
+        self.origin = np.full(size, np.nan)
+        """Mean of the first block, from which all values are counted: where the spread is small
+        against the value, that keeps its digits.
+        """
+        self.offset = np.zeros((size, size))
+        """[i, j]: mean of output i over those draws, less its origin."""
+        self.comoment = np.zeros((size, size))
+        """Sum over those draws of the product of both deviations."""
+        self.minimum = np.full(size, np.inf)
+        self.maximum = np.full(size, -np.inf)
+
+    def add(self, values: Float[np.ndarray, "n k"]) -> None:
+        """Merge a block of draws."""
+        finite = np.isfinite(values)
+        if np.isnan(self.origin).any():
+            first = np.where(finite, values, 0.0).sum(0) / np.maximum(finite.sum(0), 1)
+            self.origin = np.where(np.isnan(self.origin) & finite.any(0), first, self.origin)
+        whole = bool(finite.all())
+        count, offset, comoment = _block(values - self.origin, None if whole else finite)
+        total = self.count + count
+        share = count / np.maximum(total, 1)
+        apart = offset - self.offset
+        self.comoment = self.comoment + comoment + apart * apart.T * self.count * share
+        self.offset = self.offset + apart * share
+        self.count = total
+        low, high = (
+            values if whole else np.where(finite, values, end) for end in (np.inf, -np.inf)
+        )
+        self.minimum = np.minimum(self.minimum, low.min(0))
+        self.maximum = np.maximum(self.maximum, high.max(0))
+
+    @property
+    def mean(self) -> Float[np.ndarray, " k"]:
+        """Mean of every output; NaN where every draw failed."""
+        return self.origin + np.diag(self.offset)
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "k k"]:
+        """Covariance with n - 1 (JCGM 102, 7.6); NaN for fewer than two draws."""
+        dof = np.where(self.count > 1, self.count - 1.0, np.nan)
+        return self.comoment / dof
+
+    @property
+    def deviation(self) -> Float[np.ndarray, " k"]:
+        """Standard deviation of every output (JCGM 101, 7.6)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All numbers, as `restored` takes them back."""
+        names = ("count", "origin", "offset", "comoment", "minimum", "maximum")
+        return {name: getattr(self, name) for name in names}
+
+
+def restored_moments(arrays: dict[str, np.ndarray]) -> Moments:
+    """The moments these arrays were taken from."""
+    found = Moments(len(arrays["minimum"]))
+    for name, value in arrays.items():
+        setattr(found, name, value)
+    return found
+
+
+class Spread:
+    """Mean, variance and range of every element of a field, element by element.
+
+    Only draws in which the whole field is finite may be added.
+    """
+
+    def __init__(self, size: int):
+        self.count = 0
+        self.mean = np.zeros(size)
+        self.squares = np.zeros(size)
+        """Sum of squared deviations from the mean."""
+        self.minimum = np.full(size, np.inf)
+        self.maximum = np.full(size, -np.inf)
+
+    def add(self, values: Float[np.ndarray, "n size"]) -> None:
+        """Merge a block of draws."""
+        if not len(values):
+            return
+        total = self.count + len(values)
+        share = len(values) / total
+        for part in slices(values.shape[1], len(values)):
+            x = values[:, part]
+            mean = x.mean(0)
+            apart = mean - self.mean[part]
+            squares = ((x - mean) ** 2).sum(0) + apart**2 * (self.count * share)
+            self.mean[part] += apart * share
+            self.squares[part] += squares
+            self.minimum[part] = np.minimum(self.minimum[part], x.min(0))
+            self.maximum[part] = np.maximum(self.maximum[part], x.max(0))
+        self.count = total
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All numbers, as `restored_spread` takes them back."""
+        names = ("mean", "squares", "minimum", "maximum")
+        return {"count": np.array(self.count)} | {name: getattr(self, name) for name in names}
+
+
+def restored_spread(arrays: dict[str, np.ndarray]) -> Spread:
+    """The spread these arrays were taken from."""
+    found = Spread(len(arrays["mean"]))
+    found.count = int(arrays["count"])
+    found.mean, found.squares = arrays["mean"], arrays["squares"]
+    found.minimum, found.maximum = arrays["minimum"], arrays["maximum"]
+    return found
+
+
+def _block(
+    values: Float[np.ndarray, "n k"], finite: Bool[np.ndarray, "n k"] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Count, mean and co-moment of every pair of outputs in a block; None: all are finite."""
+    if finite is None:
+        mean = values.mean(0)
+        apart = values - mean
+        count = np.full((len(mean), len(mean)), len(values))
+        return count, np.repeat(mean[:, None], len(mean), axis=1), apart.T @ apart
+    weight = finite.astype(float)
+    count = (weight.T @ weight).astype(np.int64)
+    own = np.where(finite, values, 0.0).sum(0) / np.maximum(np.diag(count), 1)
+    apart = np.where(finite, values - own, 0.0)
+    moved = apart.T @ weight / np.maximum(count, 1)  # from the own mean to that of the pair
+    comoment = apart.T @ apart - moved * moved.T * count
+    return count, np.where(count > 0, own[:, None] + moved, 0.0), comoment

@@ -1,0 +1,282 @@
+"""What a virtual calibration is judged by: quantities of a truth and of what was identified."""
+
+import abc
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from ..batch import Batch
+from ..chain import Chain
+from ..model import Model, tool_columns
+from ..plan import Plan
+from ..port_map import PortMap, port_map
+from ..ports import COMPONENTS
+from ..simulate import Simulator
+from ..spatial import rigid_columns
+from .outputs import Field, Output
+
+_MICRO = 1e-6
+
+
+class Pair(NamedTuple):
+    """A truth and the model that is fitted to its measurements, both ready for many draws."""
+
+    truth: Model
+    fit: Model
+    simulator: Simulator
+    batch: Batch
+
+    def maps(self, plan: Plan) -> tuple[PortMap, PortMap]:
+        """Ports of the true and of the fitted machine on another plan; none of the instrument."""
+        true = sorted({item.effect for item in self.simulator.shapes})
+        found = sorted({*self.batch.fixed, *(i for i, *_ in self.batch.shapes)})
+        return (
+            port_map(self.truth, plan, self.simulator.fixed, true, machine_only=True),
+            port_map(self.fit, plan, self.batch.nominal_shapes, found, machine_only=True),
+        )
+
+
+class State(NamedTuple):
+    """One draw as a quantity sees it."""
+
+    true: Float[Array, " k"]
+    """True amplitudes in solver units."""
+    true_shapes: Mapping[int, Mapping[str, Any]]
+    found: Float[Array, " l"]
+    """Identified parameters in solver units."""
+    found_shapes: Mapping[int, Mapping[str, Any]]
+
+
+class Measure(eqx.Module):
+    """A quantity on a certain pair of models: a pure function of one draw."""
+
+    @property
+    @abc.abstractmethod
+    def outputs(self) -> tuple[Output | Field, ...]:
+        """What it gives, by name."""
+
+    @abc.abstractmethod
+    def __call__(self, state: State) -> dict[str, Array]:
+        """Its values, in um, urad or the parameters' own units."""
+
+
+class Quantity(abc.ABC):
+    """Base class of all quantities; subclasses are final, frozen settings."""
+
+    @abc.abstractmethod
+    def measure(self, pair: Pair) -> Measure:
+        """The quantity on this pair of models."""
+
+
+# --- parameters ---
+
+
+class ParameterErrors(eqx.Module, Quantity):
+    """Identified less true value of every fitted amplitude; truth without it counts as zero."""
+
+    name: str = eqx.field(static=True, default="parameter")
+
+    def measure(self, pair: Pair) -> Measure:
+        true = {(e.key, e.parameter.name): i for i, e in enumerate(pair.truth.entries)}
+        fitted = pair.fit.entries
+        places, labels, scales, offsets, steps = [], [], [], [], []
+        for entry in fitted:
+            p = entry.parameter
+            i = true.get((entry.key, p.name))
+            places.append(-1 if i is None else i)
+            labels.append(f"{entry.key}: {p.name} [{p.unit}]")
+            other = None if i is None else pair.truth.entries[i].parameter
+            scales.append(p.step / p.si)
+            steps.append(0.0 if other is None else other.step / p.si)
+            offsets.append(p.mean - (0.0 if other is None else other.mean))
+        return _ParameterErrors(
+            self.name, tuple(labels), *(np.asarray(v) for v in (places, scales, steps, offsets))
+        )
+
+
+class _ParameterErrors(Measure):
+    name: str = eqx.field(static=True)
+    labels: tuple[str, ...] = eqx.field(static=True)
+    places: np.ndarray
+    scales: np.ndarray
+    steps: np.ndarray
+    offsets: np.ndarray
+
+    @property
+    def outputs(self) -> tuple[Output | Field, ...]:
+        return (Output(self.name, (len(self.labels),), self.labels),)
+
+    def __call__(self, state: State) -> dict[str, Array]:
+        found = state.found[: len(self.labels)]
+        # A place of -1 reads some parameter, which a step of zero then leaves out.
+        true = jnp.append(state.true, 0.0)[self.places] * self.steps
+        return {self.name: self.offsets + self.scales * found - true}
+
+
+# --- error motions ---
+
+
+class ErrorMotionErrors(eqx.Module, Quantity):
+    """What is left of every error motion after compensation: true less identified, per position.
+
+    Along each axis in turn at `nodes` positions over its travel, with the other axes in the middle
+    of theirs; in um and urad, named as in ISO 230-1 (``"EXY at 0.25 m"``).
+    """
+
+    nodes: int = eqx.field(static=True, default=5)
+
+    def measure(self, pair: Pair) -> Measure:
+        chain, plan = pair.truth.chain, pair.simulator.plan
+        travel = travels(chain, plan)
+        positions, ports, labels = [], [], []
+        middle = travel.mean(1)
+        for a, axis in enumerate(chain.axes):
+            for x in np.linspace(*travel[a], self.nodes):
+                at = middle.copy()
+                at[a] = x
+                for c in COMPONENTS:
+                    positions.append(at)
+                    ports.append(6 * a + COMPONENTS.index(c))
+                    linear = chain.joints[a].kind == "prismatic"
+                    place = f"{x:.4g} m" if linear else f"{np.rad2deg(x):.4g} deg"
+                    unit = "um" if c in "XYZ" else "urad"
+                    labels.append(f"E{c}{axis} at {place} [{unit}]")
+        where = conditions_at(plan, np.asarray(positions))
+        return _ErrorMotionErrors(*pair.maps(where), tuple(ports), tuple(labels))
+
+
+class _ErrorMotionErrors(Measure):
+    true: PortMap
+    found: PortMap
+    ports: tuple[int, ...] = eqx.field(static=True)
+    labels: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def outputs(self) -> tuple[Output | Field, ...]:
+        return (Output("error motion", (len(self.labels),), self.labels),)
+
+    def __call__(self, state: State) -> dict[str, Array]:
+        true = self.true(state.true, state.true_shapes)
+        found = self.found(state.found, state.found_shapes)
+        rows = range(len(self.ports))
+        left = [
+            _at(true[port], row) - _at(found[port], row)
+            for port, row in zip(self.ports, rows, strict=True)
+        ]
+        return {"error motion": jnp.stack([jnp.asarray(v) for v in left]) / _MICRO}
+
+
+def _at(values, row: int):
+    return values if isinstance(values, float) else values[row]
+
+
+# --- volumetric errors ---
+
+
+class VolumetricErrors(eqx.Module, Quantity):
+    """Volumetric error at check points before and after compensation, um.
+
+    d = true tool point less the one the fitted model predicts (before: less nominal). With `align`
+    the rigid motion that fits all points best is taken out, since an unknown station or artefact
+    pose cannot see it. Scalar outputs: mean, root mean square and largest |d| of a draw, before
+    and after. Fields: the components of d after compensation and |d| before and after, per point.
+    `points` is a plan with the covariates that the effects need.
+    """
+
+    points: Plan
+    align: bool = eqx.field(static=True, default=True)
+    quantiles: tuple[float, ...] = eqx.field(static=True, default=(0.025, 0.5, 0.975))
+
+    def measure(self, pair: Pair) -> Measure:
+        chain = pair.truth.chain
+        true, found = pair.maps(self.points)
+        still: list[Any] = [0.0] * len(pair.truth.layout)
+        nominal = np.column_stack(tool_columns(chain, np.asarray(self.points.position), still))
+        columns = rigid_columns(nominal - nominal.mean(0)).reshape(-1, 6)
+        scaled = columns / np.linalg.norm(columns, axis=0)
+        u, s, _ = np.linalg.svd(scaled, full_matrices=False)
+        rigid = u[:, s > 1e-9 * s[0]] if self.align else np.zeros((len(columns), 0))
+        return _VolumetricErrors(chain, true, found, nominal, rigid, self.quantiles)
+
+
+SCALARS = ("mean", "rms", "largest")
+
+
+class _VolumetricErrors(Measure):
+    chain: Chain
+    true: PortMap
+    found: PortMap
+    nominal: np.ndarray
+    rigid: np.ndarray
+    """Orthonormal columns of rigid motions (3 n, 6); none where they stay in."""
+    quantiles: tuple[float, ...] = eqx.field(static=True)
+
+    @property
+    def outputs(self) -> tuple[Output | Field, ...]:
+        n, q = len(self.nominal), self.quantiles
+        labels = tuple(f"{s} volumetric error {w} [um]" for w in _WHEN for s in SCALARS)
+        return (
+            Output("volumetric error", (len(labels),), labels),
+            Field("volumetric error before [um]", (n,), q),
+            Field("volumetric error after [um]", (n,), q),
+            Field("error components after [um]", (n, 3), q),
+        )
+
+    def __call__(self, state: State) -> dict[str, Array]:
+        position = self.true.plan.position
+        true = self.true(state.true, state.true_shapes)
+        found = self.found(state.found, state.found_shapes)
+        real = jnp.stack(tool_columns(self.chain, position, true), -1)
+        told = jnp.stack(tool_columns(self.chain, position, found), -1)
+        before, after = self._aligned(real - self.nominal), self._aligned(real - told)
+        size_before, size_after = _length(before), _length(after)
+        scalars = [f(size) for size in (size_before, size_after) for f in (jnp.mean, _rms, jnp.max)]
+        return {
+            "volumetric error": jnp.stack(scalars) / _MICRO,
+            "volumetric error before [um]": size_before / _MICRO,
+            "volumetric error after [um]": size_after / _MICRO,
+            "error components after [um]": after / _MICRO,
+        }
+
+    def _aligned(self, d: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        if not self.rigid.shape[1]:
+            return d
+        flat = d.reshape(-1)
+        return (flat - self.rigid @ (self.rigid.T @ flat)).reshape(d.shape)
+
+
+_WHEN = ("before", "after")
+
+
+def _length(d: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    return jnp.sqrt((d * d).sum(-1))
+
+
+def _rms(size: Float[Array, " n"]) -> Float[Array, ""]:
+    return jnp.sqrt(jnp.mean(size * size))
+
+
+# --- plans ---
+
+
+def travels(chain: Chain, plan: Plan) -> Float[np.ndarray, "axes 2"]:
+    """Travel of every axis, or what a plan covers where it is not declared (m or rad)."""
+    travel = np.stack([joint.travel for joint in chain.joints])
+    own = np.asarray(plan.position)
+    ends = np.column_stack([own.min(0), own.max(0)])
+    return np.where(np.isfinite(travel), travel, ends)
+
+
+def conditions_at(plan: Plan, position: Float[np.ndarray, "n axes"]) -> Plan:
+    """Other positions under the conditions of the middle row of a plan; groups are dropped."""
+    row = plan.rows // 2
+    covariates = {
+        name: np.full(len(position), float(np.asarray(values)[row]))
+        for name, values in plan.covariates.items()
+    }
+    return Plan(plan.axes, position, covariates)

@@ -1,0 +1,283 @@
+"""The engine of every Monte Carlo campaign: draws in blocks, summarised as they come.
+
+    evaluate(first, count) -> the outputs of draws first ... first + count - 1, by name
+
+`evaluate` is always called for whole blocks of one size, and derives the random numbers of a draw
+from its index (`jax.random.fold_in`); the last block is computed whole and cut. The result so
+depends on the seed alone: not on how many blocks lie between two checkpoints, on how many devices
+there are, or on whether the campaign was broken off in between.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from ..arrays import Array
+from ..errors import StudyError
+from .checkpoint import STATE, Checkpoint
+from .ensemble import Ensemble, ensemble_of
+from .intervals import Kind, check_coverage
+from .outputs import Field, Output, check_declared
+from .steps import step_size
+from .summary import Declared, Summary
+
+Evaluate = Callable[..., Mapping[str, Array]]
+"""evaluate(first, count), or evaluate(first, count, device=...) where devices are named."""
+Device = Any
+"""A device of JAX (`jax.local_devices`)."""
+Progress = Callable[[int, int], None]
+"""progress(draws done, draws to do)."""
+
+KEEP = 10_000_000
+"""Values of scalar outputs that are kept, all outputs together."""
+MOST = 100_000_000
+"""Draws after which an adaptive campaign ends, stable or not."""
+_CHUNK_S = 2.0
+"""Time between two checkpoints where no chunk is given, s."""
+_SAVING = 20.0
+"""So much longer than the last checkpoint took, at least."""
+_INDICES = 2**32
+"""`fold_in` takes indices of 32 bits."""
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def stream(
+    evaluate: Evaluate,
+    draws: int | Literal["adaptive"],
+    outputs: Sequence[Output] = (),
+    *,
+    fields: Sequence[Field] = (),
+    block: int = 1000,
+    chunk: int | None = None,
+    folder: Path | str | None = None,
+    fingerprint: Mapping[str, Any] | str | None = None,
+    progress: Progress = lambda done, total: None,
+    devices: Sequence[Device] = (),
+    coverage: float = 0.95,
+    kind: Kind = "symmetric",
+    digits: Literal[1, 2] = 2,
+    most: int = MOST,
+    keep: int = KEEP,
+) -> Ensemble:
+    """Run a Monte Carlo campaign and summarise it; memory does not grow with the number of draws.
+
+    `draws` is their number, or ``"adaptive"``: until y, u and both ends of the coverage interval
+    of every scalar output are stable (JCGM 101, 7.9.4: 2 s <= delta, delta from u written with
+    `digits` significant digits), checked after every sub-block of max(100/(1 - p), 10 000) draws
+    rounded up to whole blocks, and at most `most` draws. `coverage` and `kind` say for which
+    interval the campaign follows its own precision; any other may be asked for in the end.
+
+    `outputs` and `fields` declare what `evaluate` gives: arrays of shape (count, *shape) in
+    float64. Scalar outputs are kept value by value as long as there are at most `keep` altogether;
+    beyond that, quantiles come from counts in fine bins, with a known bound of their error.
+
+    `chunk` is the number of blocks between two checkpoints and calls of `progress`; without it,
+    what is done in about two seconds. With a `folder`, a campaign that was killed goes on from its
+    last finished chunk to the same numbers, and one that ended goes on to more draws.
+    `fingerprint` names everything the draws depend on, the seed first; output declarations, block
+    size and versions are added to it. Where several `devices` are given, whole blocks go to them in
+    turn and `evaluate` is told which (``device=``). It may return before its arrays are computed.
+
+    `KeyboardInterrupt` ends the campaign with what is known so far (`Ensemble.interrupted`).
+
+    Raises `ValueError` for settings that make no sense and for values that are not as declared,
+    and `StudyError` for a folder that does not belong to this campaign.
+    """
+    outputs, fields = tuple(outputs), tuple(fields)
+    check_declared(outputs, fields)
+    check_coverage(coverage)
+    total = _total(draws, most)
+    _check(block, chunk, digits, kind, folder is None or bool(fingerprint))
+    if draws == "adaptive" and not outputs:
+        raise ValueError("an adaptive campaign needs a scalar output to watch; found fields only")
+    step = step_size(coverage, block)
+    summary = Summary(Declared(outputs, fields, step, coverage, kind, keep))
+    checkpoint = None
+    if folder is not None:
+        mode = f"adaptive, {digits} digits" if draws == "adaptive" else "given"
+        settings = _settings(fingerprint, summary.declared, block, mode)
+        checkpoint = Checkpoint(Path(folder), settings)
+        _resume(summary, checkpoint, total)
+    run = _Run(summary, checkpoint, total, block, chunk, digits if draws == "adaptive" else None)
+    interrupted = _drive(run, evaluate, progress, devices)
+    if interrupted and summary.draws < 2:
+        raise KeyboardInterrupt
+    adaptive = None
+    if draws == "adaptive":
+        adaptive = summary.steps.adaptive(summary.moments.deviation, digits)
+    return ensemble_of(summary, adaptive, interrupted)
+
+
+class _Run:
+    """The campaign under way. Its methods are called in one thread, block after block.
+
+    That thread is not the main one: `KeyboardInterrupt` is raised in the main thread only, so that
+    no block is added by halves.
+    """
+
+    def __init__(
+        self,
+        summary: Summary,
+        checkpoint: Checkpoint | None,
+        total: int,
+        block: int,
+        chunk: int | None,
+        digits: int | None,
+    ):
+        self.summary, self.checkpoint, self.total = summary, checkpoint, total
+        self.block, self.chunk, self.digits = block, chunk, digits
+        self.next = summary.draws // block
+        """Number of the first block that is missing."""
+        self.saved = self.next
+        self.started, self.saving = time.monotonic(), 0.0
+        self.settled = False
+
+    def take(self, number: int, values: Mapping[str, Array]) -> bool:
+        """Add a block; whether a chunk ended with it."""
+        if number != self.next or self.ended:
+            return False  # a block before it could not be added, or it is not needed any more
+        rows = min(self.block, self.total - number * self.block)
+        if rows < self.block:
+            self.save()  # a block that is cut is no part of what a longer campaign goes on from
+        self.summary.add(values, self.block, rows)
+        self.next += 1
+        self.judge()
+        if rows == self.block and (self.ended or self._chunk_ended()):
+            self.save()
+            return True
+        return self.ended
+
+    def judge(self) -> None:
+        """See whether an adaptive campaign is stable, at the end of a sub-block."""
+        summary = self.summary
+        if self.digits is None or summary.draws % summary.declared.step:
+            return
+        if summary.steps.steps > 1:
+            found = summary.steps.adaptive(summary.moments.deviation, self.digits)
+            self.settled = found.settled
+
+    def save(self) -> None:
+        """End a chunk: write what is known, if it is to be written and is not yet."""
+        begun = time.monotonic()
+        if self.checkpoint is not None and self.next > self.saved:
+            self.checkpoint.save(self.summary.arrays(), self.summary.kept)
+        self.saved, self.started = self.next, time.monotonic()
+        self.saving = self.started - begun
+
+    @property
+    def ended(self) -> bool:
+        """Whether there are enough draws."""
+        return self.settled or self.next * self.block >= self.total
+
+    def _chunk_ended(self) -> bool:
+        if self.chunk is not None:
+            return self.next - self.saved >= self.chunk
+        return time.monotonic() - self.started > max(_CHUNK_S, _SAVING * self.saving)
+
+
+def _drive(run: _Run, evaluate: Evaluate, progress: Progress, devices: Sequence[Device]) -> bool:
+    """Have all missing blocks evaluated and added; whether that was interrupted.
+
+    While a block is added, the next ones are under way, one per device.
+    """
+    waiting: deque[Future[bool]] = deque()
+
+    def collect(most: int) -> None:
+        while len(waiting) > most:
+            chunk_ended = waiting[0].result()
+            waiting.popleft()
+            if chunk_ended:
+                progress(run.summary.draws, run.total)
+
+    with ThreadPoolExecutor(1, "vcal-summary") as keeper:
+        try:
+            run.judge()
+            for number in range(run.next, math.ceil(run.total / run.block)):
+                if run.ended:
+                    break
+                first = number * run.block
+                if devices:
+                    values = evaluate(first, run.block, device=devices[number % len(devices)])
+                else:
+                    values = evaluate(first, run.block)
+                waiting.append(keeper.submit(run.take, number, values))
+                collect(max(len(devices), 1))
+            collect(0)
+        except KeyboardInterrupt:
+            for future in waiting:
+                future.result()
+            if run.ended:
+                return False
+            keeper.submit(run.save).result()
+            return True
+    return False
+
+
+def _resume(summary: Summary, checkpoint: Checkpoint, total: int) -> None:
+    """Go on from what the folder of a checkpoint holds, if anything."""
+    held = checkpoint.load()
+    if held is None:
+        return
+    summary.restore(held.arrays, held.kept)
+    if summary.draws > total:
+        raise StudyError(
+            f"{checkpoint.folder / STATE}: found {summary.draws} draws, expected at most the "
+            f"{total} asked for; ask for at least as many, or choose another folder"
+        )
+
+
+def _settings(
+    fingerprint: Mapping[str, Any] | str | None, declared: Declared, block: int, mode: str
+) -> dict[str, Any]:
+    """Everything that numbers in a folder depend on, by name."""
+    own = {"campaign": fingerprint} if isinstance(fingerprint, str) else dict(fingerprint or {})
+    return own | {
+        "outputs": [[o.name, o.shape] for o in declared.outputs],
+        "fields": [[f.name, f.shape, f.quantiles] for f in declared.fields],
+        "block": block,
+        "number of draws": mode,
+        "coverage": [declared.coverage, declared.kind],
+        "values kept at most": declared.keep,
+        "platform": jax.default_backend(),
+        "versions": {name: _version(name) for name in ("vcal", "jax", "numpy")},
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _total(draws: int | Literal["adaptive"], most: int) -> int:
+    """The greatest number of draws there may be."""
+    total = most if draws == "adaptive" else draws
+    if not isinstance(total, int | np.integer) or not 2 <= total <= _INDICES:
+        raise ValueError(
+            f"draws: found {total!r}, expected a whole number from 2 to 2^32, or 'adaptive'"
+        )
+    return int(total)
+
+
+def _check(block: int, chunk: int | None, digits: int, kind: str, named: bool) -> None:
+    if block < 1 or (chunk is not None and chunk < 1):
+        raise ValueError(f"found block = {block}, chunk = {chunk}, expected at least 1 each")
+    if digits not in (1, 2):
+        raise ValueError(f"digits: found {digits}, expected 1 or 2 (JCGM 101, 7.9.2)")
+    if kind not in ("symmetric", "shortest"):
+        raise ValueError(f"kind: found {kind!r}, expected 'symmetric' or 'shortest'")
+    if not named:
+        raise ValueError(
+            "a campaign in a folder needs a fingerprint: everything its draws depend on, the seed "
+            "first"
+        )

@@ -1,0 +1,190 @@
+"""What is known of a Monte Carlo campaign after any number of draws, in memory that does not grow.
+
+Blocks are added in order, so that the numbers are the same however the draws were grouped, on
+which device they were computed and whether the campaign was broken off in between.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from .intervals import Kind
+from .moments import Moments, Spread, restored_moments, restored_spread
+from .outputs import Field, Output, check_names, field_rows, labels_of, scalar_rows
+from .sketch import Sketch, quantile_ranks, sketch_of
+from .steps import Steps
+
+_PILOT = 10_000
+"""Draws that lay out the bins of the scalar outputs."""
+_FIELD_PILOT = 256
+"""The same for fields, whose values are not kept."""
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What a campaign gives per draw and how that is summarised."""
+
+    outputs: tuple[Output, ...]
+    fields: tuple[Field, ...]
+    step: int
+    """Draws of a sub-block (JCGM 101, 7.9)."""
+    coverage: float
+    kind: Kind
+    keep: int
+    """Values of scalar outputs that are kept at most."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of all scalar outputs, in order."""
+        return labels_of(self.outputs)
+
+
+class Summary:
+    """Everything known of the draws so far.
+
+    Values of scalar outputs are kept as long as there are at most `keep` of them altogether. When
+    the next block would pass that, all values kept so far enter a sketch, and from there on every
+    block does; which it is thus depends on the number of draws alone. The first draws stay.
+    """
+
+    def __init__(self, declared: Declared):
+        self.declared = declared
+        size = len(declared.labels)
+        self.draws = 0
+        self.moments = Moments(size)
+        self.steps = Steps(size, declared.step, declared.coverage, declared.kind)
+        self.kept: list[np.ndarray] = []
+        """Values of the first draws, block after block."""
+        self.sketch: Sketch | None = None
+        self.fields = {field.name: FieldSummary(field) for field in declared.fields}
+
+    def add(self, values: Mapping[str, Array], count: int, rows: int) -> None:
+        """Add the first `rows` of the `count` draws of a block.
+
+        Raises `ValueError` where the values are not as declared.
+        """
+        declared = self.declared
+        check_names(values, declared.outputs, declared.fields)
+        scalars = scalar_rows(values, declared.outputs, count)[:rows]
+        fields = {f.name: field_rows(values, f, count)[:rows] for f in declared.fields}
+        self._keep(scalars)
+        self.moments.add(scalars)
+        for name, field in fields.items():
+            self.fields[name].add(field)
+        self.draws += rows
+        self.steps.add(scalars)
+
+    @property
+    def values(self) -> Float[np.ndarray, "m k"]:
+        """Values of the draws that are kept: of all, or of the first."""
+        return np.concatenate([np.empty((0, len(self.declared.labels))), *self.kept])
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All numbers but the values kept, as `restore` takes them back."""
+        found = {"draws": np.array(self.draws)}
+        found |= _prefixed("moments", self.moments.arrays())
+        found |= _prefixed("steps", self.steps.arrays())
+        if self.sketch is not None:
+            found |= _prefixed("sketch", _sketch_arrays(self.sketch))
+        for number, field in enumerate(self.fields.values()):
+            found |= _prefixed(f"field{number}", field.arrays())
+        return found
+
+    def restore(self, arrays: Mapping[str, np.ndarray], kept: Sequence[np.ndarray]) -> None:
+        """Go on from what `arrays` gave, and the values kept then."""
+        self.draws = int(arrays["draws"])
+        self.kept = list(kept)
+        self.moments = restored_moments(_part(arrays, "moments"))
+        self.steps.restore(_part(arrays, "steps"))
+        sketch = _part(arrays, "sketch")
+        self.sketch = Sketch(**sketch) if sketch else None
+        for number, field in enumerate(self.fields.values()):
+            field.restore(_part(arrays, f"field{number}"))
+
+    def _keep(self, scalars: Float[np.ndarray, "n k"]) -> None:
+        if self.sketch is None:
+            if (self.draws + len(scalars)) * scalars.shape[1] <= self.declared.keep:
+                self.kept.append(scalars)
+                return
+            pilot = self.values[:_PILOT] if self.kept else scalars
+            self.sketch = sketch_of(pilot)
+            for block in self.kept:
+                self.sketch.add(block)
+        self.sketch.add(scalars)
+
+
+class FieldSummary:
+    """Everything known of a field; a draw with an element that is not finite is left out."""
+
+    def __init__(self, field: Field):
+        self.field = field
+        self.failed = 0
+        self.spread = Spread(field.size)
+        self.pilot: list[np.ndarray] = []
+        """Values of the first draws, until there are enough to lay out the bins."""
+        self.sketch: Sketch | None = None
+
+    def add(self, values: Float[np.ndarray, "n size"]) -> None:
+        """Add a block of draws."""
+        finite = np.isfinite(values).all(1)
+        good = values if finite.all() else values[finite]
+        self.failed += int(len(values) - len(good))
+        self.spread.add(good)
+        if not self.field.quantiles:
+            return
+        if self.sketch is not None:
+            self.sketch.add(good)
+            return
+        self.pilot.append(good)
+        if self.spread.count >= _FIELD_PILOT:
+            first = np.concatenate([block[:_FIELD_PILOT] for block in self.pilot])
+            self.sketch = sketch_of(first[:_FIELD_PILOT])
+            for block in self.pilot:
+                self.sketch.add(block)
+            self.pilot = []
+
+    def quantiles(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Per probability asked for: quantiles (size,), and bounds of their errors (size,)."""
+        count, size = self.spread.count, self.field.size
+        if not count or not self.field.quantiles:
+            return [(np.full(size, np.nan), np.full(size, np.nan)) for _ in self.field.quantiles]
+        if self.sketch is None:
+            ordered, found = np.sort(np.concatenate(self.pilot), axis=0), []
+            for probability in self.field.quantiles:
+                ranks, weights = quantile_ranks(count, probability)
+                found.append((weights @ ordered[ranks - 1], np.zeros(size)))
+            return found
+        low, high = self.spread.minimum, self.spread.maximum
+        return [self.sketch.quantiles(low, high, count, q) for q in self.field.quantiles]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All numbers, as `restore` takes them back."""
+        pilot = np.concatenate([np.empty((0, self.field.size)), *self.pilot])
+        found = {"failed": np.array(self.failed), "pilot": pilot}
+        found |= _prefixed("spread", self.spread.arrays())
+        if self.sketch is not None:
+            found |= _prefixed("sketch", _sketch_arrays(self.sketch))
+        return found
+
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Go on from what `arrays` gave."""
+        self.failed, self.pilot = int(arrays["failed"]), [arrays["pilot"]]
+        self.spread = restored_spread(_part(arrays, "spread"))
+        sketch = _part(arrays, "sketch")
+        self.sketch = Sketch(**sketch) if sketch else None
+
+
+def _sketch_arrays(sketch: Sketch) -> dict[str, np.ndarray]:
+    return {"centre": sketch.centre, "scale": sketch.scale, "counts": sketch.counts}
+
+
+def _prefixed(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {f"{prefix}.{name}": value for name, value in arrays.items()}
+
+
+def _part(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    start = f"{prefix}."
+    return {n.removeprefix(start): v for n, v in arrays.items() if n.startswith(start)}
