@@ -73,7 +73,14 @@ class _DrawnShape(eqx.Module):
     def sample(self, key: PRNGKeyArray) -> Float[Array, ""]:
         """A value (SI), from the key of the machine."""
         own = jax.random.fold_in(jax.random.fold_in(key, self.effect), 1)
-        share = jax.random.uniform(jax.random.fold_in(own, self.index))
+        return self._at(jax.random.uniform(jax.random.fold_in(own, self.index)))
+
+    @property
+    def middle(self) -> Float[Array, ""]:
+        """Its median (SI)."""
+        return self._at(jnp.asarray(0.5))
+
+    def _at(self, share: Float[Array, ""]) -> Float[Array, ""]:
         _, back = _COORDINATES[self.coordinate]
         return back(self.low + (self.high - self.low) * share)
 

@@ -1,11 +1,20 @@
 """Uncertainty: by the GUM, by Monte Carlo, and how far the two agree."""
 
 from .budget import Budget
+from .campaign import Campaign, monte_carlo, virtual_pair
 from .compare import Attained, Comparison, attained_coverage, compare
 from .ensemble import Ensemble, FieldResult
 from .functions import propagate_distributions
+from .linear import Linearised, linearised
 from .outputs import Field, Output
 from .propagate import propagate
+from .quantities import (
+    ErrorMotionErrors,
+    Measure,
+    ParameterErrors,
+    Quantity,
+    VolumetricErrors,
+)
 from .regions import (
     Box,
     Ellipsoid,
@@ -23,23 +32,33 @@ __all__ = [
     "Attained",
     "Box",
     "Budget",
+    "Campaign",
     "Comparison",
     "Ellipsoid",
     "Ensemble",
+    "ErrorMotionErrors",
     "Field",
     "FieldResult",
+    "Linearised",
+    "Measure",
     "Output",
+    "ParameterErrors",
     "Precision",
+    "Quantity",
+    "VolumetricErrors",
     "attained_coverage",
     "budget_table",
     "compare",
     "comparison_table",
     "coverage_box",
     "coverage_ellipsoid",
+    "linearised",
+    "monte_carlo",
     "normal_box",
     "normal_ellipsoid",
     "numerical_tolerance",
     "propagate",
     "propagate_distributions",
     "stream",
+    "virtual_pair",
 ]

@@ -136,7 +136,7 @@ class ErrorMotionErrors(eqx.Module, Quantity):
         positions, ports, labels = [], [], []
         middle = travel.mean(1)
         for a, axis in enumerate(chain.axes):
-            for x in np.linspace(*travel[a], self.nodes):
+            for x in np.linspace(travel[a, 0], travel[a, 1], self.nodes):
                 at = middle.copy()
                 at[a] = x
                 for c in COMPONENTS:

@@ -1,0 +1,181 @@
+"""The GUM through an identification, by the implicit function theorem.
+
+At the minimum theta of f(theta, y) the gradient stays zero when the readings change, so that
+
+    d theta = H^-1 J' W' W dy,      dy = J_true d theta_true + noise
+
+with H = J'J + L exact at the nominal machine, where the residuals vanish. A quantity q(theta_true,
+theta) then has the first-order uncertainty of JCGM 100, with every parameter of the truth and every
+reading as an input: the fitted ones count with what the data leave of their prior, the ones that
+are not fitted (a wrong expansion coefficient, a wrong artefact length) with what they do to the
+identified parameters.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from ..model import effect_terms, observe_with_jacobian, port_values
+from .budget import Budget, Source
+from .outputs import Output
+from .quantities import Measure, Pair, State
+from .taylor import first_order
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """First-order uncertainty of the quantities of a virtual calibration."""
+
+    budget: Budget
+    """Scalar outputs. Inputs are effects and reading components, each with all its elements: an
+    input's sensitivity is the root sum of squares over them, for one standard deviation each.
+    """
+    fields: dict[str, tuple[np.ndarray, np.ndarray]]
+    """Value and standard uncertainty of every field, element by element."""
+    undefined: tuple[str, ...]
+    """Outputs without a derivative at the nominal machine, such as the length of an error whose
+    expectation is zero: for these there is no first-order uncertainty.
+    """
+
+
+def linearised(pair: Pair, measures: Sequence[Measure], coverage: float = 0.95) -> Linearised:
+    """First-order uncertainty of quantities, through the identification (JCGM 100, 5.1).
+
+    Distributions are taken as normal. Shape parameters that the truth draws enter at their nominal
+    values: at amplitudes of zero they have no sensitivity.
+    """
+    declared = [o for m in measures for o in m.outputs]
+    value, by_true, by_found = _derivatives(pair, measures)
+    sources = _sources(pair)
+    gain = np.asarray(pair.batch.gain)
+    # Every column: one standard deviation of one element of a source.
+    parts = {
+        name: _times(by_true, parameters) + by_found @ (gain @ readings)
+        for name, (parameters, readings) in sources.items()
+    }
+    columns = np.concatenate(list(parts.values()), 1)
+    defined = np.isfinite(value) & np.isfinite(columns).all(1)
+    scalars, labels, fields, start = [], [], {}, 0
+    undefined: list[str] = []
+    for output in declared:
+        size = math.prod(output.shape)
+        place = slice(start, start + size)
+        start += size
+        if isinstance(output, Output):
+            for row, label in zip(range(place.start, place.stop), output.labels, strict=True):
+                if defined[row]:
+                    scalars.append(row)
+                    labels.append(label)
+                else:
+                    undefined.append(label)
+        elif defined[place].all():
+            u = np.sqrt((columns[place] ** 2).sum(1))
+            fields[output.name] = (value[place].reshape(output.shape), u.reshape(output.shape))
+        else:
+            undefined.append(output.name)
+    taylor = first_order(columns[scalars])
+    count = len(parts)
+    sizes = np.stack([np.sqrt((p[scalars] ** 2).sum(1)) for p in parts.values()], 1)
+    budget = Budget(
+        labels=tuple(labels),
+        value=value[scalars],
+        u=np.sqrt(taylor.variance),
+        nu_eff=np.full(len(scalars), np.inf),
+        coverage=coverage,
+        order=1,
+        source=Source(
+            labels=tuple(parts),
+            distributions=("normal",) * count,
+            value=np.zeros(count),
+            covariance=np.eye(count),
+            dof=np.full(count, np.inf),
+            groups=(),
+        ),
+        sensitivity=sizes,
+        taylor=taylor,
+        notes=("inputs are groups of elements, in units of their standard deviations",),
+    )
+    return Linearised(budget, fields, tuple(undefined))
+
+
+def _times(by_true: np.ndarray, parameters: np.ndarray | None) -> np.ndarray | float:
+    return 0.0 if parameters is None else by_true @ parameters
+
+
+def _derivatives(
+    pair: Pair, measures: Sequence[Measure]
+) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, "q k"], Float[np.ndarray, "q l"]]:
+    """All quantities at the nominal machine, and their derivatives by true and found parameters."""
+    drawn = {i: {} for i in {item.effect for item in pair.simulator.shapes}}
+    for item in pair.simulator.shapes:
+        drawn[item.effect][item.name] = item.middle
+    true = jnp.zeros(len(pair.truth.entries))
+    found = jnp.zeros(len(pair.batch.root_precision))
+
+    def judged(both: Array) -> Array:
+        a, b = both[: len(true)], both[len(true) :]
+        state = State(a, drawn, b, pair.batch.shape_values(b))
+        values = [(m, m(state)) for m in measures]
+        return jnp.concatenate([jnp.ravel(v[o.name]) for m, v in values for o in m.outputs])
+
+    at = jnp.concatenate([true, found])
+    push = jax.jit(lambda unit: jax.jvp(judged, (at,), (unit,)))
+    value, _ = push(jnp.zeros(len(at)))
+    slopes = np.stack([np.asarray(push(unit)[1]) for unit in jnp.eye(len(at))], 1)
+    return np.asarray(value), slopes[:, : len(true)], slopes[:, len(true) :]
+
+
+def _sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
+    """For every source, what one standard deviation of each of its elements does: to the true
+    parameters (k, e), where it is one of them, and to the readings (n m, e).
+    """
+    model, simulator = pair.truth, pair.simulator
+    plan, layout = simulator.plan, model.layout
+    drawn = {item.effect: {} for item in simulator.shapes}
+    for item in simulator.shapes:
+        drawn[item.effect][item.name] = float(item.middle)
+    shapes = {i: dict(v) for i, v in simulator.fixed.items()}
+    for i, values in drawn.items():
+        shapes[i] = {**shapes.get(i, {}), **values}
+    terms = model.terms(plan, shapes)
+    nominal = port_values(terms, jnp.zeros(len(model.entries)), len(layout))
+    _, slopes = observe_with_jacobian(
+        model.chain, model.instrument, plan.position, simulator.rows, nominal
+    )
+    by_port = np.asarray(model.instrument.reduce(slopes, plan))
+    n, m, _ = by_port.shape
+    found: dict[str, tuple[np.ndarray | None, np.ndarray]] = {}
+    informed = np.asarray(simulator.informed)
+    start = 0
+    for i, effect in enumerate(model.effects):
+        count = len(effect.amplitudes)
+        own = effect_terms(effect, layout, plan, shapes.get(i, {}))
+        columns = np.zeros((n * m, count))
+        moved = by_port[:, :, own.port] * np.asarray(own.values)[:, None, :]
+        np.add.at(columns.T, np.asarray(own.parameter), moved.reshape(n * m, -1).T)
+        drawn_here = np.flatnonzero(informed[start : start + count])
+        if len(drawn_here):
+            parameters = np.zeros((len(model.entries), len(drawn_here)))
+            parameters[start + drawn_here, np.arange(len(drawn_here))] = 1.0
+            found[effect.key] = parameters, columns[:, drawn_here]
+        start += count
+    sigma = np.asarray(simulator.sigma)
+    for j, name in enumerate(model.instrument.readings):
+        readings = np.zeros((n, m, n))
+        readings[np.arange(n), j, np.arange(n)] = sigma[:, j]
+        found[f"noise: {name}"] = None, readings.reshape(n * m, n)
+    for column in simulator.scatter:
+        slope = by_port[:, :, column.port]
+        for values, k in zip(column.values, column.parameter, strict=True):
+            name = f"scatter {int(k) + 1}"
+            readings = np.zeros((n, m, n))
+            readings[np.arange(n), :, np.arange(n)] = slope * np.asarray(values)[:, None]
+            before = found[name][1] if name in found else 0.0
+            found[name] = None, before + readings.reshape(n * m, n)
+    return found
