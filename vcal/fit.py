@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from .least_squares import Status
 from .measurement import Measurement
 from .model import Model, Shapes
 from .parameters import Parameter
@@ -37,8 +38,18 @@ class Fit:
     """dh/dports (n, m, p), not whitened."""
     precision: np.ndarray = field(repr=False)
     """Diagonal of the prior precision L in solver units."""
-    converged: bool
+    status: Status
+    """How the minimisation ended; `status.prose` says it in words."""
     steps: int
+    rank: int
+    """Of the Jacobian, the prior's rows included."""
+    condition: float
+    """Of the same with columns of unit length."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether `theta` is a minimum."""
+        return self.status == Status.CONVERGED
 
     @cached_property
     def factor(self) -> tuple[np.ndarray, bool]:

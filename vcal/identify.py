@@ -15,15 +15,14 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
-import optimistix as optx
 from jaxtyping import Float
 
 from .arrays import Array
 from .chain import Chain
 from .fit import Fit, entries, shape_step
 from .instruments.base import Instrument
+from .least_squares import Solution, Status, least_squares
 from .measurement import Measurement
 from .model import (
     Model,
@@ -92,7 +91,22 @@ def _residual_and_jacobian(
     )
 
 
-def _solve_with(solver, max_steps, chain, instrument, plan, problem, start):
+_TOLERANCE = 1e-5
+"""Distance to the minimum in standard uncertainties (`vcal.least_squares`)."""
+_ENDS = (Status.CONVERGED, Status.SINGULAR)
+"""Ends that damping does not change."""
+_STEPS = {False: 24, True: 200}
+"""Steps allowed without and with damping."""
+
+
+def _solve_with(
+    chain: Chain,
+    instrument: Instrument,
+    plan: Plan,
+    problem: Problem,
+    start: Array,
+    damped: bool,
+) -> Solution:
     def reduce(values):
         return instrument.reduce(values, plan)
 
@@ -102,33 +116,34 @@ def _solve_with(solver, max_steps, chain, instrument, plan, problem, start):
 
     @residual.defjvp
     def _(primals, tangents):
-        # The dense Jacobian is cheap here and does not depend on the tangent, so that optimistix,
+        # The dense Jacobian is cheap here and does not depend on the tangent, so that the solver,
         # which pushes one basis vector per parameter through this rule, builds it only once.
         value, jacobian = _residual_and_jacobian(chain, instrument, reduce, *primals)
         return value, jacobian @ tangents[0]
 
-    found = optx.least_squares(residual, solver, start, problem, max_steps=max_steps, throw=False)
-    good = (found.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(found.value))
-    # The squared residual at the last step taken, from which the solver moved on by less than
-    # its tolerance.
-    cost = jnp.sum(found.state.f_info.residual**2)
-    return found.value, good, found.stats["num_steps"], cost
-
-
-_TOLERANCE = 1e-5
-"""In units of prior standard deviations (or declared scales) and of whitened residuals."""
-
-
-@eqx.filter_jit
-def _solve(chain: Chain, instrument: Instrument, plan, problem: Problem, start: Array):
-    solver = optx.GaussNewton(_TOLERANCE, _TOLERANCE, linear_solver=lx.QR())
-    return _solve_with(solver, 24, chain, instrument, plan, problem, start)
+    # The residuals are whitened: their standard deviation is known.
+    return least_squares(
+        residual,
+        start,
+        problem,
+        tolerance=_TOLERANCE,
+        noise=1.0,
+        damped=damped,
+        max_steps=_STEPS[damped],
+    )
 
 
 @eqx.filter_jit
-def _solve_damped(chain: Chain, instrument: Instrument, plan, problem: Problem, start: Array):
-    solver = optx.LevenbergMarquardt(_TOLERANCE, _TOLERANCE, linear_solver=lx.QR())
-    return _solve_with(solver, 200, chain, instrument, plan, problem, start)
+def _solve(
+    chain: Chain,
+    instrument: Instrument,
+    plan: Plan,
+    problem: Problem,
+    start: Array,
+    damped: bool,
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    s = _solve_with(chain, instrument, plan, problem, start, damped)
+    return s.value, s.status, s.steps, s.cost, s.rank, s.condition
 
 
 @eqx.filter_jit
@@ -226,9 +241,8 @@ def identify(
     `theta` (solver units) and `shapes` (SI) start the solver; shape parameters that are not given
     start at the middle of their scan. `whitener` (n, m, m) replaces the declared noise, `keep` (n,)
     leaves rows out, `room` is the least number of slots to compile the solver for (smaller and
-    larger models then share it). Gauss-Newton first, Levenberg-Marquardt where it does not
-    converge; `Fit.converged` says whether either did. Raises `RuntimeError` where JAX runs in
-    float32.
+    larger models then share it). Gauss-Newton first, with damping where that does not
+    converge; `Fit.status` says how it ended. Raises `RuntimeError` where JAX runs in float32.
     """
     require_float64()
     instrument = model.instrument
@@ -256,7 +270,7 @@ def identify(
     if theta is not None:
         estimate[: len(theta)] = theta
     rows = instrument.rows(plan)
-    steps, converged, cost = 0, False, math.inf
+    steps, cost = 0, math.inf
     fixed: dict[int, Terms] = {}
     for _ in range(_RELINEARISATIONS):
         terms = linearised_terms(model, plan, current, estimate, fixed)
@@ -266,11 +280,12 @@ def identify(
         )
         start = np.zeros(problem.root_precision.shape[0])
         start[:size] = estimate
-        found, good, used, now = _solve(model.chain, instrument, plan, problem, start)
-        if not bool(good):
-            found, good, used, now = _solve_damped(model.chain, instrument, plan, problem, start)
+        given = model.chain, instrument, plan, problem
+        found, status, used, now, rank, condition = _solve(*given, start, False)
+        if int(status) not in _ENDS:
+            found, status, used, now, rank, condition = _solve(*given, start, True)
         steps += int(used)
-        estimate, converged = np.array(found)[:size], bool(good)
+        estimate, end = np.array(found)[:size], Status(int(status))
         if size == amplitudes or abs(cost - float(now)) < _SETTLED:
             estimate[amplitudes:] = 0.0
             break
@@ -278,7 +293,7 @@ def identify(
         _move_shapes(model, plan, current, estimate[amplitudes:])
         estimate[amplitudes:] = 0.0
     else:
-        converged = False
+        end = Status.STEP_LIMIT
     residual, by_port = _evaluate(model.chain, instrument, plan, problem, _pad(estimate, start))
     residual, by_port = np.asarray(residual), np.asarray(by_port)
     by_term = (
@@ -297,8 +312,10 @@ def identify(
         jacobian=(by_term @ gather).reshape(-1, size),
         port_jacobian=by_port,
         precision=precision,
-        converged=converged,
+        status=end,
         steps=steps,
+        rank=int(rank) - (len(start) - size),
+        condition=float(condition),
     )
 
 

@@ -32,7 +32,7 @@ _TRUSTED = 0.9
 _LOWERED = 1e-4
 """The same of a damped step: any real reduction will do."""
 _DAMPING = 2e-4
-"""First damping, in squared column norms: a thousandth of the way from Gauss-Newton."""
+"""First damping, in squares of the column norms."""
 _HOPELESS = 1e20
 """Damping at which a step no longer changes anything."""
 _FORGET = 0.5
@@ -245,6 +245,9 @@ class DampedGaussNewton(optx.AbstractLeastSquaresSolver):
         close = (state.foretold <= tiny) & (jnp.abs(reduction) <= tiny)
         shrunk = new.decrement < 0.99 * old.decrement
         lowered = (state.foretold > 0.0) & (reduction >= needed * state.foretold)
+        # Where damping is no choice, Gauss-Newton may pass over a hill; the test of convergence is
+        # the same.
+        lowered = lowered | (not self.damped)
         accept = first | (finite & state.usable & (lowered | (close & shrunk)))
         least = _LEAST * jnp.sqrt(old.cost) + 10.0 * old.rounding
         exhausted = ~first & close & ~shrunk & (old.decrement <= least)
@@ -346,8 +349,8 @@ def least_squares(
     taken, by a `custom_jvp` if it has one. `tolerance` is the remaining step in standard
     uncertainties of the parameters, those that follow from the scatter of the residuals, or from
     `noise`, the known standard deviation of a residual, if that is larger. Without `damped` it is
-    Gauss-Newton alone, which compiles in two thirds of the time and ends as stalled at the first
-    step that the linear model does not foretell; its value is a good start for a damped attempt.
+    Gauss-Newton alone, which compiles in two thirds of the time and may run away; what it does not
+    solve is for a damped attempt from the same start.
 
     May be jitted and mapped. The derivative of `value` comes from the implicit function theorem,
     the other fields have none. Failure is a value: see `Solution.status`. A minimum may be a local

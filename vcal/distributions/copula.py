@@ -26,7 +26,8 @@ class GaussianCopula(Multivariate):
 
     X_i = F_i^-1(Phi(Z_i)), with Z standard normal and correlated by `correlation` (d, d), which may
     be semi-definite. `correlation` is that of the scores Z, not of the quantities: the two are the
-    same for normal distributions only. `covariance` is that of the quantities.
+    same for normal distributions only. `covariance` is that of the quantities. `names` are those
+    of the margins, for messages.
 
     Raises `ValueError` for a margin that is not univariate, or a correlation matrix that is not
     one.

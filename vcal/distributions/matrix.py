@@ -8,6 +8,8 @@ from jaxtyping import Float
 
 # What rounding in a computed matrix may leave of symmetry and of a zero eigenvalue.
 _ROUNDING = 1e-10
+# Eigenvalues of a correlation matrix per row, below which they are zero.
+_SINGULAR = 1e-14
 
 
 def covariance_matrix(what: str, matrix: Any, size: int) -> Float[np.ndarray, "d d"]:
@@ -74,7 +76,9 @@ def square_root(covariance: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "d d"
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0.0, std, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return std[:, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    # The root of a rounding error is eight digits larger: what is singular must stay so.
+    values = np.where(values > _SINGULAR * len(values), values, 0.0)
+    return std[:, None] * ((vectors * np.sqrt(values)) @ vectors.T)
 
 
 def _square(what: str, matrix: Any, size: int) -> Float[np.ndarray, "d d"]:

@@ -1,0 +1,407 @@
+"""What a measurement plan will achieve: a virtual calibration judged by GUM and Monte Carlo.
+
+Machines are drawn from a truth, measured on the plan, identified and compensated; the Monte Carlo
+and the GUM through the same identification stand side by side. The sources behind the volumetric
+error that remains come from the GUM, where contributions add: with d(s) the root-mean-square
+displacement of the tool point from source s,
+
+    rms^2 = sum over s of d(s)^2 + d(known)^2.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from ..chain import Chain
+from ..fit import entries, null_directions
+from ..model import Model
+from ..parameters import Parameter
+from ..plan import Plan
+from ..simulate import scattered
+from .campaign import Campaign, monte_carlo
+from .compare import Comparison, compare
+from .ensemble import Ensemble, FieldResult
+from .linear import Linearised, linearised
+from .outputs import Field, Output
+from .quantities import (
+    ErrorMotionErrors,
+    Measure,
+    Pair,
+    ParameterErrors,
+    State,
+    VolumetricErrors,
+    travels,
+)
+from .stream import Progress
+
+MOST = 1_000_000
+"""Draws after which an adaptive virtual calibration ends, stable or not."""
+_NODES = 7
+"""Grid points along an axis at which the volumetric error is judged."""
+_SCATTERED = 200
+"""Points where the axes are not X, Y and Z: random positions."""
+_MOTIONS = (5, 11)
+"""Fewest and most positions along an axis at which error motions are judged."""
+_HARDLY = 0.05
+"""Share of information below which the data say practically nothing."""
+_BEFORE, _AFTER = "volumetric error before [um]", "volumetric error after [um]"
+_PARTS = "error components after [um]"
+
+Origin = Literal["noise", "fitted", "not fitted"]
+Statistic = Literal["mean", "rms", "largest"]
+When = Literal["before", "after"]
+STATISTICS: tuple[Statistic, ...] = ("mean", "rms", "largest")
+"""Of the volumetric error over the points of one machine."""
+WHEN: tuple[When, ...] = ("before", "after")
+"""Before and after calibration."""
+
+
+class Contribution(NamedTuple):
+    """What one source adds to the volumetric error after calibration."""
+
+    source: str
+    """Key of an effect, or the component of the reading whose noise it is."""
+    origin: Origin
+    """Noise; an effect that is fitted, with what the data leave of its prior; or one that is not
+    fitted, with all that it does.
+    """
+    rms: float
+    """Root mean square over points and machines, um."""
+    share: float
+    """Part of the mean square."""
+
+
+class Motion(NamedTuple):
+    """One error motion along its axis: true less identified, in um or urad."""
+
+    name: str
+    """ISO 230-1 name, such as ``"EXY"``."""
+    axis: str
+    unit: str
+    position: Float[np.ndarray, " n"]
+    """m or rad."""
+    prior: Float[np.ndarray, " n"]
+    """Standard deviation of the true motion, before any measurement."""
+    u_gum: Float[np.ndarray, " n"]
+    u: Float[np.ndarray, " n"]
+    """Standard deviation in the Monte Carlo."""
+    mean: Float[np.ndarray, " n"]
+    low: Float[np.ndarray, " n"]
+    high: Float[np.ndarray, " n"]
+
+
+class Scalar(NamedTuple):
+    """A scalar output of the Monte Carlo, um."""
+
+    mean: float
+    u: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class VirtualCalibration:
+    """What a plan will achieve."""
+
+    campaign: Campaign = field(repr=False)
+    parameters: Comparison = field(repr=False)
+    """Identified less true value of every fitted amplitude: GUM against Monte Carlo."""
+    entries: tuple[tuple[str, Parameter], ...] = field(repr=False)
+    """(effect with placement, parameter) for every line of `parameters`."""
+    motions: tuple[Motion, ...] = field(repr=False)
+    motion_comparison: Comparison = field(repr=False)
+    contributions: tuple[Contribution, ...]
+    """Largest first."""
+    known: float
+    """Rms displacement by what is known of the truth and not fitted, um; nothing draws it."""
+    points: Plan = field(repr=False)
+    """Where the volumetric error is judged."""
+    nodes: tuple[np.ndarray, ...]
+    """Grid along X, Y and Z (m), of which the points are the product in this order; none where they
+    are scattered.
+    """
+    directions: int
+    """Directions in the parameters that have a prior."""
+    determined: int
+    """Of these, those which the plan determines to better than half their prior variance."""
+    unseen: tuple[str, ...]
+    """Combinations about which it says next to nothing, in words."""
+    hardly: tuple[str, ...]
+    """Parameters of which it says hardly anything."""
+    coverage: float
+
+    @property
+    def ensemble(self) -> Ensemble:
+        """All results of the Monte Carlo."""
+        return self.campaign.ensemble
+
+    @property
+    def rms_gum(self) -> float:
+        """Root mean square of the volumetric error over points and machines by the GUM, um."""
+        return float(np.hypot(np.sqrt(sum(c.rms**2 for c in self.contributions)), self.known))
+
+    @property
+    def rms_monte_carlo(self) -> float:
+        """The same by Monte Carlo."""
+        found = self.volumetric("rms", "after")
+        return float(np.hypot(found.mean, found.u))
+
+    @property
+    def improved(self) -> float:
+        """Share of the machines whose rms volumetric error got smaller."""
+        at = [self.ensemble.index(_label("rms", when)) for when in WHEN]
+        before, after = self.ensemble.values[:, at].T
+        good = np.isfinite(before) & np.isfinite(after)
+        return float(np.mean(after[good] < before[good])) if good.any() else float("nan")
+
+    def volumetric(self, statistic: Statistic, when: When) -> Scalar:
+        """A statistic of the volumetric error over the points, um, with its coverage interval."""
+        label = _label(statistic, when)
+        i = self.ensemble.index(label)
+        low, high = self.ensemble.interval(label, self.coverage)
+        return Scalar(float(self.ensemble.mean[i]), float(self.ensemble.u[i]), low, high)
+
+    def bounds(self, when: When) -> Float[np.ndarray, " n"]:
+        """Volumetric error per point that a machine exceeds with a probability of 1 - coverage,
+        um.
+        """
+        return self._field(when).quantiles[self.coverage]
+
+    def _field(self, when: When) -> FieldResult:
+        return self.ensemble.fields[_BEFORE if when == "before" else _AFTER]
+
+
+def virtual_calibration(
+    truth: Model,
+    fit: Model,
+    plan: Plan,
+    *,
+    draws: int | Literal["adaptive"] = 20_000,
+    seed: int = 0,
+    noise_factor: float = 1.0,
+    coverage: float = 0.95,
+    digits: Literal[1, 2] = 1,
+    most: int = MOST,
+    chunk: int | None = None,
+    folder: Path | str | None = None,
+    progress: Progress = lambda done, total: None,
+    step: Callable[[str], None] = lambda text: None,
+) -> VirtualCalibration:
+    """Which uncertainty a plan gives, before measuring: machines drawn from `truth`, `fit` fitted.
+
+    The volumetric error is judged after rigid alignment on a grid over the travel (other machines
+    than X, Y and Z: at random positions), each point under the conditions of a row of the plan
+    picked at random and from a random direction. Clause 8 of JCGM 101 is judged with `digits`
+    significant digits of u; it needs two sub-blocks of 10 000 draws, below which every verdict is
+    undecided.
+
+    `step` is told what is going on. The other arguments are those of `monte_carlo`, and so are the
+    errors raised; `ValueError` also where truth and fit have two effects of one key in the truth.
+    """
+    check_keys(truth)
+    points, nodes = judged_points(truth.chain, plan)
+    motions = ErrorMotionErrors(int(np.clip(200 // (6 * len(truth.chain.axes)), *_MOTIONS)))
+    volumetric = VolumetricErrors(points, quantiles=(coverage,))
+    step("drawing machines")
+    campaign = monte_carlo(
+        truth,
+        fit,
+        plan,
+        draws=draws,
+        seed=seed,
+        quantities=(ParameterErrors(), motions, volumetric),
+        noise_factor=noise_factor,
+        coverage=coverage,
+        digits=digits,
+        most=most,
+        chunk=chunk,
+        folder=folder,
+        progress=progress,
+    )
+    step("propagating uncertainty (GUM)")
+    pair = campaign.pair
+    along = motions.measure(pair)
+    parameters = linearised(pair, [ParameterErrors().measure(pair)], coverage)
+    left = linearised(pair, [along], coverage)
+    inputs = linearised(pair, [_Uncompensated(along), _Parts(volumetric.measure(pair))], coverage)
+    contributions, known = _contributions(pair, inputs, points.rows)
+    learnt = _Learnt.of(pair)
+    motion_comparison = compare(left.budget, campaign.ensemble, digits)
+    return VirtualCalibration(
+        campaign=campaign,
+        parameters=compare(parameters.budget, campaign.ensemble, digits),
+        entries=tuple((e.key, e.parameter) for e in fit.entries),
+        motions=_motions(truth.chain, plan, motions.nodes, motion_comparison, inputs),
+        motion_comparison=motion_comparison,
+        contributions=contributions,
+        known=known,
+        points=points,
+        nodes=nodes,
+        directions=learnt.directions,
+        determined=learnt.determined,
+        unseen=learnt.unseen,
+        hardly=learnt.hardly,
+        coverage=coverage,
+    )
+
+
+def check_keys(truth: Model) -> None:
+    """Raises `ValueError` where two effects of a truth have the same name and placement."""
+    keys = [e.key for e in (*truth.effects, *truth.random)]
+    twice = [key for key in dict.fromkeys(keys) if keys.count(key) > 1]
+    if twice:
+        raise ValueError(
+            f"the truth: found two effects {twice[0]!r}, expected at most one of a name and "
+            "placement; leave out the one that is declared already"
+        )
+
+
+def judged_points(chain: Chain, plan: Plan) -> tuple[Plan, tuple[np.ndarray, ...]]:
+    """Where the volumetric error is judged, and the grid along X, Y and Z if it is one."""
+    if set(chain.axes) != set("XYZ"):
+        return scattered(chain, plan, jax.random.key(0), _SCATTERED), ()
+    some = scattered(chain, plan, jax.random.key(0), _NODES**3)
+    travel = travels(chain, plan)
+    ends = [travel[chain.axes.index(axis)] for axis in "XYZ"]
+    nodes = tuple(np.linspace(low, high, _NODES) for low, high in ends)
+    mesh = np.stack(np.meshgrid(*nodes, indexing="ij"), -1).reshape(-1, 3)
+    position = mesh[:, ["XYZ".index(axis) for axis in chain.axes]]
+    return Plan(some.axes, position, some.covariates), nodes
+
+
+def _label(statistic: str, when: str) -> str:
+    return f"{statistic} volumetric error {when} [um]"
+
+
+# --- what is only asked of the GUM ---
+
+
+class _Uncompensated(Measure):
+    """A measure before calibration: nothing was identified."""
+
+    inner: Measure
+
+    @property
+    def outputs(self) -> tuple[Output | Field, ...]:
+        return self.inner.outputs
+
+    def __call__(self, state: State) -> dict[str, Array]:
+        return self.inner(state._replace(found=0.0 * state.found))
+
+
+class _Parts(Measure):
+    """Components of the volumetric error after calibration, as scalars."""
+
+    inner: Measure
+    size: tuple[int, ...] = eqx.field(static=True)
+
+    def __init__(self, inner: Measure):
+        self.inner = inner
+        (self.size,) = (o.shape for o in inner.outputs if o.name == _PARTS)
+
+    @property
+    def outputs(self) -> tuple[Output | Field, ...]:
+        return (Output(_PARTS, self.size),)
+
+    def __call__(self, state: State) -> dict[str, Array]:
+        return {_PARTS: jnp.asarray(self.inner(state)[_PARTS])}
+
+
+def _contributions(
+    pair: Pair, inputs: Linearised, points: int
+) -> tuple[tuple[Contribution, ...], float]:
+    budget = inputs.budget
+    rows = [i for i, label in enumerate(budget.labels) if label.startswith(_PARTS)]
+    squares = (budget.sensitivity[rows] ** 2).sum(0) / points
+    known = float((budget.value[rows] ** 2).sum() / points)
+    total = float(squares.sum()) + known
+    fitted = {e.key for e in pair.fit.effects}
+    found = []
+    for name, square in zip(budget.source.labels, squares.tolist(), strict=True):
+        origin: Origin = "not fitted"
+        if name in fitted:
+            origin = "fitted"
+        elif name.startswith(("noise: ", "scatter ")):
+            origin = "noise"
+        if square > 0.0:
+            rms, share = square**0.5, square / total
+            found.append(Contribution(name.removeprefix("noise: "), origin, rms, share))
+    return tuple(sorted(found, key=lambda c: -c.share)), known**0.5
+
+
+def _motions(
+    chain: Chain, plan: Plan, count: int, comparison: Comparison, inputs: Linearised
+) -> tuple[Motion, ...]:
+    """The outputs of `ErrorMotionErrors`, axis by axis and position by position, put in order."""
+    prior = dict(zip(inputs.budget.labels, inputs.budget.u, strict=True))
+    travel = travels(chain, plan)
+    found = []
+    for a, axis in enumerate(chain.axes):
+        low, high = travel[a]
+        position = np.linspace(low, high, count)
+        for k, c in enumerate("XYZABC"):
+            rows = [6 * (a * count + i) + k for i in range(count)]
+            labels = [comparison.labels[i] for i in rows]
+            found.append(
+                Motion(
+                    name=f"E{c}{axis}",
+                    axis=axis,
+                    unit="um" if c in "XYZ" else "urad",
+                    position=position,
+                    prior=np.array([prior[label] for label in labels]),
+                    u_gum=comparison.u[rows, 0],
+                    u=comparison.u[rows, 1],
+                    mean=comparison.value[rows, 1],
+                    low=comparison.low[rows, 1],
+                    high=comparison.high[rows, 1],
+                )
+            )
+    return tuple(found)
+
+
+class _Known(NamedTuple):
+    """What `null_directions` looks at in a fit, for a plan that has not been measured."""
+
+    entries: tuple[tuple[str, Parameter], ...]
+    precision: np.ndarray
+    jacobian: np.ndarray
+
+
+class _Learnt(NamedTuple):
+    """How much of the parameter space the plan determines."""
+
+    directions: int
+    determined: int
+    unseen: tuple[str, ...]
+    hardly: tuple[str, ...]
+
+    @classmethod
+    def of(cls, pair: Pair) -> "_Learnt":
+        batch, names = pair.batch, entries(pair.fit)
+        root = np.asarray(batch.root_precision)
+        proper = np.flatnonzero(root > 0.0)
+        if not len(proper):
+            return cls(0, 0, (), ())
+        inverse = np.asarray(batch.inverse)[np.ix_(proper, proper)]
+        scaled = inverse * np.outer(root[proper], root[proper])
+        learnt = 1.0 - np.linalg.eigvalsh(scaled)
+        known = _Known(names, root**2, np.asarray(batch.jacobian))
+        left = np.diag(scaled)
+        return cls(
+            directions=len(proper),
+            determined=int((learnt > 0.5).sum()),
+            unseen=tuple(null_directions(known)),  # pyright: ignore[reportArgumentType]
+            hardly=tuple(
+                f"{names[k][0]}: {names[k][1].name}"
+                for k, v in zip(proper, left, strict=True)
+                if 1.0 - v < _HARDLY
+            ),
+        )
