@@ -107,6 +107,8 @@ class Batch(eqx.Module):
     nominal_shapes: dict[int, dict[str, float]]
     """Nominal values (SI) of all shape parameters."""
     amplitudes: int = eqx.field(static=True)
+    start: Float[Array, " k"]
+    """Nominal parameters, about which the problem was linearised."""
     nominal: Float[Array, "n m"]
     """Readings at the nominal parameters."""
     whitener: Float[Array, "n m m"]
@@ -141,12 +143,13 @@ class Batch(eqx.Module):
         return (self.whitener * off[:, None, :]).sum(-1).reshape(-1)
 
     def linear(self, readings: Float[Array, "n m"]) -> tuple[Float[Array, " k"], Float[Array, ""]]:
-        """The solution of the linearised problem, and its length in posterior deviations."""
+        """The solution of the linearised problem, and how far it is from the nominal one."""
         off = self.instrument.difference(readings, self.nominal).reshape(-1)
-        theta = self.gain @ off
-        # theta' H theta without H: H = J'J + L.
-        seen = self.jacobian @ theta
-        return theta, jnp.sqrt(seen @ seen + jnp.sum((self.root_precision * theta) ** 2))
+        step = self.gain @ off - self.inverse @ (self.root_precision**2 * self.start)
+        # step' H step without H: H = J'J + L.
+        seen = self.jacobian @ step
+        length = jnp.sqrt(seen @ seen + jnp.sum((self.root_precision * step) ** 2))
+        return self.start + step, length
 
 
 class Identified(NamedTuple):
@@ -163,13 +166,17 @@ def prepare_batch(
     plan: Plan,
     *,
     shapes: Shapes | None = None,
+    theta: Float[np.ndarray, " a"] | None = None,
     keep: Bool[np.ndarray, " n"] | None = None,
 ) -> Batch:
     """All of a batched identification that is the same for every draw.
 
-    `shapes` are the nominal values (SI) of shape parameters; those not given are their declared
-    values, or the middle of their scan. `keep` (n,) leaves rows out. Raises `RuntimeError` in
-    float32 and `numpy.linalg.LinAlgError` where data and prior leave a parameter undetermined.
+    The problem is linearised about the amplitudes `theta` (a,) in solver units, nominally zero, and
+    the `shapes` (SI); shape parameters not given are their declared values, or the middle of their
+    scan. `keep` (n,) leaves rows out.
+
+    Raises `RuntimeError` in float32, and `ValueError` where data and prior leave a parameter
+    undetermined there: a shape parameter is, as long as its effect has no amplitude.
     """
     require_float64()
     plan = model.motion(plan, shapes)
@@ -178,9 +185,11 @@ def prepare_batch(
     names = entries(model)
     moving = sorted({i for i, e in enumerate(model.effects) if any(p.moves for p in e.shapes)})
     size = len(names)
-    terms = linearised_terms(model, plan, at, np.zeros(size))
-    zero = jnp.zeros(size)
-    ports = port_values(terms, zero, len(model.layout))
+    begin = np.zeros(size)
+    if theta is not None:
+        begin[: len(model.entries)] = theta
+    terms = linearised_terms(model, plan, at, begin)
+    ports = port_values(terms, jnp.asarray(begin), len(model.layout))
     readings, by_port = observe_with_jacobian(
         model.chain, model.instrument, plan.position, rows, ports
     )
@@ -195,6 +204,13 @@ def prepare_batch(
     np.add.at(jacobian.T, np.asarray(terms.parameter), by_term.reshape(len(jacobian), -1).T)
     precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in names])
     curvature = jacobian.T @ jacobian + np.diag(precision)
+    lost = [i for i in range(size) if curvature[i, i] == 0.0]
+    if lost or np.linalg.cond(curvature / np.sqrt(np.outer(*[np.diag(curvature)] * 2))) > 1e14:
+        names_lost = ", ".join(f"{names[i][0]} {names[i][1].name}" for i in lost) or "a combination"
+        raise ValueError(
+            f"neither data nor prior determine {names_lost} near the nominal parameters; give a "
+            "prior, a plan that sees it, or (shape parameters) nominal amplitudes `theta`"
+        )
     inverse = np.linalg.inv(np.linalg.cholesky(curvature))
     inverse = inverse.T @ inverse
     n, m = nominal.shape
@@ -219,6 +235,7 @@ def prepare_batch(
         fixed=fixed,
         nominal_shapes=at,
         amplitudes=len(model.entries),
+        start=jnp.asarray(begin),
         nominal=jnp.asarray(nominal),
         whitener=jnp.asarray(whitener),
         root_precision=jnp.asarray(np.sqrt(precision)),

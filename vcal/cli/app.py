@@ -204,6 +204,93 @@ def simulate(
 
 @app.command()
 @guarded
+def uncertainty(
+    setup: Setup,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the report; a new one.")],
+    draws: Annotated[
+        str, typer.Option(metavar="N|adaptive", help="Machines to draw, or until it is stable.")
+    ] = "20000",
+    with_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with",
+            metavar="EFFECT",
+            help="An effect that is there but not fitted, as NAME:PLACEMENT:KEY=VALUE,...; "
+            "what is not given is drawn from its prior. Repeatable.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random draws.")] = 0,
+    noise_factor: Annotated[
+        float, typer.Option(help="Multiplies the noise that the instrument declares.")
+    ] = 1.0,
+    digits: Annotated[
+        int, typer.Option(min=1, max=2, help="Significant digits of u that are to be right.")
+    ] = 1,
+    override: Override = None,
+) -> None:
+    """Say which uncertainty a measurement plan will give, before measuring; write a report.
+
+    Data with readings serve as a plan. What an interrupted or killed run has done is kept in
+    OUT/draws, from where the same command goes on; that folder goes when the report is complete.
+    """
+    start()
+    from .virtual import run_virtual
+
+    command = ["vcal", "uncertainty", str(setup), "--out", str(out), "--draws", draws]
+    command += ["--seed", str(seed), "--noise-factor", f"{noise_factor:g}"]
+    command += ["--digits", str(digits)]
+    for option, texts in (("--with", with_), ("--set", override)):
+        for text in texts or []:
+            command += [option, text]
+    done = run_virtual(
+        setup,
+        out,
+        draws=draws,
+        effects=with_ or [],
+        seed=seed,
+        noise_factor=noise_factor,
+        digits=2 if digits == 2 else 1,
+        overrides=override or [],
+        command=shlex.join(command),
+    )
+    typer.echo(done.sentence)
+    typer.echo(f"Report: {done.page}")
+    if done.interrupted:
+        tell("interrupted: the report holds what was known by then; the same command goes on")
+        raise typer.Exit(INTERRUPTED)
+
+
+@app.command()
+@guarded
+def reproduce(
+    name: Annotated[
+        str | None, typer.Argument(help="What to reproduce; without it, what there is.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for the results; a new one.")
+    ] = None,
+    draws: Annotated[int | None, typer.Option(help="Tests of the long campaign.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random draws.")] = 0,
+) -> None:
+    """Do a published campaign again; write its numbers beside those that were printed."""
+    start()
+    from ..errors import StudyError
+    from ..reproduce import REPRODUCTIONS, reproduction
+
+    if name is None:
+        for one in REPRODUCTIONS.values():
+            typer.echo(f"{one.name}: {one.summary}.")
+        return
+    wanted = reproduction(name)
+    if out is None:
+        raise StudyError(f"--out: found none, expected a folder for {name}; name a new one")
+    with working("starting") as progress:
+        page = wanted.run(out, wanted.draws if draws is None else draws, seed, progress)
+    typer.echo(f"Report: {page}")
+
+
+@app.command()
+@guarded
 def check(setup: Setup, override: Override = None) -> None:
     """Read and check a study without computing anything; say what is in it."""
     start()

@@ -1,15 +1,12 @@
 """The page of a report: everything it says, put in order for the template beside this file."""
 
-import base64
 import datetime
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from scipy.linalg import cho_solve
 
@@ -19,8 +16,9 @@ from ..loop.closure import Closure, FoundEffect
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
 from .derived import missing_columns, parameters
-from .pictures import Picture
+from .picture import Picture
 from .record import plain, versions
+from .template import render
 
 _TITLES = {
     "nothing_missing": "Nothing is missing",
@@ -42,23 +40,12 @@ def page(
     seconds: float = math.nan,
 ) -> str:
     """The page as one self-contained HTML text, pictures included."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    shown: dict[str, list[Any]] = {}
+    shown: dict[str, list[Picture]] = {}
     for picture in drawn:
-        shown.setdefault(picture.section, []).append(
-            {
-                "source": "data:image/png;base64," + base64.b64encode(picture.data).decode("ascii"),
-                "caption": picture.caption,
-            }
-        )
+        shown.setdefault(picture.section, []).append(picture)
     after = closure.after
-    return environment.get_template("page.html.j2").render(
+    return render(
+        "page.html.j2",
         name=study.name,
         title=_TITLES[closure.verdict] if closure.verdict else "Interrupted",
         verdict=closure.verdict or "interrupted",

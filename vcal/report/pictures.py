@@ -1,34 +1,16 @@
 """The pictures of a report, each with a caption that says what to see in it."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from .. import plots
 from ..loop.closure import Closure
 from ..plots import ErrorMotionTable
+from .picture import Picture
 from .text import number, percent
 
 _DOTS = "Small dots: readings; large: means of groups with two standard errors."
-
-
-@dataclass(frozen=True)
-class Picture:
-    """One picture of the report."""
-
-    name: str
-    """File name without its ending."""
-    section: str
-    """Where the page shows it: ``"effect 1"``, or the name of a section."""
-    caption: str
-    data: bytes
-    """PNG."""
-
-    @property
-    def file(self) -> str:
-        """Name of the file."""
-        return f"{self.name}.png"
 
 
 def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[Picture]:

@@ -9,7 +9,7 @@ displacement of the tool point from source s,
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -40,6 +40,7 @@ from .quantities import (
     VolumetricErrors,
     travels,
 )
+from .steps import Precision
 from .stream import Progress
 
 MOST = 1_000_000
@@ -48,7 +49,7 @@ _NODES = 7
 """Grid points along an axis at which the volumetric error is judged."""
 _SCATTERED = 200
 """Points where the axes are not X, Y and Z: random positions."""
-_MOTIONS = (5, 11)
+_MOTIONS = (5, 9)
 """Fewest and most positions along an axis at which error motions are judged."""
 _HARDLY = 0.05
 """Share of information below which the data say practically nothing."""
@@ -229,15 +230,16 @@ def virtual_calibration(
     step("propagating uncertainty (GUM)")
     pair = campaign.pair
     along = motions.measure(pair)
-    parameters = linearised(pair, [ParameterErrors().measure(pair)], coverage)
-    left = linearised(pair, [along], coverage)
+    linear = linearised(pair, [ParameterErrors().measure(pair), along], coverage)
     inputs = linearised(pair, [_Uncompensated(along), _Parts(volumetric.measure(pair))], coverage)
     contributions, known = _contributions(pair, inputs, points.rows)
     learnt = _Learnt.of(pair)
-    motion_comparison = compare(left.budget, campaign.ensemble, digits)
+    compared = compare(linear.budget, campaign.ensemble, digits)
+    fitted = len(fit.entries)
+    motion_comparison = _part(compared, slice(fitted, None))
     return VirtualCalibration(
         campaign=campaign,
-        parameters=compare(parameters.budget, campaign.ensemble, digits),
+        parameters=_part(compared, slice(fitted)),
         entries=tuple((e.key, e.parameter) for e in fit.entries),
         motions=_motions(truth.chain, plan, motions.nodes, motion_comparison, inputs),
         motion_comparison=motion_comparison,
@@ -275,6 +277,13 @@ def judged_points(chain: Chain, plan: Plan) -> tuple[Plan, tuple[np.ndarray, ...
     mesh = np.stack(np.meshgrid(*nodes, indexing="ij"), -1).reshape(-1, 3)
     position = mesh[:, ["XYZ".index(axis) for axis in chain.axes]]
     return Plan(some.axes, position, some.covariates), nodes
+
+
+def _part(comparison: Comparison, rows: slice) -> Comparison:
+    """Some of the outputs of a comparison."""
+    arrays = ("labels", "value", "u", "low", "high", "delta")
+    cut = {name: getattr(comparison, name)[rows] for name in arrays}
+    return replace(comparison, **cut, precision=Precision(*(s[rows] for s in comparison.precision)))
 
 
 def _label(statistic: str, when: str) -> str:

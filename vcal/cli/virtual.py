@@ -1,0 +1,176 @@
+"""What `vcal uncertainty` does: from its arguments to the report."""
+
+import contextlib
+import math
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from ..effects.base import Setup
+from ..errors import StudyError
+from ..io import Study, load_study
+from ..io.messages import refusal
+from ..io.simulated import parse_with
+from ..model import Model
+from ..report import DRAWS, check_virtual_folder, sentence, write_virtual
+from ..uncertainty.virtual import check_keys, virtual_calibration
+
+_MOST = 2**32
+"""Draws have indices of 32 bits."""
+
+
+class Done(NamedTuple):
+    """How it ended."""
+
+    page: Path
+    sentence: str
+    interrupted: bool
+
+
+def run_virtual(
+    setup: Path,
+    out: Path,
+    *,
+    draws: str,
+    effects: Sequence[str],
+    seed: int,
+    noise_factor: float,
+    digits: Literal[1, 2],
+    overrides: Sequence[str],
+    command: str,
+) -> Done:
+    """Read a study, judge its plan and write the report into `out`.
+
+    An unfinished campaign is kept in a folder ``draws`` in `out`, which goes when the report is
+    complete. Raises `StudyError` for what cannot be used, before anything is written, and for an
+    unfinished campaign with other settings.
+    """
+    began = time.perf_counter()
+    number = parse_draws(draws)
+    if not 0.0 <= noise_factor < math.inf:
+        found = f"{noise_factor:g}"
+        raise refusal("--noise-factor", "value", found, "a number of at least 0", "correct it")
+    check_virtual_folder(out)
+    study = load_study(setup, overrides)
+    truth = _truth(study, effects)
+    settings: dict[str, Any] = {
+        "draws": number,
+        "seed": seed,
+        "with": list(effects),
+        "noise_factor": noise_factor,
+        "digits": digits,
+    }
+    with _campaign(out) as folder, drawing() as (step, progress):
+        result = virtual_calibration(
+            truth,
+            study.model,
+            study.plan,
+            draws=number,
+            seed=seed,
+            noise_factor=noise_factor,
+            digits=digits,
+            folder=folder,
+            progress=progress,
+            step=step,
+        )
+        step("writing the report")
+        seconds = time.perf_counter() - began
+        page = write_virtual(
+            result, study, out, settings=settings, command=command, seconds=seconds
+        )
+    if not result.ensemble.interrupted:
+        shutil.rmtree(folder)
+    return Done(page, sentence(result), result.ensemble.interrupted)
+
+
+def parse_draws(text: str) -> int | Literal["adaptive"]:
+    """The number of draws that a user asks for; raises `StudyError` for anything else."""
+    if text == "adaptive":
+        return "adaptive"
+    try:
+        number = int(text)
+    except ValueError:
+        number = 0
+    if not 2 <= number <= _MOST:
+        raise refusal(
+            "--draws",
+            "value",
+            repr(text),
+            "a whole number from 2 to 2^32, or 'adaptive'",
+            "correct it",
+        )
+    return number
+
+
+def _truth(study: Study, effects: Sequence[str]) -> Model:
+    """The declared model with the effects that are there but not fitted."""
+    model = study.model
+    place = Setup(study.chain, model.layout, study.plan, model.effects, study.instrument.artefact)
+    found = []
+    for text in effects:
+        effect = parse_with(text, study.catalogue, place, study.settings.data.data)
+        found.append(effect)
+        try:
+            check_keys(model.with_effects(*found))
+        except ValueError:
+            raise StudyError(
+                f"--with {text}: found {effect.key!r} a second time, expected an effect that is "
+                "neither declared in the study nor given before; leave it out"
+            ) from None
+    return model.with_effects(*found)
+
+
+@contextlib.contextmanager
+def _campaign(out: Path) -> Iterator[Path]:
+    """The folder of the campaign in `out`; gone afterwards, with `out`, where nothing was kept."""
+    missing = [p for p in (out, *out.absolute().parents) if not p.exists()]
+    folder = out / DRAWS
+    try:
+        yield folder
+    except BaseException:
+        for path in (folder, *missing):
+            with contextlib.suppress(OSError):
+                path.rmdir()
+        raise
+
+
+@contextlib.contextmanager
+def drawing() -> Iterator[tuple[Callable[[str], None], Callable[[int, int], None]]]:
+    """Show on a terminal how far the draws are: functions to call with the step, and with the
+    draws that are done and are to be done.
+
+    Quiet where stderr is not a terminal. Nothing of it remains on the screen.
+    """
+    if not sys.stderr.isatty():
+        yield lambda step: None, lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading the study", total=None)
+
+        def step(text: str) -> None:
+            bar.update(task, description=text)
+
+        def progress(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield step, progress

@@ -1,0 +1,15 @@
+"""Published campaigns, done again: each is a leaf that is entered here by its name."""
+
+from .registry import Reproduction, known
+from .tracker_verification import TRACKER_VERIFICATION
+
+REPRODUCTIONS = {one.name: one for one in (TRACKER_VERIFICATION,)}
+"""Every reproduction by the name that the command line takes."""
+
+
+def reproduction(name: str) -> Reproduction:
+    """A reproduction by name; raises `StudyError` if there is none of that name."""
+    return known(name, REPRODUCTIONS)
+
+
+__all__ = ["REPRODUCTIONS", "Reproduction", "reproduction"]

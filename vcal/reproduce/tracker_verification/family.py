@@ -1,0 +1,95 @@
+"""The family of machines whose initial error has a given mean and spread, found by search."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import brentq
+
+from ...arrays import Array
+from ...model import tool_columns
+from ...port_map import port_map
+from .setting import Family, Setting, machine
+
+_MACHINES = 12_000
+_LEVERS = (0.5, 50.0)
+"""Rotations in urad per um of translations: between these the spread is searched."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """A family, and how its initial error came out on the machines it was searched with."""
+
+    family: Family
+    mean_um: float
+    sd_um: float
+    machines: int
+    spread_range: tuple[float, float]
+    """Standard deviation over mean at both ends of the search: what the family can meet."""
+
+
+def find_family(
+    setting: Setting, mean_um: float, sd_um: float, seed: int = 0, machines: int = _MACHINES
+) -> Search:
+    """Sizes for which |d| over all points and machines has this mean and standard deviation.
+
+    Two searches in one dimension, with the same standard normal draws throughout: sd / mean depends
+    on the size of rotations over that of translations only (as far as errors are small), so that
+    ratio is found first, and then the scale from the mean. Raises `ValueError` where no ratio gives
+    that spread.
+    """
+    lengths = _Lengths(setting, machines, seed)
+    wanted = sd_um / mean_um
+
+    def spread(lever: float) -> float:
+        size = lengths(Family(1.0, lever))
+        return float(size.std() / size.mean())
+
+    ends = spread(_LEVERS[0]), spread(_LEVERS[1])
+    if not min(ends) < wanted < max(ends):
+        raise ValueError(
+            f"found a spread of {wanted:.3f} of the mean, expected one between {ends[0]:.3f} and "
+            f"{ends[1]:.3f}, as this family of machines can have; choose other degrees"
+        )
+    lever = _root(lambda v: spread(v) - wanted, *_LEVERS, 1e-4)
+    one = Family(1.0, lever)
+    guess = mean_um / float(lengths(one).mean())
+    scale = _root(
+        lambda s: float(lengths(one.times(s)).mean()) - mean_um, 0.9 * guess, 1.1 * guess, 1e-6
+    )
+    found = lengths(one.times(scale))
+    return Search(one.times(scale), float(found.mean()), float(found.std()), machines, ends)
+
+
+def _root(f: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
+    found: Any = brentq(f, low, high, xtol=tolerance)
+    return float(found)
+
+
+class _Lengths:
+    """|d| in um of a number of machines at all points, as a function of the family."""
+
+    def __init__(self, setting: Setting, machines: int, seed: int):
+        self.setting = setting
+        model = machine(setting, Family(1.0, 1.0))
+        parameters = [e.parameter for e in model.entries]
+        self.turns = np.array([p.unit == "urad" for p in parameters])
+        ports = port_map(model, setting.points)
+        position, chain = setting.positions, model.chain
+        nominal = jnp.stack(tool_columns(chain, position, [0.0] * len(model.layout)), -1)
+
+        def length(theta: Float[Array, " k"]) -> Float[Array, " n"]:
+            d = jnp.stack(tool_columns(chain, position, ports(theta)), -1) - nominal
+            return jnp.linalg.norm(d, axis=-1)
+
+        self.map = eqx.filter_jit(lambda theta: jax.lax.map(length, theta, batch_size=125))
+        self.draws = jax.random.normal(jax.random.key(seed), (machines, len(parameters)))
+
+    def __call__(self, family: Family) -> Float[np.ndarray, "machines n"]:
+        sizes = np.where(self.turns, family.rotation_urad, family.translation_um)
+        return np.asarray(self.map(self.draws * sizes)) / 1e-6

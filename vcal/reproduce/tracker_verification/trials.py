@@ -1,0 +1,301 @@
+"""Tests as the publication makes them: a machine is drawn, measured and identified, many times.
+
+Every test gives these errors per point: *initial* (true less nominal tool point), *residual* (what
+the tracker measured less what the identified model predicts, which is what can be seen in a
+workshop), *left* (true less predicted tool point, which only a simulation can know) and *aligned*
+(the same after the best rigid alignment of all points).
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from ...arrays import Array
+from ...batch import Batch, identify_one
+from ...simulate import Simulator, draw
+from ...uncertainty.campaign import virtual_pair
+from ...uncertainty.ensemble import Ensemble
+from ...uncertainty.linear import Linearised, linearised
+from ...uncertainty.outputs import Field, Output
+from ...uncertainty.quantities import ErrorMotionErrors, Measure, Pair, State
+from ...uncertainty.stream import stream
+from .judge import PointErrors, point_errors
+from .setting import Family, Setting, truth_and_fit
+
+KINDS = ("initial", "residual", "left", "aligned")
+PARTS = ("X", "Y", "Z", "distance")
+NODES = 3
+_BINS = 60
+_MARGIN = 1.1
+_BLOCK = 1000
+_PART = 125
+"""Tests that a processor computes together: what they need stays in its cache."""
+_MICRO = 1e-6
+_SIZES = "sizes"
+_ERRORS = "errors"
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """Distribution of one error over all points and tests, um."""
+
+    mean: float
+    sd: float
+    u_mean: float
+    """Standard deviation of the mean itself: tests are independent, points of a test are not."""
+    edges: Float[np.ndarray, " b"]
+    share: Float[np.ndarray, " b-1"]
+    """Share of the points and tests in every bin."""
+
+    def quantile(self, p: float) -> float:
+        """Value that a share p does not exceed: linear within a bin."""
+        return float(np.interp(p, np.concatenate([[0.0], np.cumsum(self.share)]), self.edges))
+
+
+@dataclass(frozen=True)
+class Trials:
+    """The tests of one setting."""
+
+    setting: Setting
+    pair: Pair
+    ensemble: Ensemble
+    pooled: dict[tuple[str, str], Pooled]
+    """By kind of error and part of it."""
+    measures: tuple[Measure, ...]
+    points: PointErrors
+
+    @property
+    def failed(self) -> int:
+        """Tests whose identification did not converge: counted, and left out of everything."""
+        return max(self.ensemble.failed.values(), default=0)
+
+    def gum(self, coverage: float = 0.95) -> Linearised:
+        """The same uncertainties by the GUM, through the identification."""
+        return linearised(self.pair, self.measures, coverage)
+
+
+class _Numbers(eqx.Module):
+    """All of a campaign that differs from setting to setting: arrays only."""
+
+    simulator: Any
+    batch: Any
+    measures: Any
+
+
+class Runner:
+    """Runs campaigns whose models have the same structure with one compiled program."""
+
+    def __init__(self, family: Family, seed: int):
+        self.family, self.seed = family, seed
+        self.programs: dict[Any, Callable[..., dict[str, Array]]] = {}
+
+    def __call__(self, setting: Setting, tests: int) -> Trials:
+        """Tests number 0 ... tests - 1 of a setting; the same random numbers in every setting.
+
+        Raises `ValueError` for fewer than two tests.
+        """
+        pair = virtual_pair(*truth_and_fit(setting, self.family), setting.plan)
+        points = point_errors(pair, setting.points)
+        measures = (ErrorMotionErrors(nodes=NODES).measure(pair), points)
+        numbers = _numbers(pair, measures)
+        program = self._program(pair, measures, numbers)
+        pilot = program(np.arange(_size(), dtype=np.uint32), self._key, numbers)
+        counts = _Counts(_edges(np.asarray(pilot[_ERRORS])))
+        given = [o for m in measures for o in m.outputs]
+        sizes = [f"{kind} {part} {power}" for kind in KINDS for part in PARTS for power in "12"]
+        ensemble = stream(
+            _Evaluate(program, self._key, numbers, counts, tests),
+            tests,
+            [
+                *(o for o in given if isinstance(o, Output)),
+                Output(_SIZES, (len(sizes),), (*sizes,)),
+            ],
+            fields=[o for o in given if isinstance(o, Field)],
+            block=max(min(_BLOCK, tests), 1),
+        )
+        return Trials(setting, pair, ensemble, _pooled(ensemble, counts), measures, points)
+
+    @property
+    def _key(self) -> PRNGKeyArray:
+        return jax.random.key(self.seed)
+
+    def _program(
+        self, pair: Pair, measures: tuple[Measure, ...], numbers: _Numbers
+    ) -> Callable[..., dict[str, Array]]:
+        """The compiled program for models of this structure."""
+        structure = jax.tree.structure(numbers), tuple(a.shape for a in jax.tree.leaves(numbers))
+        if structure not in self.programs:
+
+            def one(index: Array, key: PRNGKeyArray, numbers: _Numbers) -> dict[str, Array]:
+                return _test(jax.random.fold_in(key, index), *_filled(pair, measures, numbers))
+
+            self.programs[structure] = jax.jit(jax.vmap(one, in_axes=(0, None, None)))
+        return self.programs[structure]
+
+
+def _numbers(pair: Pair, measures: tuple[Measure, ...]) -> _Numbers:
+    s, b = pair.simulator, pair.batch
+    ours = _Numbers(
+        (s.ports.columns, s.scatter, s.sigma),
+        (b.ports.columns, b.nominal, b.whitener, b.root_precision)
+        + (b.jacobian, b.inverse, b.gain),
+        [(m.true.columns, m.found.columns) for m in measures],  # type: ignore[attr-defined]
+    )
+    return jax.tree.map(jnp.asarray, ours)
+
+
+def _filled(
+    pair: Pair, measures: tuple[Measure, ...], numbers: _Numbers
+) -> tuple[Simulator, Batch, list[Measure]]:
+    """The prepared models with the numbers of one setting in them.
+
+    Chain, station and positions stay constants to the compiler.
+    """
+    columns, scatter, sigma = numbers.simulator
+    simulator = replace(
+        pair.simulator,
+        ports=replace(pair.simulator.ports, columns=columns),
+        scatter=scatter,
+        sigma=sigma,
+    )
+    columns, nominal, whitener, root, jacobian, inverse, gain = numbers.batch
+    batch = replace(
+        pair.batch,
+        ports=replace(pair.batch.ports, columns=columns),
+        nominal=nominal,
+        whitener=whitener,
+        root_precision=root,
+        jacobian=jacobian,
+        inverse=inverse,
+        gain=gain,
+    )
+    filled = [
+        replace(m, true=replace(m.true, columns=true), found=replace(m.found, columns=found))  # type: ignore[attr-defined, call-arg]
+        for m, (true, found) in zip(measures, numbers.measures, strict=True)
+    ]
+    return simulator, batch, filled
+
+
+def _test(
+    key: PRNGKeyArray, simulator: Simulator, batch: Batch, measures: list[Measure]
+) -> dict[str, Array]:
+    """One test: outputs in um and urad, and all errors (kinds, parts, points)."""
+    made = draw(simulator, key)
+    found = identify_one(batch, made.readings)
+    state = State(made.theta, made.shapes, found.theta, {})
+    points = measures[-1]
+    assert isinstance(points, PointErrors)
+    initial, left = points.errors(state)
+    seen = measured_points(batch.instrument, made.readings)
+    residual = seen - measured_points(batch.instrument, batch.predict(found.theta))
+    errors = jnp.stack([initial, residual, left, points.aligned(left)]) / _MICRO
+    parts = jnp.concatenate([errors, jnp.linalg.norm(errors, axis=-1, keepdims=True)], -1)
+    parts = parts.swapaxes(1, 2)
+    values = {name: v for m in measures for name, v in m(state).items()}
+    values[_SIZES] = jnp.stack([parts.mean(-1), (parts**2).mean(-1)], -1).reshape(-1)
+    values[_ERRORS] = parts
+    lost = jnp.where(found.converged, 0.0, jnp.nan)
+    return {name: v + lost for name, v in values.items()}
+
+
+def measured_points(tracker: Any, readings: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """Points in the machine's frame from range, azimuth and elevation: station + R v, m."""
+    r, azimuth, elevation = readings[:, 0], readings[:, 1], readings[:, 2]
+    level = r * jnp.cos(elevation)
+    v = [level * jnp.cos(azimuth), level * jnp.sin(azimuth), r * jnp.sin(elevation)]
+    return jnp.asarray(tracker.station) + jnp.stack(v, -1) @ jnp.asarray(tracker.orientation).T
+
+
+def _edges(errors: Float[np.ndarray, "tests kinds parts n"]) -> np.ndarray:
+    """Bins (kinds, parts, b) that hold what a pilot run gave, and a little more."""
+    largest = _MARGIN * np.nanmax(np.abs(errors), axis=(0, 3))
+    # The three components share their bins, so that their histograms can be compared.
+    largest[:, :3] = largest[:, :3].max(1, keepdims=True)
+    low = np.where(np.arange(len(PARTS)) < 3, -largest, 0.0)
+    share = np.linspace(0.0, 1.0, _BINS + 1)
+    return low[..., None] + (largest - low)[..., None] * share
+
+
+class _Counts:
+    """Histograms of the errors of all points and tests, added to as the tests come."""
+
+    def __init__(self, edges: Float[np.ndarray, "kinds parts b"]):
+        self.edges = edges
+        self.counts = np.zeros(edges.shape[:2] + (_BINS,), np.int64)
+        self.total = 0
+
+    def add(self, errors: Float[np.ndarray, "tests kinds parts n"]) -> None:
+        """Count those of some tests; what lies outside of all bins counts in `total` only."""
+        good = errors[np.isfinite(errors).all((1, 2, 3))]
+        self.total += good.shape[0] * good.shape[3]
+        low, width = self.edges[..., 0], self.edges[..., 1] - self.edges[..., 0]
+        place = np.floor((good - low[..., None]) / width[..., None])
+        for i, j in np.ndindex(self.counts.shape[:2]):
+            inside = place[:, i, j][(place[:, i, j] >= 0) & (place[:, i, j] < _BINS)]
+            self.counts[i, j] += np.bincount(inside.astype(np.int64), minlength=_BINS)
+
+
+class _Evaluate:
+    """The outputs of a range of tests, in parts that several processors share."""
+
+    def __init__(
+        self,
+        program: Callable[..., dict[str, Array]],
+        key: PRNGKeyArray,
+        numbers: _Numbers,
+        counts: _Counts,
+        tests: int,
+    ):
+        self.program, self.key, self.numbers = program, key, numbers
+        self.counts, self.tests = counts, tests
+        self.workers = (os.cpu_count() or 1) if _on_processor() else 1
+        self.size = _size()
+
+    def __call__(self, first: int, count: int) -> dict[str, np.ndarray]:
+        # The last part is computed whole and cut, so that one program serves them all.
+        starts = range(first, first + count, self.size)
+
+        def run(start: int) -> dict[str, Array]:
+            index = np.arange(start, start + self.size, dtype=np.uint32)
+            return jax.block_until_ready(self.program(index, self.key, self.numbers))
+
+        with ThreadPoolExecutor(min(self.workers, len(starts))) as pool:
+            found = list(pool.map(run, starts))
+        values = {k: np.concatenate([np.asarray(f[k]) for f in found])[:count] for k in found[0]}
+        # The last block of a campaign is asked for whole as well.
+        self.counts.add(values.pop(_ERRORS)[: self.tests - first])
+        return values
+
+
+def _on_processor() -> bool:
+    return jax.default_backend() == "cpu"
+
+
+def _size() -> int:
+    """Tests that are computed in one piece."""
+    return _PART if _on_processor() else _BLOCK
+
+
+def _pooled(ensemble: Ensemble, counts: _Counts) -> dict[tuple[str, str], Pooled]:
+    good = ensemble.draws - max(ensemble.failed.values(), default=0)
+    found = {}
+    for i, kind in enumerate(KINDS):
+        for j, part in enumerate(PARTS):
+            one, two = (ensemble.index(f"{kind} {part} {power}") for power in "12")
+            mean, square = float(ensemble.mean[one]), float(ensemble.mean[two])
+            found[kind, part] = Pooled(
+                mean=mean,
+                sd=max(square - mean**2, 0.0) ** 0.5,
+                u_mean=float(ensemble.u[one]) / max(good, 1) ** 0.5,
+                edges=counts.edges[i, j],
+                share=counts.counts[i, j] / max(counts.total, 1),
+            )
+    return found
