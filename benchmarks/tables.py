@@ -94,19 +94,40 @@ def practice(found: list[dict]) -> str:
     return table(head.split(","), rows)
 
 
-TABLES: dict[str, Callable[..., str]] = {
-    "false_alarms": false_alarms,
-    "speed": speed,
-    "practice": practice,
+def batch(found: dict) -> str:
+    times = found["seconds_per_draw"]
+    rows = (
+        [name, f"{1e3 * seconds:.4f}", f"{seconds / times['vcal']:.1f}"]
+        for name, seconds in times.items()
+    )
+    machine = found["machine"]
+    return table([f"{machine['device']}, {machine['cores']} cores", "ms per draw", "/ vcal"], rows)
+
+
+def campaigns(found: dict) -> str:
+    rows = (
+        [f"{c['draws']:,}", f"{c['peak_mib']:.0f}", f"{c['wall_s']:.0f}", c["quantiles"]]
+        for c in found["campaigns"]
+    )
+    return table(["draws", "peak memory, MiB", "whole run, s", "quantiles"], rows)
+
+
+TABLES: dict[str, tuple[str, Callable[..., str]]] = {
+    "false_alarms": ("false_alarms", false_alarms),
+    "practice": ("practice", practice),
+    "speed": ("speed", speed),
+    "batch": ("batch", batch),
+    "campaigns": ("batch", campaigns),
 }
+"""Name of the table: the file in results/ and how it is laid out."""
 
 
 def main() -> None:
     """Renew every table of the README."""
     readme = HERE / "README.md"
     text = readme.read_text(encoding="utf-8")
-    for name, make in TABLES.items():
-        found = json.loads((HERE / "results" / f"{name}.json").read_text(encoding="utf-8"))
+    for name, (file, make) in TABLES.items():
+        found = json.loads((HERE / "results" / f"{file}.json").read_text(encoding="utf-8"))
         pattern = rf"(<!-- table {name} -->\n\n).*?(?=\n\n|\n?\Z)"
         places = list(re.finditer(pattern, text, re.DOTALL))
         if len(places) != 1:
