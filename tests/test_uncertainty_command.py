@@ -323,7 +323,9 @@ def test_interrupted_before_there_is_anything(study, tmp_path, monkeypatch):
 # --- interrupted, killed, resumed ----------------------------------------------------------------
 
 SLOWLY = """
+import signal
 import time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the tests run unattended
 import vcal.uncertainty.campaign as campaign
 import vcal.uncertainty.stream as stream
 from vcal.cli import main
