@@ -116,8 +116,6 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "false_alarms": ("false_alarms", false_alarms),
     "practice": ("practice", practice),
     "speed": ("speed", speed),
-    "batch": ("batch", batch),
-    "campaigns": ("batch", campaigns),
 }
 """Name of the table: the file in results/ and how it is laid out."""
 
