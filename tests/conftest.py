@@ -8,6 +8,19 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep compiled programs: most of the time goes into compilation, often of the same program.
+
+    Every process has its own folder, because the cache takes no care of two writers.
+    """
+    worker = getattr(config, "workerinput", {}).get("workerid", "main")
+    folder = config.cache.mkdir("xla") / worker
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
 MACHINE = """\
 name = "small"
 

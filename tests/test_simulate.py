@@ -113,10 +113,11 @@ def test_compiled_and_mapped_draws_are_the_single_ones(tracker):
     assert len(traces) == 1
     for i, key in enumerate(keys):
         one = draw(simulator, key)
-        np.testing.assert_array_equal(theta[i], one[0])
+        # Compiled, products and sums may be fused: the last bit is not the same.
+        np.testing.assert_allclose(theta[i], one[0], rtol=1e-14)
         np.testing.assert_allclose(readings[i], one[1], rtol=0, atol=2e-15)
         found = simulate(tracker.model, tracker.plan, key)
-        np.testing.assert_array_equal(theta[i], found.theta)
+        np.testing.assert_allclose(theta[i], found.theta, rtol=1e-14)
         np.testing.assert_allclose(readings[i], found.measurement.readings, rtol=0, atol=2e-15)
 
 

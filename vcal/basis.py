@@ -6,23 +6,40 @@ polynomials cannot follow looks like something physical.
 """
 
 import abc
+import functools
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .arrays import Array
+from .distributions import Uniform, Univariate
+
+
+@functools.cache
+def unit_uniform() -> Uniform:
+    """Uniform between -1 and 1."""
+    with jax.ensure_compile_time_eval():  # it is kept, and must not be part of a trace
+        return Uniform(-1.0, 1.0)
 
 
 class Basis(eqx.Module):
-    """Functions of one position with independent, zero-mean normal coefficients."""
+    """Functions of one position with independent, zero-mean coefficients."""
 
     sigma: eqx.AbstractVar[np.ndarray]
     """Prior standard deviation of each coefficient (k,), in the unit of the error motion (SI)."""
     labels: eqx.AbstractVar[tuple[str, ...]]
     """Name of each coefficient."""
+
+    @property
+    def law(self) -> Univariate | None:
+        """Distribution of which the standardised form is that of the coefficients, where they are
+        not normal.
+        """
+        return None
 
     @abc.abstractmethod
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
@@ -32,8 +49,8 @@ class Basis(eqx.Module):
 class Fourier(Basis):
     """E(u) = a0 + a1 u + sum_n b_n sin(n pi u) + c_n cos(n pi u), u in [-1, 1] over the travel.
 
-    Amplitudes are the half-widths of uniform distributions; only the variance, amplitude^2 / 3,
-    enters. Terms of amplitude zero are left out.
+    Amplitudes are the half-widths of uniform distributions, of variance amplitude^2 / 3. Terms of
+    amplitude zero are left out.
     """
 
     sigma: np.ndarray
@@ -57,6 +74,10 @@ class Fourier(Basis):
         self.waves = np.array([n for _, n, _ in terms])
         self.sigma = np.array([amplitude for _, _, amplitude in terms]) / np.sqrt(3.0)
         self.travel = np.asarray(travel, float)
+
+    @property
+    def law(self) -> Univariate:
+        return unit_uniform()
 
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
         low, high = self.travel

@@ -8,7 +8,9 @@ H = J'J + L of the cost
 So the nominal problem is linearised and H factored once; every draw starts at the linear solution
 and then takes steps theta <- theta - H^-1 g with its own exact gradient g, until the Newton
 decrement sqrt(g' H^-1 g) - the distance still to go, in posterior standard deviations - is small.
-Where the error motions are 1e-5, one such step is enough.
+Where the error motions are 1e-5, one such step is enough. Where they are so large that H differs
+from draw to draw (an arm with links off by a milliradian), every draw needs its own:
+`identify_alone`.
 """
 
 from typing import Any, NamedTuple
@@ -25,12 +27,18 @@ from .chain import Chain
 from .fit import entries, shape_step
 from .identify import declared_whitener, linearised_terms
 from .instruments.base import Instrument
+from .least_squares import least_squares
 from .measurement import Measurement
 from .model import Model, Shapes, observe_columns, observe_with_jacobian, port_values
 from .plan import Plan
 from .port_map import PortMap, port_map
+from .prior import Amplitudes
 from .spatial import require_float64
 
+_SHARED = 0.5
+"""Contraction up to which the shared curvature is tried: 12 steps then gain three digits."""
+_MACHINES = 3
+"""Machines of the prior whose curvature is compared with the nominal one."""
 _CAREFUL = 10.0
 """What the contraction seen in the last step must leave to spare: it was seen once only."""
 
@@ -119,6 +127,15 @@ class Batch(eqx.Module):
     """H^-1: the posterior covariance."""
     gain: Float[Array, "k nm"]
     """H^-1 J' W: the linear estimate from a residual."""
+    contraction: float = eqx.field(static=True)
+    """What a step with the shared curvature leaves of the distance to the solution, at worst and
+    close to it: the spectral radius of 1 - H^-1 H(theta), median over machines of the prior.
+    """
+
+    @property
+    def shared(self) -> bool:
+        """Whether the draws are near enough to each other to share their curvature."""
+        return self.contraction < _SHARED
 
     def shape_values(self, theta: Float[Array, " k"]) -> dict[int, dict[str, Any]]:
         """Shape parameters (SI) of the effects that have a moving one, by place of the effect."""
@@ -136,8 +153,59 @@ class Batch(eqx.Module):
 
     def residual(self, theta: Float[Array, " k"], readings: Float[Array, "n m"]) -> Array:
         """Whitened data residual, then the prior's rows: what is squared and minimised."""
+        if self.chain.revolute:
+            return self.dense_residual(theta, readings)
         off = self.instrument.difference(readings, self.predict(theta))
         return jnp.concatenate([self._whitened(off), self.root_precision * theta])
+
+    def dense_residual(self, theta: Float[Array, " k"], readings: Float[Array, "n m"]) -> Array:
+        """`residual`, differentiated by way of the readings' derivatives by all ports.
+
+        That takes the kinematics in arrays, which compile in seconds also for the long expressions
+        of revolute joints, but run slower.
+        """
+
+        @jax.custom_jvp
+        def residual(theta, readings):
+            return self._dense(theta, readings)[0]
+
+        @residual.defjvp
+        def _(primals, tangents):
+            value, by_port = self._dense(*primals)
+            _, moved = jax.jvp(self._port_table, (primals[0],), (tangents[0],))
+            off = tangents[1] - jnp.einsum("nmp,np->nm", by_port, moved)
+            return value, jnp.concatenate([self._whitened(off), self.root_precision * tangents[0]])
+
+        return residual(theta, readings)
+
+    def dense_jacobian(self, theta: Float[Array, " k"], readings: Float[Array, "n m"]) -> Array:
+        """Derivative of `dense_residual` by theta."""
+        if self.ports.moving:
+            return jax.jacfwd(self.dense_residual)(theta, readings)
+        # Term by term, and then one large product instead of one small one per row.
+        columns = self.ports.columns
+        port = np.repeat([c.port for c in columns], [len(c.parameter) for c in columns])
+        values = jnp.concatenate([c.values for c in columns]).T
+        _, by_port = self._dense(theta, readings)
+        by_term = -(self.whitener @ by_port[:, :, port]) * values[:, None, :]
+        parameter = jnp.concatenate([c.parameter for c in columns])
+        gather = jax.nn.one_hot(parameter, len(theta), dtype=theta.dtype)
+        data = by_term.reshape(-1, len(port)) @ gather
+        return jnp.concatenate([data, jnp.diag(self.root_precision)])
+
+    def _dense(self, theta: Array, readings: Array) -> tuple[Array, Array]:
+        """The residual, and the derivatives of the reduced readings by the ports (n, m, p)."""
+        predicted, by_port = observe_with_jacobian(
+            self.chain, self.instrument, self.plan.position, self.rows, self._port_table(theta)
+        )
+        predicted = self.instrument.reduce(predicted, self.plan)
+        off = self._whitened(self.instrument.difference(readings, predicted))
+        by_port = self.instrument.reduce(by_port, self.plan)
+        return jnp.concatenate([off, self.root_precision * theta]), by_port
+
+    def _port_table(self, theta: Array) -> Float[Array, "n p"]:
+        ports, rows = self.ports(theta, self.shape_values(theta)), self.plan.position.shape[0]
+        return jnp.stack([jnp.broadcast_to(p, (rows,)) for p in ports], -1)
 
     def _whitened(self, off: Float[Array, "n m"]) -> Float[Array, " nm"]:
         return (self.whitener * off[:, None, :]).sum(-1).reshape(-1)
@@ -189,19 +257,32 @@ def prepare_batch(
     if theta is not None:
         begin[: len(model.entries)] = theta
     terms = linearised_terms(model, plan, at, begin)
-    ports = port_values(terms, jnp.asarray(begin), len(model.layout))
-    readings, by_port = observe_with_jacobian(
-        model.chain, model.instrument, plan.position, rows, ports
-    )
-    nominal = np.asarray(model.instrument.reduce(readings, plan))
-    by_port = np.asarray(model.instrument.reduce(by_port, plan))
+
+    def linearised(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Readings (n, m), and their derivative by every term of the ports (n, m, t)."""
+        ports = port_values(terms, jnp.asarray(theta), len(model.layout))
+        readings, by_port = observe_with_jacobian(
+            model.chain, model.instrument, plan.position, rows, ports
+        )
+        by_port = np.asarray(model.instrument.reduce(by_port, plan))
+        return (
+            np.asarray(model.instrument.reduce(readings, plan)),
+            by_port[:, :, terms.port] * np.asarray(terms.values)[:, None, :],
+        )
+
+    nominal, by_term = linearised(begin)
     whitener = declared_whitener(model, Measurement(plan, nominal))
     if keep is not None:
         whitener = whitener * np.asarray(keep, float)[:, None, None]
-    by_term = np.einsum("nij,njp->nip", whitener, by_port)[:, :, terms.port]
-    by_term = by_term * np.asarray(terms.values)[:, None, :]
-    jacobian = np.zeros((by_term.shape[0] * by_term.shape[1], size))
-    np.add.at(jacobian.T, np.asarray(terms.parameter), by_term.reshape(len(jacobian), -1).T)
+
+    def whitened(by_term: np.ndarray) -> np.ndarray:
+        """The Jacobian (n m, k)."""
+        by_term = np.einsum("nij,njt->nit", whitener, by_term)
+        found = np.zeros((by_term.shape[0] * by_term.shape[1], size))
+        np.add.at(found.T, np.asarray(terms.parameter), by_term.reshape(len(found), -1).T)
+        return found
+
+    jacobian = whitened(by_term)
     precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in names])
     curvature = jacobian.T @ jacobian + np.diag(precision)
     lost = [i for i in range(size) if curvature[i, i] == 0.0]
@@ -211,8 +292,17 @@ def prepare_batch(
             f"neither data nor prior determine {names_lost} near the nominal parameters; give a "
             "prior, a plan that sees it, or (shape parameters) nominal amplitudes `theta`"
         )
-    inverse = np.linalg.inv(np.linalg.cholesky(curvature))
-    inverse = inverse.T @ inverse
+    root = np.linalg.inv(np.linalg.cholesky(curvature))
+    inverse = root.T @ root
+    machines = Amplitudes.of(model.effects)
+    rates = []
+    for key in jax.random.split(jax.random.key(0), _MACHINES):
+        drawn = begin.copy()
+        drawn[: len(model.entries)] += np.asarray(machines.sample(key))
+        own = whitened(linearised(drawn)[1])
+        # H^-1 H(theta), made symmetric.
+        relative = root @ (own.T @ own + np.diag(precision)) @ root.T
+        rates.append(np.abs(1.0 - np.linalg.eigvalsh(relative)).max())
     n, m = nominal.shape
     weighted = np.einsum("nik,nij->njk", jacobian.reshape(n, m, size), whitener)
     moves, fixed = [], {}
@@ -242,6 +332,7 @@ def prepare_batch(
         jacobian=jnp.asarray(jacobian),
         inverse=jnp.asarray(inverse),
         gain=jnp.asarray(inverse @ weighted.reshape(n * m, size).T),
+        contraction=float(np.median(rates)),
     )
 
 
@@ -254,9 +345,14 @@ def identify_one(
     gradients says so in `converged`.
     """
     start, length = batch.linear(readings)
+    shared = SharedCurvature(inverse=batch.inverse, tolerance=tolerance)
+    return _stepped(batch.residual, shared, start, length, readings, steps)
+
+
+def _stepped(residual, solver: SharedCurvature, start, length, readings, steps: int) -> Identified:
     found = optx.least_squares(
-        batch.residual,
-        SharedCurvature(inverse=batch.inverse, tolerance=tolerance),
+        residual,
+        solver,
         start,
         readings,
         options={"decrement": length},
@@ -265,6 +361,30 @@ def identify_one(
     )
     good = (found.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(found.value))
     return Identified(found.value, good, found.stats["num_steps"])
+
+
+def identify_alone(
+    batch: Batch, readings: Float[Array, "n m"], *, tolerance: float = 1e-3, steps: int = 12
+) -> Identified:
+    """`identify_one` with the curvature at the draw's own linear solution, for draws that are too
+    far from the nominal problem to share its curvature.
+    """
+    start, _ = batch.linear(readings)
+    start = jnp.where(jnp.isfinite(start), start, 0.0)
+    jacobian = batch.dense_jacobian(start, readings)
+    own = SharedCurvature(inverse=jnp.linalg.inv(jacobian.T @ jacobian), tolerance=tolerance)
+    return _stepped(batch.dense_residual, own, start, jnp.asarray(jnp.inf), readings, steps)
+
+
+def identify_damped(
+    batch: Batch, readings: Float[Array, "n m"], *, tolerance: float = 1e-3
+) -> Identified:
+    """Identify one draw by damped least squares from the linear solution."""
+    start, _ = batch.linear(readings)
+    start = jnp.where(jnp.isfinite(start), start, 0.0)
+    # The residuals are whitened: their standard deviation is known to be one.
+    found = least_squares(batch.dense_residual, start, readings, tolerance=tolerance, noise=1.0)
+    return Identified(found.value, found.converged, found.steps)
 
 
 def nominal_shapes(model: Model, plan: Plan, shapes: Shapes | None) -> dict[int, dict[str, float]]:

@@ -27,6 +27,7 @@ from .rigid import (
     Scalar,
     Vector,
     left_jacobian,
+    left_jacobian_matrix,
     like,
     spun,
 )
@@ -110,6 +111,38 @@ class Chain(eqx.Module):
         rw, pw, _ = self._walk(self.workpiece_side, q, twists, ARRAYS)
         return rw.T @ rt, rw.T @ (pt - pw)
 
+    def jacobian(
+        self, q: Float[Array, " axes"], twists: Float[Array, "axes 6"], offset: Float[Array, "3"]
+    ) -> tuple[Array, Array, Array, Array]:
+        """`pose` in arrays and its derivative by the twists, for a point of the last joint's frame.
+
+        R (3, 3), the point t + R offset (3,), what moves it (3, 6 axes) and what turns R (3, 6
+        axes; dR = skew(w) R), all in the workpiece frame: the geometric Jacobian of a serial chain,
+        of which every column is read off where its joint stands.
+        """
+        rt, pt, tool = self._walk(self.tool_side, q, twists, ARRAYS)
+        rw, pw, work = self._walk(self.workpiece_side, q, twists, ARRAYS)
+        point = pt + rt @ offset
+        moved, turned = (
+            [jnp.zeros((3, 6))] * len(self.joints),
+            [jnp.zeros((3, 6))] * len(self.joints),
+        )
+        sides = ((self.tool_side, tool, 1.0), (self.workpiece_side, work, -1.0))
+        for side, hinges, sign in sides:
+            for i, hinge in zip(side, hinges, strict=True):
+                frame = sign * jnp.asarray(hinge.frame)
+                spin = frame @ left_jacobian_matrix(twists[i][3:])
+                arm = jnp.cross(spin, point - hinge.origin, axisa=0, axisb=0, axisc=0)
+                moved[i] = jnp.concatenate([frame, arm], 1)
+                turned[i] = jnp.concatenate([jnp.zeros((3, 3)), spin], 1)
+        back = rw.T
+        return (
+            back @ rt,
+            back @ (point - pw),
+            back @ jnp.concatenate(moved, 1),
+            back @ jnp.concatenate(turned, 1),
+        )
+
     def _walk(
         self, side: Sequence[int], q: Any, twists: Any, algebra: Algebra = COMPONENTS
     ) -> tuple[Any, Any, list[_Hinge]]:
@@ -154,6 +187,11 @@ class Chain(eqx.Module):
             w = hinge.frame @ left_jacobian(Vector.of(twists[i][3:]), Vector.of(dtwists[i][3:]))
             moved, turned = moved + w.cross(point - hinge.origin), turned + w
         return moved, turned
+
+    @property
+    def revolute(self) -> bool:
+        """Whether any joint turns."""
+        return any(joint.kind == "revolute" for joint in self.joints)
 
     def frames(self, q: Float[Array, " axes"]) -> tuple[Array, Array]:
         """Nominal frame of every joint before its motion, in the bed frame: R (axes, 3, 3) and

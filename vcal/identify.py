@@ -218,7 +218,8 @@ def declared_whitener(model: Model, measurement: Measurement) -> np.ndarray:
         for effect in model.random:
             for p in effect.amplitudes:
                 # A declared value is the standard deviation itself, known.
-                own = dataclasses.replace(effect, given=((p.name, 0.0, p.mean or p.sigma),))
+                given = ((p.name, 0.0, p.mean or p.sigma),)
+                own = dataclasses.replace(effect, given=given, priors=())
                 terms = effect_terms(own, model.layout, plan, {})
                 mine = terms.parameter == [q.name for q in effect.amplitudes].index(p.name)
                 c = (by_port[:, :, terms.port] * terms.values[:, None, :])[:, :, mine].sum(2)

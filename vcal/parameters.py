@@ -1,9 +1,14 @@
 """Named parameters with unit and prior."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import equinox as eqx
+import numpy as np
+
+from .distributions import Distribution, Univariate
 from .units import in_name, si_factor
 
 
@@ -11,10 +16,10 @@ from .units import in_name, si_factor
 class Parameter:
     """One parameter of an effect.
 
-    An *amplitude* enters the deviation linearly; its prior is normal with mean `mean` and standard
-    deviation `sigma` (`math.inf`: flat; zero: known). A *shape* parameter (a pitch, a time
-    constant, a moment) enters non-linearly; its prior is uniform over the interval that is
-    scanned, in the coordinate in which the scan has equal steps.
+    An *amplitude* enters the deviation linearly; its prior has the mean `mean` and the standard
+    deviation `sigma` (`math.inf`: flat; zero: known), and is normal unless there is a `law`. A
+    *shape* parameter (a pitch, a time constant, a moment) enters non-linearly; its prior is uniform
+    over the interval that is scanned, in the coordinate in which the scan has equal steps.
     """
 
     name: str
@@ -33,6 +38,11 @@ class Parameter:
     """Coordinate in which a shape parameter is scanned with equal steps."""
     smooth: bool = True
     """Whether the deviation is differentiable in a shape parameter (the time of a jump is not)."""
+    law: Univariate | None = field(default=None, compare=False, repr=False)
+    """What machines are drawn from, where that is not the usual prior: of an amplitude, any
+    distribution whose standardised form is that of the parameter; of a shape parameter, its
+    distribution in `unit`. An identification has the mean and the standard deviation for its prior.
+    """
 
     @property
     def label(self) -> str:
@@ -67,4 +77,54 @@ class Parameter:
 
     def with_prior(self, mean: float, sigma: float) -> "Parameter":
         """The same parameter with another prior mean and standard deviation (in `unit`)."""
-        return replace(self, mean=mean, sigma=sigma)
+        return replace(self, mean=mean, sigma=sigma, law=None)
+
+
+class Prior(eqx.Module):
+    """What is known of parameters of one effect before any measurement: a distribution.
+
+    ``Prior("alpha", Uniform(8, 12))`` or, for several that depend on each other,
+    ``Prior(("sine", "cosine"), MultivariateNormal(mean, covariance))``, in the parameters' units.
+    Machines are drawn from it; the prior of an identification has its means and standard
+    deviations, but neither its shape nor its correlations.
+
+    Raises `ValueError` unless there is one name for every number of a draw.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    distribution: Distribution
+
+    def __init__(self, names: str | Sequence[str], distribution: Distribution):
+        self.names = (names,) if isinstance(names, str) else tuple(names)
+        self.distribution = distribution
+        numbers = math.prod(distribution.shape)
+        if len(self.names) != numbers or len(set(self.names)) != numbers:
+            raise ValueError(
+                f"prior of {', '.join(self.names)}: found a distribution of {numbers} numbers, "
+                "expected one for every parameter, each named once"
+            )
+
+    @property
+    def mean(self) -> tuple[float, ...]:
+        """Expectation of every parameter."""
+        return tuple(np.ravel(self.distribution.mean).tolist())
+
+    @property
+    def sigma(self) -> tuple[float, ...]:
+        """Standard deviation of every parameter."""
+        return tuple(np.sqrt(np.diagonal(self.distribution.covariance)).tolist())
+
+    def of(self, parameter: Parameter) -> Parameter:
+        """The parameter with what this says of it. Raises `ValueError` for a shape parameter in a
+        distribution of several.
+        """
+        law = self.distribution if isinstance(self.distribution, Univariate) else None
+        if parameter.shape:
+            if law is None:
+                raise ValueError(
+                    f"prior of {', '.join(self.names)}: found the shape parameter "
+                    f"{parameter.name} in a distribution of several, expected one of its own"
+                )
+            return replace(parameter, law=law)
+        i = self.names.index(parameter.name)
+        return replace(parameter, mean=self.mean[i], sigma=self.sigma[i], law=law)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .arrays import Array
-from .spatial import rotation
+from .spatial import rotation, skew
 
 Scalar = float | Array
 """One component: a Python number (a constant), or an array without axes."""
@@ -205,6 +205,12 @@ def left_jacobian(v: Vector, dv: Vector) -> Vector:
     squared = v.dot(v)
     first = v.cross(dv)
     return dv + first * _series(2, squared) + v.cross(first) * _series(3, squared)
+
+
+def left_jacobian_matrix(v: Array) -> Array:
+    """The matrix (3, 3) of `left_jacobian`: I + (1 - cos t)/t^2 K + (t - sin t)/t^3 K^2."""
+    k, squared = skew(v), v @ v
+    return jnp.eye(3) + _series(2, squared) * k + _series(3, squared) * (k @ k)
 
 
 def spun(r: Rotation, w: Vector) -> Rotation:

@@ -19,6 +19,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 from .arrays import Array
 from .chain import Chain
+from .distributions import Univariate
 from .effects.base import Effect
 from .instruments.base import Instrument
 from .measurement import Measurement
@@ -37,6 +38,7 @@ from .noise import standard_normal
 from .parameters import Parameter
 from .plan import Plan
 from .port_map import PortColumn, PortMap, columns_of, port_map
+from .prior import Amplitudes, DrawnShape, drawn_shapes
 from .spatial import require_float64
 
 
@@ -60,52 +62,6 @@ class Draw(NamedTuple):
     """True values (SI) of the shape parameters that were drawn, by position of the effect."""
 
 
-class _DrawnShape(eqx.Module):
-    """The uniform prior of one shape parameter, in the coordinate of its scan."""
-
-    effect: int = eqx.field(static=True)
-    index: int = eqx.field(static=True)
-    name: str = eqx.field(static=True)
-    coordinate: str = eqx.field(static=True)
-    low: Float[Array, ""]
-    high: Float[Array, ""]
-
-    def sample(self, key: PRNGKeyArray) -> Float[Array, ""]:
-        """A value (SI), from the key of the machine."""
-        own = jax.random.fold_in(jax.random.fold_in(key, self.effect), 1)
-        return self._at(jax.random.uniform(jax.random.fold_in(own, self.index)))
-
-    @property
-    def middle(self) -> Float[Array, ""]:
-        """Its median (SI)."""
-        return self._at(jnp.asarray(0.5))
-
-    def _at(self, share: Float[Array, ""]) -> Float[Array, ""]:
-        _, back = _COORDINATES[self.coordinate]
-        return back(self.low + (self.high - self.low) * share)
-
-
-_COORDINATES = {
-    "linear": (lambda v: v, lambda v: v),
-    "reciprocal": (lambda v: 1.0 / v, lambda v: 1.0 / v),
-    "log": (jnp.log, jnp.exp),
-}
-
-
-def _drawn_shapes(model: Model, plan: Plan) -> tuple[_DrawnShape, ...]:
-    """The shape parameters of a model that are not declared."""
-    found = []
-    for i, effect in enumerate(model.effects):
-        declared = {name for name, *_ in effect.given}
-        grids = effect.scan(plan) if effect.shapes else {}
-        for k, p in enumerate(effect.shapes):
-            if p.name not in declared:
-                there, _ = _COORDINATES[p.coordinate]
-                ends = there(jnp.asarray(grids[p.name], float))
-                found.append(_DrawnShape(i, k, p.name, p.coordinate, ends.min(), ends.max()))
-    return tuple(found)
-
-
 class Simulator(eqx.Module):
     """A model on a plan, ready to draw from: arrays, none of which depends on the draw."""
 
@@ -116,18 +72,16 @@ class Simulator(eqx.Module):
     ports: PortMap
     scatter: tuple[PortColumn, ...]
     """Random effects, per standard deviation."""
-    shapes: tuple[_DrawnShape, ...]
+    fresh: Amplitudes
+    """Amplitudes of the random effects, drawn anew for every row."""
+    shapes: tuple[DrawnShape, ...]
     """Shape parameters that are drawn; none, unless `prepare` was asked for it."""
     fixed: dict[int, dict[str, float]]
     """Values (SI) of the shape parameters that are not drawn."""
     sigma: Float[Array, "n m"]
     """Noise of the readings at the nominal machine, one standard deviation, SI."""
-    informed: Float[Array, " k"]
-    """One for an amplitude with a proper prior; zero for a flat one, which stays nominal."""
-    counts: tuple[int, ...] = eqx.field(static=True)
-    """Amplitudes per effect."""
-    fresh: int = eqx.field(static=True)
-    """Amplitudes of the random effects, drawn anew for every row."""
+    amplitudes: Amplitudes
+    """Prior of the amplitudes."""
 
 
 @dataclass(frozen=True)
@@ -182,29 +136,20 @@ class Simulated:
 def draw_truth(model: Model, plan: Plan, key: PRNGKeyArray) -> Truth:
     """A machine and an instrument drawn from the priors of a model.
 
-    Amplitudes are normal with their prior's mean and standard deviation, uncertain calibrated
-    positions among them; those with a flat prior stay at zero, that is, nominal. Shape parameters
-    that are not declared are uniform over what the loop would scan on `plan`, in the coordinate of
-    the scan. Every effect has a key of its own: adding one leaves the others as they were.
+    Amplitudes come from their priors, uncertain calibrated positions among them; those with a flat
+    prior stay at zero, that is, nominal. Shape parameters that are not declared are uniform over
+    what the loop would scan on `plan`, in the coordinate of the scan, or have their own
+    distribution. Every effect has a key of its own: adding one leaves the others as they were.
     """
-    informed = jnp.asarray([float(e.parameter.informed) for e in model.entries])
-    counts = tuple(len(e.amplitudes) for e in model.effects)
-    theta = np.asarray(_amplitudes(key, counts, informed))
+    theta = np.asarray(Amplitudes.of(model.effects).sample(key))
     shapes = {
         i: {p.name: p.mean * p.si for p in effect.shapes}
         for i, effect in enumerate(model.effects)
         if effect.shapes
     }
-    for item in _drawn_shapes(model, plan):
+    for item in drawn_shapes(model, plan):
         shapes[item.effect][item.name] = float(item.sample(key))
     return Truth(theta, shapes)
-
-
-def _amplitudes(key: PRNGKeyArray, counts: Sequence[int], informed: Array) -> Float[Array, " k"]:
-    drawn = [
-        jax.random.normal(jax.random.fold_in(key, i), (count,)) for i, count in enumerate(counts)
-    ]
-    return informed * jnp.concatenate(drawn) if drawn else jnp.zeros(0)
 
 
 def prepare(
@@ -226,9 +171,8 @@ def prepare(
     if not 0.0 <= noise_factor < np.inf:
         raise ValueError(f"noise_factor: found {noise_factor}, expected a number of at least 0")
     plan = model.motion(plan, shapes)
-    drawn = _drawn_shapes(model, plan) if draw_shapes else ()
+    drawn = drawn_shapes(model, plan) if draw_shapes else ()
     moving = sorted({item.effect for item in drawn})
-    scatter, fresh = _scatter(model, plan)
     rows = model.instrument.rows(plan)
     nominal = jnp.zeros((plan.rows, len(model.layout)))
     readings = observe_all(model.chain, model.instrument, plan.position, rows, nominal)
@@ -239,25 +183,38 @@ def prepare(
         plan=plan,
         rows=rows,
         ports=port_map(model, plan, shapes, moving),
-        scatter=columns_of(scatter),
+        scatter=columns_of(_scatter(model, plan)),
+        fresh=_fresh(model),
         shapes=drawn,
         fixed={i: dict(v) for i, v in (shapes or {}).items()},
         sigma=jnp.asarray(noise_factor * model.instrument.noise(plan, reduced)),
-        informed=jnp.asarray([float(e.parameter.informed) for e in model.entries]),
-        counts=tuple(len(e.amplitudes) for e in model.effects),
-        fresh=fresh,
+        amplitudes=Amplitudes.of(model.effects),
     )
 
 
-def _scatter(model: Model, plan: Plan) -> tuple[Terms, int]:
-    """Random effects with their standard deviation as one unit, and how many amplitudes."""
+def _scatter(model: Model, plan: Plan) -> Terms:
+    """Random effects with their standard deviation as one unit."""
     blocks, count = [], 0
     for effect in model.random:
         given = tuple((p.name, 0.0, _deviation(p)) for p in effect.amplitudes)
-        own = replace(effect, given=given)
+        own = replace(effect, given=given, priors=())
         blocks.append(effect_terms(own, model.layout, plan, {}, count))
         count += len(given)
-    return concatenate(blocks, plan.rows, len(model.layout)), count
+    return concatenate(blocks, plan.rows, len(model.layout))
+
+
+def _fresh(model: Model) -> Amplitudes:
+    """Priors of the random effects; raises `ValueError` for one that is not centred on zero."""
+    for effect in model.random:
+        for prior in effect.priors:
+            if any(prior.mean) or not isinstance(prior.distribution, Univariate):
+                raise ValueError(
+                    f"effect {effect.key!r}: found a {prior.distribution.name} distribution with "
+                    f"the mean {', '.join(f'{v:g}' for v in prior.mean)}, expected one of one "
+                    "number with the mean zero; what a random effect has beside its scatter is an "
+                    "effect of its own"
+                )
+    return Amplitudes.of(model.random)
 
 
 def _deviation(parameter: Parameter) -> float:
@@ -272,7 +229,7 @@ def draw(simulator: Simulator, key: PRNGKeyArray) -> Draw:
     into. The readings of an implicit instrument are its residuals at the planned positions.
     """
     machine, noise, fresh = jax.random.split(key, 3)
-    theta = _amplitudes(machine, simulator.counts, simulator.informed)
+    theta = simulator.amplitudes.sample(machine)
     shapes: dict[int, dict[str, Any]] = {}
     for item in simulator.shapes:
         shapes.setdefault(item.effect, {})[item.name] = item.sample(machine)
@@ -282,7 +239,8 @@ def draw(simulator: Simulator, key: PRNGKeyArray) -> Draw:
 
 def draw_scatter(simulator: Simulator, key: PRNGKeyArray) -> Float[Array, "n r"]:
     """Amplitudes of the random effects for every row, in standard deviations."""
-    return standard_normal(key, (simulator.plan.rows, simulator.fresh))
+    own = simulator.fresh
+    return own.shaped(standard_normal(key, (simulator.plan.rows, sum(own.counts))))
 
 
 def ideal_readings(

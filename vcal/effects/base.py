@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from ..arrays import Array
 from ..chain import Chain
-from ..parameters import Parameter
+from ..parameters import Parameter, Prior
 from ..plan import Plan
 from ..ports import PortLayout
 
@@ -71,6 +71,9 @@ class Effect(eqx.Module):
 
     given: tuple[tuple[str, float, float], ...] = eqx.field(static=True, default=(), kw_only=True)
     """Declared values: (parameter, mean, sigma) in the parameter's unit; sigma 0 means known."""
+
+    priors: tuple[Prior, ...] = eqx.field(default=(), kw_only=True)
+    """Declared distributions of parameters that are not in `given`."""
 
     @property
     @abc.abstractmethod
@@ -133,9 +136,25 @@ class Effect(eqx.Module):
         return tuple(p for p in self._declared_parameters() if p.shape)
 
     def _declared_parameters(self) -> tuple[Parameter, ...]:
+        known = self.parameters
         given = {name: (mean, sigma) for name, mean, sigma in self.given}
+        priors = {name: prior for prior in self.priors for name in prior.names}
+        if not given and not priors:
+            return known
+        unknown = {*given, *priors} - {p.name for p in known}
+        if unknown or set(given) & set(priors):
+            raise ValueError(
+                f"effect {self.key!r}: found declared values and priors of "
+                f"{', '.join((*given, *priors))}, expected each at most once, out of "
+                f"{', '.join(p.name for p in known)}"
+            )
         return tuple(
-            p.with_prior(*given[p.name]) if p.name in given else p for p in self.parameters
+            p.with_prior(*given[p.name])
+            if p.name in given
+            else priors[p.name].of(p)
+            if p.name in priors
+            else p
+            for p in known
         )
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 from ..arrays import Array
 from ..basis import Basis, Constant, Legendre
 from ..chain import Chain
+from ..distributions import Univariate
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup
@@ -42,9 +43,13 @@ class LocationError(eqx.Module):
     """Prior standard deviation, rad."""
     column: tuple[tuple[str, float], ...] = eqx.field(static=True)
     """Error translation per radian and metre of travel: ((port, factor), ...)."""
+    law: Univariate | None = None
+    """Distribution of which the standardised form is that of the tilt; normal without."""
 
     @classmethod
-    def of(cls, chain: Chain, name: str, sigma: float) -> "LocationError":
+    def of(
+        cls, chain: Chain, name: str, sigma: float, law: Univariate | None = None
+    ) -> "LocationError":
         """From an ISO name such as ``"EC0Y"``."""
         axis = name[3:]
         joint = chain.joint(axis)
@@ -53,7 +58,7 @@ class LocationError(eqx.Module):
         column = tuple(
             (f"E{c}{axis}", float(v)) for c, v in zip("XYZ", tilt, strict=True) if v != 0.0
         )
-        return cls(name, axis, sigma, column)
+        return cls(name, axis, sigma, column, law)
 
 
 class GeometricErrors(Effect):
@@ -71,10 +76,13 @@ class GeometricErrors(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return tuple(
-            Parameter(f"{m.name}.{label}", m.unit, sigma=float(sigma) / 1e-6)
+            Parameter(f"{m.name}.{label}", m.unit, sigma=float(sigma) / 1e-6, law=m.basis.law)
             for m in self.motions
             for label, sigma in zip(m.basis.labels, m.basis.sigma, strict=True)
-        ) + tuple(Parameter(e.name, "urad", sigma=float(e.sigma) / 1e-6) for e in self.locations)
+        ) + tuple(
+            Parameter(e.name, "urad", sigma=float(e.sigma) / 1e-6, law=e.law)
+            for e in self.locations
+        )
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         columns = {}

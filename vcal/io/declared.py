@@ -7,16 +7,22 @@ from typing import Any
 
 import numpy as np
 
+from ..distributions import CATALOGUE as DISTRIBUTIONS
+from ..distributions import Univariate, distribution
 from ..effects.base import Effect, Setup
 from ..effects.registry import CATALOGUE, load_effects
 from ..errors import StudyError
 from ..instruments.conditions import file_name
 from ..model import effect_terms
-from ..parameters import Parameter
+from ..parameters import Parameter, Prior
 from ..units import in_name
 from .folder import Folder
 from .messages import listed, nearest, refusal, shown
 from .settings import EffectSettings
+
+_KIND = "distribution"
+_UNIVARIATE = tuple(name for name, kind in DISTRIBUTIONS.items() if issubclass(kind, Univariate))
+"""Distributions of one number, by name."""
 
 Catalogue = Mapping[str, type[Effect]]
 
@@ -66,8 +72,9 @@ def declared_effects(
     """The effects of the ``[[model.effect]]`` rows, placed on the machine of `setup`.
 
     A parameter with a value is known; with a ``*_sigma`` as well, or alone (mean zero), that is its
-    prior; a parameter that is not given keeps the catalogue's prior. `file` and `data` are what
-    messages call the study file and the data. Raises `StudyError`.
+    prior; one with a table, such as ``{distribution = "uniform", low = 8, high = 12}``, has that
+    distribution; a parameter that is not given keeps the catalogue's prior. `file` and `data` are
+    what messages call the study file and the data. Raises `StudyError`.
     """
     found = []
     for i, row in enumerate(rows):
@@ -95,7 +102,7 @@ class _Where:
 
 def _declared(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Where) -> Effect:
     extra = dict(row.__pydantic_extra__ or {})
-    fields = {f.name for f in dataclasses.fields(cls)} - {"placement", "given"}
+    fields = {f.name for f in dataclasses.fields(cls)} - {"placement", "given", "priors"}
     selectors = {key: extra.pop(key) for key in list(extra) if key in fields}
     options = _placed(row, cls, setup, where)
     if row.component is not None:
@@ -107,15 +114,17 @@ def _declared(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Wher
                 key, shown(value), f"one of {listed(map(str, values))}", "correct the value"
             )
         options = [e for e in options if getattr(e, key) == value]
-    given = _spread(extra, options, where)
+    laws = {key: value for key, value in extra.items() if isinstance(value, dict)}
+    given = _spread({k: v for k, v in extra.items() if k not in laws}, options, where)
+    keys = (*given, *laws)
     labels = [_labels(e, row.component) for e in options]
     fitting = [
         (e, names)
         for e, names in zip(options, labels, strict=True)
-        if all(key.removesuffix("_sigma") in names or key in names for key in given)
+        if all(key.removesuffix("_sigma") in names or key in names for key in keys)
     ]
     if not fitting:
-        raise _unknown_parameter(given, labels, where)
+        raise _unknown_parameter(keys, labels, where)
     if len(fitting) > 1:
         components = list(dict.fromkeys(_component(e) for e, _ in fitting))
         raise where.refusal(
@@ -125,7 +134,11 @@ def _declared(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Wher
             "add the component",
         )
     effect, names = fitting[0]
-    return dataclasses.replace(effect, given=_given(given, names, where))
+    return dataclasses.replace(
+        effect,
+        given=_given(given, names, where),
+        priors=_priors(laws, given, names, where, effect.kind == "random"),
+    )
 
 
 def _placed(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Where) -> list[Effect]:
@@ -180,7 +193,7 @@ def _texts(effect: Effect) -> list[str]:
     values: list[str] = []
     for field in dataclasses.fields(effect):
         value = getattr(effect, field.name)
-        if field.name in ("placement", "given", "unit"):
+        if field.name in ("placement", "given", "priors", "unit"):
             continue
         values += [value] if isinstance(value, str) else []
     return values
@@ -237,7 +250,7 @@ def _number(key: str, value: Any, where: _Where) -> float:
 
 
 def _unknown_parameter(
-    given: Mapping[str, float], labels: Sequence[Mapping[str, Parameter]], where: _Where
+    given: Sequence[str], labels: Sequence[Mapping[str, Parameter]], where: _Where
 ) -> StudyError:
     known = list(dict.fromkeys(label for names in labels for label in names))
     for key in given:
@@ -277,6 +290,58 @@ def _given(
             )
         values[p.name][part] = value
     return tuple((n, v.get("mean", 0.0), v.get("sigma", 0.0)) for n, v in values.items())
+
+
+def _priors(
+    laws: Mapping[str, Mapping[str, Any]],
+    given: Mapping[str, float],
+    names: Mapping[str, Parameter],
+    where: _Where,
+    random: bool,
+) -> tuple[Prior, ...]:
+    """Distributions of parameters: ``alpha_um_per_m_K = {distribution = "uniform", ...}``."""
+    found, taken = [], {names[k.removesuffix("_sigma")].name for k in given}
+    for key, law in laws.items():
+        if key not in names:
+            raise where.refusal(
+                key, shown(law), "a number, as every `_sigma`", "remove `_sigma` from the key"
+            )
+        name = names[key].name
+        if name in taken:
+            raise where.refusal(
+                key, f"{name} given twice", "every parameter once", "remove one of the keys"
+            )
+        taken.add(name)
+        kind = law.get(_KIND)
+        if not isinstance(kind, str):
+            raise where.refusal(
+                f"{key}.{_KIND}",
+                "nothing" if kind is None else shown(kind),
+                f"one of {listed(_UNIVARIATE)}",
+                'write it such as {distribution = "uniform", low = 8, high = 12}',
+            )
+        if kind not in _UNIVARIATE:
+            raise where.refusal(
+                f"{key}.{_KIND}",
+                f"{kind!r}{nearest(kind, _UNIVARIATE)}",
+                f"one of {listed(_UNIVARIATE)}",
+                "correct the name",
+            )
+        try:
+            prior = Prior(name, distribution(kind, **{k: v for k, v in law.items() if k != _KIND}))
+        except (StudyError, ValueError) as error:
+            raise where.refusal(
+                key, f"{shown(law)}, which cannot be used", str(error), "correct it"
+            ) from error
+        if random and prior.mean[0] != 0.0:
+            raise where.refusal(
+                key,
+                f"a distribution with the mean {prior.mean[0]:g}",
+                "the mean zero, as this effect is a scatter",
+                "centre the distribution",
+            )
+        found.append(prior)
+    return tuple(found)
 
 
 def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: str) -> None:

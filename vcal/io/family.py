@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from ..basis import Basis, Fourier, Matern
+from ..basis import Basis, Fourier, Matern, unit_uniform
 from ..chain import Chain
 from ..effects.geometric import ErrorMotion, GeometricErrors, LocationError, link_errors
 from ..errors import StudyError
@@ -102,7 +102,8 @@ def _fourier(table: Table, chain: Chain) -> GeometricErrors:
     for name in squareness_errors(chain):
         half_width = float(table["a0"][row_of[name]]) * _MICRO
         if half_width > 0:  # known to be square otherwise
-            locations.append(LocationError.of(chain, name, half_width / math.sqrt(3.0)))
+            sigma = half_width / math.sqrt(3.0)
+            locations.append(LocationError.of(chain, name, sigma, unit_uniform()))
     return GeometricErrors(motions=tuple(motions), locations=tuple(locations))
 
 

@@ -12,6 +12,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,8 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..arrays import Array
-from ..batch import identify_one, prepare_batch
-from ..least_squares import least_squares
+from ..batch import identify_alone, identify_damped, identify_one, prepare_batch
 from ..model import Model, Shapes
 from ..plan import Plan
 from ..simulate import draw, prepare
@@ -52,8 +52,8 @@ class Campaign:
 
     @property
     def retried(self) -> float:
-        """Share of the draws that the shared curvature did not solve, so that damped least
-        squares had to.
+        """Share of the draws that the shared curvature did not solve, so that their own or damped
+        least squares had to: all of them where `pair.batch.shared` says that it cannot.
         """
         return float(self.ensemble.mean[self.ensemble.index(_RETRIED)])
 
@@ -124,9 +124,10 @@ def monte_carlo(
     that was not identified. Every draw has its own key, from `seed` and its index, so that results
     depend on the seed alone, not on `chunk`, the number of devices or a restart from `folder`.
     Every identification converges to `tolerance` posterior standard deviations; a draw for which
-    the shared curvature does not is solved by damped least squares, and one that even that does
-    not solve is counted as failed. The readings of an implicit instrument are taken as residuals
-    at the planned positions.
+    the shared curvature does not is identified with its own - every draw, where the machines are
+    too far from each other to share it - and then by damped least squares; one that even that does
+    not solve is counted as failed. The readings of an implicit instrument are taken as residuals at
+    the planned positions.
 
     The other arguments are those of `vcal.uncertainty.stream`. Raises as `virtual_pair` and
     `stream` do.
@@ -164,51 +165,63 @@ class _Evaluate:
         self.pair, self.measures = pair, tuple(measures)
         self.seed, self.tolerance = seed, tolerance
         self.key = jax.random.key(seed)
-        # Closed over, so that what is the same in all draws is a constant to the compiler.
-        self.part = jax.jit(jax.vmap(self._one))
-        self.again = jax.jit(self._damped)
         processor = jax.default_backend() == "cpu"
         self.workers = (os.cpu_count() or 1) if processor else 1
         self.size = _PART if processor else _BLOCK
+        # Ways to identify, tried one after the other on the draws that are left, and how many draws
+        # each takes together: on a processor none waits for the slowest of its part.
+        few = 1 if processor else _PART
+        ways = [(identify_alone, few), (identify_damped, few)]
+        if pair.batch.shared:
+            ways.insert(0, (identify_one, self.size))
+        # Closed over, so that what is the same in all draws is a constant to the compiler.
+        self.ways = [(jax.jit(jax.vmap(partial(self._one, way))), size) for way, size in ways]
+        self.first = ways[0][0]
 
     def __call__(self, first: int, count: int, device: Any = None) -> dict[str, np.ndarray]:
-        index = np.arange(first, first + count, dtype=np.uint32)
-        parts = [index[i : i + self.size] for i in range(0, count, self.size)]
-
-        def run(part: np.ndarray) -> dict[str, Array]:
-            return jax.block_until_ready(self.part(jax.device_put(part, device)))
-
-        with ThreadPoolExecutor(min(self.workers, len(parts))) as pool:
-            found = list(pool.map(run, parts))
-        values = {k: np.concatenate([np.asarray(f[k]) for f in found]) for k in found[0]}
-        for row in np.flatnonzero(values.pop("converged") == 0.0):
-            for name, value in self.again(index[row]).items():
-                values[name][row] = value
+        left = np.arange(first, first + count, dtype=np.uint32)
+        values: dict[str, np.ndarray] = {}
+        with ThreadPoolExecutor(self.workers) as pool:
+            for function, size in self.ways:
+                found = self._all(pool, function, left, size, device)
+                lost = found.pop("converged") == 0.0
+                for name, value in found.items():
+                    whole = values.setdefault(name, np.empty((count, *value.shape[1:])))
+                    whole[left - first] = value
+                left = left[lost]
+                if not len(left):
+                    break
+        for value in values.values():
+            value[left - first] = np.nan
         return values
 
-    def _one(self, index: Array) -> dict[str, Array]:
+    @staticmethod
+    def _all(
+        pool: ThreadPoolExecutor, function: Any, index: np.ndarray, size: int, device: Any
+    ) -> dict[str, np.ndarray]:
+        """A compiled function of draws, `size` of them at a time."""
+        # The last part is filled up, so that it compiles nothing.
+        full = np.concatenate([index, np.repeat(index[-1:], -len(index) % size)])
+
+        def run(part: np.ndarray) -> dict[str, Array]:
+            return jax.block_until_ready(function(jax.device_put(part, device)))
+
+        found = list(pool.map(run, full.reshape(-1, size)))
+        return {
+            name: np.concatenate([np.asarray(f[name]) for f in found])[: len(index)]
+            for name in found[0]
+        }
+
+    def _one(self, way: Any, index: Array) -> dict[str, Array]:
+        """One draw, identified in one of the ways."""
         made = draw(self.pair.simulator, jax.random.fold_in(self.key, index))
-        found = identify_one(self.pair.batch, made.readings, tolerance=self.tolerance)
+        found = way(self.pair.batch, made.readings, tolerance=self.tolerance)
         return {
             **self._judged(made, found.theta),
             _STEPS: found.steps.astype(float),
-            _RETRIED: 0.0 * found.steps,
+            _RETRIED: jnp.asarray(0.0 if way is identify_one else 1.0),
             "converged": found.converged.astype(float),
         }
-
-    def _damped(self, index: Array) -> dict[str, Array]:
-        """The same draw, identified from the linear solution by damped least squares."""
-        batch = self.pair.batch
-        made = draw(self.pair.simulator, jax.random.fold_in(self.key, index))
-        start, _ = batch.linear(made.readings)
-        start = jnp.where(jnp.isfinite(start), start, 0.0)
-        # The residuals are whitened: their standard deviation is known to be one.
-        found = least_squares(
-            batch.residual, start, made.readings, tolerance=self.tolerance, noise=1.0
-        )
-        lost = jnp.where(found.converged, 0.0, jnp.nan)
-        values = jax.tree.map(lambda v: v + lost, self._judged(made, found.value))
-        return {**values, _STEPS: found.steps.astype(float), _RETRIED: jnp.asarray(1.0)}
 
     def _judged(self, made, theta: Float[Array, " k"]) -> dict[str, Array]:
         shapes = self.pair.batch.shape_values(theta)
@@ -221,7 +234,7 @@ class _Evaluate:
         numbers = hashlib.sha256(str(jax.tree.structure(content)).encode())
         for leaf in jax.tree.leaves(content):
             numbers.update(np.asarray(leaf).tobytes())
-        program = jax.make_jaxpr(self._one)(np.uint32(0))
+        program = jax.make_jaxpr(partial(self._one, self.first))(np.uint32(0))
         return {
             "seed": self.seed,
             "tolerance": self.tolerance,

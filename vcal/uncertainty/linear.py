@@ -28,6 +28,7 @@ from .outputs import Output
 from .quantities import Measure, Pair, State
 from .taylor import first_order
 
+_SCATTER = "scatter "
 _ROUNDING = 1e-6
 """Difference of readings, in standard deviations, below which it is rounding."""
 
@@ -95,7 +96,7 @@ def linearised(pair: Pair, measures: Sequence[Measure], coverage: float = 0.95) 
         order=1,
         source=Source(
             labels=tuple(parts),
-            distributions=("normal",) * count,
+            distributions=tuple(_kinds(pair, name) for name in parts),
             value=np.zeros(count),
             covariance=np.eye(count),
             dof=np.full(count, np.inf),
@@ -106,6 +107,19 @@ def linearised(pair: Pair, measures: Sequence[Measure], coverage: float = 0.95) 
         notes=("inputs are groups of elements, in units of their standard deviations",),
     )
     return Linearised(budget, fields, tuple(undefined))
+
+
+def _kinds(pair: Pair, source: str) -> str:
+    """Names of the distributions of what a source draws."""
+    drawn = [(e, p) for e in pair.truth.effects if e.key == source for p in e.amplitudes]
+    if source.startswith(_SCATTER):
+        every = [(e, p) for e in pair.truth.random for p in e.amplitudes]
+        drawn = [every[int(source.removeprefix(_SCATTER)) - 1]]
+    names = []
+    for effect, p in drawn:
+        declared = [prior.distribution.name for prior in effect.priors if p.name in prior.names]
+        names += declared or ([p.law.name] if p.law is not None else ["normal"])
+    return ", ".join(dict.fromkeys(names)) or "normal"
 
 
 def _times(by_true: np.ndarray, parameters: np.ndarray | None) -> np.ndarray | float:
@@ -122,7 +136,7 @@ def _derivatives(
     true = jnp.zeros(len(pair.truth.entries))
     # What the fit makes of the nominal truth, which known effects that are not fitted displace.
     s, batch = pair.simulator, pair.batch
-    still = ideal_readings(s, true, jnp.zeros((s.plan.rows, s.fresh)), drawn)
+    still = ideal_readings(s, true, jnp.zeros((s.plan.rows, sum(s.fresh.counts))), drawn)
     off = np.asarray(batch.instrument.difference(still, batch.nominal))
     # Rounding must not pass for an expectation: the length of an error has no derivative at zero.
     off = np.where(np.abs(off) > _ROUNDING * np.asarray(s.sigma), off, 0.0)
@@ -161,7 +175,7 @@ def _sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
     by_port = np.asarray(model.instrument.reduce(slopes, plan))
     n, m, _ = by_port.shape
     found: dict[str, tuple[np.ndarray | None, np.ndarray]] = {}
-    informed = np.asarray(simulator.informed)
+    informed = np.asarray(simulator.amplitudes.informed)
     start = 0
     for i, effect in enumerate(model.effects):
         count = len(effect.amplitudes)
@@ -183,7 +197,7 @@ def _sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
     for column in simulator.scatter:
         slope = by_port[:, :, column.port]
         for values, k in zip(column.values, column.parameter, strict=True):
-            name = f"scatter {int(k) + 1}"
+            name = f"{_SCATTER}{int(k) + 1}"
             readings = np.zeros((n, m, n))
             readings[np.arange(n), :, np.arange(n)] = slope * np.asarray(values)[:, None]
             before = found[name][1] if name in found else 0.0

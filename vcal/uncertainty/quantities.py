@@ -82,15 +82,16 @@ class ParameterErrors(eqx.Module, Quantity):
     name: str = eqx.field(static=True, default="parameter")
 
     def measure(self, pair: Pair) -> Measure:
-        true = {(e.key, e.parameter.name): i for i, e in enumerate(pair.truth.entries)}
+        true = {
+            (e.key, e.parameter.name): (i, e.parameter) for i, e in enumerate(pair.truth.entries)
+        }
         fitted = pair.fit.entries
         places, labels, scales, offsets, steps = [], [], [], [], []
         for entry in fitted:
             p = entry.parameter
-            i = true.get((entry.key, p.name))
-            places.append(-1 if i is None else i)
+            i, other = true.get((entry.key, p.name), (-1, None))
+            places.append(i)
             labels.append(f"{entry.key}: {p.name} [{p.unit}]")
-            other = None if i is None else pair.truth.entries[i].parameter
             scales.append(p.step / p.si)
             steps.append(0.0 if other is None else other.step / p.si)
             offsets.append(p.mean - (0.0 if other is None else other.mean))
