@@ -5,6 +5,8 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  (so that its BLAS is there to be limited)
+from threadpoolctl import threadpool_limits
 
 jax.config.update("jax_enable_x64", True)
 
@@ -12,9 +14,12 @@ jax.config.update("jax_enable_x64", True)
 def pytest_configure(config: pytest.Config) -> None:
     """Keep compiled programs: most of the time goes into compilation, often of the same program.
 
-    Every process has its own folder, because the cache takes no care of two writers.
+    Every process has its own folder, because the cache takes no care of two writers. Where there is
+    a process for every core, one core is what each of them has.
     """
     worker = getattr(config, "workerinput", {}).get("workerid", "main")
+    if worker != "main":
+        threadpool_limits(1)
     folder = config.cache.mkdir("xla") / worker
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)

@@ -16,7 +16,7 @@ from .loop.close_loop import close_loop
 from .loop.closure import Closure
 from .measurement import CheckPoints, Measurement
 from .model import Model, predict
-from .parameters import Parameter
+from .parameters import Parameter, Prior
 from .plan import Plan
 
 __version__ = "0.1.0"
@@ -37,6 +37,7 @@ __all__ = [
     "Model",
     "Parameter",
     "Plan",
+    "Prior",
     "Study",
     "StudyError",
     "close_loop",
