@@ -43,9 +43,11 @@ def distance(batch, a, b):
 def test_a_draw_is_identified_as_alone(kind, known):
     it = known[kind]
     batch, simulator = prepare_batch(it.model, it.plan), prepare(it.model, it.plan)
+    measure = jax.jit(lambda key: draw(simulator, key))
+    solve = jax.jit(lambda y: identify_one(batch, y))
     for seed in range(2):
-        made = draw(simulator, jax.random.key(seed))
-        found = jax.jit(lambda y: identify_one(batch, y))(made.readings)
+        made = measure(jax.random.key(seed))
+        found = solve(made.readings)
         # With the same whitener: the noise that is declared depends a little on the readings.
         fit = identify(
             it.model,
@@ -64,8 +66,8 @@ def test_an_arm_is_identified_with_a_curvature_of_its_own(known):
     batch, simulator = prepare_batch(it.model, it.plan), prepare(it.model, it.plan)
     assert not batch.shared
     assert batch.contraction > 1.0
-    made = draw(simulator, jax.random.key(1))
-    found = identify_alone(batch, made.readings)
+    made = jax.jit(lambda key: draw(simulator, key))(jax.random.key(1))
+    found = jax.jit(lambda y: identify_alone(batch, y))(made.readings)
     assert bool(found.converged)
     fit = identify(
         it.model,
@@ -231,8 +233,9 @@ def test_strong_curvature_is_retried_and_told(known):
     assert solved.sum() >= 20
     # Solved ones explain their readings: no worse than the truth does.
     batch = pair.batch
+    measure = jax.jit(lambda i: draw(pair.simulator, jax.random.fold_in(jax.random.key(0), i)))
     for i in np.flatnonzero(solved & retried)[:2]:
-        made = draw(pair.simulator, jax.random.fold_in(jax.random.key(0), i))
+        made = measure(i)
         again = found["parameter"][i] / [e.parameter.step / e.parameter.si for e in model.entries]
         theta = np.asarray(made.theta) + again
         cost = [float(jnp.sum(batch.residual(t, made.readings) ** 2)) for t in (theta, made.theta)]

@@ -98,7 +98,7 @@ def test_a_shape_parameter_in_its_own_unit(tracker, screw):
     model = tracker.model.with_effects(effect)
     simulator = prepare(model, tracker.plan, draw_shapes=True)
     place = len(model.effects) - 1
-    drawn = jax.vmap(lambda k: draw(simulator, k).shapes[place]["pitch"])(KEYS[:500])
+    drawn = jax.jit(jax.vmap(lambda k: draw(simulator, k).shapes[place]["pitch"]))(KEYS[:500])
     assert stats.kstest((np.asarray(drawn) * 1e3 - 19.0) / 2.0, "uniform").pvalue > 1e-3
 
 

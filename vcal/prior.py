@@ -144,7 +144,7 @@ class Amplitudes(eqx.Module):
             law = part.law
             x = law.sample(jax.random.fold_in(own, part.index)) - law.mean
             value = x / jnp.sqrt(jnp.diagonal(law.covariance))
-            theta = theta.at[np.array(part.place)].set(value)
+            theta = jnp.asarray(theta).at[np.array(part.place)].set(value)
         return self.informed * theta
 
     def shaped(self, score: Float[Array, "... k"]) -> Float[Array, "... k"]:
@@ -152,7 +152,7 @@ class Amplitudes(eqx.Module):
         for part in self.alike:
             at = np.array(part.place)
             own = jax.vmap(_from_score, in_axes=(0, -1), out_axes=-1)(part.laws, score[..., at])
-            score = score.at[..., at].set(own)
+            score = jnp.asarray(score).at[..., at].set(own)
         return score
 
 

@@ -4,11 +4,12 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from ..catalogue import nearest
 from ..demo import FOLDER
 from ..effects.base import Effect, Setup
 from ..errors import StudyError
 from ..io import load_study
-from ..io.messages import listed, nearest
+from ..io.messages import listed
 from ..io.simulated import publish, require_empty
 
 _STARTS = FOLDER / "start"

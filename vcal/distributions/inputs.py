@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from ..arrays import Array
+from ..catalogue import nearest
 from .base import Distribution
 from .copula import GaussianCopula
-from .registry import nearest
 
 Correlation = Mapping[tuple[str, str], float]
 """(name, name) -> correlation of the normal scores of two univariate inputs."""

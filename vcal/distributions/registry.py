@@ -1,45 +1,17 @@
 """Distributions by name, as study files and tables call them."""
 
-import difflib
 import inspect
-from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Any
 
+from ..catalogue import Catalogue, nearest
 from ..errors import StudyError
 from .base import Distribution
 
-CATALOGUE: dict[str, type[Distribution]] = {}
+CATALOGUE: Catalogue[type[Distribution]] = Catalogue("distribution")
 """Every distribution, by identifier."""
 
-_D = TypeVar("_D", bound=type[Distribution])
-
-
-def register(kind: _D) -> _D:
-    """Class decorator that enters a distribution into the catalogue under its `name`.
-
-    Raises `ValueError` if another class holds that name.
-    """
-    known = CATALOGUE.get(kind.name)
-    if known is not None and known.__qualname__ != kind.__qualname__:
-        raise ValueError(f"two distributions are named {kind.name!r}: {known} and {kind}")
-    CATALOGUE[kind.name] = kind
-    return kind
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """``" (did you mean 'normal'?)"`` for the closest known name, or nothing."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f" (did you mean {close[0]!r}?)" if close else ""
-
-
-def distribution_class(name: str) -> type[Distribution]:
-    """The distribution of that name; raises `StudyError` that offers the nearest one."""
-    if name not in CATALOGUE:
-        raise StudyError(
-            f"unknown distribution {name!r}{nearest(name, CATALOGUE)}; "
-            f"known: {', '.join(CATALOGUE)}"
-        )
-    return CATALOGUE[name]
+register = CATALOGUE.register
+distribution_class = CATALOGUE.named
 
 
 def distribution(name: str, **settings: Any) -> Distribution:

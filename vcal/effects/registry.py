@@ -1,43 +1,17 @@
 """Effects by name: the built-in catalogue and the user's own."""
 
-import difflib
 import importlib.util
-from collections.abc import Iterable
 from pathlib import Path
 
+from ..catalogue import Catalogue
 from ..errors import StudyError
 from .base import Effect
 
-CATALOGUE: dict[str, type[Effect]] = {}
+CATALOGUE: Catalogue[type[Effect]] = Catalogue("effect")
 """Every effect the loop may name, by identifier."""
 
-
-def register(effect: type[Effect]) -> type[Effect]:
-    """Class decorator that enters an effect into the catalogue under its `name`.
-
-    Raises `ValueError` if another class holds that name.
-    """
-    known = CATALOGUE.get(effect.name)
-    if known is not None and known.__qualname__ != effect.__qualname__:
-        raise ValueError(f"two effects are named {effect.name!r}: {known} and {effect}")
-    CATALOGUE[effect.name] = effect
-    return effect
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """``" (did you mean 'backlash'?)"`` for the closest known name, or nothing."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f" (did you mean {close[0]!r}?)" if close else ""
-
-
-def effect_class(name: str, catalogue: dict[str, type[Effect]] | None = None) -> type[Effect]:
-    """The effect of that name; raises `StudyError` that offers the nearest one."""
-    catalogue = CATALOGUE if catalogue is None else catalogue
-    if name not in catalogue:
-        raise StudyError(
-            f"unknown effect {name!r}{nearest(name, catalogue)}; known: {', '.join(catalogue)}"
-        )
-    return catalogue[name]
+register = CATALOGUE.register
+effect_class = CATALOGUE.named
 
 
 def load_effects(path: Path) -> list[type[Effect]]:

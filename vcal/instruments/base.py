@@ -10,6 +10,7 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
 from ..arrays import Array
+from ..catalogue import Catalogue
 from ..chain import Chain
 from ..effects.base import Artefact, Effect
 from ..plan import Plan
@@ -166,11 +167,7 @@ class Instrument(eqx.Module):
         return False
 
 
-INSTRUMENTS: dict[str, type[Instrument]] = {}
+INSTRUMENTS: Catalogue[type[Instrument]] = Catalogue("instrument", "kind")
 """Every instrument a study file may name, by kind."""
 
-
-def register(instrument: type[Instrument]) -> type[Instrument]:
-    """Class decorator that enters an instrument into the registry under its `kind`."""
-    INSTRUMENTS[instrument.kind] = instrument
-    return instrument
+register = INSTRUMENTS.register

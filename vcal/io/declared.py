@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..catalogue import nearest
 from ..distributions import CATALOGUE as DISTRIBUTIONS
 from ..distributions import Univariate, distribution
 from ..effects.base import Effect, Setup
@@ -17,7 +18,7 @@ from ..model import effect_terms
 from ..parameters import Parameter, Prior
 from ..units import in_name
 from .folder import Folder
-from .messages import listed, nearest, refusal, shown
+from .messages import listed, refusal, shown
 from .settings import EffectSettings
 
 _KIND = "distribution"

@@ -8,12 +8,13 @@ import equinox as eqx
 import numpy as np
 
 from ..basis import Basis, Fourier, Matern, unit_uniform
+from ..catalogue import nearest
 from ..chain import Chain
 from ..effects.geometric import ErrorMotion, GeometricErrors, LocationError, link_errors
 from ..errors import StudyError
 from ..instruments.base import Column
 from .folder import Folder
-from .messages import listed, nearest, refusal
+from .messages import listed, refusal
 from .settings import FourierSettings, LinkSettings, SmoothSettings
 from .table import Table
 

@@ -1,6 +1,5 @@
 """What a user reads when an input is wrong: where, what was found and expected, what to do."""
 
-import difflib
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -8,6 +7,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from ..catalogue import closest, nearest
 from ..errors import StudyError
 
 _MOST_LINES = 5
@@ -35,19 +35,6 @@ def shown(value: Any) -> str:
     """A value from a TOML file as the user wrote it, shortened where it is long."""
     text = json.dumps(value, default=str)
     return text if len(text) <= 80 else text[:77] + "..."
-
-
-def closest(name: str, known: Iterable[str]) -> str | None:
-    """The known name most like `name`, upper and lower case counting as the same."""
-    folded = {k.casefold(): k for k in known}
-    close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=0.5)
-    return folded[close[0]] if close else None
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """``" (did you mean 'backlash'?)"`` for the closest known name, or nothing."""
-    close = closest(name, known)
-    return f" (did you mean {close!r}?)" if close else ""
 
 
 def listed(names: Iterable[str], most: int = 30) -> str:

@@ -9,10 +9,11 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
+from ..catalogue import nearest
 from ..errors import StudyError
 from ..instruments import INSTRUMENTS
 from ..instruments.base import InstrumentSettings
-from .messages import at, explain, listed, nearest, refusal, shown, source
+from .messages import at, explain, listed, refusal, shown, source
 
 Triple = tuple[float, float, float]
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..catalogue import nearest
 from ..chain import Chain, chain_from_dh, chain_from_string
 from ..effects.base import Effect, Setup
 from ..instruments import INSTRUMENTS
@@ -21,7 +22,7 @@ from ..spatial import require_float64
 from .declared import catalogue_with, declared_effects, unknown_effect
 from .family import geometric_errors
 from .folder import Folder
-from .messages import listed, nearest, refusal
+from .messages import listed, refusal
 from .settings import LoopSettings, MachineSettings, StudySettings, read_setup, validate
 from .table import Table
 

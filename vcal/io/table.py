@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ..catalogue import nearest
 from ..errors import StudyError
 from ..instruments.base import Column
-from .messages import listed, nearest, refusal
+from .messages import listed, refusal
 
 
 class Table(dict[str, np.ndarray]):

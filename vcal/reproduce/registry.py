@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..catalogue import nearest
 from ..errors import StudyError
-from ..io.messages import nearest
 from ..report import Picture
 from ..report.place import Place
 from ..report.record import plain, versions
