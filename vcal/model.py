@@ -182,7 +182,8 @@ def observe_columns(
 ) -> tuple[Float[Array, " n"], ...]:
     """`observe_row` over all rows, with one array per port and per component of the reading.
 
-    A port that is a plain number is the same constant in every row.
+    A port that is a plain number is the same constant in every row; one without axes the same
+    variable.
     """
     return _over_rows(
         lambda q, row, p: observe_row(chain, instrument, q, row, p), position, rows, ports
@@ -275,11 +276,12 @@ def _over_rows(
     function, position: Array, rows: Any, ports: Sequence[Scalar]
 ) -> tuple[Float[Array, " n"], ...]:
     """`function(q, row, ports)` of one row over all rows, ports given one by one."""
-    varying = [p for p in ports if not isinstance(p, float)]
+    varies = [not isinstance(p, float) and jnp.ndim(p) == 1 for p in ports]
+    varying = [p for p, own in zip(ports, varies, strict=True) if own]
 
     def one(q, row, values):
         left = iter(values)
-        here = [p if isinstance(p, float) else next(left) for p in ports]
+        here = [next(left) if own else p for p, own in zip(ports, varies, strict=True)]
         return tuple(jnp.asarray(v) for v in function(list(q), row, here))
 
     return jax.vmap(one)(position, rows, varying)

@@ -28,6 +28,18 @@ class PortColumn(eqx.Module):
     values: Float[Array, "t n"]
     parameter: Int[Array, " t"]
     offset: Float[Array, " n"] | None
+    uniform: bool = eqx.field(static=True, default=False)
+    """Whether it is the same in all rows: then everything that only depends on such ports, like the
+    pose of an instrument, is computed once and not row by row.
+    """
+
+    def __call__(self, theta: Float[Array, " k"]) -> Float[Array, " n"] | Float[Array, ""]:
+        """The port of every row, or that of all rows."""
+        values = self.values[:, 0] if self.uniform else self.values
+        value = jnp.asarray(theta)[self.parameter] @ values
+        if self.offset is None:
+            return value
+        return value + (self.offset[0] if self.uniform else self.offset)
 
 
 class _Moving(eqx.Module):
@@ -51,15 +63,15 @@ class PortMap(eqx.Module):
     def __call__(
         self, theta: Float[Array, " k"], shapes: Mapping[int, Mapping[str, Any]] | None = None
     ) -> list[Scalar]:
-        """Values of all ports: an array (n,) where an effect disturbs a port, else 0.0.
+        """Values of all ports: an array (n,) where an effect disturbs a port, one number () where
+        it is the same in all rows, else 0.0.
 
         `theta` are amplitudes in solver units, `shapes` the values (SI) of the shape parameters of
         the effects that are moving, by position of the effect in the model.
         """
         ports: list[Scalar] = [0.0] * len(self.layout)
         for column in self.columns:
-            value = jnp.asarray(theta)[column.parameter] @ column.values
-            ports[column.port] = value if column.offset is None else column.offset + value
+            ports[column.port] = column(theta)
         for item in self.moving:
             self._add(ports, item, theta, (shapes or {})[item.place])
         return ports
@@ -111,12 +123,14 @@ def columns_of(terms: Terms) -> tuple[PortColumn, ...]:
         own = np.flatnonzero(port == place)
         fixed = offset[:, place] if offset[:, place].any() else None
         if len(own) or fixed is not None:
+            rows = np.concatenate([values[:, own], offset[:, place, None]], 1)
             found.append(
                 PortColumn(
                     place,
                     jnp.asarray(values[:, own].T),
                     jnp.asarray(parameter[own]),
                     None if fixed is None else jnp.asarray(fixed),
+                    uniform=bool((rows == rows[:1]).all()),
                 )
             )
     return tuple(found)

@@ -36,7 +36,9 @@ _STEPS = "identification: exact gradients"
 _RETRIED = "identification: retried"
 _BLOCK = 1000
 _PART = 125
-"""Draws that are computed together on a processor: what they need stays in its cache."""
+"""Draws that a thread of a processor is given at a time."""
+TOGETHER = 25
+"""Draws that a processor computes side by side: what they need stays in its cache."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +160,13 @@ def monte_carlo(
     return Campaign(result, pair, names, seed)
 
 
+def side_by_side(function: Any, together: int) -> Any:
+    """`function` of one draw over many, so many of them at once; all of them for zero."""
+    if not together:
+        return jax.vmap(function)
+    return lambda index: jax.lax.map(function, index, batch_size=together)
+
+
 class _Evaluate:
     """The outputs of a range of draws."""
 
@@ -175,7 +184,15 @@ class _Evaluate:
         if pair.batch.shared:
             ways.insert(0, (identify_one, self.size))
         # Closed over, so that what is the same in all draws is a constant to the compiler.
-        self.ways = [(jax.jit(jax.vmap(partial(self._one, way))), size) for way, size in ways]
+        self.ways = [
+            (
+                jax.jit(
+                    side_by_side(partial(self._one, way), min(TOGETHER, size) if processor else 0)
+                ),
+                size,
+            )
+            for way, size in ways
+        ]
         self.first = ways[0][0]
 
     def __call__(self, first: int, count: int, device: Any = None) -> dict[str, np.ndarray]:

@@ -173,7 +173,7 @@ class _ErrorMotionErrors(Measure):
 
 
 def _at(values, row: int):
-    return values if isinstance(values, float) else values[row]
+    return values[row] if jnp.ndim(values) else values
 
 
 # --- volumetric errors ---

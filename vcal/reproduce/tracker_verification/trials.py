@@ -146,7 +146,7 @@ def _numbers(pair: Pair, measures: tuple[Measure, ...]) -> _Numbers:
     ours = _Numbers(
         (s.ports.columns, s.scatter, s.sigma),
         (b.ports.columns, b.nominal, b.whitener, b.root_precision)
-        + (b.jacobian, b.inverse, b.gain),
+        + (b.curvature, b.inverse, b.gain),
         [(m.true.columns, m.found.columns) for m in measures],  # type: ignore[attr-defined]
     )
     return jax.tree.map(jnp.asarray, ours)
@@ -166,14 +166,14 @@ def _filled(
         scatter=scatter,
         sigma=sigma,
     )
-    columns, nominal, whitener, root, jacobian, inverse, gain = numbers.batch
+    columns, nominal, whitener, root, curvature, inverse, gain = numbers.batch
     batch = replace(
         pair.batch,
         ports=replace(pair.batch.ports, columns=columns),
         nominal=nominal,
         whitener=whitener,
         root_precision=root,
-        jacobian=jacobian,
+        curvature=curvature,
         inverse=inverse,
         gain=gain,
     )
