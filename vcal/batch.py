@@ -361,10 +361,12 @@ def identify_one(
 def _stepped(residual, solver: SharedCurvature, start, length, readings, steps: int) -> Identified:
     # Mostly one step is enough. Taken before the loop it is compiled together with what makes the
     # readings, which takes half the time, and the loop is then only entered where one is not.
-    state = solver.init(None, start, readings, {"decrement": length}, None, None, frozenset())
-    first, state, _ = solver.step(
-        lambda theta, y: (residual(theta, y), None), start, readings, {}, state, frozenset()
-    )
+    def with_aux(theta, y):
+        return residual(theta, y), None
+
+    given = start, readings, {"decrement": length}
+    state = solver.init(with_aux, *given, None, None, frozenset())
+    first, state, _ = solver.step(with_aux, *given, state, frozenset())
     found = optx.least_squares(
         residual,
         solver,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..instruments.laser_frame import beam_path
 from ..io import write_table
 from ..spatial import euler_xyz
 
@@ -104,6 +105,27 @@ def arm(seed: int) -> Columns:
     return columns | {f"q{j + 1}_read_deg": read[:, j] for j in range(6)}
 
 
+def frame(travel: tuple[float, float, float], runs: int, seed: int) -> Columns:
+    """Runs along the five beams of a laser frame, five seconds per point, every twenty minutes.
+
+    The head warms up from run to run and cools in the last one; so does the air above the table.
+    """
+    rng = np.random.default_rng(seed)
+    ends = {axis: (0.0, length * 1e-3) for axis, length in zip("XYZ", travel, strict=True)}
+    path = beam_path("3d", ends)
+    position = np.tile(np.concatenate([one.positions for one in path]) * 1e3, (runs, 1))
+    segment = np.tile(np.repeat([one.number for one in path], [one.points for one in path]), runs)
+    count = len(position) // runs
+    run = np.repeat(np.arange(runs), count)
+    t = 1200.0 * run + 5.0 * np.tile(np.arange(count), runs)
+    columns = {"run": run, "segment": segment} | conditions(position, t, (1e9, 1e9))
+    warm = np.array([0.3, 1.8, 2.9, 1.1])[run % 4]
+    columns["T_head_degC"] = (20.0 + warm + 0.02 * rng.standard_normal(len(t))).round(2)
+    gradient = np.array([0.1, 0.5, 0.8, 0.3])[run % 4]
+    columns["T_gradient_z_K_per_m"] = (gradient + 0.01 * rng.standard_normal(len(t))).round(3)
+    return columns
+
+
 def main(folder: Path) -> None:
     """Write all plans below a folder that is laid out like this one."""
     plan, artefact = balls(2)
@@ -113,6 +135,7 @@ def main(folder: Path) -> None:
         "start/ball_array/data.csv": plan,
         "start/ball_array/artefact.csv": artefact,
         "start/reflectors/data.csv": arm(3),
+        "start/laser_frame/data.csv": frame((500.0, 400.0, 350.0), 4, 4),
     }
     for name, columns in tables.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -2,7 +2,19 @@
 the catalogue.
 """
 
-from . import arm, artefact, coupling, cyclic, events, geometric, random, reversal, thermal, tracker
+from . import (
+    arm,
+    artefact,
+    coupling,
+    cyclic,
+    events,
+    geometric,
+    laser_frame,
+    random,
+    reversal,
+    thermal,
+    tracker,
+)
 from .base import Effect, Setup
 from .registry import CATALOGUE, effect_class, load_effects, register
 
@@ -17,6 +29,7 @@ __all__ = [
     "effect_class",
     "events",
     "geometric",
+    "laser_frame",
     "load_effects",
     "random",
     "register",

@@ -1,6 +1,14 @@
 """Measuring instruments, one leaf file each; importing the package fills the registry."""
 
-from . import ball_array, laser_tracker, reflectors
+from . import ball_array, laser_frame, laser_tracker, reflectors
 from .base import INSTRUMENTS, Column, Instrument
 
-__all__ = ["INSTRUMENTS", "Column", "Instrument", "ball_array", "laser_tracker", "reflectors"]
+__all__ = [
+    "INSTRUMENTS",
+    "Column",
+    "Instrument",
+    "ball_array",
+    "laser_frame",
+    "laser_tracker",
+    "reflectors",
+]
