@@ -112,10 +112,41 @@ def campaigns(found: dict) -> str:
     return table(["draws", "peak memory, MiB", "whole run, s", "quantiles"], rows)
 
 
+def strd(found: dict) -> str:
+    rows = (
+        [
+            start.removeprefix("start"),
+            str(r["sets"]),
+            str(r["eight_digits_and_six_of_sd"]),
+            str(r["silently_wrong"]),
+            f"{r['minpack']['eight_digits']}, {r['minpack']['silently_wrong']}",
+            f"{r['optimistix']['eight_digits']}, {r['optimistix']['silently_wrong']}",
+        ]
+        for start, r in found["summary"].items()
+    )
+    head = "from start,sets,8 digits and 6 of sd,silently wrong"
+    others = "(8 digits, silently wrong)"
+    return table([*head.split(","), f"MINPACK {others}", f"optimistix {others}"], rows)
+
+
+def interrupted(found: dict) -> str:
+    rows = (
+        [str(i), f"{life['from']:,}", f"{life['to']:,}"]
+        for i, life in enumerate(found["killed"], start=1)
+    )
+    same = "all" if all(found["same"].values()) else "not all"
+    last = ["end", f"{found['draws']:,} draws", f"{same} arrays the same bit for bit"]
+    return table(["kill", "first block told", "last block told"], [*rows, last])
+
+
 TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "false_alarms": ("false_alarms", false_alarms),
     "practice": ("practice", practice),
     "speed": ("speed", speed),
+    "batch": ("batch", batch),
+    "campaigns": ("batch", campaigns),
+    "interrupted": ("interrupted", interrupted),
+    "strd": ("strd", strd),
 }
 """Name of the table: the file in results/ and how it is laid out."""
 

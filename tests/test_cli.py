@@ -20,6 +20,7 @@ import vcal.cli.show
 import vcal.report
 from vcal.cli import app
 from vcal.cli.session import cache_folder, listen, working
+from vcal.instruments.laser_frame import SegmentSettings
 from vcal.io import load_study, read_table
 from vcal.io.settings import (
     DataSettings,
@@ -32,7 +33,7 @@ from vcal.io.settings import (
 )
 
 DEMO = Path(vcal.__file__).parent / "demo"
-STARTS = ("laser_tracker", "ball_array", "reflectors")
+STARTS = ("laser_tracker", "ball_array", "reflectors", "laser_frame")
 
 
 @pytest.fixture(autouse=True)
@@ -174,6 +175,15 @@ def test_keys_that_are_commented_out_can_be_used(tmp_path, instrument):
     setup = tmp_path / "study" / "setup.toml"
     lines = setup.read_text(encoding="utf-8").splitlines()
     other = ("# effects_file", "# family", *(["# check"] if instrument == "reflectors" else []))
+    if instrument == "laser_frame":  # a table that is not there, and a path beside the named one
+        keys = [key for key in SegmentSettings.model_fields if key != "psd"]
+        other += (
+            "# table",
+            "# psd_map",
+            "# psd = ",
+            "# [[instrument",
+            *(f"# {key} = " for key in keys),
+        )
     lines = [
         line[2:] if re.match(r"# (\[|\w+ = )", line) and not line.startswith(other) else line
         for line in lines

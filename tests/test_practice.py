@@ -83,6 +83,18 @@ def test_a_dent_is_unexplained():
     assert what.size_um == pytest.approx(18, abs=5)
 
 
+def test_a_growing_head_is_named_without_a_rival():
+    closure = closed(DATA / "practice" / "10_frame_head_growth")
+    assert closure.verdict == "named"
+    (one,) = closure.effects
+    assert one.effect.name == "head_expansion"
+    ((name, value, unit, u),) = one.parameters
+    assert (name, unit) == ("k", "um/K")
+    assert abs(value - 0.984) <= 2 * u
+    assert not [rival for rival in one.alternatives if rival[2] > 0.05]
+    assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.15)
+
+
 def test_arm_by_its_commanded_joints():
     closure = closed(DATA / "real" / "irb120")
     names = named(closure)

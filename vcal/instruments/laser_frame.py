@@ -279,14 +279,15 @@ class LaserFrame(Instrument):
 
     def rows(self, plan: Plan) -> Any:
         number = np.asarray(plan.groups["segment"])
-        across, lever, beam = (np.zeros((plan.rows, *s)) for s in ((2, 3), (3,), (2,)))
+        shapes = (2, 3), (3,), (3,), (2,)
+        across, along, lever, beam = (np.zeros((plan.rows, *shape)) for shape in shapes)
         for one in self.segments:
             mine = number == one.number
             across[mine] = np.eye(3)[list(one.across)]
+            along[mine] = one.direction
             if one.psd == "vertical":
                 lever[mine] = -self.lever * one.direction
             beam[mine] = 2.0 * np.asarray(one.psd_range) / one.length
-        along = np.cross(across[:, 0], across[:, 1])
         nominal = self._xyz(plan) + self.offset + lever
         return nominal, across, along, lever, beam
 
@@ -433,8 +434,8 @@ def _segments(settings: LaserFrameSettings, chain: Chain) -> tuple[Segment, ...]
         if max(map(abs, reach)) > 0.5e-3 * settings.psd_size_mm:
             raise StudyError(
                 f"[[instrument.segment]] {row.number}: found psd_range_mm = "
-                f"{list(row.psd_range_mm)}, expected at most half of psd_size_mm = {settings.psd_size_mm:g}, or the beam "
-                "misses the diode; correct them"
+                f"{list(row.psd_range_mm)}, expected at most half of psd_size_mm = "
+                f"{settings.psd_size_mm:g}, as the beam misses the diode otherwise; correct them"
             )
         ends = tuple(start.tolist()), tuple((start + step).tolist())
         found.append(Segment(row.number, *ends, row.points, row.psd, reach))  # type: ignore[arg-type]

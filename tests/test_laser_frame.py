@@ -1,0 +1,279 @@
+"""The laser frame: its geometry against plain numpy, what its beams see, its effects, mistakes."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation as Turn
+
+from known_files import BOX, FRAME, write_frame
+from vcal import StudyError, close_loop, load_study, predict
+from vcal.basis import Legendre
+from vcal.chain import chain_from_string
+from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
+from vcal.effects.laser_frame import FrameExpansion, HeadExpansion, PsdLinearity, Refraction
+from vcal.instruments.laser_frame import beam_path, filter_shift, laser_frame, safe_filter_shift
+from vcal.instruments.psd_map import PsdMap
+from vcal.model import Model, observe_all
+from vcal.plan import Plan
+
+TRAVEL = {"X": (0.0, 0.184), "Y": (0.0, 0.167), "Z": (0.0, 0.35)}
+THIRTEEN = ("EYX", "EZX", "EXY", "EZY", "EXZ", "EYZ", "EXX", "EYY", "EAX", "EBY")
+SQUARE = ("EC0Y", "EB0Z", "EA0Z")
+
+
+def machine(path="3d", lever=(0.0, 0.0, 0.0), lever_of_psd=0.0, **options):
+    """Chain, instrument and plan of the publication's demonstrator."""
+    chain = chain_from_string("w b X Y Z t", TRAVEL, lever)
+    segments = beam_path(path, TRAVEL)
+    instrument = laser_frame(segments, chain, sigma=1e-6, lever=lever_of_psd, **options)
+    table = {"segment": np.repeat([s.number for s in segments], [s.points for s in segments])}
+    position = np.concatenate([s.positions for s in segments])
+    table |= {f"{c}_mm": 1e3 * position[:, i] for i, c in enumerate("xyz")}
+    return chain, instrument, instrument.plan(chain, table)
+
+
+def test_the_paths():
+    three, flat = beam_path("3d", TRAVEL), beam_path("planar", TRAVEL)
+    for path in (three, flat):
+        assert sum(s.points for s in path) == 51
+        for one, other in zip(path, path[1:], strict=False):
+            assert one.end == other.start  # the beam is one beam
+        assert sorted(s.axis for s in path) == ["X", "X", "Y", "Y", "Z"]
+    assert len({s.start[2] for s in flat[:4]}) == 1
+    with pytest.raises(KeyError):
+        beam_path("2d", TRAVEL)
+
+
+def test_readings_against_plain_numpy():
+    """Exact rotations, every port at once: the chain written out by hand."""
+    chain, instrument, plan = machine(lever=(0.02, -0.01, -0.15), lever_of_psd=0.0262)
+    rng = np.random.default_rng(0)
+    ports = 1e-4 * rng.standard_normal((plan.rows, 18 + 6 + len(instrument.ports)))
+    args = chain, instrument, plan.position, instrument.rows(plan), ports
+    found = np.asarray(observe_all(*args))
+    q = np.asarray(plan.position)
+    number = np.asarray(plan.groups["segment"])
+    way = {s.number: s.direction for s in instrument.segments}
+    flat = {s.number for s in instrument.segments if s.psd == "horizontal"}
+    for n in range(plan.rows):
+        x, y, z, tool, frame = (ports[n, 6 * i : 6 * i + 6] for i in range(5))
+        head = ports[n, 30:]
+        d = way[number[n]]
+        lever = np.zeros(3) if number[n] in flat else -0.0262 * d
+        r, t = np.eye(3), np.zeros(3)
+        for axis, twist in enumerate((x, y, z)):
+            t = t + r @ (q[n, axis] * np.eye(3)[axis] + twist[:3])
+            r = r @ Turn.from_rotvec(twist[3:]).as_matrix()
+        t = t + r @ (np.array([0.02, -0.01, -0.15]) + tool[:3])
+        r = r @ Turn.from_rotvec(tool[3:]).as_matrix()
+        p = t + r @ (lever + head[:3])
+        nominal = q[n] + [0.02, -0.01, -0.15] + lever
+        c = instrument.centre
+        moved = Turn.from_rotvec(frame[3:]).as_matrix().T @ (p - c - frame[:3]) - (nominal - c)
+        across = np.flatnonzero(np.abs(d) < 0.5)
+        np.testing.assert_allclose(found[n], moved[across] + head[3:5], atol=1e-15)
+
+
+def test_the_filter_against_snell():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        u, v = 0.05 * rng.standard_normal(2)
+        tangent = np.hypot(u, v)
+        inside = np.arcsin(np.sin(np.arctan(tangent)) / 1.52)
+        shift = 5e-3 * (tangent - np.tan(inside))
+        su, sv = (float(s) for s in filter_shift(u, v, 5e-3, 1.52))
+        assert np.hypot(su, sv) == pytest.approx(shift, rel=1e-12)
+        assert su / sv == pytest.approx(u / v)
+    # The safe side is above: by the share n / (n - 1), about, at small angles.
+    exact = float(filter_shift(0.0251, 0.0, 5e-3, 1.5)[0] - filter_shift(0.025, 0.0, 5e-3, 1.5)[0])
+    safe = float(safe_filter_shift(0.025, 1e-4, 5e-3))
+    assert safe / exact == pytest.approx(3.0, rel=0.01)
+
+
+def test_the_filter_follows_the_tool():
+    chain, plain, plan = machine()
+    _, filtered, _ = machine(thickness=5e-3, index=1.5)
+    ports = np.zeros((plan.rows, 24 + len(plain.ports)))
+    ports[:, 21:24] = 1e-4 * np.random.default_rng(2).standard_normal((plan.rows, 3))
+    args = plan.position, plain.rows(plan), ports
+    change = np.asarray(observe_all(chain, filtered, *args) - observe_all(chain, plain, *args))
+    # At normal incidence: d (1 - 1/n) times the rotation about the other transverse direction.
+    w = ports[:, 21:24]
+    for s in plain.segments:
+        rows = np.asarray(plan.groups["segment"]) == s.number
+        turned = np.cross(w[rows], s.direction)[:, list(s.across)]
+        np.testing.assert_allclose(change[rows], 5e-3 / 3 * turned, rtol=1e-3, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("path", "lever", "rank"), [("3d", 0.0, 37), ("planar", 0.0, 33), ("3d", 0.0262, 37)]
+)
+def test_rank_of_the_thirteen(path, lever, rank):
+    """As found before, by other code: straightnesses and rolls by Legendre polynomials up to the
+    fourth degree, positioning errors by their slope, squarenesses, and the frame's pose.
+
+    The lever of a diode that turns towards the beam costs no rank.
+    """
+    chain, instrument, plan = machine(path, lever_of_psd=lever)
+    degrees = {m: (1, 2, 3, 4) if m[1] in "AB" else (2, 3, 4) for m in THIRTEEN}
+    degrees |= {"EXX": (1,), "EYY": (1,)}
+    motions = tuple(
+        ErrorMotion(m, m[2], Legendre(TRAVEL[m[2]], d, 1e-5)) for m, d in degrees.items()
+    )
+    square = tuple(LocationError.of(chain, name, 1e-5) for name in SQUARE)
+    model = Model(
+        chain,
+        instrument,
+        (GeometricErrors(motions=motions, locations=square), *instrument.effects(plan)),
+    )
+    size = len(model.entries)
+    columns = [
+        np.asarray(predict(model, plan, h) - predict(model, plan, -h)).ravel() / 2e-3
+        for h in 1e-3 * np.eye(size)
+    ]
+    j = np.stack(columns, 1)
+    assert j.shape == (102, 37)
+    sizes = np.linalg.svd(j / np.linalg.norm(j, axis=0), compute_uv=False)
+    assert (sizes > 1e-6).sum() == rank
+
+
+def test_effects_reach_the_right_readings():
+    chain, instrument, plan = machine()
+    s = np.asarray(plan.covariates["path_mm"]) * 1e-3
+    assert s.max() == pytest.approx(2 * 0.184 + 2 * 0.167 + 0.35)
+    covariates = dict(plan.covariates) | {
+        "T_head": np.full(plan.rows, 23.0),
+        "T_gradient_z_K_per_m": np.full(plan.rows, 0.7),
+        "psd_u_mm": np.linspace(-1.0, 1.0, plan.rows),
+    }
+    plan = Plan(plan.axes, plan.position, covariates, plan.groups)
+    number = np.asarray(plan.groups["segment"])
+    level = number != 5
+    z = np.asarray(plan.x("Z"))
+
+    def change(effect):
+        model = Model(chain, instrument, (effect,))
+        size = np.array([1e-6 / p.step * p.si / 1e-6 for p in effect.amplitudes])
+        return np.asarray(predict(model, plan, size)) / 1e-6
+
+    head = change(HeadExpansion())
+    np.testing.assert_allclose(head[level], np.tile([0.0, -3.0], (level.sum(), 1)), atol=1e-9)
+    np.testing.assert_allclose(head[~level], 0.0, atol=1e-9)
+    frame = change(FrameExpansion(low=0.0, high=0.35, placement="Z"))
+    np.testing.assert_allclose(frame[level, 1], -3.0 * (z[level] / 0.35 - 0.5), atol=1e-9)
+    bent = change(Refraction())
+    np.testing.assert_allclose(bent[level, 1], -0.35 * s[level] ** 2, atol=1e-9)
+    np.testing.assert_allclose(bent[~level], 0.0, atol=1e-9)
+    x = covariates["psd_u_mm"]
+    np.testing.assert_allclose(change(PsdLinearity(placement="u"))[:, 0], x + x**3, atol=1e-9)
+
+
+def test_map_of_the_diode():
+    grid = np.linspace(-1.0, 1.0, 21)
+    u, v = np.meshgrid(grid, grid, indexing="ij")
+    table = {"u_mm": u.ravel(), "v_mm": v.ravel()}
+    table |= {"error_u_um": (2 * u - 3 * v + u * v).ravel(), "error_v_um": (u + v).ravel()}
+    found = PsdMap.read("psd.csv", lambda name, columns: table)
+    rng = np.random.default_rng(3)
+    place = rng.uniform(-1e-3, 1e-3, (50, 2))
+    a, b = 1e3 * place.T
+    # Bilinear functions are kept by bilinear interpolation.
+    exact = np.column_stack([2 * a - 3 * b + a * b, a + b]) * 1e-6
+    np.testing.assert_allclose(found(place), exact, atol=1e-15)
+    with pytest.raises(StudyError, match="row 2: found the beam at .* misses the diode's range"):
+        found(np.array([[0.0, 0.0], [2e-3, 0.0]]))
+    gap = {name: values[1:] for name, values in table.items()}
+    with pytest.raises(StudyError, match=r"every point once, but \(-1, -1\) mm is there 0 times"):
+        PsdMap.read("psd.csv", lambda name, columns: gap)
+
+
+# --- as a study ----------------------------------------------------------------------------------
+
+
+def test_a_study_with_a_growing_head(tmp_path):
+    study = load_study(write_frame(tmp_path / "study", growth=1.5))
+    closure = close_loop(study.model, study.measurement, effects=study.catalogue.values())
+    (one,) = closure.effects
+    assert one.effect.name == "head_expansion"
+    assert one.status == "named"
+    ((_, value, _, u),) = one.parameters
+    assert value == pytest.approx(1.5, abs=4 * u)
+
+
+def test_the_map_corrects_the_readings(tmp_path):
+    folder = write_frame(tmp_path / "study", growth=0.0)
+    plain = load_study(folder).measurement.readings
+    rows = len(plain)
+    data = (folder / "data.csv").read_text().splitlines()
+    head = data[0] + ",psd_u_mm,psd_v_mm"
+    data = [head, *(f"{line},0.2,-0.1" for line in data[1:])]
+    (folder / "data.csv").write_text("\n".join(data) + "\n")
+    lines = ["u_mm,v_mm,error_u_um,error_v_um"]
+    lines += [f"{u},{v},{100 * u},{-50 * v}" for u in (-1, 0, 1) for v in (-1, 0, 1)]
+    (folder / "psd.csv").write_text("\n".join(lines) + "\n")
+    found = load_study(folder, ["instrument.psd_map=psd.csv"]).measurement.readings
+    np.testing.assert_allclose(found, plain * [0.9, 1.05], atol=1e-12)
+    assert found.shape == (rows, 2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"3d"', '"4d"', "'3d', 'planar' or 'own'"),
+        ('"3d"', '"own"', "without [[instrument.segment]] rows"),
+        (
+            'beam_path = "3d"',
+            'beam_path = "3d"\n[[instrument.segment]]\nnumber = 1\nstart_mm = [0, 0, 0]\n'
+            'direction = "+Y"\nlength_mm = 100',
+            "beside segments",
+        ),
+        (
+            'beam_path = "3d"',
+            'beam_path = "own"\n[[instrument.segment]]\nnumber = 1\nstart_mm = [0, 0, 0]\n'
+            "length_mm = 100",
+            "direction",
+        ),
+        (
+            'beam_path = "3d"',
+            'beam_path = "own"\n[[instrument.segment]]\nnumber = 1\nstart_mm = [0, 0, 0]\n'
+            'direction = "+Y"\nlength_mm = 400\npsd_range_mm = [0, 7]',
+            "the beam misses the diode",
+        ),
+        ("sigma_um = 0.5", "sigma_um = -0.5", "sigma_um"),
+        ("Z = [0, 350]", "", "no travel of every axis"),
+    ],
+)
+def test_mistakes_in_the_study_file(tmp_path, old, new, said):
+    folder = write_frame(tmp_path / "study", growth=0.0)
+    text = (folder / "setup.toml").read_text()
+    assert old in text
+    (folder / "setup.toml").write_text(text.replace(old, new))
+    with pytest.raises(StudyError) as error:
+        load_study(folder)
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("segment", "7", "row 3, column segment: found 7, expected one of 1, 2, 3, 4, 5"),
+        ("x_mm", "20", "row 3: found the position (20, "),
+        ("z_mm", "100", "expected one on the beam from"),
+        ("u_um", "nan", "column u_um"),
+    ],
+)
+def test_mistakes_in_the_data(tmp_path, column, value, said):
+    folder = write_frame(tmp_path / "study", growth=0.0)
+    lines = (folder / "data.csv").read_text().splitlines()
+    place = lines[0].split(",").index(column)
+    row = lines[3].split(",")
+    row[place] = value
+    lines[3] = ",".join(row)
+    (folder / "data.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(StudyError) as error:
+        load_study(folder)
+    assert said in str(error.value)
+
+
+def test_the_box_is_that_of_the_files():
+    assert BOX == (500.0, 400.0, 350.0)
+    assert 'kind = "laser_frame"' in FRAME
