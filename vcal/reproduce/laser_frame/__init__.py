@@ -1,0 +1,1 @@
+"""A laser frame measures thermo-elastic errors: Brecher et al. (2022), MM Science Journal."""
