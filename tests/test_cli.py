@@ -149,7 +149,7 @@ def test_init_writes_a_study_that_can_be_used(tmp_path, instrument):
 
 def test_init_of_an_instrument_there_is_not(tmp_path):
     message = refused("init", tmp_path / "x", "--instrument", "laser")
-    assert "found 'laser' (did you mean 'laser_tracker'?), expected one of ball_array" in message
+    assert "found 'laser' (did you mean 'laser_frame'?), expected one of ball_array" in message
     assert not (tmp_path / "x").exists()
 
 

@@ -1,11 +1,13 @@
 """Every effect against finite differences, and against the oracle's effect of the same name."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from known import PLANS, Known, know_all
+from known_files import write_frame
 from oracle import (
     arm_frames,
     arm_points,
@@ -17,11 +19,13 @@ from oracle import (
 )
 from oracle.effects import ball_positions, gravity_torque, joint_angles
 from vcal import CATALOGUE, load_study, predict
+from vcal.effects import Setup
 from vcal.effects.arm import gravity_levers
 from vcal.effects.random import Repeatability
 from vcal.fit import shape_step
 from vcal.identify import declared_whitener, linearised_terms
 from vcal.model import observe_with_jacobian, port_values
+from vcal.plan import Plan
 
 
 @pytest.fixture(scope="module")
@@ -29,15 +33,43 @@ def known(tmp_path_factory) -> dict[str, Known]:
     return know_all(tmp_path_factory.mktemp("known"))
 
 
+@pytest.fixture(scope="module")
+def frame(tmp_path_factory):
+    """What `Known` has, for a laser frame with every column that its effects need."""
+    study = load_study(write_frame(tmp_path_factory.mktemp("frame") / "study", growth=0.0, runs=1))
+    rows = np.arange(study.plan.rows)
+    more = {"T_gradient_z_K_per_m": np.cos(rows), "psd_u_mm": np.sin(rows), "psd_v_mm": 0.1 * rows}
+    plan = Plan(
+        study.plan.axes,
+        study.plan.position,
+        {**study.plan.covariates, **more},
+        study.plan.groups,
+    )
+    model = study.model
+    return SimpleNamespace(
+        chain=study.chain,
+        instrument=study.instrument,
+        plan=plan,
+        model=model,
+        theta=0.5 * np.ones(len(model.entries)),
+        setup=Setup(study.chain, model.layout, plan, model.effects),
+    )
+
+
+DECLARED_ONLY = ("head_temperature", "tool_interface")
+"""Influences of a laser frame that the loop does not look for."""
+
 # --- derivatives ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_effect_columns_against_finite_differences(name, known):
+def test_effect_columns_against_finite_differences(name, known, frame):
     """Terms times port Jacobian: the derivative of `predict`, shape parameters included."""
     tested = 0
-    for it in known.values():
+    for it in (*known.values(), frame):
         found = list(CATALOGUE[name].candidates(it.setup))
+        if it is frame and name in DECLARED_ONLY:
+            found = [CATALOGUE[name]()]
         found = [e for e in found if it.plan.has(*e.needs) and e.kind == "systematic"]
         for effect in found[:: max(1, len(found) // 2)]:
             _check_columns(it, effect)

@@ -110,8 +110,8 @@ class _Metric:
 _METRICS = (
     _Metric("Check points, rms after rigid alignment", "µm", "check"),
     _Metric("Check points, rms without alignment", "µm", "check_raw"),
-    _Metric("Held-out readings, 3-D rms", "µm", "heldout"),
-    _Metric("Fitted readings, 3-D rms", "µm", "fit"),
+    _Metric("Held-out readings, rms per point", "µm", "heldout"),
+    _Metric("Fitted readings, rms per point", "µm", "fit"),
     _Metric("χ² per degree of freedom, declared noise", "", "chi2_per_dof"),
 )
 
