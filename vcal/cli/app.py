@@ -28,6 +28,10 @@ Override = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Replace a key of the study file; repeatable."),
 ]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of all random draws.")]
+NoiseFactor = Annotated[
+    float, typer.Option(help="Multiplies the noise that the instrument declares.")
+]
 
 
 def main() -> None:
@@ -176,10 +180,8 @@ def simulate(
             "what is not given is drawn from its prior. Repeatable.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all random draws.")] = 0,
-    noise_factor: Annotated[
-        float, typer.Option(help="Multiplies the noise that the instrument declares.")
-    ] = 1.0,
+    seed: Seed = 0,
+    noise_factor: NoiseFactor = 1.0,
 ) -> None:
     """Make data as of a machine drawn from its priors, at the positions of a study."""
     start()
@@ -219,10 +221,8 @@ def uncertainty(
             "what is not given is drawn from its prior. Repeatable.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all random draws.")] = 0,
-    noise_factor: Annotated[
-        float, typer.Option(help="Multiplies the noise that the instrument declares.")
-    ] = 1.0,
+    seed: Seed = 0,
+    noise_factor: NoiseFactor = 1.0,
     digits: Annotated[
         int, typer.Option(min=1, max=2, help="Significant digits of u that are to be right.")
     ] = 1,
