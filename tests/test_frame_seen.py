@@ -5,20 +5,16 @@ import pytest
 
 from vcal import Model, predict
 from vcal.basis import Legendre
-from vcal.reproduce.laser_frame.seen import (
+from vcal.reproduce.laser_frame.seen import seen
+from vcal.reproduce.laser_frame.setting import (
     DEGREES,
     OTHERS,
-    POSITIONING,
-    ROLLS,
     SQUARENESSES,
-    STRAIGHTNESSES,
+    THIRTEEN,
     TRAVEL,
     errors,
     frame_setup,
-    seen,
 )
-
-THIRTEEN = (*STRAIGHTNESSES, *POSITIONING, *ROLLS, *SQUARENESSES)
 
 
 @pytest.mark.parametrize(

@@ -280,15 +280,18 @@ class LaserFrame(Instrument):
     def rows(self, plan: Plan) -> Any:
         number = np.asarray(plan.groups["segment"])
         shapes = (2, 3), (3,), (3,), (2,)
-        across, along, lever, beam = (np.zeros((plan.rows, *shape)) for shape in shapes)
+        across, along, towards, beam = (np.zeros((plan.rows, *shape)) for shape in shapes)
         for one in self.segments:
             mine = number == one.number
             across[mine] = np.eye(3)[list(one.across)]
             along[mine] = one.direction
             if one.psd == "vertical":
-                lever[mine] = -self.lever * one.direction
+                towards[mine] = -one.direction
             beam[mine] = 2.0 * np.asarray(one.psd_range) / one.length
-        nominal = self._xyz(plan) + self.offset + lever
+        lever = self.lever * towards
+        # Positions and lever may be what a design is looking for, and then JAX is tracing them.
+        xyz = jnp.stack([jnp.asarray(plan.x(axis)) for axis in _XYZ], -1)
+        nominal = xyz + self.offset + lever
         return nominal, across, along, lever, beam
 
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:

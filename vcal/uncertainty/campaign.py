@@ -242,7 +242,7 @@ class _Evaluate:
 
     def _judged(self, made, theta: Float[Array, " k"]) -> dict[str, Array]:
         shapes = self.pair.batch.shape_values(theta)
-        state = State(made.theta, made.shapes, theta, shapes)
+        state = State(made.theta, made.shapes, theta, shapes, made.readings)
         return {name: v for m in self.measures for name, v in m(state).items()}
 
     def identity(self) -> dict[str, Any]:

@@ -50,6 +50,10 @@ class State(NamedTuple):
     found: Float[Array, " l"]
     """Identified parameters in solver units."""
     found_shapes: Mapping[int, Mapping[str, Any]]
+    readings: Float[Array, "n m"] | None = None
+    """What was measured, SI, for an evaluation beside the identification; None where a campaign is
+    linearised, which knows derivatives by the parameters alone.
+    """
 
 
 class Measure(eqx.Module):

@@ -8,6 +8,11 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from ...arrays import Array
 from ...distributions import Inputs, Normal, Uniform
 from ...instruments.laser_frame import filter_shift, safe_filter_shift
 from ...uncertainty import Budget, propagate
@@ -146,10 +151,34 @@ def point_budget(place_mm: float, path_m: float, facts: Facts = Facts()) -> Budg
     return propagate(reading, Inputs(inputs), coverage=0.95)
 
 
+def point_u(
+    place_mm: Float[Array, "*n"], path_m: Float[Array, "*n"], facts: Facts = Facts()
+) -> Float[Array, "*n"]:
+    """The same standard uncertainty (um) as a function that can be differentiated: the influences
+    that depend on the point, and the others as they are in the middle of the diode at the source.
+    """
+    f = facts
+    same = (
+        refraction(f) / SIGMAS,
+        f.resolution / SIGMAS,
+        f.frame * f.alpha * f.frame_change / SIGMAS,
+        f.head * f.alpha_share * f.alpha * f.head_change / SIGMAS,
+        f.head_half * f.alpha * f.head_change / SIGMAS,
+        f.head * f.alpha * f.sensor / SIGMAS,
+        f.head * f.alpha * f.chain / SIGMAS,
+        f.rotational.u,
+        f.repeatability,
+    )
+    off = f.linearity * place_mm * 1e3 / SIGMAS
+    bend = f.deflection * path_m**2
+    return jnp.sqrt(sum(u * u for u in same) + off**2 + bend**2)
+
+
 def refraction(facts: Facts = Facts()) -> float:
     """Largest change of the shift in the filter, on the safe side, eq. (10), um."""
     slope = facts.psd / facts.segment
-    return float(safe_filter_shift(slope, facts.turned, facts.filter)) * 1e6
+    with jax.ensure_compile_time_eval():  # a number also where a design is being traced
+        return float(safe_filter_shift(slope, facts.turned, facts.filter)) * 1e6
 
 
 def refraction_by_snell(facts: Facts = Facts()) -> float:

@@ -7,7 +7,6 @@ take up what the beams show of them:
     bias = J13^+ J8 theta8
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,32 +14,23 @@ from jaxtyping import Float
 
 from ...basis import Legendre
 from ...batch import prepare_batch
-from ...chain import Chain, chain_from_string
-from ...effects.geometric import ErrorMotion, GeometricErrors, LocationError
-from ...instruments.laser_frame import LaserFrame, beam_path, laser_frame
 from ...model import Model
-from ...plan import Plan
+from .setting import (
+    DEGREES,
+    OTHERS,
+    ROTATION_URAD,
+    SQUARENESSES,
+    THIRTEEN,
+    TRANSLATION_UM,
+    TRAVEL,
+    WIDE_M,
+    errors,
+    frame_setup,
+    sizes,
+)
 
-CHAIN = "w b X Y Z t"
-TRAVEL: Mapping[str, tuple[float, float]] = {"X": (0.0, 0.184), "Y": (0.0, 0.167), "Z": (0.0, 0.35)}
-"""Of the demonstrator, m."""
-STRAIGHTNESSES = ("EYX", "EZX", "EXY", "EZY", "EXZ", "EYZ")
-POSITIONING = ("EXX", "EYY")
-ROLLS = ("EAX", "EBY")
-SQUARENESSES = ("EA0Z", "EB0Z", "EC0Y")
-OTHERS = ("EZZ", "EBX", "ECX", "EAY", "ECY", "EAZ", "EBZ", "ECZ")
-DEGREES: Mapping[str, tuple[int, ...]] = {
-    **{name: (2, 3, 4) for name in STRAIGHTNESSES},
-    **{name: (1,) for name in POSITIONING},
-    **{name: (1, 2, 3, 4) for name in (*ROLLS, *OTHERS)},
-}
-"""Legendre degrees: a straightness has no slope, which is a squareness or the frame's pose, and
-five beams meet two positions of X and of Y only, so that positioning errors have but a slope.
-"""
 _FREE = 1e-8
 """Singular value of columns of unit length below which a combination is not seen."""
-_WIDE = 1e-3
-"""Prior of the thirteen that leaves everything to the data, m or rad."""
 
 
 @dataclass(frozen=True)
@@ -58,48 +48,19 @@ class Seen:
     """Those of the other eight that no reading shows."""
 
 
-def frame_setup(
-    path: str = "3d", lever_m: float = 0.0, sigma_m: float = 1e-6
-) -> tuple[Chain, LaserFrame, Plan]:
-    """The demonstrator with one of the named beam paths, and its 51 points."""
-    chain = chain_from_string(CHAIN, TRAVEL)
-    segments = beam_path(path, TRAVEL)
-    instrument = laser_frame(segments, chain, sigma=sigma_m, lever=lever_m)
-    position = 1e3 * np.concatenate([one.positions for one in segments])
-    table = {f"{c}_mm": position[:, i] for i, c in enumerate("xyz")}
-    table["segment"] = np.repeat([one.number for one in segments], [one.points for one in segments])
-    return chain, instrument, instrument.plan(chain, table)
-
-
-def errors(chain: Chain, names: tuple[str, ...], sigma: Mapping[str, float]) -> GeometricErrors:
-    """Error motions and squarenesses by name, every coefficient with the size `sigma[name]` (m or
-    rad).
-    """
-    motions = tuple(
-        ErrorMotion(name, name[2], Legendre(TRAVEL[name[2]], DEGREES[name], sigma[name]))
-        for name in names
-        if name in DEGREES
-    )
-    locations = tuple(
-        LocationError.of(chain, name, sigma[name]) for name in names if name in SQUARENESSES
-    )
-    return GeometricErrors(motions=motions, locations=locations)
-
-
 def seen(
     path: str = "3d",
     lever_m: float = 0.0,
-    translation_um: float = 10.0,
-    rotation_urad: float = 10.0,
+    translation_um: float = TRANSLATION_UM,
+    rotation_urad: float = ROTATION_URAD,
 ) -> Seen:
     """Rank and bias of a beam path; every coefficient of the other eight has the given size."""
     chain, instrument, plan = frame_setup(path, lever_m)
-    thirteen = (*STRAIGHTNESSES, *POSITIONING, *ROLLS, *SQUARENESSES)
     nuisance = instrument.effects(plan)
-    own = errors(chain, thirteen, dict.fromkeys(thirteen, _WIDE))
+    own = errors(chain, THIRTEEN, dict.fromkeys(THIRTEEN, WIDE_M))
     fit = Model(chain, instrument, (own, *nuisance))
-    sizes = {n: (translation_um if n[1] in "XYZ" else rotation_urad) * 1e-6 for n in OTHERS}
-    other = Model(chain, instrument, (errors(chain, OTHERS, sizes),))
+    others = errors(chain, OTHERS, sizes(translation_um, rotation_urad))
+    other = Model(chain, instrument, (others,))
     names = [entry.parameter.name.split(".")[0] for entry in fit.entries]
     j, j8 = (np.asarray(prepare_batch(m, plan).jacobian) for m in (fit, other))
     norms = np.linalg.norm(j, axis=0)
@@ -110,9 +71,9 @@ def seen(
     inverse = np.linalg.pinv(j / norms, rcond=_FREE) / norms[:, None]
     put = inverse @ j8
     bias = {}
-    for name in thirteen:
+    for name in THIRTEEN:
         rows = [i for i, own_name in enumerate(names) if own_name == name]
-        bias[name] = float(_along(name, put[rows]).max()) * _WIDE / 1e-6
+        bias[name] = float(_along(name, put[rows]).max()) * WIDE_M / 1e-6
     shown = np.abs(j8).max(0) > 1e-9 * np.abs(j8).max()
     eight = [entry.parameter.name.split(".")[0] for entry in other.entries]
     return Seen(

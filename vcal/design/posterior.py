@@ -1,0 +1,104 @@
+"""What a plan will leave uncertain, as a function that can be differentiated by the plan.
+
+    H = sum over rows of J' C^-1 J + L,      covariance = H^-1
+
+with J the derivative of a reading by the amplitudes at the nominal machine, C the covariance of the
+readings of a row and L the precision of the prior. Positions of the axes, numbers of the instrument
+and sizes of random effects may be traced, so that the uncertainty has a gradient by all of them.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from ..effects.base import Effect
+from ..model import Model, observe_with_jacobian
+from ..plan import Plan
+
+
+def jacobian(model: Model, plan: Plan) -> Float[Array, "n m k"]:
+    """Derivative of the readings (SI) by the amplitudes in solver units (`Model.entries`), at the
+    nominal machine.
+
+    Shape parameters are held at their declared values. Raises `ValueError` for a model whose
+    effects have shape parameters that are not declared, as their amplitudes have no linear part.
+    """
+    for effect in model.effects:
+        loose = {p.name for p in effect.shapes} - {name for name, *_ in effect.given}
+        if loose:
+            raise ValueError(
+                f"effect {effect.key!r}: found the free shape parameter {min(loose)!r}, expected "
+                "declared ones, as a design is judged at the nominal machine"
+            )
+    _, by_port = _by_port(model, plan)
+    return _slopes(model.effects, model, plan, by_port)
+
+
+def information(model: Model, plan: Plan) -> Float[Array, "n k k"]:
+    """J' C^-1 J of every row. Raises as `jacobian` does."""
+    instrument = model.instrument
+    J = jacobian(model, plan)
+    readings, by_port = _by_port(model, plan)
+    sigma = jnp.asarray(instrument.noise(plan, readings))
+    noise = sigma[:, :, None] ** 2 * jnp.eye(sigma.shape[1])
+    if model.random:
+        scatter = _slopes(model.random, model, plan, by_port)
+        sizes = [(p.mean or p.sigma) / p.sigma for e in model.random for p in e.amplitudes]
+        scatter = scatter * jnp.asarray(sizes)
+        noise += jnp.einsum("nik,njk->nij", scatter, scatter)
+    return jnp.einsum("nik,nil->nkl", J, jnp.linalg.solve(noise, J))
+
+
+def _by_port(model: Model, plan: Plan) -> tuple[Float[Array, "n m"], Float[Array, "n m p"]]:
+    """Reduced readings at the nominal machine, and their derivative by its ports."""
+    instrument = model.instrument
+    still = jnp.zeros((plan.rows, len(model.layout)))
+    readings, by_port = observe_with_jacobian(
+        model.chain, instrument, plan.position, instrument.rows(plan), still
+    )
+    return instrument.reduce(readings, plan), instrument.reduce(by_port, plan)
+
+
+def precision(model: Model) -> Float[np.ndarray, "k k"]:
+    """L of the amplitudes in solver units: one, or zero for a flat prior."""
+    return np.diag([float(e.parameter.informed) for e in model.entries])
+
+
+def curvature(model: Model, plan: Plan) -> Float[Array, "k k"]:
+    """H of the amplitudes in solver units. Raises as `information` does."""
+    return information(model, plan).sum(0) + precision(model)
+
+
+def covariance(model: Model, plan: Plan) -> Float[Array, "k k"]:
+    """H^-1, by columns of unit length: parameters that the plan does not tell apart give values
+    that are not finite or grow without bound.
+    """
+    H = curvature(model, plan)
+    scale = 1.0 / jnp.sqrt(jnp.diagonal(H))
+    return scale[:, None] * jnp.linalg.inv(scale[:, None] * H * scale) * scale
+
+
+def expanded(
+    functionals: Float[Array, "q k"], covariance: Float[Array, "k k"], coverage: float = 2.0
+) -> Float[Array, " q"]:
+    """U = k sqrt(d' C d) of functionals d of the amplitudes."""
+    return coverage * jnp.sqrt(jnp.einsum("qk,kl,ql->q", functionals, covariance, functionals))
+
+
+def _slopes(
+    effects: Sequence[Effect], model: Model, plan: Plan, by_port: Float[Array, "n m p"]
+) -> Float[Array, "n m k"]:
+    """Derivative of the readings by the amplitudes of some effects, in solver units."""
+    columns = []
+    for effect in effects:
+        shape = {p.name: p.mean * p.si for p in effect.shapes}
+        own = {p.name: jnp.zeros(by_port.shape[:2]) for p in effect.amplitudes}
+        steps = {p.name: p.step for p in effect.amplitudes}
+        for (port, name), response in effect.response(plan, shape).items():
+            size = jnp.broadcast_to(jnp.asarray(response), (plan.rows,)) * steps[name]
+            own[name] += by_port[:, :, model.layout.index(port)] * size[:, None]
+        columns += list(own.values())
+    return jnp.stack(columns, -1) if columns else jnp.zeros((*np.shape(by_port)[:2], 0))

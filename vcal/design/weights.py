@@ -1,0 +1,90 @@
+"""How often to measure where: the weights of candidate points that make the largest U smallest.
+
+    min over w of max_i d_i' C(w) d_i,      C(w)^-1 = L + sum_n w_n F_n,   w >= 0,  sum w = total
+
+with F_n the information of one measurement at candidate n. This is convex: its value is a bound for
+every whole number of measurements at these candidates, and its weights say how to share them out.
+Solved by multiplicative updates: of the weights by the derivative of the present mixture of the
+criteria, and of the mixture towards the criteria that are largest (Silvey, Titterington and Torsney
+1978 for a single criterion).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+_POWER = 4.0
+
+
+class Weights(NamedTuple):
+    """The best weights found."""
+
+    weights: Float[np.ndarray, " n"]
+    values: Float[np.ndarray, " q"]
+    """sqrt(d' C d) of every functional."""
+
+    @property
+    def largest(self) -> float:
+        """What was minimised."""
+        return float(self.values.max())
+
+
+def weigh(
+    information: Float[np.ndarray, "n k k"],
+    precision: Float[np.ndarray, "k k"],
+    functionals: Float[np.ndarray, "q k"],
+    total: float,
+    *,
+    steps: int = 300,
+) -> Weights:
+    """Share `total` measurements out among candidates.
+
+    Raises `ValueError` where all candidates and the prior together leave a parameter undetermined.
+    """
+    w = np.full(len(information), total / len(information))
+    mixture = np.full(len(functionals), 1.0 / len(functionals))
+    best: Weights | None = None
+    for _ in range(steps):
+        H = precision + np.tensordot(w, information, 1)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
+        scaled = scale[:, None] * H * scale
+        if best is None and np.linalg.cond(scaled) > 1e12:
+            raise ValueError(
+                "found candidates that leave a parameter undetermined, expected every parameter to "
+                "be seen by some of them or to have a prior; add candidates"
+            )
+        C = scale[:, None] * np.linalg.inv(scaled) * scale
+        reached = functionals @ C
+        values = np.sqrt(np.maximum((reached * functionals).sum(1), 0.0))
+        if best is None or values.max() < best.largest:
+            best = Weights(w, values)
+        mixture = mixture * (values / values.max()) ** _POWER
+        mixture /= mixture.sum()
+        # Of the sum of mixture times values; the square root damps.
+        slope = reached.T @ (reached * (mixture / np.maximum(values, 1e-300))[:, None])
+        w = w * np.sqrt(np.maximum(np.einsum("nkl,kl->n", information, slope), 0.0))
+        w *= total / w.sum()
+    assert best is not None
+    return best
+
+
+def apportion(shares: Float[np.ndarray, " n"], total: int, least: int = 0) -> np.ndarray:
+    """Whole numbers near `shares` that add up to `total`, none below `least`: the largest remainder
+    gets the next one.
+
+    Raises `ValueError` where `least` of each are more than `total`.
+    """
+    if least * len(shares) > total:
+        raise ValueError(
+            f"found {total} to share out among {len(shares)}, expected at least "
+            f"{least * len(shares)}, {least} for each; give more, or ask for fewer"
+        )
+    exact = np.maximum(np.asarray(shares, float) * total / np.sum(shares), least)
+    counts = np.floor(exact).astype(int)
+    while counts.sum() > total:
+        above = np.where(counts > least, counts - exact, -np.inf)
+        counts[int(np.argmax(above))] -= 1
+    for place in np.argsort(counts - exact, kind="stable")[: total - counts.sum()]:
+        counts[place] += 1
+    return counts
