@@ -2,10 +2,12 @@
 
 from .minimax import Minimax, minimax
 from .posterior import covariance, curvature, expanded, information, jacobian, precision
+from .rank import Rank, rank_of
 from .weights import Weights, apportion, weigh
 
 __all__ = [
     "Minimax",
+    "Rank",
     "Weights",
     "apportion",
     "covariance",
@@ -15,5 +17,6 @@ __all__ = [
     "jacobian",
     "minimax",
     "precision",
+    "rank_of",
     "weigh",
 ]

@@ -42,7 +42,8 @@ def information(model: Model, plan: Plan) -> Float[Array, "n k k"]:
     instrument = model.instrument
     J = jacobian(model, plan)
     readings, by_port = _by_port(model, plan)
-    sigma = jnp.asarray(instrument.noise(plan, readings))
+    # Typed for the host, where most noise is declared; a traced plan needs an instrument that can.
+    sigma = jnp.asarray(instrument.noise(plan, readings))  # type: ignore[arg-type]
     noise = sigma[:, :, None] ** 2 * jnp.eye(sigma.shape[1])
     if model.random:
         scatter = _slopes(model.random, model, plan, by_port)
@@ -94,7 +95,7 @@ def _slopes(
     """Derivative of the readings by the amplitudes of some effects, in solver units."""
     columns = []
     for effect in effects:
-        shape = {p.name: p.mean * p.si for p in effect.shapes}
+        shape = {p.name: np.asarray(p.mean * p.si) for p in effect.shapes}
         own = {p.name: jnp.zeros(by_port.shape[:2]) for p in effect.amplitudes}
         steps = {p.name: p.step for p in effect.amplitudes}
         for (port, name), response in effect.response(plan, shape).items():

@@ -171,6 +171,11 @@ class DataSettings(Table):
     data: str = "data.csv"
     check: str | None = None
     """Independent check points; by default ``check.csv`` where that exists."""
+    must_see: dict[str, int] = {}
+    """What the points have to tell apart without any prior: by name, the highest Legendre degree of
+    an error motion (``EYX = 4``; a straightness counts from the second degree, as its slope is a
+    squareness), or zero for a squareness (``EC0Y = 0``).
+    """
 
 
 class LoopSettings(Table):

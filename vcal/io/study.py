@@ -23,6 +23,7 @@ from .declared import catalogue_with, declared_effects, unknown_effect
 from .family import geometric_errors
 from .folder import Folder
 from .messages import listed, refusal
+from .must_see import check_seen
 from .settings import LoopSettings, MachineSettings, StudySettings, read_setup, validate
 from .table import Table
 
@@ -109,6 +110,7 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         *declared_effects(settings.model.effect, catalogue, setup, file, settings.data.data)
     )
     _check_size(model, plan, settings.data.data)
+    check_seen(settings.data.must_see, chain, instrument, plan, file)
     return Study(
         name=settings.name or path.resolve().parent.name,
         path=path,

@@ -62,7 +62,7 @@ def probability(p: float) -> str:
 
 def percent(share: float) -> str:
     """A share in percent."""
-    return f"{100.0 * share:.0f} %" if abs(share) >= 0.1 else f"{100.0 * share:.1f} %"
+    return _minus(f"{100.0 * share:.0f} %" if abs(share) >= 0.1 else f"{100.0 * share:.1f} %")
 
 
 def unit(text: str) -> str:

@@ -129,7 +129,7 @@ def better(progress: Callable[[str], None] = lambda what: None) -> Better:
     six, tried6 = edges.paths(6, total)
     own = edges.bound(_corners(start.segments), total)
     progress("places of the points")
-    shared = _with_counts(start, apportion(np.asarray(own.shares), total, _LEAST))
+    shared = _with_counts(start, apportion(np.asarray(own.shares), total, _LEAST).tolist())
     paths = [_measured(one[0], total) for one in (five, six)]
     steps = (
         _judged("as published, on the path “3d”", start),
@@ -329,11 +329,11 @@ class _Edges:
         A path and its mirror image in X are worth the same: only one of them counts.
         """
         found, count = [], 0
-        for start in itertools.product((0,), (0, 1), (0, 1)):
+        for start in [(0, *rest) for rest in itertools.product((0, 1), repeat=2)]:
             for turns in itertools.product(range(3), repeat=beams):
                 if any(a == b for a, b in itertools.pairwise(turns)):
                     continue
-                corners = [start]
+                corners: list[tuple[int, ...]] = [start]
                 for axis in turns:
                     corners.append(tuple(v ^ (i == axis) for i, v in enumerate(corners[-1])))
                 count += 1

@@ -151,27 +151,36 @@ def point_budget(place_mm: float, path_m: float, facts: Facts = Facts()) -> Budg
     return propagate(reading, Inputs(inputs), coverage=0.95)
 
 
+def point_parts(
+    place_mm: Float[Array, "*n"], path_m: Float[Array, "*n"], facts: Facts = Facts()
+) -> dict[str, Float[Array, "*n"]]:
+    """Standard uncertainties (um) of the inputs of `point_budget`, in functions that can be
+    differentiated by the place.
+    """
+    f = facts
+    same = {
+        "refraction": refraction(f) / SIGMAS,
+        "resolution": f.resolution / SIGMAS,
+        "frame": f.frame * f.alpha * f.frame_change / SIGMAS,
+        "head alpha": f.head * f.alpha_share * f.alpha * f.head_change / SIGMAS,
+        "head length": f.head_half * f.alpha * f.head_change / SIGMAS,
+        "head sensor": f.head * f.alpha * f.sensor / SIGMAS,
+        "head chain": f.head * f.alpha * f.chain / SIGMAS,
+        "tool interface": f.rotational.u,
+        "psd repeatability": f.repeatability,
+    }
+    return {
+        **{name: u * jnp.ones_like(path_m) for name, u in same.items()},
+        "deflection": f.deflection * path_m**2,
+        "psd linearity": f.linearity * jnp.abs(place_mm) * 1e3 / SIGMAS,
+    }
+
+
 def point_u(
     place_mm: Float[Array, "*n"], path_m: Float[Array, "*n"], facts: Facts = Facts()
 ) -> Float[Array, "*n"]:
-    """The same standard uncertainty (um) as a function that can be differentiated: the influences
-    that depend on the point, and the others as they are in the middle of the diode at the source.
-    """
-    f = facts
-    same = (
-        refraction(f) / SIGMAS,
-        f.resolution / SIGMAS,
-        f.frame * f.alpha * f.frame_change / SIGMAS,
-        f.head * f.alpha_share * f.alpha * f.head_change / SIGMAS,
-        f.head_half * f.alpha * f.head_change / SIGMAS,
-        f.head * f.alpha * f.sensor / SIGMAS,
-        f.head * f.alpha * f.chain / SIGMAS,
-        f.rotational.u,
-        f.repeatability,
-    )
-    off = f.linearity * place_mm * 1e3 / SIGMAS
-    bend = f.deflection * path_m**2
-    return jnp.sqrt(sum(u * u for u in same) + off**2 + bend**2)
+    """Standard uncertainty (um) of a reading: the root of the sum of squares of `point_parts`."""
+    return jnp.sqrt(sum(u * u for u in point_parts(place_mm, path_m, facts).values()))
 
 
 def refraction(facts: Facts = Facts()) -> float:

@@ -16,6 +16,7 @@ from ...effects.base import Effect
 from ...model import Model
 from ...uncertainty import Campaign, monte_carlo
 from .defined import Asked, LinearErrors
+from .influences import under_conditions
 from .recipe import Lever, largest, recipe
 from .setting import (
     OTHERS,
@@ -70,13 +71,15 @@ def cycles(
     flat = layout == "planar"
     layout = Layout.named(layout) if isinstance(layout, str) else layout
     chain, instrument, plan = frame_setup(layout, sigma_m=0.0)
+    plan = under_conditions(plan, layout)
     lever = lever or Lever.seen()
     drawn = {"none": (), "thirteen": THIRTEEN, "all": (*THIRTEEN, *OTHERS)}[machine]
     truth_errors = (errors(chain, drawn, sizes()),) if drawn else ()
     own = ReadingNoise(layout.u())
     truth = Model(chain, instrument, (*truth_errors, *((own,) if effects is None else effects)))
     asked = (*THIRTEEN, *OTHERS) if fitted == "all with prior" else THIRTEEN
-    prior = dict.fromkeys(THIRTEEN, WIDE_M) if fitted == "thirteen" else sizes()
+    wide = {str(name): WIDE_M for name in THIRTEEN}
+    prior = wide if fitted == "thirteen" else sizes()
     fit = Model(chain, instrument, (errors(chain, asked, prior), *instrument.effects(plan), own))
     usual = Asked.usual()
     true, found = usual.of(truth), usual.of(fit)

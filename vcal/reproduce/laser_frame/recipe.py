@@ -102,7 +102,7 @@ def recipe(
     for name in STRAIGHTNESSES:
         own = straight[name[2]]
         parts = [beams.on(own[0], n) @ beams.straight(n, name[1]) for n in own]
-        rows.append((name, beams.x[own[0]], sum(parts) / len(own)))
+        rows.append((name, beams.x[own[0]], np.mean(parts, axis=0)))
     for name, (far, near) in zip(POSITIONING, ((3, 1), (2, 4)), strict=True):
         change = beams.mean(far, name[1]) - beams.mean(near, name[1])
         rows.append((name, np.full(1, np.nan), 0.5 * change))

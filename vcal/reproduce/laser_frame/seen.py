@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ...basis import Legendre
-from ...batch import prepare_batch
+from ...design import jacobian, rank_of
+from ...design.rank import FREE
 from ...model import Model
 from .setting import (
     DEGREES,
@@ -28,9 +29,6 @@ from .setting import (
     frame_setup,
     sizes,
 )
-
-_FREE = 1e-8
-"""Singular value of columns of unit length below which a combination is not seen."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +60,11 @@ def seen(
     others = errors(chain, OTHERS, sizes(translation_um, rotation_urad))
     other = Model(chain, instrument, (others,))
     names = [entry.parameter.name.split(".")[0] for entry in fit.entries]
-    j, j8 = (np.asarray(prepare_batch(m, plan).jacobian) for m in (fit, other))
+    rank = rank_of(fit, plan)
+    j, j8 = (np.asarray(jacobian(m, plan)).reshape(2 * plan.rows, -1) for m in (fit, other))
     norms = np.linalg.norm(j, axis=0)
     norms = np.where(norms > 0.0, norms, 1.0)
-    _, sizes_j, vt = np.linalg.svd(j / norms, full_matrices=True)
-    rank = int((sizes_j > _FREE).sum())
-    free = np.abs(vt[rank:]).max(0) if rank < len(names) else np.zeros(len(names))
-    inverse = np.linalg.pinv(j / norms, rcond=_FREE) / norms[:, None]
+    inverse = np.linalg.pinv(j / norms, rcond=FREE) / norms[:, None]
     put = inverse @ j8
     bias = {}
     for name in THIRTEEN:
@@ -77,9 +73,9 @@ def seen(
     shown = np.abs(j8).max(0) > 1e-9 * np.abs(j8).max()
     eight = [entry.parameter.name.split(".")[0] for entry in other.entries]
     return Seen(
-        columns=len(names),
-        rank=rank,
-        mixed=tuple(dict.fromkeys(n for n, f in zip(names, free, strict=True) if f > 1e-3)),
+        columns=rank.columns,
+        rank=rank.rank,
+        mixed=tuple(dict.fromkeys(names[i] for i in rank.mixed)),
         bias=bias,
         invisible=tuple(
             name

@@ -46,6 +46,8 @@ TRANSLATION_UM, ROTATION_URAD = 10.0, 100.0 / 3.0
 """Standard deviation of every coefficient of an error. Three of the rotation are the 100 urad that
 the publication takes for its machine on the safe side.
 """
+HEAD_K = 2.0
+"""Change of the head's temperature since the reference run, on the safe side."""
 WIDE_M = 1e-3
 """Prior that leaves everything to the data, m or rad."""
 
@@ -167,14 +169,25 @@ def reading_u(
     order of the beam. `legs` (m) are the sides of the frame; without them `LEGS`. The `factor` two
     is the publication's: "the noise is doubled additionally" for the reference run.
     """
-    legs = LEGS if legs is None else legs
-    start, found = 0.0, []
-    for one, s in zip(segments, shares, strict=True):
-        path = start + 0.5 * (legs[one.axis] - one.length) + s * one.length
-        start += legs[one.axis]
+    found = []
+    for one, s, path in zip(segments, shares, way_of_light(segments, shares, legs), strict=True):
         both = [
             point_u(1e3 * half * (2.0 * s - 1.0), path, facts or Facts()) * 1e-6
             for half in one.psd_range
         ]
         found.append(jnp.stack(both, -1))
     return factor * jnp.concatenate(found)
+
+
+def way_of_light(
+    segments: Sequence[Segment],
+    shares: Sequence[Float[Array, " p"]],
+    legs: Mapping[str, float] | None = None,
+) -> list[Float[Array, " p"]]:
+    """How far the light has come at every point, m, along the legs of the frame (m, or `LEGS`)."""
+    legs = LEGS if legs is None else legs
+    start, found = 0.0, []
+    for one, s in zip(segments, shares, strict=True):
+        found.append(start + 0.5 * (legs[one.axis] - one.length) + s * one.length)
+        start += legs[one.axis]
+    return found

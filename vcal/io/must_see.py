@@ -1,0 +1,100 @@
+"""``[data] must_see``: errors that the points have to tell apart by themselves."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..basis import Legendre
+from ..catalogue import nearest
+from ..chain import Chain
+from ..design import rank_of
+from ..effects.base import across
+from ..effects.geometric import ErrorMotion, GeometricErrors, LocationError
+from ..instruments.base import Instrument
+from ..model import Model
+from ..plan import Plan
+from .messages import listed, refusal
+
+_HIGHEST = 12
+_SIZE = 1e-5
+
+
+def check_seen(
+    wanted: Mapping[str, int], chain: Chain, instrument: Instrument, plan: Plan, file: str
+) -> None:
+    """Raises `StudyError` where the points do not tell all of that apart, together with the poses
+    that the instrument leaves unknown.
+    """
+    if not wanted:
+        return
+    linear = [joint.name for joint in chain.joints if joint.kind == "prismatic"]
+    squarenesses = [
+        f"E{c}0{axis}"
+        for axis in linear
+        for c, own in zip("ABC", "XYZ", strict=True)
+        if axis != own
+    ]
+    motions = [f"E{c}{axis}" for axis in chain.axes for c in "XYZABC"]
+    straight = {port for axis in linear for port in across(chain, axis)}
+    lowest = {n: 2 if n in straight else 1 for n in motions} | dict.fromkeys(squarenesses, 0)
+    for name, degree in wanted.items():
+        _check_key(name, degree, lowest, file)
+    model = Model(
+        chain,
+        instrument,
+        (
+            GeometricErrors(
+                motions=tuple(
+                    _motion(plan, name, range(lowest[name], degree + 1))
+                    for name, degree in wanted.items()
+                    if name in motions
+                ),
+                locations=tuple(
+                    LocationError.of(chain, name, _SIZE) for name in wanted if name in squarenesses
+                ),
+            ),
+            *instrument.effects(plan),
+        ),
+    )
+    found = rank_of(model, plan)
+    if found.rank < found.columns:
+        parts = [model.entries[i].parameter.name.split(".")[0] for i in found.mixed]
+        mixed = [name for name in dict.fromkeys(parts) if name in wanted]
+        raise refusal(
+            file,
+            "key data.must_see",
+            f"{plan.rows} points that tell apart {found.rank} of {found.columns} parameters; "
+            f"{listed(mixed)} {'is' if len(mixed) == 1 else 'are'} part of what they do not",
+            "points that tell all of them apart",
+            "measure more or other places, or ask for less",
+        )
+
+
+def _check_key(name: str, degree: int, lowest: Mapping[str, int], file: str) -> None:
+    key = f"key data.must_see.{name}"
+    if name not in lowest:
+        raise refusal(
+            file,
+            key,
+            f"the unknown error {name!r}{nearest(name, lowest)}",
+            f"an error motion such as {next(iter(lowest))}, or a squareness of linear axes",
+            "correct or remove the key",
+        )
+    low = lowest[name]
+    high = _HIGHEST if low else 0
+    if not low <= degree <= high:
+        raise refusal(
+            file,
+            key,
+            f"the degree {degree}",
+            f"a degree from {low} to {high}" if low else "0, as a squareness has no degree",
+            "correct it",
+        )
+
+
+def _motion(plan: Plan, name: str, degrees: Sequence[int]) -> ErrorMotion:
+    axis = name[2:]
+    x = np.asarray(plan.x(axis))
+    # Polynomials of an axis that stood still all are constants: seen by nothing, as is right.
+    ends = float(x.min()), max(float(x.max()), float(x.min()) + 1e-9)
+    return ErrorMotion(name, axis, Legendre(ends, tuple(degrees), _SIZE))
