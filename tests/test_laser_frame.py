@@ -274,6 +274,34 @@ def test_mistakes_in_the_data(tmp_path, column, value, said):
     assert said in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        ("{ EYX = 4, EXX = 1, EBY = 4, EC0Y = 0 }", None),
+        ("{ EYX = 4, EXX = 3 }", "153 points that tell apart 10 of 12 parameters; EXX is part"),
+        ("{ EYX = 12, EC0Y = 0 }", "EYX, EC0Y are part of what they do not, expected points"),
+        ("{ ECZ = 1, EYX = 4 }", "measure more or other places, or ask for less"),
+        (
+            "{ EXYY = 2 }",
+            "data.must_see.EXYY: found the unknown error 'EXYY' (did you mean 'EYY'?)",
+        ),
+        ("{ EYX = 1 }", "data.must_see.EYX: found the degree 1, expected a degree from 2 to 12"),
+        ("{ EC0Y = 2 }", "found the degree 2, expected 0, as a squareness has no degree"),
+        ("{ EYX = true }", "data.must_see.EYX"),
+    ],
+)
+def test_what_the_points_must_see(tmp_path, wanted, said):
+    folder = write_frame(tmp_path / "study", growth=0.0)
+    text = (folder / "setup.toml").read_text()
+    (folder / "setup.toml").write_text(f"{text}\n[data]\nmust_see = {wanted}\n")
+    if said is None:
+        assert load_study(folder).plan.rows == 153
+        return
+    with pytest.raises(StudyError) as error:
+        load_study(folder)
+    assert said in str(error.value)
+
+
 def test_the_box_is_that_of_the_files():
     assert BOX == (500.0, 400.0, 350.0)
     assert 'kind = "laser_frame"' in FRAME

@@ -14,6 +14,10 @@ from .model import Model, Shapes
 from .parameters import Parameter
 
 
+_UNSEEN = 1e-8
+"""Information (per solver unit squared) that counts as none: a standard deviation of 1e4 units."""
+
+
 @dataclass(frozen=True)
 class Fit:
     """A model identified from a measurement: numbers only.
@@ -50,6 +54,14 @@ class Fit:
     def converged(self) -> bool:
         """Whether `theta` is a minimum."""
         return self.status == Status.CONVERGED
+
+    @property
+    def determined(self) -> bool:
+        """Whether data and prior say anything of every parameter. They do not of the place of a
+        bump that lies between two readings.
+        """
+        seen = (self.jacobian**2).sum(0) + self.precision
+        return bool(seen.min(initial=math.inf) > _UNSEEN)
 
     @cached_property
     def factor(self) -> tuple[np.ndarray, bool]:

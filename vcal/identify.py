@@ -267,6 +267,9 @@ def identify(
     names = entries(model)
     size, amplitudes = len(names), len(model.entries)
     precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in names])
+    # A shape parameter that the data hardly see would run off in its linearisation. What holds it
+    # back by a step of its scan has no say where it stands still.
+    held = np.where([p.shape for _, p in names], 1.0, np.sqrt(precision))
     estimate = np.zeros(size)
     if theta is not None:
         estimate[: len(theta)] = theta
@@ -276,7 +279,7 @@ def identify(
     for _ in range(_RELINEARISATIONS):
         terms = linearised_terms(model, plan, current, estimate, fixed)
         problem = _padded(
-            Problem(plan.position, rows, measurement.readings, whitener, terms, np.sqrt(precision)),  # type: ignore[arg-type]
+            Problem(plan.position, rows, measurement.readings, whitener, terms, held),  # type: ignore[arg-type]
             room,
         )
         start = np.zeros(problem.root_precision.shape[0])

@@ -77,10 +77,10 @@ def refit_all(
     """Refits of the given peaks, most probable first, at the noise the best of them leaves.
 
     `instances` tells how many places and components of each kind were tried. Fits that do not
-    converge are left out.
+    converge, or that leave a parameter undetermined, are left out.
     """
     fits = [(peak, refit(base, peak, keep, room)) for peak in peaks]
-    fits = _distinct([(peak, fit) for peak, fit in fits if fit.converged])
+    fits = _distinct([(peak, fit) for peak, fit in fits if fit.converged and fit.determined])
     if not fits:
         return []
     noise = math.sqrt(max(1.0, min(fit.chi2 / fit.dof for _, fit in fits)))

@@ -1,0 +1,158 @@
+"""Designing measurements: derivatives, the largest of several criteria, weights, rank."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from vcal import Model
+from vcal.basis import Legendre
+from vcal.batch import prepare_batch
+from vcal.chain import chain_from_string
+from vcal.design import (
+    apportion,
+    covariance,
+    curvature,
+    expanded,
+    information,
+    minimax,
+    precision,
+    rank_of,
+    weigh,
+)
+from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
+from vcal.effects.random import Repeatability
+from vcal.effects.thermal import WarmUp
+from vcal.instruments.laser_frame import beam_path, laser_frame
+
+TRAVEL = {"X": (0.0, 0.3), "Y": (0.0, 0.2), "Z": (0.0, 0.25)}
+
+
+def setup():
+    chain = chain_from_string("w b X Y Z t", TRAVEL)
+    segments = beam_path("3d", TRAVEL)
+    instrument = laser_frame(segments, chain, sigma=1e-6, lever=0.01)
+    position = 1e3 * np.concatenate([s.positions for s in segments])
+    table = {f"{c}_mm": position[:, i] for i, c in enumerate("xyz")}
+    table["segment"] = np.repeat([s.number for s in segments], [s.points for s in segments])
+    plan = instrument.plan(chain, table)
+    errors = GeometricErrors(
+        motions=tuple(
+            ErrorMotion(name, name[2], Legendre(TRAVEL[name[2]], (2, 3), 1e-5))
+            for name in ("EYX", "EZX", "EXY", "EYZ")
+        ),
+        locations=(LocationError.of(chain, "EC0Y", 3e-5),),
+    )
+    noisy = Repeatability(port="EYY", unit="um", placement="Y")
+    return Model(chain, instrument, (errors, *instrument.effects(plan), noisy)), plan
+
+
+def test_the_curvature_is_that_of_an_identification():
+    model, plan = setup()
+    batch = prepare_batch(model, plan)
+    np.testing.assert_allclose(curvature(model, plan), batch.curvature, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(covariance(model, plan), batch.inverse, rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(
+        information(model, plan).sum(0) + precision(model), batch.curvature, rtol=1e-9, atol=1e-6
+    )
+
+
+def test_its_gradient_against_finite_differences():
+    model, plan = setup()
+    rng = np.random.default_rng(0)
+    d = rng.standard_normal((3, len(model.entries)))
+    # Generic places, away from ends and symmetries.
+    base = np.asarray(plan.position) + 0.004 * rng.standard_normal(plan.position.shape)
+    way = rng.standard_normal(base.shape)
+
+    @jax.jit
+    def U(step):
+        there = plan.with_position(jnp.asarray(base) + step * way)
+        return expanded(jnp.asarray(d), covariance(model, there))
+
+    slope = jax.jacfwd(U)(0.0)
+    h = 1e-5
+    found = (8.0 * (U(h) - U(-h)) - (U(2 * h) - U(-2 * h))) / (12.0 * h)
+    np.testing.assert_allclose(slope, found, rtol=1e-6)
+
+
+def test_a_free_shape_parameter_is_refused():
+    model, plan = setup()
+    loose = WarmUp(port="EZZ", unit="um", placement="Z")
+    with pytest.raises(ValueError, match="free shape parameter 'tau'"):
+        curvature(model.with_effects(loose), plan)
+
+
+def test_rank_by_hand():
+    """A frame of unknown pose sees no constant, and no slope of its own."""
+    model, plan = setup()
+    chain, instrument = model.chain, model.instrument
+    line = GeometricErrors(motions=(ErrorMotion("EYX", "X", Legendre(TRAVEL["X"], (2, 3), 1e-5)),))
+    found = rank_of(Model(chain, instrument, (line, *instrument.effects(plan))), plan)
+    assert (found.columns, found.rank, found.mixed) == (8, 8, ())
+    moved = GeometricErrors(motions=(ErrorMotion("EZZ", "Z", Legendre(TRAVEL["Z"], (1, 2), 1e-5)),))
+    both = Model(chain, instrument, (moved, *instrument.effects(plan)))
+    found = rank_of(both, plan)
+    # Two heights of the beams see one change of EZZ, which is part of the frame's tilt, or not.
+    assert found.rank < found.columns
+    assert {both.entries[i].parameter.name for i in found.mixed} & {"EZZ.P1", "EZZ.P2"}
+
+
+def test_minimax_of_known_problems():
+    # Two parabolas meet at zero, where neither is at its own minimum.
+    def two(z):
+        return jnp.stack([(z[0] - 1.0) ** 2, (z[0] + 1.0) ** 2]) + 1.0
+
+    found = minimax(two, np.array([0.8]), np.array([-2.0]), np.array([2.0]))
+    assert found.converged and found.z[0] == pytest.approx(0.0, abs=1e-5)
+    assert found.largest == pytest.approx(2.0, abs=1e-5)
+    np.testing.assert_allclose(found.start, two(np.array([0.8])))
+    # A bound and a constraint that hold it back.
+    assert minimax(two, np.array([0.8]), np.array([0.5]), np.array([2.0])).z[0] == pytest.approx(
+        0.5
+    )
+    kept = (np.array([[1.0]]), np.array([0.3]))
+    found = minimax(two, np.array([0.8]), np.array([-2.0]), np.array([2.0]), at_least=kept)
+    assert found.z[0] == pytest.approx(0.3, abs=1e-6)
+    # The same with derivatives given.
+    by_hand = minimax(
+        lambda z: np.asarray(two(z)),
+        np.array([0.8]),
+        np.array([-2.0]),
+        np.array([2.0]),
+        slopes=lambda z: np.array([[2.0 * (z[0] - 1.0)], [2.0 * (z[0] + 1.0)]]),
+    )
+    assert by_hand.largest == pytest.approx(2.0, abs=1e-5)
+    with pytest.raises(ValueError, match="breaks a bound"):
+        minimax(two, np.array([3.0]), np.array([-2.0]), np.array([2.0]))
+    with pytest.raises(ValueError, match="not finite"):
+        minimax(lambda z: two(z) / 0.0, np.array([0.5]), np.array([-2.0]), np.array([2.0]))
+
+
+def test_weights_of_a_line():
+    """Offset and slope of a line: half of the measurements at either end (Kiefer and Wolfowitz)."""
+    x = np.linspace(-1.0, 1.0, 21)
+    rows = np.stack([np.ones_like(x), x], 1)
+    F = np.einsum("nk,nl->nkl", rows, rows)
+    found = weigh(F, np.zeros((2, 2)), rows[[0, -1]], 10.0)  # value at both ends
+    assert found.largest == pytest.approx(np.sqrt(2.0 / 10.0), rel=1e-3)
+    assert found.weights.sum() == pytest.approx(10.0)
+    assert found.weights[[0, -1]].min() > 4.9
+    # The slope alone; and a quadratic at its ends and middle: no design is better than k / n.
+    assert weigh(F, np.zeros((2, 2)), np.array([[0.0, 1.0]]), 4.0).largest == pytest.approx(
+        0.5, rel=1e-3
+    )
+    cubic = np.stack([x**0, x, x**2], 1)
+    F = np.einsum("nk,nl->nkl", cubic, cubic)
+    assert weigh(F, np.zeros((3, 3)), cubic, 1.0).largest == pytest.approx(3**0.5, rel=2e-3)
+    with pytest.raises(ValueError, match="undetermined"):
+        weigh(F[:2], np.zeros((3, 3)), cubic, 1.0)
+
+
+def test_sharing_out():
+    assert apportion(np.array([1.0, 1.0, 1.0]), 10).tolist() in ([4, 3, 3], [3, 4, 3], [3, 3, 4])
+    assert apportion(np.array([12.03, 11.94, 11.13, 7.1, 8.8]), 51).tolist() == [12, 12, 11, 7, 9]
+    assert apportion(np.array([50.0, 0.5, 0.5]), 51, 3).tolist() == [45, 3, 3]
+    assert apportion(np.array([2.0, 1.0]), 3).sum() == 3
+    with pytest.raises(ValueError, match="at least 15"):
+        apportion(np.ones(5), 12, 3)
