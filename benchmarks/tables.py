@@ -139,6 +139,22 @@ def interrupted(found: dict) -> str:
     return table(["kill", "first block told", "last block told"], [*rows, last])
 
 
+def laser_frame(found: dict) -> str:
+    rows = (
+        [
+            r["case"],
+            f"{r['cycles']:,}",
+            f"{r['cold_s']:.1f}",
+            f"{r['warm_s']:.1f}",
+            str(r["failed"]),
+            "" if r["rms_ln_ratio"] is None else f"{r['rms_ln_ratio']:.3f}",
+        ]
+        for r in found["rows"]
+    )
+    head = "path and truth,cycles,cold s,warm s,failed,rms of ln(vcal / printed)"
+    return table(head.split(","), rows)
+
+
 TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "false_alarms": ("false_alarms", false_alarms),
     "practice": ("practice", practice),
@@ -147,6 +163,7 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "campaigns": ("batch", campaigns),
     "interrupted": ("interrupted", interrupted),
     "strd": ("strd", strd),
+    "laser_frame": ("laser_frame", laser_frame),
 }
 """Name of the table: the file in results/ and how it is laid out."""
 

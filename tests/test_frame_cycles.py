@@ -260,8 +260,8 @@ def test_the_bound_of_a_path_is_below_what_gradient_reaches():
     start = Layout.named("3d")
     bound = edges.bound(search._corners(start.segments), 51)
     assert sum(bound.shares) == pytest.approx(51.0)
-    step = search._refined("places", start)
-    assert bound.bound < step.largest < 0.85 * search._judged("evenly", start).largest
+    step = search.refine("places", start)
+    assert bound.bound < step.largest < 0.85 * search.judge("evenly", start).largest
     for one, s in zip(step.layout.segments, step.layout.shares, strict=True):
         assert s.min() >= -1e-9 and s.max() <= 1.0 + 1e-9
         assert np.diff(s).min() * one.length > search.GAP_M - 1e-8
@@ -296,7 +296,7 @@ def test_the_slopes_of_the_search_against_finite_differences():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "minimax", stop)
         with pytest.raises(StopIteration):
-            search._refined("", layout)
+            search.refine("", layout)
     h = 1e-4
     by_difference = (8.0 * (U(h) - U(-h)) - (U(2 * h) - U(-2 * h))) / (12.0 * h)
     np.testing.assert_allclose(seen["value"], U(0.0), rtol=1e-9)

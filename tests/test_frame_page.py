@@ -26,7 +26,7 @@ def unrefined(progress):
     """Layouts that are only judged: the search has tests of its own."""
     progress("beam paths")
     start = Layout.named("3d")
-    judged = search._judged("as published", start)
+    judged = search.judge("as published", start)
     steps = [Step(name, start, judged.U, judged.tool) for name in ("as published", "a", "b", "c")]
     bound = search._Edges().bound(search._corners(start.segments), 51)
     return Better(tuple(steps), steps[-1], (bound,), (bound,), (192, 384))

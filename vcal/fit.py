@@ -13,7 +13,6 @@ from .measurement import Measurement
 from .model import Model, Shapes
 from .parameters import Parameter
 
-
 _UNSEEN = 1e-8
 """Information (per solver unit squared) that counts as none: a standard deviation of 1e4 units."""
 

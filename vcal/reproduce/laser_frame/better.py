@@ -132,17 +132,17 @@ def better(progress: Callable[[str], None] = lambda what: None) -> Better:
     shared = _with_counts(start, apportion(np.asarray(own.shares), total, _LEAST).tolist())
     paths = [_measured(one[0], total) for one in (five, six)]
     steps = (
-        _judged("as published, on the path “3d”", start),
-        _refined("places on the beams", start),
-        _refined("and points per beam", shared),
-        _refined("and lever of the diode", shared, lever=True),
-        _refined("and beam path", paths[0], lever=True),
-        _refined("and a sixth beam", paths[1], lever=True),
+        judge("as published, on the path “3d”", start),
+        refine("places on the beams", start),
+        refine("and points per beam", shared),
+        refine("and lever of the diode", shared, lever=True),
+        refine("and beam path", paths[0], lever=True),
+        refine("and a sixth beam", paths[1], lever=True),
     )
     progress("places for the tool")
     return Better(
         steps,
-        _refined("for the tool in the volume", paths[0], goal="tool"),
+        refine("for the tool in the volume", paths[0], goal="tool"),
         tuple(five),
         tuple(six),
         (tried5, tried6),
@@ -202,11 +202,12 @@ def _U(layout: Layout) -> tuple[dict[str, float], float]:
     )
 
 
-def _judged(freedom: str, layout: Layout) -> Step:
+def judge(freedom: str, layout: Layout) -> Step:
+    """What a layout gives."""
     return Step(freedom, layout, *_U(layout))
 
 
-def _refined(freedom: str, start: Layout, *, goal: Goal = "errors", lever: bool = False) -> Step:
+def refine(freedom: str, start: Layout, *, goal: Goal = "errors", lever: bool = False) -> Step:
     """The places, and the lever where asked, that make the largest U smallest, from a start."""
     model, plan, _, on_errors, on_tool = _fitted(start)
     functionals = on_errors if goal == "errors" else on_tool
@@ -266,7 +267,7 @@ def _refined(freedom: str, start: Layout, *, goal: Goal = "errors", lever: bool 
     )
     shares = tuple(np.split(found.z[: start.points], cuts))
     reached = float(found.z[-1]) if lever else start.lever
-    return _judged(freedom, Layout(start.segments, shares, reached))
+    return judge(freedom, Layout(start.segments, shares, reached))
 
 
 def _distances(layout: Layout, size: int) -> tuple[np.ndarray, np.ndarray]:
