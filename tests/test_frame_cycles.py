@@ -1,15 +1,19 @@
 """The laser frame's Monte Carlo: evaluation beam by beam, cycles, second device, better places."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
 from numpy.polynomial import legendre
 
+import vcal.reproduce.laser_frame.results as computing
 from vcal import Model, predict
 from vcal.design import covariance, expanded
+from vcal.errors import StudyError
+from vcal.reproduce import reproduction
 from vcal.reproduce.laser_frame import better as search
-from vcal.reproduce.laser_frame.better import segments_along
+from vcal.reproduce.laser_frame.better import Better, Step, segments_along
 from vcal.reproduce.laser_frame.budget import point_budget, point_parts, point_u
 from vcal.reproduce.laser_frame.cycles import cycles
 from vcal.reproduce.laser_frame.defined import Asked, places
@@ -178,13 +182,22 @@ def planar():
     return cycles("planar", "none", "thirteen with prior", draws=4000, seed=2)
 
 
-def test_cycles_give_the_closed_form(planar):
+@pytest.fixture(scope="module")
+def three():
+    return cycles("3d", "thirteen", "thirteen", draws=4000, seed=2)
+
+
+@pytest.fixture(scope="module")
+def compared():
+    return verification(300, 4)
+
+
+def test_cycles_give_the_closed_form(planar, three):
     first = variants()[0]
     assert planar.campaign.failed == 0
     # 4000 draws: a standard deviation to 1.1 %, the largest of several a little more.
     for name in THIRTEEN:
         assert planar.by_beams[name] == pytest.approx(first.U[name], rel=0.05)
-    three = cycles("3d", "thirteen", "thirteen", draws=4000, seed=2)
     expected, tool = search._U(Layout.named("3d"))
     for name in THIRTEEN:
         assert three.identified[name] == pytest.approx(expected[name], rel=0.06)
@@ -228,8 +241,8 @@ def test_influences_as_effects_have_the_sizes_of_the_budget():
 # --- second device ---
 
 
-def test_second_device_and_reversals():
-    found = verification(300, 4)
+def test_second_device_and_reversals(compared):
+    found = compared
     assert len(found.agreements) == 10
     # 30 600 normalised errors: 95.4 % of them, and a little scatter.
     assert found.agreeing == pytest.approx(0.954, abs=0.01)
@@ -302,3 +315,51 @@ def test_the_slopes_of_the_search_against_finite_differences():
     np.testing.assert_allclose(seen["value"], U(0.0), rtol=1e-9)
     scale = np.abs(by_difference).max()
     np.testing.assert_allclose(seen["slope"], by_difference, rtol=1e-6, atol=1e-7 * scale)
+
+
+# --- the folder ---
+
+
+@pytest.mark.slow
+def test_the_folder(planar, three, compared, tmp_path, monkeypatch):
+    """With one real campaign per path for all of them, and layouts that are judged, not refined."""
+    start = Layout.named("3d")
+    bound = search._Edges().bound(search._corners(start.segments), 51)
+    judged = search.judge("as published", start)
+    steps = tuple(
+        Step(name, start, judged.U, judged.tool) for name in ("as published", "a", "b", "c")
+    )
+
+    def campaign(layout, machine, fitted, *, draws, seed, effects=None):
+        del machine, fitted, effects
+        assert (draws, seed) == (300, 1)
+        return planar if layout == "planar" else three
+
+    monkeypatch.setattr(computing, "cycles", campaign)
+    monkeypatch.setattr(computing, "verification", lambda repeats, seed: compared)
+    monkeypatch.setattr(
+        computing,
+        "better",
+        lambda progress: Better(steps, steps[-1], (bound,), (bound,), (192, 384)),
+    )
+    out, said = tmp_path / "out", []
+    frame = reproduction("laser-frame")
+    page = frame.run(out, 300, 1, said.append)
+    assert page == out / "index.html" and len(said) == len(set(said)) > 10
+    record = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert record["name"] == "laser-frame" and (record["draws"], record["seed"]) == (300, 1)
+    assert {p.name for p in out.iterdir()} == set(record["files"])
+    rows = {row["quantity"]: row for row in record["table"]}
+    assert rows["expanded (k = 2), largest"]["seed"] == 2.26
+    assert rows["U of EAX"]["seed"] == 8.2
+    assert rows["U of EAX"]["vcal"] == planar.by_beams["EAX"]
+    assert rows["rms of ln(vcal / printed), EXZ and EZY exchanged"]["vcal"] <= 0.12
+    assert len(record["budget"]) == 36
+    text = page.read_text(encoding="utf-8")
+    assert "nan" not in text.split("<main>")[1].split("data:image")[0]
+    assert text.count("data:image/png;base64,") == 7
+    with pytest.raises(StudyError, match="expected at least 200 draws"):
+        frame.run(out, 20, 1, print)
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(StudyError, match=r"found other files \(mine.txt"):
+        frame.run(tmp_path, 300, 1, print)

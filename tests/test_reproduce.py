@@ -332,7 +332,9 @@ def test_the_command(tmp_path, monkeypatch):
     assert all(name in listed.stdout for name in REPRODUCTIONS)
     out = tmp_path / "out"
     wrong = refused("reproduce", "tracker-verificatoin", "--out", out)
-    assert "found 'tracker-verificatoin', expected one of tracker-verification" in wrong
+    assert (
+        "found 'tracker-verificatoin', expected one of laser-frame, tracker-verification" in wrong
+    )
     assert "did you mean 'tracker-verification'?" in wrong
     assert "--out: found none" in refused("reproduce", "tracker-verification")
     few = refused("reproduce", "tracker-verification", "--out", out, "--draws", "20")

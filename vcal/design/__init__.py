@@ -1,22 +1,49 @@
 """Measurements designed before they are made: what they will leave uncertain, and its gradient."""
 
+from .array_space import ArraySpace, Candidate, spread
+from .ball_array import (
+    ArrayPoses,
+    Touches,
+    array_curvature,
+    balls_precision,
+    inverse,
+    pairs_precision,
+    touches,
+)
 from .minimax import Minimax, minimax
 from .posterior import covariance, curvature, expanded, information, jacobian, precision
 from .rank import Rank, rank_of
+from .search import Found, search
+from .volume import Gram, expected_rms, volumetric_gram
 from .weights import Weights, apportion, weigh
 
 __all__ = [
+    "ArrayPoses",
+    "ArraySpace",
+    "Candidate",
+    "Found",
+    "Gram",
     "Minimax",
     "Rank",
+    "Touches",
     "Weights",
     "apportion",
+    "array_curvature",
+    "balls_precision",
     "covariance",
     "curvature",
     "expanded",
+    "expected_rms",
     "information",
+    "inverse",
     "jacobian",
     "minimax",
+    "pairs_precision",
     "precision",
     "rank_of",
+    "search",
+    "spread",
+    "touches",
+    "volumetric_gram",
     "weigh",
 ]

@@ -34,7 +34,7 @@ def jacobian(model: Model, plan: Plan) -> Float[Array, "n m k"]:
                 "declared ones, as a design is judged at the nominal machine"
             )
     _, by_port = _by_port(model, plan)
-    return _slopes(model.effects, model, plan, by_port)
+    return slopes(model.effects, model, plan, by_port)
 
 
 def information(model: Model, plan: Plan) -> Float[Array, "n k k"]:
@@ -46,7 +46,7 @@ def information(model: Model, plan: Plan) -> Float[Array, "n k k"]:
     sigma = jnp.asarray(instrument.noise(plan, readings))  # type: ignore[arg-type]
     noise = sigma[:, :, None] ** 2 * jnp.eye(sigma.shape[1])
     if model.random:
-        scatter = _slopes(model.random, model, plan, by_port)
+        scatter = slopes(model.random, model, plan, by_port)
         sizes = [(p.mean or p.sigma) / p.sigma for e in model.random for p in e.amplitudes]
         scatter = scatter * jnp.asarray(sizes)
         noise += jnp.einsum("nik,njk->nij", scatter, scatter)
@@ -89,17 +89,23 @@ def expanded(
     return coverage * jnp.sqrt(jnp.einsum("qk,kl,ql->q", functionals, covariance, functionals))
 
 
-def _slopes(
+def slopes(
     effects: Sequence[Effect], model: Model, plan: Plan, by_port: Float[Array, "n m p"]
 ) -> Float[Array, "n m k"]:
-    """Derivative of the readings by the amplitudes of some effects, in solver units."""
-    columns = []
+    """Derivative of the readings by the amplitudes of some effects, in solver units, from that by
+    the ports.
+    """
+    columns, ports, places, start = [], [], [], 0
     for effect in effects:
         shape = {p.name: np.asarray(p.mean * p.si) for p in effect.shapes}
-        own = {p.name: jnp.zeros(by_port.shape[:2]) for p in effect.amplitudes}
-        steps = {p.name: p.step for p in effect.amplitudes}
+        own = {p.name: (start + k, p.step) for k, p in enumerate(effect.amplitudes)}
         for (port, name), response in effect.response(plan, shape).items():
-            size = jnp.broadcast_to(jnp.asarray(response), (plan.rows,)) * steps[name]
-            own[name] += by_port[:, :, model.layout.index(port)] * size[:, None]
-        columns += list(own.values())
-    return jnp.stack(columns, -1) if columns else jnp.zeros((*np.shape(by_port)[:2], 0))
+            place, step = own[name]
+            columns.append(jnp.broadcast_to(jnp.asarray(response), (plan.rows,)) * step)
+            ports.append(model.layout.index(port))
+            places.append(place)
+        start += len(own)
+    if not columns:
+        return jnp.zeros((*np.shape(by_port)[:2], start))
+    by_term = by_port[:, :, np.array(ports)] * jnp.stack(columns, -1)[:, None, :]
+    return by_term @ np.eye(start)[np.array(places)]

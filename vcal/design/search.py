@@ -1,0 +1,73 @@
+"""A criterion made small by gradient, from several starts, within bounds."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+
+from ..arrays import Array
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where one start led."""
+
+    z: Float[np.ndarray, " d"]
+    value: float
+    start: float
+    """The criterion at the start."""
+    iterations: int
+    converged: bool
+    message: str
+
+
+def search(
+    criterion: Callable[[Any], Float[Array, ""]],
+    starts: Sequence[Float[np.ndarray, " d"]],
+    low: Float[np.ndarray, " d"],
+    high: Float[np.ndarray, " d"],
+    *,
+    steps: int = 200,
+    tolerance: float = 1e-5,
+) -> list[Found]:
+    """Minimise `criterion`, which JAX differentiates, from every start; best first.
+
+    Limited-memory BFGS within bounds (scipy's L-BFGS-B) on the relative criterion, one start after
+    the other: XLA has the processors to itself, and calls from several threads can wait for each
+    other for ever in its batched linear algebra. Ends where a step gains less than the relative
+    `tolerance`, or after `steps`. Raises `ValueError` where the criterion is not finite at a start.
+    """
+    both = jax.jit(jax.value_and_grad(criterion))
+
+    def one(start: np.ndarray) -> Found:
+        first, _ = both(start)
+        scale = float(first)
+        if not np.isfinite(scale):
+            raise ValueError("found a criterion that is not finite at a start, expected a number")
+
+        def relative(z: np.ndarray) -> tuple[float, np.ndarray]:
+            value, slope = both(z)
+            return float(value) / scale, np.asarray(slope, float) / scale
+
+        found = minimize(
+            relative,
+            np.clip(start, low, high),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=list(zip(low, high, strict=True)),
+            options={"maxiter": steps, "ftol": tolerance, "gtol": 1e-9, "maxcor": 20},
+        )
+        return Found(
+            z=found.x,
+            value=float(found.fun) * scale,
+            start=scale,
+            iterations=int(found.nit),
+            converged=bool(found.success),
+            message=str(found.message),
+        )
+
+    return sorted(map(one, starts), key=lambda f: f.value)
