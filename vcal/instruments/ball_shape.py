@@ -1,0 +1,66 @@
+"""Errors of an artefact's balls that depend on each other, as far as its shape is known."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from ..effects.base import Effect, Response
+from ..parameters import Parameter
+from ..plan import Plan
+from ..spatial import rigid_columns
+
+
+class BallShape(Effect):
+    """Ball errors e = sum_i a_i t_i with independent a_i ~ (0, 1): columns T of the covariance
+    T T' = K^-1 of what a calibration with the precision K leaves open, less the motions of the
+    whole artefact, which no calibration of its shape says anything of.
+
+    With `poses` they are drawn anew in each of them (heat, handling); without, the artefact is the
+    same throughout.
+    """
+
+    name = "ball_shape"
+    summary = "ball positions as uncertain as the artefact's shape"
+    where = "instrument"
+    columns: Float[np.ndarray, "N 3 c"]
+    """T, m per standard deviation."""
+    poses: tuple[int, ...] = eqx.field(static=True, default=())
+
+    @classmethod
+    def of(
+        cls,
+        balls: Float[np.ndarray, "N 3"],
+        precision: Float[np.ndarray, "n n"],
+        loosest_m: float,
+        poses: tuple[int, ...] = (),
+    ) -> "BallShape":
+        """From ball centres (m) and the precision K of their errors (1/m^2); what that leaves more
+        open than `loosest_m` has that.
+        """
+        rigid = rigid_columns(balls - balls.mean(0)).reshape(-1, 6)
+        u, sizes, _ = np.linalg.svd(rigid, full_matrices=True)
+        shapes = u[:, int((sizes > 1e-9 * sizes[0]).sum()) :]
+        values, vectors = np.linalg.eigh(shapes.T @ np.asarray(precision) @ shapes)
+        sigma = 1.0 / np.sqrt(np.maximum(values, loosest_m**-2))
+        columns = shapes @ vectors * sigma
+        return cls(columns=columns.reshape(len(balls), 3, -1), poses=poses)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        count = self.columns.shape[2]
+        places = [f"{pose}." for pose in self.poses] or [""]
+        return tuple(
+            Parameter(f"{place}{i}", "1", sigma=1.0) for place in places for i in range(count)
+        )
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        ball, found = np.asarray(plan.groups["ball"]), {}
+        own = [(f"{p}.", np.asarray(plan.groups["pose"]) == p) for p in self.poses]
+        for place, rows in own or [("", np.ones(plan.rows, bool))]:
+            for j, c in enumerate("XYZ"):
+                for i, column in enumerate(self.columns[ball, j].T):
+                    found[f"ball.{c}", f"{place}{i}"] = np.where(rows, column, 0.0)
+        return found

@@ -1,0 +1,170 @@
+"""Expected error after compensation, by theory: the family's own estimate, and plain least squares.
+
+The machine's errors theta have mean zero and unit variance. An estimate that is linear in what was
+observed leaves the error map e = (G_C P J - G_M) theta + G_C P n, whose expected mean square over
+the grid is what counts. The linear estimate of least mean square error (LMMSE) is the Bayesian one
+with the family's own functions; the publication fits Legendre polynomials to distances.
+"""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...arrays import Array
+from ...basis import Legendre
+from ...design import (
+    ArrayPoses,
+    Gram,
+    array_curvature,
+    balls_precision,
+    expected_rms,
+    inverse,
+    pairs_precision,
+    touches,
+    volumetric_gram,
+)
+from ...effects.geometric import ErrorMotion, GeometricErrors
+from ...instruments.ball_array import BallArray
+from ...model import Model
+from .setting import PAIR_UM, PROBE_UM, TRAVEL, Known, grid_points, machine
+
+_MICRO = 1e-6
+_RANK = 1e-9
+"""Singular value, relative to the largest, below which plain least squares drops a combination."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """The machine, and what its errors amount to on the grid."""
+
+    model: Model
+    gram: Gram
+    _compiled: dict[Known, Callable[[ArrayPoses], Float[Array, "2"]]] = field(
+        default_factory=dict, repr=False
+    )
+
+    def rms(self, known: Known) -> Callable[[ArrayPoses], Float[Array, "2"]]:
+        """Expected rms in um, aligned and raw, as a compiled function of artefact and poses."""
+        if known not in self._compiled:
+            # The machine is closed over: it is data, and the same for all designs.
+            def rms(poses: ArrayPoses) -> Float[Array, "2"]:
+                C = posterior(self.model, poses, known)
+                return jnp.stack([expected_rms(jnp.asarray(g), C) for g in self.gram]) / _MICRO
+
+            self._compiled[known] = jax.jit(rms)
+        return self._compiled[known]
+
+
+def task() -> Task:
+    """The publication's machine, with an instrument that stands for any artefact."""
+    chain, errors = machine()
+    model = Model(chain, anything(), (errors,))
+    return Task(model, volumetric_gram(model, grid_points(chain)))
+
+
+def anything() -> BallArray:
+    """An instrument to build models with whose artefact is not looked at."""
+    return BallArray(
+        centres=np.zeros((1, 3)),
+        numbers=np.arange(1),
+        probe_sigma=PROBE_UM * _MICRO,
+        position_sigma=0.0,
+        supports=(0.0, 1.0),
+        pose_numbers=np.arange(1),
+        pose_rotation=np.eye(3)[None],
+        pose_origin=np.zeros((1, 3)),
+    )
+
+
+def precision_of(known: Known, balls: Float[Array, "N 3"]) -> Float[Array, "n n"]:
+    """K of the ball errors."""
+    if known == "B":
+        return balls_precision(balls.shape[0], PAIR_UM * _MICRO / 2.0**0.5)
+    return pairs_precision(balls, PAIR_UM * _MICRO)
+
+
+def posterior(model: Model, poses: ArrayPoses, known: Known) -> Float[Array, "k k"]:
+    """Covariance of the machine's amplitudes by the family's own estimate."""
+    K = precision_of(known, poses.balls)
+    seen = touches(model, poses)
+    return inverse(array_curvature(seen, model, PROBE_UM * _MICRO, K, fresh=known == "P"))
+
+
+def bayes_um(task: Task, poses: ArrayPoses, known: Known) -> tuple[float, float]:
+    """Expected rms on the grid, aligned and raw, um: also the least of all linear estimates."""
+    aligned, raw = task.rms(known)(poses)
+    return float(aligned), float(raw)
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Plain least squares of one order."""
+
+    order: int
+    columns: int
+    rank: int
+    aligned_um: float
+    raw_um: float
+
+
+def plain_least_squares(task: Task, poses: ArrayPoses, known: Known, order: int) -> Plain:
+    """Legendre polynomials up to an order for all error motions, and squarenesses, fitted to the
+    distances of all pairs in every pose, unweighted, of least norm where the rank falls short.
+    """
+    chain = task.model.chain
+    wanted = task.model.effects[0]
+    assert isinstance(wanted, GeometricErrors)
+    fitted = GeometricErrors(
+        motions=tuple(
+            ErrorMotion(m.name, m.axis, Legendre(TRAVEL[m.axis], tuple(range(order + 1)), 1e-5))
+            for m in wanted.motions
+        ),
+        locations=wanted.locations,
+    )
+    both = Model(chain, task.model.instrument, (wanted, fitted))
+    k = len(task.model.entries)
+    seen = np.asarray(touches(both, poses).machine)
+    balls = np.asarray(poses.balls)
+    U = _directions(balls)
+    turned = [U @ np.kron(np.eye(len(balls)), r.T) for r in np.asarray(poses.rotation)]
+    D = np.concatenate([w @ j for w, j in zip(turned, seen, strict=True)])
+    m, pairs = len(turned), len(U)
+    probing = np.kron(np.eye(m), (PROBE_UM * _MICRO) ** 2 * U @ U.T)
+    if known == "B":
+        own = 0.5 * (PAIR_UM * _MICRO) ** 2 * U @ U.T
+    else:
+        own = (PAIR_UM * _MICRO) ** 2 * np.eye(pairs)
+    alike = np.eye(m) if known == "P" else np.ones((m, m))
+    noise = probing + np.kron(alike, own)
+    J, L = D[:, :k], D[:, k:]
+    u, s, vt = np.linalg.svd(L, full_matrices=False)
+    kept = s > _RANK * s[0]
+    P = (vt[kept].T / s[kept]) @ u[:, kept].T
+    estimate = np.concatenate([np.eye(k), -P @ J])
+    scatter = P @ noise @ P.T
+    gram = volumetric_gram(both, grid_points(chain, _COARSE))
+    values = []
+    for G in gram:
+        mean = np.einsum("ak,ab,bk->", estimate, G, estimate)
+        values.append(np.sqrt(mean + np.einsum("ab,ab->", G[k:, k:], scatter)) / _MICRO)
+    return Plain(order, L.shape[1], int(kept.sum()), *map(float, values))
+
+
+_COARSE = (30, 10, 10)
+"""Of the publication's grid, enough for polynomials of a low order."""
+
+
+def _directions(balls: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "p n"]:
+    """Derivative of the distance of every pair by all ball centres."""
+    rows = []
+    for i, j in itertools.combinations(range(len(balls)), 2):
+        row = np.zeros(3 * len(balls))
+        u = (balls[i] - balls[j]) / np.linalg.norm(balls[i] - balls[j])
+        row[3 * i : 3 * i + 3], row[3 * j : 3 * j + 3] = u, -u
+        rows.append(row)
+    return np.array(rows)

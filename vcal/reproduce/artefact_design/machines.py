@@ -1,0 +1,122 @@
+"""Machines drawn, measured with an artefact and identified, with exact kinematics."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...arrays import Array
+from ...design import ArrayPoses
+from ...instruments.ball_array import ArtefactPoses, BallArray
+from ...instruments.ball_shape import BallShape
+from ...model import Model
+from ...plan import Plan
+from ...uncertainty import Campaign, Measure, Output, Quantity, monte_carlo
+from ...uncertainty.quantities import Pair, State
+from .expected import Task, precision_of
+from .setting import PROBE_UM, Known
+
+_MICRO = 1e-6
+_LOOSEST_M = 1e-3
+WHEN = ("before", "after")
+
+
+class GridErrors(eqx.Module, Quantity):
+    """Root mean square of the volumetric error on the grid, before and after compensation, um,
+    aligned and raw: sqrt(d' G d) with d the error of the machine's amplitudes.
+    """
+
+    gram: tuple[Float[np.ndarray, "k k"], ...]
+
+    def measure(self, pair: Pair) -> Measure:
+        del pair
+        return _GridErrors(self.gram)
+
+
+class _GridErrors(Measure):
+    gram: tuple[np.ndarray, ...]
+
+    @property
+    def outputs(self):
+        labels = tuple(f"{kind} {when} [um]" for when in WHEN for kind in ("aligned", "raw"))
+        return (Output("grid error", (len(labels),), labels),)
+
+    def __call__(self, state: State) -> dict[str, Array]:
+        k = self.gram[0].shape[0]
+        true, found = state.true[:k], state.found[:k]
+        values = [
+            jnp.sqrt(jnp.maximum(d @ (g @ d), 0.0)) / _MICRO
+            for d in (true, true - found)
+            for g in self.gram
+        ]
+        return {"grid error": jnp.stack(values)}
+
+
+@dataclass(frozen=True)
+class Machines:
+    """Many machines calibrated with one design."""
+
+    campaign: Campaign
+
+    def errors(self, when: str = "after", kind: str = "aligned") -> Float[np.ndarray, " n"]:
+        """Error of every machine, um."""
+        ensemble = self.campaign.ensemble
+        return ensemble.values[:, ensemble.index(f"{kind} {when} [um]")]
+
+    def rms(self, when: str = "after", kind: str = "aligned") -> float:
+        """Root mean square over the machines, um."""
+        return float(np.sqrt((self.errors(when, kind) ** 2).mean()))
+
+
+def calibrate(
+    task: Task,
+    poses: ArrayPoses,
+    known: Known,
+    *,
+    draws: int,
+    seed: int,
+    progress: Callable[[int, int | None], None] = lambda done, total: None,
+) -> Machines:
+    """Draw machines, touch all balls, identify machine, poses and artefact together."""
+    model, plan = measured_by(task, poses, known)
+    gram = tuple(np.asarray(g) for g in task.gram)
+    quantities = [GridErrors(gram)]
+    return Machines(
+        monte_carlo(
+            model, model, plan, draws=draws, seed=seed, quantities=quantities, progress=progress
+        )
+    )
+
+
+def measured_by(task: Task, poses: ArrayPoses, known: Known) -> tuple[Model, Plan]:
+    """The machine with an artefact in its poses, and the touches.
+
+    Raises `ValueError` for poses with tools of their own, which the chain cannot change.
+    """
+    if poses.tool is not None:
+        raise ValueError("poses: found tools of their own, expected the tool of the chain")
+    chain = task.model.chain
+    m, n = poses.rotation.shape[0], poses.balls.shape[0]
+    balls = np.asarray(poses.balls)
+    numbers = np.arange(m)
+    instrument = BallArray(
+        centres=balls,
+        numbers=np.arange(n),
+        probe_sigma=PROBE_UM * _MICRO,
+        position_sigma=0.0,
+        supports=(0.2203, 0.7797),
+        pose_numbers=numbers,
+        pose_rotation=np.asarray(poses.rotation),
+        pose_origin=np.asarray(poses.origin),
+    )
+    position = np.asarray(poses.position(chain)).reshape(-1, 3)
+    order = ["XYZ".index(axis) for axis in chain.axes]
+    groups = {"pose": np.repeat(numbers, n), "ball": np.tile(np.arange(n), m)}
+    plan = Plan(chain.axes, position[:, order], {}, groups)
+    own = tuple(int(i) for i in numbers)
+    K = np.asarray(precision_of(known, poses.balls))
+    shape = BallShape.of(balls, K, _LOOSEST_M, own if known == "P" else ())
+    return Model(chain, instrument, (*task.model.effects, ArtefactPoses(poses=own), shape)), plan
