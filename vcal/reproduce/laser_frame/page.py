@@ -6,8 +6,10 @@ import numpy as np
 
 from ...report import Picture, Section, Table, Tile, sheet
 from ...report.text import DASH, number, percent, unit
+from ...uncertainty import Budget
 from ..registry import Row
 from .better import GAP_M, LEVER_M, PathBound, Step
+from .budget import Facts, point_budget
 from .cycles import Cycles
 from .recipe import Lever
 from .results import Results
@@ -142,6 +144,7 @@ def _budget(results: Results, pictures: tuple[Picture, ...]) -> Section:
          unit(f.unit), f.note)
         for f in results.figures
     ]  # fmt: skip
+    largest = point_budget(1.3, Facts().longest)
     return Section(
         "Budget of a reading",
         (
@@ -152,6 +155,14 @@ def _budget(results: Results, pictures: tuple[Picture, ...]) -> Section:
         ),
         tables=(
             Table(
+                ("input", "distribution", "u", "sensitivity", "contribution", "share"),
+                _inputs(largest),
+                "llrrrr",
+                note="The largest: 1.3 mm from the middle of the diode, "
+                f"{Facts().longest:g} m from the source. u = {number(float(largest.u[0]), 4)} µm, "
+                f"U = {number(2.0 * float(largest.u[0]), 3)} µm (k = 2), JCGM 100.",
+            ),
+            Table(
                 ("quantity", "printed", "unrounded", "rounded on the way", "unit", "note"),
                 rows,
                 "lrrrll",
@@ -160,6 +171,16 @@ def _budget(results: Results, pictures: tuple[Picture, ...]) -> Section:
         ),
         pictures=pictures,
     )
+
+
+def _inputs(budget: Budget) -> list[tuple[str, ...]]:
+    source, share = budget.source, (budget.contribution[0] / budget.u[0]) ** 2
+    return [
+        (label, source.distributions[i], number(float(np.sqrt(source.covariance[i, i]))),
+         number(float(budget.sensitivity[0, i])), f"{number(float(budget.contribution[0, i]))} µm",
+         percent(float(share[i])))
+        for i, label in enumerate(source.labels)
+    ]  # fmt: skip
 
 
 def _cycles(results: Results, pictures: tuple[Picture, ...]) -> Section:
