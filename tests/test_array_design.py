@@ -177,6 +177,7 @@ def test_the_gram_against_moved_tool_points():
     assert theta @ gram.aligned @ theta == pytest.approx((left**2).sum(1).mean(), rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fresh", "pairs"), [(False, True), (True, True), (False, False)])
 def test_gradient_against_finite_differences(fresh, pairs):
     chain, errors = machine()

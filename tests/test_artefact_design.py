@@ -97,6 +97,7 @@ def test_poses(given):
             assert np.linalg.det(R) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_the_first_set_is_the_strongest(given):
     for known in KNOWN:
         found = [

@@ -61,6 +61,7 @@ def test_a_draw_is_identified_as_alone(kind, known):
         assert distance(batch, linear, fit.theta) > distance(batch, found.theta, fit.theta)
 
 
+@pytest.mark.slow
 def test_an_arm_is_identified_with_a_curvature_of_its_own(known):
     it = known["reflectors"]
     batch, simulator = prepare_batch(it.model, it.plan), prepare(it.model, it.plan)
@@ -156,6 +157,7 @@ def test_monte_carlo_and_gum_agree_where_all_is_linear(known):
     np.testing.assert_allclose(told.budget.u[: len(fit)], fit * scale, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_is_not_identified_moves_what_is(known):
     it = known["laser_tracker"]
     unknown = it.effect("backlash:Y:size_um=0")
@@ -186,6 +188,7 @@ def measures_of(it):
     return [q.measure(pair) for q in QUANTITIES]
 
 
+@pytest.mark.slow
 def test_the_seed_alone_decides(known, tmp_path):
     it = known["ball_array"]
 
@@ -204,6 +207,7 @@ def test_the_seed_alone_decides(known, tmp_path):
         run(folder=tmp_path / "draws", noise_factor=2.0)
 
 
+@pytest.mark.slow
 def test_strong_curvature_is_retried_and_told(known):
     """Errors eighty times too large: most machines are far from the nominal problem."""
     it = known["laser_tracker"]

@@ -208,6 +208,7 @@ def test_cycles_give_the_closed_form(planar, three):
 # --- influences ---
 
 
+@pytest.mark.slow
 def test_influences_as_effects_have_the_sizes_of_the_budget():
     """Standard deviation of single readings, influence by influence, over many runs."""
     import jax
