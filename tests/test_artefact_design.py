@@ -13,6 +13,7 @@ from vcal.reproduce.artefact_design.expected import (
     task,
 )
 from vcal.reproduce.artefact_design.machines import calibrate, measured_by
+from vcal.reproduce.artefact_design.optimised import FREEDOMS, optimise
 from vcal.reproduce.artefact_design.setting import (
     BALLS,
     KNOWN,
@@ -217,3 +218,16 @@ def test_the_engine_has_the_same_posterior(given, nominal):
     assert found == pytest.approx(bayes_um(given, nominal, "S")[0], rel=1e-3)
     theory = np.asarray(posterior(given.model, nominal, "S"))
     np.testing.assert_allclose(np.sqrt(np.diag(C)), np.sqrt(np.diag(theory)), rtol=2e-3)
+
+
+@pytest.mark.slow
+def test_a_better_design_by_gradient(given, nominal):
+    """Judged on machines that the search never saw, with exact kinematics."""
+    found = optimise(given, nominal, "S", FREEDOMS["poses, balls within 60 mm"], starts=2)
+    assert found.gain > 0.4 and len(found.found) == 2
+    balls = np.asarray(found.poses.balls)
+    assert np.ptp(balls[:, 0]) == pytest.approx(1.5) and np.diff(balls[:, 0]).min() > 0.05 - 1e-9
+    assert np.abs(balls[:, 1:]).max() <= 0.06
+    done = calibrate(given, found.poses, "S", draws=1000, seed=77)
+    assert done.campaign.failed == 0
+    assert done.rms() == pytest.approx(found.rms_um, rel=0.04)
