@@ -1,10 +1,16 @@
 """The artefact's publication: family, poses, trends, least squares, machines by Monte Carlo."""
 
+import itertools
+
 import numpy as np
 import pytest
 
-from vcal.design import expected_rms, pairs_precision
+from vcal.basis import Legendre
+from vcal.batch import prepare_batch
+from vcal.design import expected_rms, pairs_precision, touches, volumetric_gram
+from vcal.effects.geometric import ErrorMotion, GeometricErrors
 from vcal.instruments.ball_shape import BallShape
+from vcal.model import Model
 from vcal.plan import Plan
 from vcal.reproduce.artefact_design.expected import (
     bayes_um,
@@ -134,13 +140,6 @@ def test_better_than_plain_least_squares(given, nominal):
 
 def test_plain_least_squares_by_drawing(given, nominal):
     """Machines, distances and noise drawn by numpy; lstsq of order one."""
-    import itertools
-
-    from vcal.basis import Legendre
-    from vcal.design import touches, volumetric_gram
-    from vcal.effects.geometric import ErrorMotion, GeometricErrors
-    from vcal.model import Model
-
     found = plain_least_squares(given, nominal, "S", 1)
     own = given.model.effects[0]
     lines = GeometricErrors(
@@ -208,8 +207,6 @@ def test_shapes_have_the_covariance_of_their_precision():
 
 def test_the_engine_has_the_same_posterior(given, nominal):
     """Poses and shape as parameters of one identification."""
-    from vcal.batch import prepare_batch
-
     model, plan = measured_by(given, nominal, "S")
     batch = prepare_batch(model, plan)
     C = np.asarray(batch.inverse)[:90, :90]

@@ -93,7 +93,7 @@ def test_rank_by_hand():
     moved = GeometricErrors(motions=(ErrorMotion("EZZ", "Z", Legendre(TRAVEL["Z"], (1, 2), 1e-5)),))
     both = Model(chain, instrument, (moved, *instrument.effects(plan)))
     found = rank_of(both, plan)
-    # Two heights of the beams see one change of EZZ, which is part of the frame's tilt, or not.
+    # The beams cross Z at two heights only, and none reads along the upright one.
     assert found.rank < found.columns
     assert {both.entries[i].parameter.name for i in found.mixed} & {"EZZ.P1", "EZZ.P2"}
 

@@ -10,9 +10,9 @@ from scipy.stats import binom, chi2
 
 from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, identify
-from vcal.loop.candidates import candidates
-from vcal.loop.rivals import refit_all, weigh
-from vcal.loop.screen import Screen, minus_log_chi2_tail, screen
+from vcal.loop.candidates import LocalBump, candidates
+from vcal.loop.rivals import refit, refit_all, weigh
+from vcal.loop.screen import Peak, Screen, minus_log_chi2_tail, screen
 from vcal.loop.stray import stray_rows
 
 FEW = ("backlash", "lateral_reversal", "thermal_offset", "thermal_tilt", "drift", "cross_axis")
@@ -211,6 +211,21 @@ def test_pitch_between_the_steps_of_the_scan_is_found(pitch_mm, tmp_path):
     # Other peaks are other pitches.
     others = [1 / p.shape["pitch"] for p in tested.peaks(5)]
     assert np.min(np.diff(np.sort(others))) * covered > 0.5
+
+
+def test_a_rival_that_the_data_do_not_see_is_left_out(known):
+    """A narrow bump between two places of X: no reading tells where it is."""
+    it = known["laser_tracker"]
+    state = screened(it, noisy(it, 6))
+    bump = LocalBump(port="EYX", unit="um", placement="X")
+    x = np.unique(np.round(np.asarray(it.plan.x("X")), 4))
+    gap = int(np.argmax(np.diff(x)))
+    between = {"centre": 0.5 * (x[gap] + x[gap + 1]), "width": np.ptp(x) / 80.0}
+    assert x[gap + 1] - x[gap] > 20.0 * between["width"]
+    peak = Peak(bump, between, np.array([0.1]), 0.0, 0.0, 1)
+    fit = refit(state.fit, peak, state.fit.used, it.room)
+    assert fit.converged and not fit.determined and state.fit.determined
+    assert refit_all(state.fit, [peak], {"local_bump": 1}, state.fit.used, it.room) == []
 
 
 def test_placements_that_move_the_same_are_one_class(known):

@@ -6,12 +6,11 @@ from .ball_array import (
     Touches,
     array_curvature,
     balls_precision,
-    inverse,
     pairs_precision,
     touches,
 )
 from .minimax import Minimax, minimax
-from .posterior import covariance, curvature, expanded, information, jacobian, precision
+from .posterior import covariance, curvature, expanded, information, inverse, jacobian, precision
 from .rank import Rank, rank_of
 from .search import Found, search
 from .volume import Gram, expected_rms, volumetric_gram

@@ -143,9 +143,3 @@ def pairs_precision(balls: Float[Array, "N 3"], u_m: float) -> Float[Array, "n n
     own = jnp.einsum("ijab,ik->iakb", along, jnp.eye(n))
     other = jnp.einsum("ijab->iajb", along)
     return ((own - other) / u_m**2).reshape(3 * n, 3 * n)
-
-
-def inverse(H: Float[Array, "k k"]) -> Float[Array, "k k"]:
-    """H^-1 by its Cholesky factor."""
-    factor = jax.scipy.linalg.cho_factor(H)
-    return jax.scipy.linalg.cho_solve(factor, jnp.eye(H.shape[0]))

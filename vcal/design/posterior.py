@@ -26,6 +26,13 @@ def jacobian(model: Model, plan: Plan) -> Float[Array, "n m k"]:
     Shape parameters are held at their declared values. Raises `ValueError` for a model whose
     effects have shape parameters that are not declared, as their amplitudes have no linear part.
     """
+    return _with_ports(model, plan)[0]
+
+
+def _with_ports(
+    model: Model, plan: Plan
+) -> tuple[Float[Array, "n m k"], Float[Array, "n m"], Float[Array, "n m p"]]:
+    """`jacobian`, the readings at the nominal machine, and their derivative by its ports."""
     for effect in model.effects:
         loose = {p.name for p in effect.shapes} - {name for name, *_ in effect.given}
         if loose:
@@ -33,17 +40,20 @@ def jacobian(model: Model, plan: Plan) -> Float[Array, "n m k"]:
                 f"effect {effect.key!r}: found the free shape parameter {min(loose)!r}, expected "
                 "declared ones, as a design is judged at the nominal machine"
             )
-    _, by_port = _by_port(model, plan)
-    return slopes(model.effects, model, plan, by_port)
+    instrument = model.instrument
+    still = jnp.zeros((plan.rows, len(model.layout)))
+    readings, by_port = observe_with_jacobian(
+        model.chain, instrument, plan.position, instrument.rows(plan), still
+    )
+    readings, by_port = (instrument.reduce(v, plan) for v in (readings, by_port))
+    return slopes(model.effects, model, plan, by_port), readings, by_port
 
 
 def information(model: Model, plan: Plan) -> Float[Array, "n k k"]:
     """J' C^-1 J of every row. Raises as `jacobian` does."""
-    instrument = model.instrument
-    J = jacobian(model, plan)
-    readings, by_port = _by_port(model, plan)
+    J, readings, by_port = _with_ports(model, plan)
     # Typed for the host, where most noise is declared; a traced plan needs an instrument that can.
-    sigma = jnp.asarray(instrument.noise(plan, readings))  # type: ignore[arg-type]
+    sigma = jnp.asarray(model.instrument.noise(plan, readings))  # type: ignore[arg-type]
     noise = sigma[:, :, None] ** 2 * jnp.eye(sigma.shape[1])
     if model.random:
         scatter = slopes(model.random, model, plan, by_port)
@@ -51,16 +61,6 @@ def information(model: Model, plan: Plan) -> Float[Array, "n k k"]:
         scatter = scatter * jnp.asarray(sizes)
         noise += jnp.einsum("nik,njk->nij", scatter, scatter)
     return jnp.einsum("nik,nil->nkl", J, jnp.linalg.solve(noise, J))
-
-
-def _by_port(model: Model, plan: Plan) -> tuple[Float[Array, "n m"], Float[Array, "n m p"]]:
-    """Reduced readings at the nominal machine, and their derivative by its ports."""
-    instrument = model.instrument
-    still = jnp.zeros((plan.rows, len(model.layout)))
-    readings, by_port = observe_with_jacobian(
-        model.chain, instrument, plan.position, instrument.rows(plan), still
-    )
-    return instrument.reduce(readings, plan), instrument.reduce(by_port, plan)
 
 
 def precision(model: Model) -> Float[np.ndarray, "k k"]:
@@ -74,10 +74,14 @@ def curvature(model: Model, plan: Plan) -> Float[Array, "k k"]:
 
 
 def covariance(model: Model, plan: Plan) -> Float[Array, "k k"]:
-    """H^-1, by columns of unit length: parameters that the plan does not tell apart give values
+    """H^-1: parameters that the plan does not tell apart give values
     that are not finite or grow without bound.
     """
-    H = curvature(model, plan)
+    return inverse(curvature(model, plan))
+
+
+def inverse(H: Float[Array, "k k"]) -> Float[Array, "k k"]:
+    """H^-1 by columns of unit length."""
     scale = 1.0 / jnp.sqrt(jnp.diagonal(H))
     return scale[:, None] * jnp.linalg.inv(scale[:, None] * H * scale) * scale
 

@@ -107,35 +107,33 @@ def ball_line(count: int, a: float, b: float) -> Float[np.ndarray, "N 3"]:
 
 def outer_faces() -> list[Pose]:
     """Both diagonals of the six faces; on either of two opposite faces in the other half."""
-    sides = np.array([TRAVEL[c][1] for c in "XYZ"])
-    found = []
-    for axis in range(3):
-        i, j = (k for k in range(3) if k != axis)
-        for far in (0, 1):
-            for rising in (1.0, -1.0):
-                way = np.zeros(3)
-                way[i], way[j] = sides[i], rising * sides[j]
-                whole = np.linalg.norm(way)
-                start = np.zeros(3)
-                start[axis] = far * sides[axis]
-                start[j] = 0.0 if rising > 0 else sides[j]
-                middle = 0.5 * LENGTH if far == 0 else whole - 0.5 * LENGTH
-                found.append(_pose(start + way / whole * middle, way))
-    return found
+
+    def half(start: np.ndarray, way: np.ndarray, far: int) -> np.ndarray:
+        whole = float(np.linalg.norm(way))
+        return start + way / whole * (whole - 0.5 * LENGTH if far else 0.5 * LENGTH)
+
+    return _on_faces(half)
 
 
 def face_centres() -> list[Pose]:
     """Both diagonals of the six faces, in the middle of each."""
+    return _on_faces(lambda start, way, far: start + 0.5 * way)
+
+
+def _on_faces(middle: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> list[Pose]:
+    """Both diagonals of the six faces: `middle` (start of the diagonal, the diagonal, far face or
+    not) is where the artefact's middle is to be.
+    """
     sides = np.array([TRAVEL[c][1] for c in "XYZ"])
     found = []
     for axis in range(3):
         i, j = (k for k in range(3) if k != axis)
         for far in (0, 1):
             for rising in (1.0, -1.0):
-                way, centre = np.zeros(3), 0.5 * sides
+                way, start = np.zeros(3), np.zeros(3)
                 way[i], way[j] = sides[i], rising * sides[j]
-                centre[axis] = far * sides[axis]
-                found.append(_pose(centre, way))
+                start[axis], start[j] = far * sides[axis], 0.0 if rising > 0 else sides[j]
+                found.append(_pose(middle(start, way, far), way))
     return found
 
 

@@ -13,6 +13,7 @@ best is then refined by gradient, with places that keep a distance from each oth
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import jax
@@ -26,6 +27,7 @@ from ...design import (
     covariance,
     expanded,
     information,
+    inverse,
     jacobian,
     minimax,
     precision,
@@ -37,6 +39,7 @@ from ...plan import Plan
 from .defined import Asked
 from .recipe import Lever
 from .setting import (
+    LEVER_M,
     THIRTEEN,
     TRAVEL,
     WIDE_M,
@@ -50,8 +53,6 @@ from .setting import (
 
 GAP_M = 5e-3
 """Least distance between points: closer ones share what the budget takes for independent."""
-LEVER_M = 26.2e-3
-"""Longest lever of the publication's diode."""
 _GRID = 21
 """Candidate places on an edge."""
 _COMMON = {"X": (2, 4), "Y": (1, 3), "Z": (5, 5)}
@@ -235,16 +236,14 @@ def refine(freedom: str, start: Layout, *, goal: Goal = "errors", lever: bool = 
 
     prior = precision(model)
 
-    def criteria(z: np.ndarray) -> np.ndarray:
-        return value_and_slopes(z)[0]
-
-    def value_and_slopes(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    # Asked for the criteria and then for their slopes at the same place.
+    @lru_cache(maxsize=1)
+    def value_and_slopes(place: bytes) -> tuple[np.ndarray, np.ndarray]:
+        z = np.frombuffer(place)
         reached = z[-1] if lever else start.lever
         F, by_place, by_lever = map(np.asarray, with_slopes(z[: start.points], reached))
         H = prior + F.sum(0)
-        scale = 1.0 / np.sqrt(np.diag(H))
-        C = scale[:, None] * np.linalg.inv(scale[:, None] * H * scale) * scale
-        R = functionals @ C
+        R = functionals @ np.asarray(inverse(H))
         U = _COVERAGE * np.sqrt((R * functionals).sum(1))
         dF = np.concatenate([by_place, by_lever[None]]) if lever else by_place
         # U^2 = k^2 d' C d, and dC = - C dF C.
@@ -257,11 +256,11 @@ def refine(freedom: str, start: Layout, *, goal: Goal = "errors", lever: bool = 
         # Zero is a stationary point wherever the sign of the lever does not matter.
         z, high = np.append(z, 0.5 * LEVER_M), np.append(high, LEVER_M)
     found = minimax(
-        criteria,
+        lambda z: value_and_slopes(z.tobytes())[0],
         z,
         np.zeros(len(z)),
         high,
-        slopes=lambda z: value_and_slopes(z)[1],
+        slopes=lambda z: value_and_slopes(z.tobytes())[1],
         at_least=_distances(start, len(z)),
         tolerance=_ACCURACY,
     )

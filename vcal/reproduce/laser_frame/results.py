@@ -8,14 +8,13 @@ from .budget import Figure, figures
 from .cycles import Cycles, Fitted, Machine, cycles
 from .influences import influences
 from .seen import Seen, seen
-from .setting import Layout
+from .setting import LEVER_M, Layout
 from .table_four import Variant, variants
 from .verification import Verification, verification
 
 CYCLES = 30_000
 LEAST = 200
 """Cycles of the smallest campaign."""
-LEVER_M = 26.2e-3
 
 _CAMPAIGNS: dict[str, tuple[str, Machine, Fitted]] = {
     "planar, noise": ("planar", "none", "thirteen with prior"),

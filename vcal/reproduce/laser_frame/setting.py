@@ -28,6 +28,8 @@ TRAVEL: Mapping[str, tuple[float, float]] = {"X": (0.0, 0.184), "Y": (0.0, 0.167
 """Of the demonstrator, m."""
 LEGS: Mapping[str, float] = {"X": 0.35, "Y": 0.32, "Z": 0.40}
 """Sides of the volume that the beam borders, m; the travel is taken to lie in their middle."""
+LEVER_M = 26.2e-3
+"""Longest lever of the diode."""
 STRAIGHTNESSES = ("EYX", "EZX", "EXY", "EZY", "EXZ", "EYZ")
 POSITIONING = ("EXX", "EYY")
 ROLLS = ("EAX", "EBY")
