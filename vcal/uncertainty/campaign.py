@@ -11,7 +11,7 @@ import hashlib
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -19,8 +19,6 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-
 from ..arrays import Array
 from ..batch import identify_alone, identify_damped, identify_one, prepare_batch
 from ..model import Model, Shapes
@@ -29,6 +27,7 @@ from ..simulate import draw, prepare
 from .ensemble import Ensemble
 from .intervals import Kind
 from .outputs import Field, Output
+from .programs import Programs
 from .quantities import Measure, Pair, ParameterErrors, Quantity, State
 from .stream import MOST, Progress, stream
 
@@ -119,6 +118,7 @@ def monte_carlo(
     chunk: int | None = None,
     folder: Path | str | None = None,
     progress: Progress = lambda done, total: None,
+    programs: Programs | None = None,
 ) -> Campaign:
     """Draw a machine and an instrument from `truth`, measure `plan`, identify `fit`; many times.
 
@@ -131,6 +131,10 @@ def monte_carlo(
     not solve is counted as failed. The readings of an implicit instrument are taken as residuals at
     the planned positions.
 
+    With `programs`, campaigns whose models differ in numbers only are compiled once; without, all
+    that is the same in every draw is a constant to the compiler, and long campaigns run a little
+    faster.
+
     The other arguments are those of `vcal.uncertainty.stream`. Raises as `virtual_pair` and
     `stream` do.
     """
@@ -138,7 +142,7 @@ def monte_carlo(
     measures = tuple(q.measure(pair) for q in quantities)
     given = [o for m in measures for o in m.outputs]
     outputs = [o for o in given if isinstance(o, Output)]
-    evaluate = _Evaluate(pair, measures, seed, tolerance)
+    evaluate = _Evaluate(pair, measures, seed, tolerance, programs)
     local = jax.local_devices()
     result = stream(
         evaluate,
@@ -170,7 +174,14 @@ def side_by_side(function: Any, together: int) -> Any:
 class _Evaluate:
     """The outputs of a range of draws."""
 
-    def __init__(self, pair: Pair, measures: Sequence[Measure], seed: int, tolerance: float):
+    def __init__(
+        self,
+        pair: Pair,
+        measures: Sequence[Measure],
+        seed: int,
+        tolerance: float,
+        programs: Programs | None = None,
+    ):
         self.pair, self.measures = pair, tuple(measures)
         self.seed, self.tolerance = seed, tolerance
         self.key = jax.random.key(seed)
@@ -183,15 +194,12 @@ class _Evaluate:
         ways = [(identify_alone, few), (identify_damped, few)]
         if pair.batch.shared:
             ways.insert(0, (identify_one, self.size))
-        # Closed over, so that what is the same in all draws is a constant to the compiler.
+        # How good the shared curvature is has been decided here, and differs from design to design.
+        batch = replace(pair.batch, contraction=0.0)
+        self.content = pair.simulator, batch, self.measures
+        together = TOGETHER if processor else 0
         self.ways = [
-            (
-                jax.jit(
-                    side_by_side(partial(self._one, way), min(TOGETHER, size) if processor else 0)
-                ),
-                size,
-            )
-            for way, size in ways
+            (self._compiled(way, min(together, size), programs), size) for way, size in ways
         ]
         self.first = ways[0][0]
 
@@ -229,21 +237,18 @@ class _Evaluate:
             for name in found[0]
         }
 
-    def _one(self, way: Any, index: Array) -> dict[str, Array]:
-        """One draw, identified in one of the ways."""
-        made = draw(self.pair.simulator, jax.random.fold_in(self.key, index))
-        found = way(self.pair.batch, made.readings, tolerance=self.tolerance)
-        return {
-            **self._judged(made, found.theta),
-            _STEPS: found.steps.astype(float),
-            _RETRIED: jnp.asarray(0.0 if way is identify_one else 1.0),
-            "converged": found.converged.astype(float),
-        }
-
-    def _judged(self, made, theta: Float[Array, " k"]) -> dict[str, Array]:
-        shapes = self.pair.batch.shape_values(theta)
-        state = State(made.theta, made.shapes, theta, shapes, made.readings)
-        return {name: v for m in self.measures for name, v in m(state).items()}
+    def _compiled(self, way: Any, together: int, programs: Programs | None) -> Any:
+        """One of the ways for many draws at once: a function of their indices."""
+        function = partial(_one, way, self.tolerance)
+        if programs is None:
+            # Closed over, so that what is the same in all draws is a constant to the compiler.
+            fixed = partial(function, self.content, self.key)
+            return jax.jit(side_by_side(fixed, together))
+        name = way.__name__, self.tolerance, together
+        shared = programs.of(
+            function, self.content, name, partial(side_by_side, together=together)
+        )
+        return partial(shared, self.key)
 
     def identity(self) -> dict[str, Any]:
         """What the draws depend on."""
@@ -251,7 +256,8 @@ class _Evaluate:
         numbers = hashlib.sha256(str(jax.tree.structure(content)).encode())
         for leaf in jax.tree.leaves(content):
             numbers.update(np.asarray(leaf).tobytes())
-        program = jax.make_jaxpr(partial(self._one, self.first))(np.uint32(0))
+        one = partial(_one, self.first, self.tolerance, self.content, self.key)
+        program = jax.make_jaxpr(one)(np.uint32(0))
         return {
             "seed": self.seed,
             "tolerance": self.tolerance,
@@ -259,3 +265,18 @@ class _Evaluate:
             "program": hashlib.sha256(str(program).encode()).hexdigest(),
             "draws computed together": self.size,
         }
+
+
+def _one(way: Any, tolerance: float, content: Any, key: Array, index: Array) -> dict[str, Array]:
+    """One draw, identified in one of the ways."""
+    simulator, batch, measures = content
+    made = draw(simulator, jax.random.fold_in(key, index))
+    found = way(batch, made.readings, tolerance=tolerance)
+    shapes = batch.shape_values(found.theta)
+    state = State(made.theta, made.shapes, found.theta, shapes, made.readings)
+    return {
+        **{name: v for m in measures for name, v in m(state).items()},
+        _STEPS: found.steps.astype(float),
+        _RETRIED: jnp.asarray(0.0 if way is identify_one else 1.0),
+        "converged": found.converged.astype(float),
+    }

@@ -15,6 +15,7 @@ from ...instruments.ball_shape import BallShape
 from ...model import Model
 from ...plan import Plan
 from ...uncertainty import Campaign, Measure, Output, Quantity, monte_carlo
+from ...uncertainty.programs import Programs
 from ...uncertainty.quantities import Pair, State
 from .expected import Task, precision_of
 from .setting import PROBE_UM, Known
@@ -79,6 +80,7 @@ def calibrate(
     draws: int,
     seed: int,
     progress: Callable[[int, int | None], None] = lambda done, total: None,
+    programs: Programs | None = None,
 ) -> Machines:
     """Draw machines, touch all balls, identify machine, poses and artefact together."""
     model, plan = measured_by(task, poses, known)
@@ -86,7 +88,14 @@ def calibrate(
     quantities = [GridErrors(gram)]
     return Machines(
         monte_carlo(
-            model, model, plan, draws=draws, seed=seed, quantities=quantities, progress=progress
+            model,
+            model,
+            plan,
+            draws=draws,
+            seed=seed,
+            quantities=quantities,
+            progress=progress,
+            programs=programs,
         )
     )
 
