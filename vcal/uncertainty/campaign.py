@@ -19,6 +19,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+
 from ..arrays import Array
 from ..batch import identify_alone, identify_damped, identify_one, prepare_batch
 from ..model import Model, Shapes
