@@ -10,10 +10,11 @@ from .ball_array import (
     touches,
 )
 from .minimax import Minimax, minimax
+from .mismatch import Left, expected_error, fitted_places
 from .posterior import covariance, curvature, expanded, information, inverse, jacobian, precision
 from .rank import Rank, rank_of
 from .search import Found, search
-from .volume import Gram, expected_rms, volumetric_gram
+from .volume import Gram, expected_rms, gram_for, volumetric_gram
 from .weights import Weights, apportion, weigh
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Candidate",
     "Found",
     "Gram",
+    "Left",
     "Minimax",
     "Rank",
     "Touches",
@@ -32,8 +34,11 @@ __all__ = [
     "covariance",
     "curvature",
     "expanded",
+    "expected_error",
     "expected_rms",
+    "gram_for",
     "information",
+    "fitted_places",
     "inverse",
     "jacobian",
     "minimax",

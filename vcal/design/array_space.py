@@ -53,6 +53,12 @@ class ArraySpace:
     """Least distance of neighbours along the artefact."""
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Tool of the chain, from the last axis."""
+    styli: tuple[tuple[int, ...], ...] = ()
+    """For every touch (m, N), which stylus of a star makes it; given where their directions vary
+    about those of `nominal.tool`.
+    """
+    reach: float = 0.0
+    """How far the tip of a stylus may be from its nominal place, in every direction."""
 
     def __post_init__(self):
         x = np.asarray(self.nominal.balls)[:, 0]
@@ -78,7 +84,9 @@ class ArraySpace:
         """The nominal design."""
         parts = []
         if self.poses:
-            low, room = self._room(self.nominal.rotation, self.nominal.balls)
+            low, room = self._room(
+                self.nominal.rotation, self.nominal.balls, self.nominal.tool
+            )
             at = np.asarray(self.nominal.origin) - np.asarray(low)
             room = np.asarray(room)
             shares = np.where(room > 1e-9, at / np.where(room > 1e-9, room, 1.0), 0.5)
@@ -91,6 +99,7 @@ class ArraySpace:
         if self.along:
             free = np.diff(balls[:, 0]) - self.spacing
             parts.append(np.log(np.maximum(free, 1e-4)))
+        parts.append(np.zeros(3 * self._styli))
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def scattered(self, key: Array, turn: float = 0.3, share: float = 0.2) -> np.ndarray:
@@ -117,25 +126,34 @@ class ArraySpace:
             whole = balls[-1, 0] - balls[0, 0] - (n - 1) * self.spacing
             gaps = self.spacing + whole * jax.nn.softmax(z[used : used + n - 1])
             balls = balls.at[1:, 0].set(balls[0, 0] + jnp.cumsum(gaps))
+            used += n - 1
+        tool = self.nominal.tool
+        if self._styli:
+            assert tool is not None
+            moved = self.reach * z[used:].reshape(self._styli, 3)
+            tool = tool + moved[np.array(self.styli)]
         turned, origin = jnp.asarray(self.nominal.rotation), jnp.asarray(self.nominal.origin)
         shares = None
         if self.poses:
             moved = z[: 6 * m].reshape(m, 6)
             turned = turned @ jax.vmap(rotation)(moved[:, :3])
             shares = moved[:, 3:]
-        low, room = self._room(turned, balls)
+        low, room = self._room(turned, balls, tool)
         if shares is not None:
             origin = low + shares * jnp.maximum(room, 0.0)
         over = jnp.maximum(-room, 0.0)
         excess = jnp.sqrt((over**2).sum() + _TINY) - _TINY**0.5
-        tool = self.nominal.tool
         return Candidate(ArrayPoses(balls, turned, origin, tool), excess)
 
-    def _room(self, turned: Array, balls: Array) -> tuple[Array, Array]:
+    @property
+    def _styli(self) -> int:
+        """Styli whose directions vary."""
+        return 1 + max((i for row in self.styli for i in row), default=-1) if self.reach else 0
+
+    def _room(self, turned: Array, balls: Array, tool: Array | None) -> tuple[Array, Array]:
         """Lowest origin (m, 3) with all balls inside, and how far it may move from there."""
         placed = jnp.einsum("mij,nj->mni", turned, balls)
-        tool = jnp.asarray(self.tool) if self.nominal.tool is None else self.nominal.tool
-        reached = placed - tool
+        reached = placed - (jnp.asarray(self.tool) if tool is None else tool)
         low, high = (jnp.array([self.travel[c][i] for c in _SIDES]) for i in (0, 1))
         # Smooth bounds of the outermost balls, a little outside of them: the gradient then has no
         # kinks where another ball becomes the outermost.
@@ -158,6 +176,8 @@ class ArraySpace:
         if self.along:
             low += [-8.0] * (n - 1)
             high += [8.0] * (n - 1)
+        low += [-1.0] * 3 * self._styli
+        high += [1.0] * 3 * self._styli
         return np.array(low), np.array(high)
 
 

@@ -33,7 +33,7 @@ def volumetric_gram(model: Model, points: Plan) -> Gram:
     nominal, by_port = tool_points_with_jacobian(model.chain, jnp.asarray(points.position), still)
     slopes = np.asarray(by_port)
     moved = np.zeros((points.rows, 3, len(model.entries)))
-    start = 0
+    start, moves = 0, np.zeros(len(model.entries), bool)
     for effect in model.effects:
         if effect.where == "machine":
             shape = {p.name: p.mean * p.si for p in effect.shapes}
@@ -41,13 +41,36 @@ def volumetric_gram(model: Model, points: Plan) -> Gram:
             columns = np.asarray(terms.values)
             for port, parameter, column in zip(terms.port, terms.parameter, columns.T, strict=True):
                 moved[:, :, parameter] += slopes[:, :, port] * column[:, None]
+            moves[start : start + len(effect.amplitudes)] = True
         start += len(effect.amplitudes)
-    flat = moved.reshape(3 * points.rows, -1)
+    flat = moved[:, :, moves].reshape(3 * points.rows, -1)
     at = np.asarray(nominal)
     rigid, _ = np.linalg.qr(rigid_columns(at - at.mean(0)).reshape(-1, 6))
     seen = rigid.T @ flat
-    raw = flat.T @ flat / points.rows
-    return Gram(raw - seen.T @ seen / points.rows, raw)
+    raw = np.zeros((len(moves), len(moves)))
+    aligned = np.zeros_like(raw)
+    own = np.ix_(moves, moves)
+    raw[own] = flat.T @ flat / points.rows
+    aligned[own] = raw[own] - seen.T @ seen / points.rows
+    return Gram(aligned, raw)
+
+
+def gram_for(model: Model, gram: Gram, of: Model) -> Gram:
+    """G of the amplitudes of `model` out of the `gram` of another one, which has all those of its
+    effects that move the tool.
+
+    Raises `ValueError` for an effect of the machine that `of` does not have.
+    """
+    known = {(e.key, e.parameter.name): i for i, e in enumerate(of.entries)}
+    places = np.array([known.get((e.key, e.parameter.name), -1) for e in model.entries])
+    for entry, place in zip(model.entries, places, strict=True):
+        if place < 0 and model.effects[entry.effect].where == "machine":
+            raise ValueError(
+                f"{entry.key}: found an effect of the machine that the Gram matrix was not "
+                "computed for, expected one of its own; compute it for all effects"
+            )
+    # The last row and column, which -1 reads, are zero.
+    return Gram(*(np.pad(g, (0, 1))[np.ix_(places, places)] for g in gram))
 
 
 def expected_rms(gram: Float[Array, "k k"], covariance: Float[Array, "k k"]) -> Float[Array, ""]:

@@ -12,6 +12,7 @@ from . import (
     laser_frame,
     random,
     reversal,
+    sag,
     thermal,
     tracker,
 )
@@ -34,6 +35,7 @@ __all__ = [
     "random",
     "register",
     "reversal",
+    "sag",
     "thermal",
     "tracker",
 ]

@@ -161,10 +161,15 @@ class BallArray(Instrument):
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
         plan = linear_plan(chain, table)
-        started = self.start(chain, plan, np.zeros((plan.rows, 3)))
+        return self.start(chain, plan, np.zeros((plan.rows, 3))).with_geometry(plan)
+
+    def with_geometry(self, plan: Plan) -> Plan:
+        """A plan with what follows from the artefact and its poses: the direction of gravity, the
+        tilt of the beam, and every ball's place.
+        """
         index = np.searchsorted(self.pose_numbers, plan.groups["pose"])
         beam, along = self.beam()
-        down = -started.pose_rotation[index][:, 2, :]  # gravity in the artefact's frame
+        down = -self.pose_rotation[index][:, 2, :]  # gravity in the artefact's frame
         derived = {f"gravity_{c}": down[:, i] for i, c in enumerate("xyz")}
         derived["tilt"] = np.arcsin(np.clip(-down @ beam, -1.0, 1.0))
         derived["along_beam"] = along[self._ball_rows(plan)]

@@ -246,9 +246,7 @@ class _Evaluate:
             fixed = partial(function, self.content, self.key)
             return jax.jit(side_by_side(fixed, together))
         name = way.__name__, self.tolerance, together
-        shared = programs.of(
-            function, self.content, name, partial(side_by_side, together=together)
-        )
+        shared = programs.of(function, self.content, name, partial(side_by_side, together=together))
         return partial(shared, self.key)
 
     def identity(self) -> dict[str, Any]:

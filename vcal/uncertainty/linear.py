@@ -57,12 +57,12 @@ def linearised(pair: Pair, measures: Sequence[Measure], coverage: float = 0.95) 
     """
     declared = [o for m in measures for o in m.outputs]
     value, by_true, by_found = _derivatives(pair, measures)
-    sources = _sources(pair)
+    given = sources(pair)
     gain = np.asarray(pair.batch.gain)
     # Every column: one standard deviation of one element of a source.
     parts = {
         name: _times(by_true, parameters) + by_found @ (gain @ readings)
-        for name, (parameters, readings) in sources.items()
+        for name, (parameters, readings) in given.items()
     }
     columns = np.concatenate(list(parts.values()), 1)
     defined = np.isfinite(value) & np.isfinite(columns).all(1)
@@ -155,7 +155,7 @@ def _derivatives(
     return np.asarray(value), slopes[:, : len(true)], slopes[:, len(true) :]
 
 
-def _sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
+def sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
     """For every source, what one standard deviation of each of its elements does: to the true
     parameters (k, e), where it is one of them, and to the readings (n m, e).
     """

@@ -7,13 +7,13 @@ with the family's own functions; the publication fits Legendre polynomials to di
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...arrays import Array
 from ...basis import Legendre
@@ -33,6 +33,8 @@ from ...instruments.ball_array import BallArray
 from ...model import Model
 from .setting import PAIR_UM, PROBE_UM, TRAVEL, Known, grid_points, machine
 
+ORDERS = (1, 2, 3, 4, 5)
+"""Of the polynomials of plain least squares."""
 _MICRO = 1e-6
 _RANK = 1e-9
 """Singular value, relative to the largest, below which plain least squares drops a combination."""
@@ -47,6 +49,8 @@ class Task:
     _compiled: dict[Known, Callable[[ArrayPoses], Float[Array, "2"]]] = field(
         default_factory=dict, repr=False
     )
+    polynomials: list["_Polynomials"] = field(default_factory=list, repr=False)
+    """Made once, when plain least squares is asked for."""
 
     def rms(self, known: Known) -> Callable[[ArrayPoses], Float[Array, "2"]]:
         """Expected rms in um, aligned and raw, as a compiled function of artefact and poses."""
@@ -112,47 +116,83 @@ class Plain:
     raw_um: float
 
 
-def plain_least_squares(task: Task, poses: ArrayPoses, known: Known, order: int) -> Plain:
+def plain_least_squares(
+    task: Task, poses: ArrayPoses, known: Known, orders: Sequence[int] = ORDERS
+) -> list[Plain]:
     """Legendre polynomials up to an order for all error motions, and squarenesses, fitted to the
     distances of all pairs in every pose, unweighted, of least norm where the rank falls short.
     """
-    chain = task.model.chain
-    wanted = task.model.effects[0]
-    assert isinstance(wanted, GeometricErrors)
-    fitted = GeometricErrors(
-        motions=tuple(
-            ErrorMotion(m.name, m.axis, Legendre(TRAVEL[m.axis], tuple(range(order + 1)), 1e-5))
-            for m in wanted.motions
-        ),
-        locations=wanted.locations,
-    )
-    both = Model(chain, task.model.instrument, (wanted, fitted))
+    polynomials = _polynomials(task)
     k = len(task.model.entries)
-    seen = np.asarray(touches(both, poses).machine)
+    seen = np.asarray(touches(polynomials.both, poses).machine)
     balls = np.asarray(poses.balls)
     U = _directions(balls)
     turned = [U @ np.kron(np.eye(len(balls)), r.T) for r in np.asarray(poses.rotation)]
     D = np.concatenate([w @ j for w, j in zip(turned, seen, strict=True)])
     m, pairs = len(turned), len(U)
-    probing = np.kron(np.eye(m), (PROBE_UM * _MICRO) ** 2 * U @ U.T)
-    if known == "B":
-        own = 0.5 * (PAIR_UM * _MICRO) ** 2 * U @ U.T
-    else:
-        own = (PAIR_UM * _MICRO) ** 2 * np.eye(pairs)
-    alike = np.eye(m) if known == "P" else np.ones((m, m))
-    noise = probing + np.kron(alike, own)
-    J, L = D[:, :k], D[:, k:]
-    u, s, vt = np.linalg.svd(L, full_matrices=False)
-    kept = s > _RANK * s[0]
-    P = (vt[kept].T / s[kept]) @ u[:, kept].T
-    estimate = np.concatenate([np.eye(k), -P @ J])
-    scatter = P @ noise @ P.T
-    gram = volumetric_gram(both, grid_points(chain, _COARSE))
-    values = []
-    for G in gram:
-        mean = np.einsum("ak,ab,bk->", estimate, G, estimate)
-        values.append(np.sqrt(mean + np.einsum("ab,ab->", G[k:, k:], scatter)) / _MICRO)
-    return Plain(order, L.shape[1], int(kept.sum()), *map(float, values))
+    probing = (PROBE_UM * _MICRO) ** 2 * U @ U.T
+    own = (PAIR_UM * _MICRO) ** 2 * (0.5 * U @ U.T if known == "B" else np.eye(pairs))
+    found = []
+    for order in orders:
+        L = D[:, polynomials.columns(order)]
+        # The orthogonal part first: the singular values are then those of a small matrix.
+        q, r = np.linalg.qr(L)
+        u, s, vt = np.linalg.svd(r)
+        kept = s > _RANK * s[0]
+        P = (vt[kept].T / s[kept]) @ (q @ u[:, kept]).T
+        estimate = np.concatenate([np.eye(k), -P @ D[:, :k]])
+        by_pose = P.reshape(-1, m, pairs)
+        scatter = np.einsum("amp,pq,bmq->ab", by_pose, probing, by_pose, optimize=True)
+        reach = by_pose if known == "P" else by_pose.sum(1)[:, None]
+        scatter += np.einsum("amp,pq,bmq->ab", reach, own, reach, optimize=True)
+        both = np.concatenate([np.arange(k), polynomials.columns(order)])
+        values = []
+        for G in polynomials.gram:
+            G = G[np.ix_(both, both)]
+            mean = np.einsum("ak,ab,bk->", estimate, G, estimate, optimize=True)
+            values.append(np.sqrt(mean + np.einsum("ab,ab->", G[k:, k:], scatter)) / _MICRO)
+        found.append(Plain(order, L.shape[1], int(kept.sum()), *map(float, values)))
+    return found
+
+
+def best_plain(task: Task, poses: ArrayPoses, known: Known) -> Plain:
+    """The order with the smallest expected error."""
+    return min(plain_least_squares(task, poses, known), key=lambda plain: plain.aligned_um)
+
+
+@dataclass(frozen=True)
+class _Polynomials:
+    """Truth and polynomials of the highest order side by side."""
+
+    both: Model
+    gram: Gram
+    truth: int
+    motions: int
+
+    def columns(self, order: int) -> Int[np.ndarray, " l"]:
+        """Places of the polynomials up to an order, and of the squarenesses."""
+        count = max(ORDERS) + 1
+        motions = np.arange(self.motions * count).reshape(self.motions, count)
+        rest = np.arange(motions.size, len(self.both.entries) - self.truth)
+        return self.truth + np.concatenate([motions[:, : order + 1].ravel(), rest])
+
+
+def _polynomials(task: Task) -> _Polynomials:
+    if not task.polynomials:
+        wanted, degrees = task.model.effects[0], tuple(range(max(ORDERS) + 1))
+        assert isinstance(wanted, GeometricErrors)
+        fitted = GeometricErrors(
+            motions=tuple(
+                ErrorMotion(m.name, m.axis, Legendre(TRAVEL[m.axis], degrees, 1e-5))
+                for m in wanted.motions
+            ),
+            locations=wanted.locations,
+        )
+        both = Model(task.model.chain, task.model.instrument, (wanted, fitted))
+        gram = volumetric_gram(both, grid_points(task.model.chain, _COARSE))
+        made = _Polynomials(both, gram, len(task.model.entries), len(wanted.motions))
+        task.polynomials.append(made)
+    return task.polynomials[0]
 
 
 _COARSE = (30, 10, 10)

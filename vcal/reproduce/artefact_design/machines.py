@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...arrays import Array
-from ...design import ArrayPoses
+from ...design import ArrayPoses, fitted_places, volumetric_gram
 from ...instruments.ball_array import ArtefactPoses, BallArray
 from ...instruments.ball_shape import BallShape
 from ...model import Model
@@ -18,7 +18,7 @@ from ...uncertainty import Campaign, Measure, Output, Quantity, monte_carlo
 from ...uncertainty.programs import Programs
 from ...uncertainty.quantities import Pair, State
 from .expected import Task, precision_of
-from .setting import PROBE_UM, Known
+from .setting import PROBE_UM, Known, grid_points
 
 _MICRO = 1e-6
 _LOOSEST_M = 1e-3
@@ -27,18 +27,25 @@ WHEN = ("before", "after")
 
 class GridErrors(eqx.Module, Quantity):
     """Root mean square of the volumetric error on the grid, before and after compensation, um,
-    aligned and raw: sqrt(d' G d) with d the error of the machine's amplitudes.
+    aligned and raw: sqrt(d' G d) with d the amplitudes of the error, true less found.
     """
 
-    gram: tuple[Float[np.ndarray, "k k"], ...]
+    points: Plan
 
     def measure(self, pair: Pair) -> Measure:
-        del pair
-        return _GridErrors(self.gram)
+        gram, known = volumetric_gram(pair.truth, self.points), fitted_places(pair)
+        moves = np.flatnonzero(np.diag(gram.raw) > 0.0)
+        return _GridErrors(
+            tuple(np.asarray(g)[np.ix_(moves, moves)] for g in gram), moves, known[moves]
+        )
 
 
 class _GridErrors(Measure):
     gram: tuple[np.ndarray, ...]
+    true: np.ndarray
+    """Places of the amplitudes that move the tool."""
+    found: np.ndarray
+    """The same in what is fitted; -1 where it is not."""
 
     @property
     def outputs(self):
@@ -46,8 +53,9 @@ class _GridErrors(Measure):
         return (Output("grid error", (len(labels),), labels),)
 
     def __call__(self, state: State) -> dict[str, Array]:
-        k = self.gram[0].shape[0]
-        true, found = state.true[:k], state.found[:k]
+        true = state.true[self.true]
+        # The last place, which -1 reads, is that of what is not fitted.
+        found = jnp.append(state.found, 0.0)[self.found]
         values = [
             jnp.sqrt(jnp.maximum(d @ (g @ d), 0.0)) / _MICRO
             for d in (true, true - found)
@@ -84,16 +92,32 @@ def calibrate(
 ) -> Machines:
     """Draw machines, touch all balls, identify machine, poses and artefact together."""
     model, plan = measured_by(task, poses, known)
-    gram = tuple(np.asarray(g) for g in task.gram)
-    quantities = [GridErrors(gram)]
+    points = grid_points(task.model.chain)
+    return calibrate_as(
+        model, model, plan, points, draws=draws, seed=seed, progress=progress, programs=programs
+    )
+
+
+def calibrate_as(
+    truth: Model,
+    fit: Model,
+    plan: Plan,
+    points: Plan,
+    *,
+    draws: int,
+    seed: int,
+    progress: Callable[[int, int | None], None] = lambda done, total: None,
+    programs: Programs | None = None,
+) -> Machines:
+    """Draw machines from `truth`, identify `fit`, judge over `points`."""
     return Machines(
         monte_carlo(
-            model,
-            model,
+            truth,
+            fit,
             plan,
             draws=draws,
             seed=seed,
-            quantities=quantities,
+            quantities=[GridErrors(points)],
             progress=progress,
             programs=programs,
         )
