@@ -14,13 +14,21 @@ from .mismatch import Left, expected_error, fitted_places
 from .posterior import covariance, curvature, expanded, information, inverse, jacobian, precision
 from .rank import Rank, rank_of
 from .search import Found, search
-from .volume import Gram, expected_rms, gram_for, volumetric_gram
+from .volume import (
+    Displacements,
+    Gram,
+    displacements,
+    expected_rms,
+    gram_for,
+    volumetric_gram,
+)
 from .weights import Weights, apportion, weigh
 
 __all__ = [
     "ArrayPoses",
     "ArraySpace",
     "Candidate",
+    "Displacements",
     "Found",
     "Gram",
     "Left",
@@ -33,6 +41,7 @@ __all__ = [
     "balls_precision",
     "covariance",
     "curvature",
+    "displacements",
     "expanded",
     "expected_error",
     "expected_rms",

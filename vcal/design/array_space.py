@@ -84,9 +84,7 @@ class ArraySpace:
         """The nominal design."""
         parts = []
         if self.poses:
-            low, room = self._room(
-                self.nominal.rotation, self.nominal.balls, self.nominal.tool
-            )
+            low, room = self._room(self.nominal.rotation, self.nominal.balls, self.nominal.tool)
             at = np.asarray(self.nominal.origin) - np.asarray(low)
             room = np.asarray(room)
             shares = np.where(room > 1e-9, at / np.where(room > 1e-9, room, 1.0), 0.5)

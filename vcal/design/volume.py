@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..arrays import Array
 from ..model import Model, effect_terms, tool_points_with_jacobian
@@ -25,9 +25,29 @@ class Gram(NamedTuple):
     raw: Float[np.ndarray, "k k"]
 
 
-def volumetric_gram(model: Model, points: Plan) -> Gram:
-    """G of the machine's own effects, by the amplitudes in solver units (`Model.entries`); those of
-    the instrument do not move the tool. Linear in the amplitudes, at the nominal machine.
+class Displacements(NamedTuple):
+    """Displacement of the tool point at some points, m per solver unit."""
+
+    raw: Float[np.ndarray, "n 3 c"]
+    rigid: Float[np.ndarray, "n 3 6"]
+    """Orthonormal rigid motions of all points."""
+    places: Int[np.ndarray, " c"]
+    """Which of the model's amplitudes move the tool."""
+
+    @property
+    def aligned(self) -> Float[np.ndarray, "n 3 c"]:
+        """After the best rigid alignment of all points."""
+        return self.raw - np.einsum("nar,rc->nac", self.rigid, self.seen)
+
+    @property
+    def seen(self) -> Float[np.ndarray, "6 c"]:
+        """The rigid motion in it."""
+        return np.einsum("nar,nac->rc", self.rigid, self.raw, optimize=True)
+
+
+def displacements(model: Model, points: Plan) -> Displacements:
+    """What the machine's own effects do to the tool point, by the amplitudes in solver units
+    (`Model.entries`); those of the instrument do not move it. Linear, at the nominal machine.
     """
     still = jnp.zeros((points.rows, len(model.layout)))
     nominal, by_port = tool_points_with_jacobian(model.chain, jnp.asarray(points.position), still)
@@ -43,15 +63,20 @@ def volumetric_gram(model: Model, points: Plan) -> Gram:
                 moved[:, :, parameter] += slopes[:, :, port] * column[:, None]
             moves[start : start + len(effect.amplitudes)] = True
         start += len(effect.amplitudes)
-    flat = moved[:, :, moves].reshape(3 * points.rows, -1)
     at = np.asarray(nominal)
     rigid, _ = np.linalg.qr(rigid_columns(at - at.mean(0)).reshape(-1, 6))
-    seen = rigid.T @ flat
-    raw = np.zeros((len(moves), len(moves)))
-    aligned = np.zeros_like(raw)
-    own = np.ix_(moves, moves)
+    return Displacements(moved[:, :, moves], rigid.reshape(-1, 3, 6), np.flatnonzero(moves))
+
+
+def volumetric_gram(model: Model, points: Plan) -> Gram:
+    """G of all amplitudes of a model (`displacements`)."""
+    moved = displacements(model, points)
+    size, own = len(model.entries), np.ix_(moved.places, moved.places)
+    flat = moved.raw.reshape(3 * points.rows, -1)
+    raw = np.zeros((size, size))
     raw[own] = flat.T @ flat / points.rows
-    aligned[own] = raw[own] - seen.T @ seen / points.rows
+    aligned = raw.copy()
+    aligned[own] -= moved.seen.T @ moved.seen / points.rows
     return Gram(aligned, raw)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...arrays import Array
-from ...design import ArrayPoses, fitted_places, volumetric_gram
+from ...design import ArrayPoses, displacements, fitted_places
 from ...instruments.ball_array import ArtefactPoses, BallArray
 from ...instruments.ball_shape import BallShape
 from ...model import Model
@@ -23,25 +23,35 @@ from .setting import PROBE_UM, Known, grid_points
 _MICRO = 1e-6
 _LOOSEST_M = 1e-3
 WHEN = ("before", "after")
+POINTS = 100
+"""Points of the grid at which single errors are kept, for their distribution."""
 
 
 class GridErrors(eqx.Module, Quantity):
     """Root mean square of the volumetric error on the grid, before and after compensation, um,
-    aligned and raw: sqrt(d' G d) with d the amplitudes of the error, true less found.
+    aligned and raw: sqrt(d' G d) with d the amplitudes of the error, true less found; and the
+    aligned error at some points of the grid.
     """
 
     points: Plan
 
     def measure(self, pair: Pair) -> Measure:
-        gram, known = volumetric_gram(pair.truth, self.points), fitted_places(pair)
-        moves = np.flatnonzero(np.diag(gram.raw) > 0.0)
+        moved, known = displacements(pair.truth, self.points), fitted_places(pair)
+        n = self.points.rows
+        flat = moved.raw.reshape(3 * n, -1)
+        raw = flat.T @ flat / n
+        picked = np.random.default_rng(0).choice(n, min(POINTS, n), replace=False)
         return _GridErrors(
-            tuple(np.asarray(g)[np.ix_(moves, moves)] for g in gram), moves, known[moves]
+            (raw - moved.seen.T @ moved.seen / n, raw),
+            moved.aligned[picked],
+            moved.places,
+            known[moved.places],
         )
 
 
 class _GridErrors(Measure):
     gram: tuple[np.ndarray, ...]
+    at_points: np.ndarray
     true: np.ndarray
     """Places of the amplitudes that move the tool."""
     found: np.ndarray
@@ -50,18 +60,23 @@ class _GridErrors(Measure):
     @property
     def outputs(self):
         labels = tuple(f"{kind} {when} [um]" for when in WHEN for kind in ("aligned", "raw"))
-        return (Output("grid error", (len(labels),), labels),)
+        points = tuple(f"point {i} {when} [um]" for when in WHEN for i in range(POINTS))
+        return (
+            Output("grid error", (len(labels),), labels),
+            Output("point error", (len(points),), points),
+        )
 
     def __call__(self, state: State) -> dict[str, Array]:
         true = state.true[self.true]
         # The last place, which -1 reads, is that of what is not fitted.
         found = jnp.append(state.found, 0.0)[self.found]
-        values = [
-            jnp.sqrt(jnp.maximum(d @ (g @ d), 0.0)) / _MICRO
-            for d in (true, true - found)
-            for g in self.gram
-        ]
-        return {"grid error": jnp.stack(values)}
+        both = (true, true - found)
+        values = [jnp.sqrt(jnp.maximum(d @ (g @ d), 0.0)) for d in both for g in self.gram]
+        lengths = [jnp.linalg.norm(self.at_points @ d, axis=-1) for d in both]
+        return {
+            "grid error": jnp.stack(values) / _MICRO,
+            "point error": jnp.concatenate(lengths) / _MICRO,
+        }
 
 
 @dataclass(frozen=True)
@@ -74,6 +89,12 @@ class Machines:
         """Error of every machine, um."""
         ensemble = self.campaign.ensemble
         return ensemble.values[:, ensemble.index(f"{kind} {when} [um]")]
+
+    def at_points(self, when: str = "after") -> Float[np.ndarray, "n p"]:
+        """Error of every machine at some points of the grid, um, aligned."""
+        ensemble = self.campaign.ensemble
+        start = ensemble.index(f"point 0 {when} [um]")
+        return ensemble.values[:, start : start + POINTS]
 
     def rms(self, when: str = "after", kind: str = "aligned") -> float:
         """Root mean square over the machines, um."""

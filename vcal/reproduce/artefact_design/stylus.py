@@ -19,7 +19,11 @@ from .setting import TOOL, TRAVEL, Known
 
 SIDE_M = 0.15
 """Length of a stylus to the side."""
-_ARMS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+_ARMS = (
+    ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)),
+    ((-1.0, 0.0), (0.0, -1.0), (1.0, 0.0), (0.0, 1.0)),
+)
+"""Sides in the order in which they are tried, for one side touch and for the next."""
 
 
 @dataclass(frozen=True)
@@ -41,18 +45,17 @@ class Star:
 
 
 def with_star(poses: ArrayPoses, side_m: float = SIDE_M) -> ArrayPoses:
-    """The same touches, every second one with the side stylus that has room.
+    """The same touches, every second one, from the first, with a stylus to the side.
 
-    Of the four directions +-X, +-Y of the star, the one that keeps the axes inside the travel; of
-    several, one after the other from pose to pose. Raises `ValueError` where none has room.
+    To +X and to -X in turn, to Y where the axes have no room for that. Raises `ValueError` where no
+    side has room.
     """
     low, high = (np.array([TRAVEL[c][i] for c in "XYZ"]) for i in (0, 1))
     centres = np.asarray(poses.centres)
     tool = np.broadcast_to(np.array(TOOL), centres.shape).copy()
     for k, pose in enumerate(centres):
-        for number, i in enumerate(range(1, len(pose), 2)):
-            for turn in range(len(_ARMS)):
-                x, y = _ARMS[(k + number + turn) % len(_ARMS)]
+        for number, i in enumerate(range(0, len(pose), 2)):
+            for x, y in _ARMS[number % 2]:
                 tip = np.array(TOOL) + side_m * np.array([x, y, 0.0])
                 at = pose[i] - tip
                 if (at >= low - 1e-9).all() and (at <= high + 1e-9).all():

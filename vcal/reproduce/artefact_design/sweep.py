@@ -4,7 +4,7 @@ All designs meet the same machines (common random numbers), so that the trends s
 does and not which machines were drawn.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -59,9 +59,7 @@ class Theory:
     """The best plain least squares of order 1 to 5."""
 
 
-def theory(
-    task: Task, known: Known
-) -> dict[tuple[Varied, float], Theory]:
+def theory(task: Task, known: Known) -> dict[tuple[Varied, float], Theory]:
     """Both estimates for all designs."""
     found = {}
     for design in designs():
@@ -72,15 +70,16 @@ def theory(
 
 @dataclass(frozen=True)
 class Drawn:
-    """Errors of many machines, um, aligned."""
+    """Many machines calibrated with one design, errors in um, aligned."""
 
+    rms: float
+    """Root mean square over machines and grid, after compensation."""
     before: np.ndarray
+    """At single points of single machines."""
     after: np.ndarray
-
-    @property
-    def rms(self) -> float:
-        """Root mean square over the machines, after compensation."""
-        return float(np.sqrt((self.after**2).mean()))
+    gradients: float
+    """Exact gradients per identification, on average."""
+    failed: int
 
 
 def exact(
@@ -91,17 +90,31 @@ def exact(
     seed: int,
     programs: Programs | None = None,
     progress: Progress = lambda step: None,
+    only: Sequence[tuple[Varied, float]] | None = None,
 ) -> dict[tuple[Varied, float], Drawn]:
-    """Machines with exact kinematics, measured and identified, with every design."""
+    """Machines with exact kinematics, measured and identified, with every design or with some."""
     programs = programs or Programs()
     found = {}
     for design in designs():
+        if only is not None and design.key not in only:
+            continue
         progress(f"machines, {known}, {design.varied} = {design.value:g}")
         made: Machines = calibrate(
             task, design.poses, known, draws=draws, seed=seed, programs=programs
         )
-        found[design.key] = Drawn(made.errors("before"), made.errors("after"))
+        found[design.key] = drawn(made)
     return found
+
+
+def drawn(made: Machines) -> Drawn:
+    """What is kept of a campaign."""
+    return Drawn(
+        rms=made.rms(),
+        before=made.at_points("before").ravel(),
+        after=made.at_points("after").ravel(),
+        gradients=made.campaign.gradients,
+        failed=made.campaign.failed,
+    )
 
 
 def all_theory(task: Task) -> dict[Known, dict[tuple[Varied, float], Theory]]:
