@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 
 
 class Average(NamedTuple):
@@ -28,6 +29,8 @@ class Average(NamedTuple):
     """What sqrt(tr(G C)) of no choice goes below; equal to `value` when converged."""
 
 
+# Many small matrices: more threads of BLAS only wait for each other.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def weigh_average(
     information: Float[np.ndarray, "n k k"],
     precision: Float[np.ndarray, "k k"],

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from threadpoolctl import threadpool_limits
 
 _FACTOR = 1e-13
 """Eigenvalue of an information, relative to its largest, that counts as zero."""
@@ -43,6 +44,8 @@ class Choice(NamedTuple):
         return np.repeat(np.arange(len(self.counts)), self.counts)
 
 
+# Many small matrices: more threads of BLAS only wait for each other.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def exchange(
     information: Float[np.ndarray, "n k k"],
     precision: Float[np.ndarray, "k k"],
