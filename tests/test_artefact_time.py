@@ -3,13 +3,19 @@
 import numpy as np
 import pytest
 
+from vcal.design import volumetric_gram
+from vcal.model import Model
 from vcal.reproduce.artefact_design.expected import bayes_um, task
+from vcal.reproduce.artefact_design.robust import AVERAGE, FAMILIES, Robust, robust
 from vcal.reproduce.artefact_design.searches import check_inside, with_spare
 from vcal.reproduce.artefact_design.setting import (
     KNOWN,
     NOMINAL,
     POSES,
+    Family,
     ball_line,
+    grid_points,
+    machine,
     outer_faces,
     placed,
 )
@@ -91,3 +97,51 @@ def test_as_good_as_nominal_in_little_more_than_half_the_time(given):
         assert found[known].share <= 0.55
         best = found[known].cheapest()
         assert bayes_um(given, best.poses, known)[0] == pytest.approx(best.rms_um, rel=1e-9)
+
+
+# --- several families ---
+
+
+def test_families_by_hand(given):
+    """Amplitudes scale the Gram matrix of their unknowns; other waves are other functions."""
+
+    def made(family):
+        chain, errors = machine(family)
+        model = Model(chain, given.model.instrument, (errors,))
+        return model, np.diag(volumetric_gram(model, grid_points(chain, (30, 3, 3))).raw)
+
+    names = [e.parameter.name for e in given.model.entries]
+    plain = made(Family())[1]
+    size = np.array([2.0 if n[1] in "ABC" else 0.5 for n in names])
+    twice = made(FAMILIES["rotations x 2, translations / 2"])[1]
+    np.testing.assert_allclose(twice, plain * size**2, rtol=1e-9)
+    other, waves = made(FAMILIES["other waves"])
+    assert len(other.entries) == 90
+    # Lines stay what they are, and the waves of X do not.
+    line, wave = names.index("EXX.a1"), names.index("EXX.b1")
+    assert waves[line] == pytest.approx(plain[line]) and abs(waves[wave] / plain[wave] - 1.0) > 0.1
+
+
+def test_regret():
+    rms = {"nominal": (2.0, 4.0), "a": (1.0, 3.0), "b": (1.5, 2.0), AVERAGE: (1.1, 2.2)}
+    found = Robust("S", ("a", "b"), {}, rms)
+    assert found.regret("a") == pytest.approx((0.0, 0.5))
+    assert found.regret(AVERAGE) == pytest.approx((0.1, 0.1))
+    assert found.average_um("nominal") == pytest.approx(10.0**0.5)
+
+
+@pytest.mark.slow
+def test_robust_design(given):
+    """The average is never worse than that of the design for the first family."""
+    nominal = placed(outer_faces()[::2], ball_line(*NOMINAL))
+    found = robust("B", nominal=nominal, starts=1, steps=60)
+    first, *others = found.families
+    assert list(found.rms_um) == ["nominal", first, *others, AVERAGE]
+    assert found.average_um(AVERAGE) <= found.average_um(first)
+    assert found.average_um(AVERAGE) < found.average_um("nominal")
+    for i, family in enumerate(found.families):
+        own = task(FAMILIES[family])
+        for design, poses in found.designs.items():
+            check_inside(poses)
+            judged = bayes_um(own, poses, "B")[0]
+            assert judged == pytest.approx(found.rms_um[design][i], rel=1e-9)

@@ -1,13 +1,15 @@
 """Searches about many designs, and for several families at once, with few programs.
 
 To compile the criterion takes as long as a search with it. So a program takes what differs from
-search to search as arguments: the design that it starts about, which of its poses are used, and
-which of the two ways to know one artefact (S, B) is meant. What is left is one program per number
-of balls, number of places for poses, and per whether the balls are fresh in every pose (P).
+search to search as arguments: the design that it starts about, which of its poses are used, how the
+families share the average, and which of the two ways to know one artefact (S, B) is meant. What is
+left is one program per number of balls, number of places for poses, and per whether the balls are
+fresh in every pose (P).
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -45,7 +47,7 @@ class Polished:
     poses: ArrayPoses
     """The best."""
     rms_um: float
-    """Expected, aligned: root of the mean square over the families."""
+    """Expected, aligned: root of the mean square over the families in their shares."""
     families_um: tuple[float, ...]
     """Expected, aligned, of every family."""
     found: tuple[Found, ...]
@@ -62,6 +64,13 @@ class Searches:
     def __init__(self, tasks: Sequence[Task], freedom: Freedom) -> None:
         self._tasks, self._freedom = tuple(tasks), freedom
         self._kept: dict[bool, Callable[..., Any]] = {}
+        self._judge = jax.jit(partial(expected_um, self._tasks), static_argnames="fresh")
+
+    def judge(self, poses: ArrayPoses, known: Known) -> tuple[float, ...]:
+        """Expected rms of every family, aligned, um."""
+        often, exactly = jnp.ones(poses.rotation.shape[0]), jnp.asarray(float(known == "B"))
+        found = self._judge(poses, often, exactly, fresh=known == "P")
+        return tuple(np.asarray(found).tolist())
 
     def polish(
         self,
@@ -69,6 +78,7 @@ class Searches:
         known: Known,
         *,
         places: int | None = None,
+        shares: Sequence[float] | None = None,
         starts: int = 2,
         seed: int = 0,
         steps: int = 300,
@@ -77,14 +87,17 @@ class Searches:
         """Search from `nominal`, and from `starts` - 1 designs scattered about it.
 
         Designs with as many balls and `places` (at least the number of poses) share a program; its
-        cost is that of `places` poses. Raises `ValueError` for fewer places than poses, and
-        `RuntimeError` where the best design stands out of the travel.
+        cost is that of `places` poses. `shares` of the families in the average are equal if they
+        are not given. Raises `ValueError` for fewer places than poses, and `RuntimeError` where the
+        best design stands out of the travel.
         """
         m = nominal.rotation.shape[0]
         whole = with_spare(nominal, (places or m) - m)
         space = self._space(whole)
         often = (jnp.arange(whole.rotation.shape[0]) < m).astype(float)
-        given = whole, often, jnp.asarray(float(known == "B"))
+        part = np.ones(len(self._tasks)) if shares is None else np.asarray(shares, float)
+        part = part / part.sum()
+        given = whole, often, jnp.asarray(float(known == "B")), jnp.asarray(part)
         program = self._program(space, fresh=known == "P")
 
         def both(z: np.ndarray) -> tuple[Array, Array]:
@@ -99,7 +112,7 @@ class Searches:
         best = ArrayPoses(poses.balls, poses.rotation[:m], poses.origin[:m])
         check_inside(best)
         each = tuple(np.asarray(families, float).tolist())
-        return Polished(best, float(np.sqrt(np.mean(np.square(each)))), each, tuple(found))
+        return Polished(best, float(np.sqrt(part @ np.square(each))), each, tuple(found))
 
     def _space(self, nominal: ArrayPoses) -> ArraySpace:
         free = self._freedom
@@ -120,12 +133,12 @@ class Searches:
         if fresh not in self._kept:
 
             def criterion(
-                z: Array, nominal: ArrayPoses, often: Array, exactly: Array
+                z: Array, nominal: ArrayPoses, often: Array, exactly: Array, shares: Array
             ) -> tuple[Array, tuple[Array, ArrayPoses]]:
                 made = space.candidate(z, nominal)
                 families = expected_um(self._tasks, made.poses, often, exactly, fresh=fresh)
                 over = 1.0 + 0.1 * (made.excess / _CLEAR_M) ** 2
-                return jnp.sqrt((families**2).mean()) * over, (families, made.poses)
+                return jnp.sqrt(shares @ families**2) * over, (families, made.poses)
 
             self._kept[fresh] = jax.jit(jax.value_and_grad(criterion, has_aux=True))
         return self._kept[fresh]

@@ -59,9 +59,7 @@ class Theory:
     """The best plain least squares of order 1 to 5."""
 
 
-def theory(
-    task: Task, known: Known
-) -> dict[tuple[Varied, float], Theory]:
+def theory(task: Task, known: Known) -> dict[tuple[Varied, float], Theory]:
     """Both estimates for all designs."""
     found = {}
     for design in designs():
