@@ -19,7 +19,8 @@ from vcal.reproduce.artefact_design.expected import (
     task,
 )
 from vcal.reproduce.artefact_design.machines import calibrate, measured_by
-from vcal.reproduce.artefact_design.optimised import FREEDOMS, optimise
+from vcal.reproduce.artefact_design.optimised import optimise
+from vcal.reproduce.artefact_design.searches import FREEDOMS
 from vcal.reproduce.artefact_design.setting import (
     BALLS,
     KNOWN,

@@ -1,14 +1,18 @@
 """Measurements designed before they are made: what they will leave uncertain, and its gradient."""
 
 from .array_space import ArraySpace, Candidate, spread
+from .average import Average, weigh_average
 from .ball_array import (
     ArrayPoses,
+    PoseInformation,
     Touches,
     array_curvature,
     balls_precision,
     pairs_precision,
+    pose_information,
     touches,
 )
+from .exchange import Choice, exchange
 from .minimax import Minimax, minimax
 from .mismatch import Left, expected_error, fitted_places
 from .posterior import covariance, curvature, expanded, information, inverse, jacobian, precision
@@ -27,12 +31,15 @@ from .weights import Weights, apportion, weigh
 __all__ = [
     "ArrayPoses",
     "ArraySpace",
+    "Average",
     "Candidate",
+    "Choice",
     "Displacements",
     "Found",
     "Gram",
     "Left",
     "Minimax",
+    "PoseInformation",
     "Rank",
     "Touches",
     "Weights",
@@ -42,6 +49,7 @@ __all__ = [
     "covariance",
     "curvature",
     "displacements",
+    "exchange",
     "expanded",
     "expected_error",
     "expected_rms",
@@ -52,6 +60,7 @@ __all__ = [
     "jacobian",
     "minimax",
     "pairs_precision",
+    "pose_information",
     "precision",
     "rank_of",
     "search",
@@ -59,4 +68,5 @@ __all__ = [
     "touches",
     "volumetric_gram",
     "weigh",
+    "weigh_average",
 ]

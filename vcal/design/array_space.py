@@ -30,8 +30,8 @@ class Candidate(NamedTuple):
 
     poses: ArrayPoses
     excess: Float[Array, ""]
-    """Root sum of squares, over poses and axes, of how much longer than the travel the turned
-    artefact is, m.
+    """Root sum of squares, over poses and axes, of how much longer than the travel, less what is to
+    be left clear, the turned artefact is, m.
     """
 
 
@@ -59,6 +59,10 @@ class ArraySpace:
     """
     reach: float = 0.0
     """How far the tip of a stylus may be from its nominal place, in every direction."""
+    clear: float = 0.0
+    """Room that the travel has to leave the turned artefact; what is missing counts as excess. Some
+    lets a search feel the end of the travel before it is there.
+    """
 
     def __post_init__(self):
         x = np.asarray(self.nominal.balls)[:, 0]
@@ -111,11 +115,14 @@ class ArraySpace:
             scale[: 6 * m] = np.tile([turn] * 3 + [share] * 3, m)
         return np.clip(self.start + scale * drawn, self.low, self.high)
 
-    def candidate(self, z: Float[Array, " d"]) -> Candidate:
-        """The design that some numbers stand for."""
-        m, n = self.nominal.rotation.shape[0], self.nominal.balls.shape[0]
+    def candidate(self, z: Float[Array, " d"], nominal: ArrayPoses | None = None) -> Candidate:
+        """The design that some numbers stand for, about another `nominal` one of the same size if
+        that is given: it may be traced, so that searches about many designs are one program.
+        """
+        nominal = self.nominal if nominal is None else nominal
+        m, n = nominal.rotation.shape[0], nominal.balls.shape[0]
         used = 6 * m if self.poses else 0
-        balls = jnp.asarray(self.nominal.balls)
+        balls = jnp.asarray(nominal.balls)
         for column, limit in zip((1, 2), self.across, strict=True):
             if limit:
                 balls = balls.at[:, column].set(limit * z[used : used + n])
@@ -125,12 +132,12 @@ class ArraySpace:
             gaps = self.spacing + whole * jax.nn.softmax(z[used : used + n - 1])
             balls = balls.at[1:, 0].set(balls[0, 0] + jnp.cumsum(gaps))
             used += n - 1
-        tool = self.nominal.tool
+        tool = nominal.tool
         if self._styli:
             assert tool is not None
             moved = self.reach * z[used:].reshape(self._styli, 3)
             tool = tool + moved[np.array(self.styli)]
-        turned, origin = jnp.asarray(self.nominal.rotation), jnp.asarray(self.nominal.origin)
+        turned, origin = jnp.asarray(nominal.rotation), jnp.asarray(nominal.origin)
         shares = None
         if self.poses:
             moved = z[: 6 * m].reshape(m, 6)
@@ -139,7 +146,7 @@ class ArraySpace:
         low, room = self._room(turned, balls, tool)
         if shares is not None:
             origin = low + shares * jnp.maximum(room, 0.0)
-        over = jnp.maximum(-room, 0.0)
+        over = jnp.maximum(self.clear - room, 0.0)
         excess = jnp.sqrt((over**2).sum() + _TINY) - _TINY**0.5
         return Candidate(ArrayPoses(balls, turned, origin, tool), excess)
 

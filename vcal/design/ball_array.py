@@ -20,6 +20,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import block_diag
 from jaxtyping import Float
 
 from ..arrays import Array
@@ -100,12 +101,68 @@ def array_curvature(
     known: Float[Array, "n n"],
     *,
     fresh: bool = False,
+    often: Float[Array, " m"] | None = None,
 ) -> Float[Array, "k k"]:
     """H of the machine's amplitudes: poses and ball errors eliminated.
 
     `probe_m` is the standard deviation of a touch in every direction, `known` the precision K of
-    the ball errors (1/m^2), `fresh` whether they are drawn anew in every pose.
+    the ball errors (1/m^2), `fresh` whether they are drawn anew in every pose, `often` how often
+    the artefact is put up in each pose (once): zero leaves a pose out.
     """
+    J, B = _without_poses(seen, probe_m)
+    K = known + jnp.eye(known.shape[0]) / _LOOSE_M**2
+    times = jnp.ones(J.shape[0]) if often is None else often
+    H = jnp.einsum("m,mnk,mnl->kl", times, J, J) + precision(model)
+    if fresh:
+        return H - jnp.einsum("m,mkl->kl", times, _explained(J.swapaxes(1, 2) @ B, _square(B), K))
+    by_both, by_balls = (jnp.einsum("m,mnk,mnl->kl", times, part, B)[None] for part in (J, B))
+    return H - _explained(by_both, by_balls, K)[0]
+
+
+class PoseInformation(NamedTuple):
+    """What every pose of an artefact says by itself, its own unknown place eliminated: matrices to
+    choose poses by. The information of a set of poses is the sum of theirs, and the prior.
+
+    The last of the `c` unknowns are the errors of the ball centres, in mm, where all poses share
+    them; the first are the machine's amplitudes in solver units.
+    """
+
+    information: Float[Array, "m c c"]
+    precision: Float[Array, "c c"]
+
+    def padded(self, gram: Float[Array, "k k"]) -> Float[Array, "c c"]:
+        """A quadratic form of the amplitudes, with zeros for what does not count."""
+        more = self.precision.shape[0] - gram.shape[0]
+        return jnp.pad(jnp.asarray(gram), (0, more))
+
+
+def pose_information(
+    seen: Touches,
+    model: Model,
+    probe_m: float,
+    known: Float[Array, "n n"],
+    *,
+    fresh: bool = False,
+) -> PoseInformation:
+    """Information of every pose; arguments as those of `array_curvature`.
+
+    Ball errors that are fresh in every pose are eliminated with it. Those of one artefact stay: to
+    eliminate them would tie the poses together.
+    """
+    J, B = _without_poses(seen, probe_m)
+    K = known + jnp.eye(known.shape[0]) / _LOOSE_M**2
+    L = jnp.asarray(precision(model))
+    if fresh:
+        own = _explained(J.swapaxes(1, 2) @ B, _square(B), K)
+        return PoseInformation(_square(J) - own, L)
+    rows = jnp.concatenate([J, B * _LOOSE_M], -1)
+    return PoseInformation(_square(rows), block_diag(L, K * _LOOSE_M**2))
+
+
+def _without_poses(
+    seen: Touches, probe_m: float
+) -> tuple[Float[Array, "m n k"], Float[Array, "m n n"]]:
+    """Whitened derivatives by machine and balls, less what the place of every pose explains."""
     J, A, B = (part / probe_m for part in seen)
     # Metres and radians of a pose are made alike before they are projected out.
     A = A / jnp.linalg.norm(A, axis=1, keepdims=True)
@@ -114,17 +171,22 @@ def array_curvature(
     def left(part: Float[Array, "m n c"]) -> Float[Array, "m n c"]:
         return part - q @ (q.swapaxes(1, 2) @ part)
 
-    J, B = left(J), left(B)
-    K = known + jnp.eye(known.shape[0]) / _LOOSE_M**2
-    by_both, by_balls = J.swapaxes(1, 2) @ B, B.swapaxes(1, 2) @ B
-    H = jnp.einsum("mnk,mnl->kl", J, J) + precision(model)
-    if not fresh:
-        by_both, by_balls = by_both.sum(0)[None], by_balls.sum(0)[None]
+    return left(J), left(B)
+
+
+def _square(rows: Float[Array, "m n c"]) -> Float[Array, "m c c"]:
+    return rows.swapaxes(1, 2) @ rows
+
+
+def _explained(
+    by_both: Float[Array, "m k n"], by_balls: Float[Array, "m n n"], K: Float[Array, "n n"]
+) -> Float[Array, "m k k"]:
+    """J'B (K + B'B)^-1 B'J, what could as well be the errors of the balls."""
     # In units of the loosest, as the smallest and the largest precision are many decades apart.
     scale = 1.0 / jnp.sqrt(jnp.diagonal(K + by_balls, axis1=1, axis2=2))
     inner = scale[:, :, None] * (K + by_balls) * scale[:, None]
     reach = by_both * scale[:, None]
-    return H - jnp.einsum("mkn,mnl->kl", reach, jnp.linalg.solve(inner, reach.swapaxes(1, 2)))
+    return reach @ jnp.linalg.solve(inner, reach.swapaxes(1, 2))
 
 
 def balls_precision(count: int, u_m: float) -> Float[Array, "n n"]:

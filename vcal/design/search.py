@@ -8,8 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
-
-from ..arrays import Array
+from threadpoolctl import threadpool_limits
 
 
 @dataclass(frozen=True)
@@ -25,23 +24,29 @@ class Found:
     message: str
 
 
+# Many small factorisations: more threads of BLAS only wait for each other.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def search(
-    criterion: Callable[[Any], Float[Array, ""]],
+    criterion: Callable[[Any], Any],
     starts: Sequence[Float[np.ndarray, " d"]],
     low: Float[np.ndarray, " d"],
     high: Float[np.ndarray, " d"],
     *,
     steps: int = 200,
     tolerance: float = 1e-5,
+    with_slope: bool = False,
 ) -> list[Found]:
     """Minimise `criterion`, which JAX differentiates, from every start; best first.
+
+    A criterion `with_slope` returns its gradient beside its value and is called as it is, so that
+    searches can share what they compile.
 
     Limited-memory BFGS within bounds (scipy's L-BFGS-B) on the relative criterion, one start after
     the other: XLA has the processors to itself, and calls from several threads can wait for each
     other for ever in its batched linear algebra. Ends where a step gains less than the relative
     `tolerance`, or after `steps`. Raises `ValueError` where the criterion is not finite at a start.
     """
-    both = jax.jit(jax.value_and_grad(criterion))
+    both = criterion if with_slope else jax.jit(jax.value_and_grad(criterion))
 
     def one(start: np.ndarray) -> Found:
         first, _ = both(start)

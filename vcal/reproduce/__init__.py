@@ -1,10 +1,11 @@
 """Published campaigns, done again: each is a leaf that is entered here by its name."""
 
+from .artefact_design import ARTEFACT_DESIGN
 from .laser_frame import LASER_FRAME
 from .registry import Reproduction, known
 from .tracker_verification import TRACKER_VERIFICATION
 
-REPRODUCTIONS = {one.name: one for one in (LASER_FRAME, TRACKER_VERIFICATION)}
+REPRODUCTIONS = {one.name: one for one in (ARTEFACT_DESIGN, LASER_FRAME, TRACKER_VERIFICATION)}
 """Every reproduction by the name that the command line takes."""
 
 

@@ -31,7 +31,7 @@ from ...design import (
 from ...effects.geometric import ErrorMotion, GeometricErrors
 from ...instruments.ball_array import BallArray
 from ...model import Model
-from .setting import PAIR_UM, PROBE_UM, TRAVEL, Known, grid_points, machine
+from .setting import PAIR_UM, PROBE_UM, TRAVEL, Family, Known, grid_points, machine
 
 ORDERS = (1, 2, 3, 4, 5)
 """Of the polynomials of plain least squares."""
@@ -64,9 +64,11 @@ class Task:
         return self._compiled[known]
 
 
-def task() -> Task:
-    """The publication's machine, with an instrument that stands for any artefact."""
-    chain, errors = machine()
+def task(family: Family | None = None) -> Task:
+    """The publication's machine, or one of another family, with an instrument that stands for any
+    artefact.
+    """
+    chain, errors = machine(family)
     model = Model(chain, anything(), (errors,))
     return Task(model, volumetric_gram(model, grid_points(chain)))
 

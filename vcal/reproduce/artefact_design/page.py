@@ -220,9 +220,7 @@ def _searched(r: Results, pictures: tuple[Picture, ...]) -> Section:
                 (name, k, number(one.optimised.rms_um), f"−{percent(one.optimised.gain)}",
                  number(one.checked.rms), f"{100 * one.off:+.1f} %")
             )  # fmt: skip
-    worst = max(
-        abs(one.off) for own in r.searched.values() for one in own.values()
-    )
+    worst = max(abs(one.off) for own in r.searched.values() for one in own.values())
     return Section(
         "Poses and balls by gradient",
         (

@@ -15,8 +15,9 @@ from .expected import Plain, Task, bayes_um, plain_least_squares, task
 from .influences import Cost, costs
 from .influences import exact as with_influences
 from .machines import Machines, calibrate
-from .optimised import FREEDOMS, Optimised, optimise
+from .optimised import Optimised, optimise
 from .robust import Robust, robust
+from .searches import FREEDOMS, Searches
 from .setting import KNOWN, NOMINAL, POSES, TRAVEL, Known, ball_line, placed
 from .stylus import Star, star
 from .sweep import Drawn, Theory, Varied, drawn, exact, theory
@@ -93,11 +94,12 @@ def compute(draws: int, seed: int, progress: Callable[[str], None]) -> Results:
     before = tuple(1e6 * float(np.trace(g)) ** 0.5 for g in given.gram)
     balls = ball_line(*NOMINAL)
     progress("poses")
-    sets = {
+    sets: dict[str, dict[Known, float]] = {
         name: {known: bayes_um(given, placed(make(), balls), known)[0] for known in KNOWN}
         for name, make in POSES.items()
     }
-    expected, plain = {}, {}
+    expected: dict[Known, dict[Key, Theory]] = {}
+    plain: dict[Known, list[Plain]] = {}
     for known in KNOWN:
         progress(f"21 designs by theory, {known}")
         expected[known] = theory(given, known)
@@ -114,7 +116,7 @@ def compute(draws: int, seed: int, progress: Callable[[str], None]) -> Results:
             only=_FEW if known == "P" else None,
         )
     progress("influences")
-    cost = {known: costs(given, usual, known) for known in KNOWN}
+    cost: dict[Known, dict[str, Cost]] = {known: costs(given, usual, known) for known in KNOWN}
     influenced: dict[str, Drawn] = {}
     for name, identified in (("ignored", False), ("identified", True)):
         progress(f"machines with all influences, {name}")
@@ -128,15 +130,15 @@ def compute(draws: int, seed: int, progress: Callable[[str], None]) -> Results:
         )
         return drawn(made)
 
-    searched: dict[Known, dict[str, Searched]] = {}
-    for known in KNOWN:
-        searched[known] = {}
-        for name in _SEARCHED:
+    searched: dict[Known, dict[str, Searched]] = {known: {} for known in KNOWN}
+    for name in _SEARCHED:
+        searches = Searches([given], FREEDOMS[name])
+        for known in KNOWN:
             progress(f"search, {known}: {name}")
-            found = optimise(given, usual, known, FREEDOMS[name], seed=seed)
+            found = optimise(given, usual, known, FREEDOMS[name], seed=seed, searches=searches)
             searched[known][name] = Searched(found, checked(found.poses, known))
-    judged = {known: checked(usual, known) for known in KNOWN}
-    stars = {}
+    judged: dict[Known, Drawn] = {known: checked(usual, known) for known in KNOWN}
+    stars: dict[Known, Star] = {}
     for known in KNOWN:
         progress(f"star stylus, {known}")
         stars[known] = star(given, usual, known, seed=seed)

@@ -34,7 +34,7 @@ OFFSETS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
 NOMINAL = (11, 0.03, 0.03)
 """N, a and b (m)."""
 
-_WAVES = {"X": (0.5, 3.0), "Y": (0.5, 1.0), "Z": (0.5, 1.0)}
+WAVES: Mapping[str, tuple[float, float]] = {"X": (0.5, 3.0), "Y": (0.5, 1.0), "Z": (0.5, 1.0)}
 TABLE_ONE: Mapping[str, tuple[float, float, float, float, float, float]] = {
     "EXX": (0, 40, 20, 20, 10, 10),
     "EYX": (0, 0, 30, 0, 3, 3),
@@ -74,17 +74,27 @@ class Pose(NamedTuple):
     direction: tuple[float, float, float]
 
 
-def machine() -> tuple[Chain, GeometricErrors]:
+class Family(NamedTuple):
+    """What errors a machine may have; the publication's unless said otherwise."""
+
+    amplitudes: Mapping[str, tuple[float, ...]] = TABLE_ONE
+    """As in `TABLE_ONE`, of the same error motions."""
+    waves: Mapping[str, tuple[float, float]] = WAVES
+    squareness_urad: float = SQUARENESS_URAD
+
+
+def machine(family: Family | None = None) -> tuple[Chain, GeometricErrors]:
     """The travelling column and the family of its errors."""
+    family = Family() if family is None else family
     chain = chain_from_string(CHAIN, TRAVEL, TOOL)
     motions = []
-    for name, (a0, a1, b1, c1, b2, c2) in TABLE_ONE.items():
+    for name, (a0, a1, b1, c1, b2, c2) in family.amplitudes.items():
         axis = name[2]
-        first, second = _WAVES[axis]
+        first, second = family.waves[axis]
         rows = [(first, b1 * 1e-6, c1 * 1e-6), (second, b2 * 1e-6, c2 * 1e-6)]
         basis = Fourier(TRAVEL[axis], a0 * 1e-6, a1 * 1e-6, rows)
         motions.append(ErrorMotion(name, axis, basis))
-    sigma = SQUARENESS_URAD * 1e-6 / 3.0**0.5
+    sigma = family.squareness_urad * 1e-6 / 3.0**0.5
     locations = tuple(LocationError.of(chain, n, sigma, unit_uniform()) for n in SQUARENESSES)
     return chain, GeometricErrors(motions=tuple(motions), locations=locations)
 

@@ -3,8 +3,8 @@
 from ..registry import Row
 from .expected import best_plain
 from .influences import SIZES
-from .optimised import FREEDOMS
 from .results import Results, nominal_poses
+from .searches import FREEDOMS
 from .setting import GRID, KNOWN, NOMINAL, PAIR_UM
 from .timing import NOMINAL_S
 
@@ -39,8 +39,8 @@ def table(results: Results) -> list[Row]:
                 one = r.searched[known][name]
                 rows.append(
                     Row(f"rms, {name}, {known}", None, one.optimised.rms_um, "um",
-                        f"expected; {100 * one.optimised.gain:.1f} % below nominal; {r.fresh} fresh "
-                        f"machines {one.checked.rms:.3f} um, theory {100 * one.off:+.1f} %")
+                        f"expected; {100 * one.optimised.gain:.1f} % below nominal; {r.fresh} "
+                        f"fresh machines {one.checked.rms:.3f} um, theory {100 * one.off:+.1f} %")
                 )  # fmt: skip
         star = r.star[known]
         rows.append(

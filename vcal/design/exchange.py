@@ -1,0 +1,212 @@
+"""Which measurements to make, out of many that could be made: the choice that leaves least error.
+
+    min over whole n_i of tr(G C),     C^-1 = L + sum_i n_i F_i,
+    0 <= n_i <= most,     sum_i n_i c_i <= total
+
+with F_i the information of candidate i (a pose of an artefact, a point, a line), c_i what it costs,
+L the precision of the prior and G the quadratic form of what counts. First the greedy choice, then
+exchanges of one measurement for another until none lowers the criterion (Fedorov 1972, in the
+cheaper order of Cook and Nachtsheim 1980), the same from choices at random. What comes out is a
+local minimum; `weigh_average` says what no choice goes below. Unknowns that all candidates share
+and that do not count themselves, as the errors of an artefact, belong into the matrices, with zeros
+in G.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from threadpoolctl import threadpool_limits
+
+_FACTOR = 1e-13
+"""Eigenvalue of an information, relative to its largest, that counts as zero."""
+_RIDGE = 1e-10
+"""Precision that is lent to a prior that has none, in units of what all candidates give."""
+_SURE = 1e12
+"""Condition number from which a parameter counts as undetermined."""
+
+
+class Choice(NamedTuple):
+    """Measurements chosen."""
+
+    counts: Int[np.ndarray, " n"]
+    """How often each candidate is measured."""
+    value: float
+    """sqrt(tr(G C)) of the choice."""
+    greedy: float
+    """The same of the greedy choice, before any exchange."""
+    exchanges: int
+    """How many led from its start to the choice."""
+
+    @property
+    def chosen(self) -> Int[np.ndarray, " c"]:
+        """Places of the candidates, as often as they are measured, in rising order."""
+        return np.repeat(np.arange(len(self.counts)), self.counts)
+
+
+# Many small matrices: more threads of BLAS only wait for each other.
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def exchange(
+    information: Float[np.ndarray, "n k k"],
+    precision: Float[np.ndarray, "k k"],
+    gram: Float[np.ndarray, "k k"],
+    total: float,
+    *,
+    costs: Float[np.ndarray, " n"] | None = None,
+    most: int = 1,
+    starts: int = 4,
+    seed: int = 0,
+    tolerance: float = 1e-9,
+) -> Choice:
+    """Choose `total` measurements, or, with `costs`, measurements that together cost at most that.
+
+    A candidate is measured at most `most` times. Exchanges begin with the greedy choice and with
+    `starts` - 1 drawn ones; the best end is returned. One has to lower the criterion by more than
+    the relative `tolerance`. Raises `ValueError` for fewer candidates than are wanted, for
+    costs that are not above zero or of which none is within `total`, and where the choice leaves a
+    parameter undetermined.
+    """
+    F, G = np.asarray(information, float), np.asarray(gram, float)
+    price = _checked(len(F), total, costs, most)
+    prior = np.asarray(precision, float)
+    L, scale = _in_units(F, prior)
+    parts = _factors(F * np.outer(scale, scale))
+    inner = G * np.outer(scale, scale)
+    task = _Task(parts, inner, L, price, total * (1.0 + 1e-9), most, tolerance)
+    rng = np.random.default_rng(seed)
+    greedy = task.filled(np.zeros(len(F), int))
+    begun = [greedy]
+    for _ in range(starts - 1):
+        begun.append(task.filled(np.zeros(len(F), int), rng.permutation(len(F))))
+    found = [task.exchanged(counts) for counts in begun]
+    counts, done = min(found, key=lambda f: task.value(f[0]))
+    return Choice(counts, _value(F, prior, G, counts), _value(F, prior, G, greedy), done)
+
+
+class _Task(NamedTuple):
+    """What is chosen from, all in the same units."""
+
+    parts: Float[np.ndarray, "n k r"]
+    gram: Float[np.ndarray, "k k"]
+    prior: Float[np.ndarray, "k k"]
+    price: Float[np.ndarray, " n"]
+    total: float
+    most: int
+    tolerance: float
+
+    def inverse(self, counts: np.ndarray) -> np.ndarray:
+        """C of a choice."""
+        used = np.flatnonzero(counts)
+        rows = self.parts[used] * np.sqrt(counts[used])[:, None, None]
+        rows = rows.swapaxes(0, 1).reshape(len(self.prior), -1)
+        return np.linalg.inv(self.prior + rows @ rows.T)
+
+    def value(self, counts: np.ndarray) -> float:
+        """tr(G C)."""
+        return float(np.einsum("kl,kl->", self.gram, self.inverse(counts)))
+
+    def fits(self, counts: np.ndarray) -> np.ndarray:
+        """Of which candidates there may be one more."""
+        return (counts < self.most) & (self.price @ counts + self.price <= self.total)
+
+    def filled(self, counts: np.ndarray, order: np.ndarray | None = None) -> np.ndarray:
+        """One more after the other until none fits: what gains most for its price, or in order."""
+        while (fits := self.fits(counts)).any():
+            if order is None:
+                gained = _gains(self.inverse(counts), self.gram, self.parts) / self.price
+            else:
+                gained = -order.astype(float)
+            counts = _moved(counts, int(np.argmax(np.where(fits, gained, -np.inf))), 1)
+        return counts
+
+    def exchanged(self, counts: np.ndarray) -> tuple[np.ndarray, int]:
+        """One for another until none lowers the criterion, and how many did."""
+        value, done, moved = self.value(counts), 0, True
+        while moved:
+            moved = False
+            for out in np.flatnonzero(counts).tolist():
+                fewer = _moved(counts, out, -1)
+                C = self.inverse(fewer)
+                gained = _gains(C, self.gram, self.parts)
+                best = int(np.argmax(np.where(self.fits(fewer), gained, -np.inf)))
+                reached = float(np.einsum("kl,kl->", self.gram, C)) - gained[best]
+                if best != out and reached < value * (1.0 - self.tolerance):
+                    counts = _moved(fewer, best, 1)
+                    value, done, moved = reached, done + 1, True
+            # A cheaper measurement may have left room for one more.
+            fuller = self.filled(counts)
+            if fuller.sum() > counts.sum():
+                counts, value, moved = fuller, self.value(fuller), True
+        return counts, done
+
+
+def _moved(counts: np.ndarray, place: int, by: int) -> np.ndarray:
+    counts = counts.copy()
+    counts[place] += by
+    return counts
+
+
+def _checked(count: int, total: float, costs: np.ndarray | None, most: int) -> np.ndarray:
+    """The price of every candidate."""
+    if costs is None:
+        if not 1 <= total <= most * count or total != int(total):
+            raise ValueError(
+                f"total: found {total:g} measurements, expected a whole number from 1 to "
+                f"{most * count}, as {count} candidates are measured {most} times at most"
+            )
+        return np.ones(count)
+    price = np.asarray(costs, float)
+    if price.shape != (count,) or not (price > 0.0).all():
+        raise ValueError(f"costs: expected {count} numbers above zero, one for every candidate")
+    if price.min() > total:
+        raise ValueError(
+            f"total: found {total:g}, expected at least {price.min():g}, the cheapest candidate"
+        )
+    return price
+
+
+def _in_units(F: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The prior in units in which all candidates together give one, and these units."""
+    whole = precision + F.sum(0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
+    L = precision * np.outer(scale, scale)
+    if np.linalg.eigvalsh(L)[0] < _RIDGE:
+        # The first measurements of a greedy choice do not determine everything yet.
+        L = L + _RIDGE * np.eye(len(L))
+    return L, scale
+
+
+def _factors(F: np.ndarray) -> np.ndarray:
+    """V (n, k, r) with V V' = F, r the largest rank."""
+    sizes, ways = np.linalg.eigh(F)
+    kept = sizes > _FACTOR * sizes[:, -1:]
+    rank = max(int(kept.sum(1).max()), 1)
+    root = np.sqrt(np.where(kept, sizes, 0.0))[:, -rank:]
+    return ways[:, :, -rank:] * root[:, None, :]
+
+
+def _gains(C: np.ndarray, G: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """By how much tr(G C) falls with one more of every candidate:
+    tr((1 + V'C V)^-1 V'C G C V) (Woodbury).
+    """
+    n, k, r = parts.shape
+    side = parts.swapaxes(1, 2)
+    flat = side.reshape(n * r, k)
+    seen = (flat @ C).reshape(n, r, k)
+    counted = (flat @ (C @ G @ C)).reshape(n, r, k)
+    inner = np.eye(r) + seen @ parts
+    return np.trace(np.linalg.solve(inner, counted @ parts), axis1=1, axis2=2)
+
+
+def _value(F: np.ndarray, precision: np.ndarray, G: np.ndarray, counts: np.ndarray) -> float:
+    """sqrt(tr(G C)), with the prior as it is."""
+    H = precision + np.tensordot(counts.astype(float), F, 1)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
+    scaled = H * np.outer(scale, scale)
+    if np.linalg.cond(scaled) > _SURE:
+        raise ValueError(
+            "found a choice that leaves a parameter undetermined, expected every parameter to be "
+            "seen or to have a prior; choose more, or add candidates"
+        )
+    C = np.linalg.inv(scaled) * np.outer(scale, scale)
+    return float(np.sqrt(np.einsum("kl,kl->", G, C)))
