@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vcal.chain import chain_from_string
-from vcal.design import expected_error, gram_for, volumetric_gram
+from vcal.design import drawn_errors, expected_error, gram_for, volumetric_gram
 from vcal.effects.base import Setup
 from vcal.effects.sag import PayloadSag
 from vcal.model import Model
@@ -47,6 +47,16 @@ def test_what_is_not_fitted_by_drawing(given, small):
         cost = found["all"].identified if identified else found["all"].ignored
         assert drawn.rms() == pytest.approx(cost, rel=0.04)
         assert drawn.campaign.failed == 0
+
+
+def test_machine_by_machine(given, small):
+    """The linear estimate and exact kinematics on the same machines with the same noise."""
+    model, plan = measured_by(given, small, "P")
+    gram = gram_for(model, given.gram, given.model)
+    drawn = calibrate(given, small, "P", draws=300, seed=4)
+    linear = 1e6 * drawn_errors(model, model, plan, gram, draws=300, seed=4)
+    for i, kind in enumerate(("aligned", "raw")):
+        np.testing.assert_allclose(linear[:, i], drawn.errors("after", kind), rtol=0.01)
 
 
 def test_the_parts_add_up(given, small):

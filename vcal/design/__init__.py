@@ -14,7 +14,7 @@ from .ball_array import (
 )
 from .exchange import Choice, exchange
 from .minimax import Minimax, minimax
-from .mismatch import Left, expected_error, fitted_places
+from .mismatch import Left, drawn_errors, expected_error, fitted_places
 from .posterior import covariance, curvature, expanded, information, inverse, jacobian, precision
 from .rank import Rank, rank_of
 from .search import Found, search
@@ -49,6 +49,7 @@ __all__ = [
     "covariance",
     "curvature",
     "displacements",
+    "drawn_errors",
     "exchange",
     "expanded",
     "expected_error",

@@ -11,14 +11,18 @@ is a sum over the effects of the truth and the noise of the readings.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import jax
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
+from ..arrays import Array
 from ..model import Model
+from ..noise import standard_normal
 from ..plan import Plan
 from ..uncertainty.campaign import virtual_pair
 from ..uncertainty.linear import sources
 from ..uncertainty.quantities import Pair
+from .posterior import jacobian
 from .volume import Gram
 
 
@@ -53,23 +57,61 @@ def expected_error(truth: Model, fit: Model, plan: Plan, gram: Gram) -> Left:
     `vcal.uncertainty.virtual_pair` does, and `ValueError` for priors that differ.
     """
     pair = virtual_pair(truth, fit, plan)
-    known, fitted = fitted_places(pair), fit.entries
-    for entry, place in zip(truth.entries, known, strict=True):
-        p = entry.parameter
-        if place >= 0 and not np.isclose(p.step, fitted[place].parameter.step):
-            raise ValueError(
-                f"{entry.key}, {p.name}: found different standard deviations in truth and "
-                "fit, expected the same prior where both know an amplitude"
-            )
-    # A row of zeros stands for what is not fitted.
-    gain = np.asarray(pair.batch.gain)
-    gain = np.concatenate([gain, np.zeros((1, gain.shape[1]))])[known]
+    gain = _gain(pair)
     found: tuple[dict[str, float], dict[str, float]] = {}, {}
     for name, (amplitudes, readings) in sources(pair).items():
         e = (0.0 if amplitudes is None else amplitudes) - gain @ readings
         for parts, G in zip(found, gram, strict=True):
             parts[name] = max(float(np.einsum("ai,ab,bi->", e, G, e)), 0.0) ** 0.5
     return Left(*found)
+
+
+def drawn_errors(
+    truth: Model, fit: Model, plan: Plan, gram: Gram, *, draws: int, seed: int
+) -> Float[np.ndarray, "draws 2"]:
+    """Volumetric error, aligned and raw, m, of machines drawn from `truth` one by one, with the
+    linear estimate: the machines and the noise of `monte_carlo` with that seed.
+
+    Raises as `expected_error` does, and `ValueError` for a truth with random effects.
+    """
+    if truth.random:
+        raise ValueError(
+            f"truth: found the random effect {truth.random[0].key!r}, expected none, as their "
+            "draws are not made here; use `monte_carlo`"
+        )
+    pair = virtual_pair(truth, fit, plan)
+    gain, J = _gain(pair), np.asarray(jacobian(truth, plan))
+    J = J.reshape(-1, J.shape[-1])
+    s, key = pair.simulator, jax.random.key(seed)
+
+    def one(index: Array) -> tuple[Array, Array]:
+        machine, noise, _ = jax.random.split(jax.random.fold_in(key, index), 3)
+        return s.amplitudes.sample(machine), standard_normal(noise, s.sigma.shape)
+
+    index = np.arange(draws, dtype=np.uint32)
+    theta, noise = map(np.asarray, jax.jit(jax.vmap(one))(index))
+    noise = (noise * np.asarray(s.sigma)).reshape(draws, -1)
+    left = theta @ (np.eye(J.shape[1]) - gain @ J).T - noise @ gain.T
+    squares = [np.einsum("na,ab,nb->n", left, G, left, optimize=True) for G in gram]
+    return np.sqrt(np.maximum(np.stack(squares, 1), 0.0))
+
+
+def _gain(pair: Pair) -> Float[np.ndarray, "k r"]:
+    """The linear estimate of the truth's amplitudes from the readings; zero for what is not fitted.
+
+    Raises `ValueError` for priors that differ.
+    """
+    known, fitted = fitted_places(pair), pair.fit.entries
+    for entry, place in zip(pair.truth.entries, known, strict=True):
+        p = entry.parameter
+        if place >= 0 and not np.isclose(p.step, fitted[place].parameter.step):
+            raise ValueError(
+                f"{entry.key}, {p.name}: found different standard deviations in truth and fit, "
+                "expected the same prior where both know an amplitude"
+            )
+    gain = np.asarray(pair.batch.gain)
+    # The last row, which -1 reads, stands for what is not fitted.
+    return np.concatenate([gain, np.zeros((1, gain.shape[1]))])[known]
 
 
 def _root_sum(parts: Mapping[str, float]) -> float:

@@ -10,10 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from ...design import ArrayPoses
+from ...design import ArrayPoses, drawn_errors, gram_for
 from ...uncertainty.programs import Programs
 from .expected import Plain, Task, bayes_um, best_plain
-from .machines import Machines, calibrate
+from .machines import Machines, calibrate, measured_by
 from .setting import BALLS, KNOWN, NOMINAL, OFFSETS, POSES, Known, ball_line, placed
 
 Varied = Literal["N", "a", "b"]
@@ -80,6 +80,19 @@ class Drawn:
     gradients: float
     """Exact gradients per identification, on average."""
     failed: int
+
+
+def linear(
+    task: Task, known: Known, *, draws: int, seed: int
+) -> dict[tuple[Varied, float], np.ndarray]:
+    """Aligned error on the grid, um, of machines drawn one by one, by the linear estimate."""
+    found = {}
+    for design in designs():
+        model, plan = measured_by(task, design.poses, known)
+        gram = gram_for(model, task.gram, task.model)
+        errors = drawn_errors(model, model, plan, gram, draws=draws, seed=seed)
+        found[design.key] = 1e6 * errors[:, 0]
+    return found
 
 
 def exact(
