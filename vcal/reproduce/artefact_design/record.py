@@ -74,10 +74,13 @@ def record(results: Results) -> dict[str, Any]:
             for k, t in r.trade.items()
         },
         "families": {
-            "known": r.robust.known,
-            "names": list(r.robust.families),
-            "rms_um": {name: list(v) for name, v in r.robust.rms_um.items()},
-            "average_um": {name: r.robust.average_um(name) for name in r.robust.rms_um},
+            shape: {
+                "known": one.known,
+                "names": list(one.families),
+                "rms_um": {name: list(v) for name, v in one.rms_um.items()},
+                "average_um": {name: one.average_um(name) for name in one.rms_um},
+            }
+            for shape, one in r.robust.items()
         },
     }  # fmt: skip
 

@@ -21,7 +21,7 @@ from .searches import FREEDOMS, Searches
 from .setting import KNOWN, NOMINAL, POSES, TRAVEL, Known, ball_line, placed
 from .stylus import Star, star
 from .sweep import Drawn, Theory, Varied, drawn, exact, theory
-from .timing import Trade, trade
+from .timing import Chooser, Trade, trade
 
 MACHINES = 1000
 SHOWN = 8
@@ -36,6 +36,8 @@ _SEARCHED = (
 )
 _FEW: Sequence[tuple[Varied, float]] = (("N", 5), ("N", 11), ("N", 17))
 """Designs whose machines are drawn where every pose has an artefact of its own."""
+_SHORT: tuple[int, tuple[int, ...]] = (9, (6,))
+"""Balls and poses of a design that leaves more to the prior."""
 Key = tuple[Varied, float]
 
 
@@ -80,7 +82,8 @@ class Results:
     """The nominal design on the same fresh machines."""
     star: dict[Known, Star]
     trade: dict[Known, Trade]
-    robust: Robust
+    robust: dict[str, Robust]
+    """Designs for several families, by poses and balls."""
 
 
 def nominal_poses() -> ArrayPoses:
@@ -143,7 +146,13 @@ def compute(draws: int, seed: int, progress: Callable[[str], None]) -> Results:
         progress(f"star stylus, {known}")
         stars[known] = star(given, usual, known, seed=seed)
     traded = trade(given, seed=seed, progress=progress)
-    several = robust("S", nominal=usual, seed=seed, progress=progress)
+    few = Chooser(given, seed=seed).choose(*_SHORT, "S")[0].poses
+    several = {
+        f"{start.rotation.shape[0]} poses of {start.balls.shape[0]} balls": robust(
+            "S", nominal=start, seed=seed, progress=progress
+        )
+        for start in (usual, few)
+    }
     return Results(
         seed=seed,
         draws=draws,
