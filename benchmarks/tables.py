@@ -155,6 +155,13 @@ def laser_frame(found: dict) -> str:
     return table(head.split(","), rows)
 
 
+def artefact_design(found: dict) -> str:
+    rows = (
+        [r["case"], f"{r['cold_s']:.1f}", f"{r['warm_s']:.1f}", r["found"]] for r in found["rows"]
+    )
+    return table([f"{found['draws']} machines per design", "cold s", "warm s", "found"], rows)
+
+
 TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "false_alarms": ("false_alarms", false_alarms),
     "practice": ("practice", practice),
@@ -164,6 +171,7 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "interrupted": ("interrupted", interrupted),
     "strd": ("strd", strd),
     "laser_frame": ("laser_frame", laser_frame),
+    "artefact_design": ("artefact_design", artefact_design),
 }
 """Name of the table: the file in results/ and how it is laid out."""
 
