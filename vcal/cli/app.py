@@ -262,6 +262,38 @@ def uncertainty(
 
 @app.command()
 @guarded
+def design(
+    setup: Setup,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the design; a new one.")],
+    seed: Seed = 0,
+    override: Override = None,
+) -> None:
+    """Make a measurement plan better before measuring; OUT is a study of the designed plan.
+
+    What may vary, and what is made small, is said in the table [design] of the study file.
+    """
+    start()
+    from .design import run_design
+
+    command = ["vcal", "design", str(setup), "--out", str(out), "--seed", str(seed)]
+    for text in override or []:
+        command += ["--set", text]
+    with working("reading the study") as progress:
+        done = run_design(
+            setup,
+            out,
+            seed=seed,
+            overrides=override or [],
+            command=shlex.join(command),
+            progress=progress,
+        )
+    for sentence in done.sentences:
+        typer.echo(sentence)
+    typer.echo(f"Report: {done.page}")
+
+
+@app.command()
+@guarded
 def reproduce(
     name: Annotated[
         str | None, typer.Argument(help="What to reproduce; without it, what there is.")
