@@ -64,7 +64,7 @@ def design_page(
         kicker="vcal – a measurement designed",
         badge=Badge("Better plan", "good") if better else Badge("No better plan", "caution"),
         facts=facts(done, study),
-        warnings=design_notes(done, seen[1]),
+        warnings=design_notes(done),
         tiles=_tiles(done),
     )
 
@@ -147,7 +147,7 @@ def _places(done: Designed, shown: Mapping[str, Picture]) -> Section:
         "Where it is measured",
         (
             "plan.csv beside this page holds the nominal positions of the axes, in the columns of a "
-            "data file. The folder is a study of its own: `vcal uncertainty` on it draws machines, "
+            "data file. The folder is a study of its own: vcal uncertainty on it draws machines, "
             "and the measurement fills it.",
         ),
         pictures=tuple(shown[name] for name in ("places",) if name in shown),

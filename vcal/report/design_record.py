@@ -23,7 +23,7 @@ def design_sentence(done: Designed) -> str:
     return f"{what}: {before} with the plan as it is, {after} {unit(criterion.unit)} with the designed one."
 
 
-def design_notes(done: Designed, after: Seen) -> list[str]:
+def design_notes(done: Designed) -> list[str]:
     """What a reader has to know of how far this can be trusted."""
     found = []
     if done.best is done.nominal:
@@ -37,11 +37,6 @@ def design_notes(done: Designed, after: Seen) -> list[str]:
         found.append(
             "Some errors have no prior, so that there is no error before the measurement to compare "
             "with."
-        )
-    if after.unseen:
-        found.append(
-            "Of these the designed plan sees no more than combinations, and leaves the rest to their "
-            f"priors: {', '.join(after.unseen)}."
         )
     return found
 
@@ -62,7 +57,7 @@ def design_record(
         "schema": DESIGN_SCHEMA,
         "name": study.name,
         "sentence": design_sentence(done),
-        "notes": design_notes(done, seen[1]),
+        "notes": design_notes(done),
         "goal": task.criterion.name,
         "criterion": {"words": task.criterion.words, "unit": task.criterion.unit},
         "nominal": _plan(done, done.before, done.nominal, seen[0], done.worse_before),

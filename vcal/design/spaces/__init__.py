@@ -1,9 +1,9 @@
 """Spaces of plans, one leaf file per kind of instrument; importing the package registers them."""
 
 from ..plan_space import SPACES, DesignSettings
-from . import ball_array
+from . import ball_array, points
 
-__all__ = ["SPACES", "ball_array", "settings_of"]
+__all__ = ["SPACES", "ball_array", "points", "settings_of"]
 
 
 def settings_of(kind: str) -> type[DesignSettings]:
