@@ -110,9 +110,10 @@ class Compiled:
         value = averaged(criterion.smooth, criterion, self.task.families, covariances)
         return value * (1.0 + 0.1 * (space.excess(placed) / EXCESS_M) ** 2)
 
-    def value(self, placed: Any) -> Value:
-        """Of a plan."""
-        return _value(self._value(placed))
+    def value(self, placed: Any, weight: float = 1.0) -> Value:
+        """Of a plan, all groups counting as often as `weight` says."""
+        weights = np.full(len(self.task.space.groups), weight)
+        return _value(self._value(placed, weights))
 
     def without_each(self, placed: Any) -> np.ndarray:
         """By which share the criterion is larger without each of the groups."""
@@ -120,9 +121,8 @@ class Compiled:
         whole, each = self._without(placed, 1.0 - np.eye(m))
         return np.asarray(each / whole - 1.0)
 
-    def _valued(self, placed: Any):
-        ones = jnp.ones(len(self.task.space.groups))
-        return _values(self.task, self.covariances(placed, ones))
+    def _valued(self, placed: Any, weights: Float[Array, " g"]):
+        return _values(self.task, self.covariances(placed, weights))
 
     def _weighed(self, placed: Any, weights: Float[Array, "m m"]):
         task = self.task
@@ -154,6 +154,7 @@ def optimise(
     """
     space, compiled = task.space, Compiled(task)
     progress("judging the plan as it is")
+    require_traceable(compiled.smooth, space)
     before = compiled.value(space.nominal)
     check_finite(before, task)
     progress(f"searching from {starts} start{'s' * (starts > 1)}")
@@ -190,6 +191,25 @@ def optimise(
         fits=fits,
         compiled=compiled,
     )
+
+
+def traceable(function: Callable[[Any], Any], space: PlanSpace) -> bool:
+    """Whether a criterion can be differentiated by what a space varies."""
+    try:
+        jax.eval_shape(function, jax.ShapeDtypeStruct(space.low.shape, float))
+    except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError):
+        return False
+    return True
+
+
+def require_traceable(function: Callable[[Any], Any], space: PlanSpace) -> None:
+    """Raise `StudyError` where a criterion cannot be differentiated."""
+    if not traceable(function, space):
+        raise StudyError(
+            "the search: found a declared effect whose response leaves JAX (by numpy.asarray or an "
+            "`if` on a value), expected one that can be differentiated by positions; write it with "
+            "jax.numpy, or leave it out"
+        )
 
 
 def inside(task: Task, placed: Any) -> bool:

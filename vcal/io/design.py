@@ -20,10 +20,12 @@ from .settings import read_setup, validate
 from .study import Study, build_chain
 
 
-def design_task(study: Study, leave_out: Sequence[Effect] = ()) -> Task:
+def design_task(
+    study: Study, leave_out: Sequence[Effect] = (), found: Sequence[Effect] = ()
+) -> Task:
     """The space of a study's plan, the families and the goal of its ``[design]``.
 
-    Effects in `leave_out` are not judged. Raises `StudyError` for an instrument without a space,
+    Effects in `leave_out` are not judged; those `found` beside the declared ones are. Raises `StudyError` for an instrument without a space,
     errors that are not declared, families of another machine, and bounds that nothing satisfies.
     """
     kind, file, settings = study.settings.instrument.kind, study.path.name, study.settings.design
@@ -35,7 +37,7 @@ def design_task(study: Study, leave_out: Sequence[Effect] = ()) -> Task:
             f"one of {listed(SPACES)}",
             "judge plans of your own with `vcal uncertainty`",
         )
-    model = judged_model(study, leave_out)
+    model = judged_model(study, leave_out).with_effects(*found)
     if not model.entries:
         raise refusal(
             file,

@@ -6,13 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..design.following import Following
 from ..design.optimise import Designed
 from ..design.seen import Seen
-from ..io.designed import write_designed
+from ..io.designed import write_designed, write_plan
 from ..io.study import Study
 from .design_page import design_page
 from .design_pictures import design_pictures
 from .design_record import design_record
+from .following_page import following_page, following_pictures, following_record
 from .picture import Picture
 from .place import Place
 
@@ -54,6 +56,31 @@ def write_design(
         lambda work: write_designed(study, overrides, done.task.space, done.best, work),
         lambda drawn: design_page(done, seen, study, drawn, **told),
         lambda: design_record(done, seen, study, **told),
+    )
+
+
+def write_following(
+    done: Following,
+    study: Study,
+    out: Path | str,
+    *,
+    why: str,
+    seed: int = 0,
+    command: str = "",
+    seconds: float = math.nan,
+) -> Path:
+    """Write the next measurement into `out`; returns the path of its page.
+
+    As `write_design`, but `plan.csv` holds the further rows alone, and there is no study around
+    them. `why` says what it is good for. Raises `StudyError` as `check_design_folder` does.
+    """
+    told = {"seed": seed, "why": why, "command": command, "seconds": seconds}
+    return fill(
+        Path(out),
+        list(following_pictures(done)),
+        lambda work: write_plan(study, done.task.space, done.best.placed, work),
+        lambda drawn: following_page(done, study, drawn, **told),
+        lambda: following_record(done, study, **told),
     )
 
 

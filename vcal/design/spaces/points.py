@@ -116,7 +116,9 @@ class PointSpace(PlanSpace):
         index = {}
         for name, values in self.index.items():
             fresh = len(np.unique(values)) == len(values)
-            index[name] = values.max() + 1 + np.arange(count) if fresh else np.full(count, values[-1])
+            index[name] = (
+                values.max() + 1 + np.arange(count) if fresh else np.full(count, values[-1])
+            )
         first = max(self.numbering) + 1
         return dataclasses.replace(
             self,
