@@ -168,7 +168,7 @@ def _touched(
     own["ball"] = jnp.repeat(-poses.rotation, n, axis=0)
     for group, slope in own.items():
         if any(name.startswith(f"{group}.") for name in layout.names):
-            by_port = by_port.at[:, :, layout.slice(group)].set(slope)
+            by_port = jnp.asarray(by_port).at[:, :, layout.slice(group)].set(slope)
     seen = Touches(
         slopes(model.effects, model, plan, by_port).reshape(m, 3 * n, -1),
         by_pose.reshape(m, 3 * n, 6),

@@ -43,7 +43,7 @@ def grid_points(chain: Chain, plan: Plan, grid: tuple[int, int, int]) -> Plan:
         return scattered(chain, plan, jax.random.key(0), _SCATTERED)
     travel = travels(chain, plan)
     ends = [travel[chain.axes.index(axis)] for axis in "XYZ"]
-    sides = [np.linspace(*end, n) for end, n in zip(ends, grid, strict=True)]
+    sides = [np.linspace(low, high, n) for (low, high), n in zip(ends, grid, strict=True)]
     mesh = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
     rows = np.random.default_rng(0).integers(plan.rows, size=len(mesh))
     covariates = {name: np.asarray(values)[rows] for name, values in plan.covariates.items()}
@@ -57,7 +57,7 @@ def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
     chain, layout = model.chain, model.layout
     travel = travels(chain, plan)
     names = [entry.parameter.name for entry in model.entries]
-    lines = [np.linspace(*ends, NODES) for ends in travel]
+    lines = [np.linspace(low, high, NODES) for low, high in travel]
     position = np.tile(travel.mean(1), (len(lines), NODES, 1))
     for a, line in enumerate(lines):
         position[a, :, a] = line
@@ -72,7 +72,8 @@ def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
         for c in COMPONENTS:
             own = port == layout.index(f"E{c}{axis}")
             rows = np.zeros((NODES, len(names)))
-            np.add.at(rows, (slice(None), parameter[own]), here[:, own])
+            for column in np.flatnonzero(own):
+                rows[:, parameter[column]] += here[:, column]
             if not rows.any():
                 continue
             mine = tuple(i for i, n in enumerate(names) if n.startswith(f"E{c}{axis}."))

@@ -25,8 +25,9 @@ def design_task(
 ) -> Task:
     """The space of a study's plan, the families and the goal of its ``[design]``.
 
-    Effects in `leave_out` are not judged; those `found` beside the declared ones are. Raises `StudyError` for an instrument without a space,
-    errors that are not declared, families of another machine, and bounds that nothing satisfies.
+    Effects in `leave_out` are not judged; those `found` beside the declared ones are. Raises
+    `StudyError` for an instrument without a space, errors that are not declared, families of
+    another machine, and bounds that nothing satisfies.
     """
     kind, file, settings = study.settings.instrument.kind, study.path.name, study.settings.design
     if kind not in SPACES:

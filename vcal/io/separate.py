@@ -1,4 +1,4 @@
-"""Two effects that a measurement is to tell apart: as a user names them, or as the loop left them."""
+"""Two effects that a measurement is to tell apart: as a user or the loop names them."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -49,8 +49,8 @@ def parse_rivals(texts: Sequence[str], study: Study) -> Wanted:
             raise StudyError(f"--separate {text}: {error}") from error
         if rivals[-1].effect.kind != "systematic":
             raise StudyError(
-                f"--separate {text}: found a {rivals[-1].effect.kind} effect, expected a systematic "
-                "one; name another"
+                f"--separate {text}: found a {rivals[-1].effect.kind} effect, expected a "
+                "systematic one; name another"
             )
     return Wanted((rivals[0], rivals[1]), _declared(study, rivals))
 

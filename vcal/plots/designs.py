@@ -1,13 +1,18 @@
-"""Pictures of a measurement that is designed: its artefact, its places, what it leaves uncertain."""
+"""Pictures of a measurement that is designed: its artefact, its places, what it leaves open."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from .style import AFTER, BEFORE, DOTS, INK, NOMINAL, figure, grid, plain, pretty_unit, titled
+
+_ZOOM: Any = 0.95
+"""Of boxes in three dimensions; a fraction, which the stubs of matplotlib do not know."""
 
 
 class Places(NamedTuple):
@@ -34,7 +39,7 @@ class Uncertain(NamedTuple):
 
 
 def artefact_views(nominal: Mapping[str, np.ndarray], made: Mapping[str, np.ndarray]) -> Figure:
-    """Balls from two sides, as they are and as they were made; columns as in the artefact's table."""
+    """Balls from two sides, as they are and as designed; columns as in the artefact's table."""
     sizes = {c: np.ptp(np.r_[nominal[f"{c}_mm"], made[f"{c}_mm"]]) for c in "xyz"}
     first, second, third = sorted("xyz", key=lambda c: -sizes[c])
     drawn = figure(9.6, 4.4)
@@ -67,10 +72,11 @@ def artefact_views(nominal: Mapping[str, np.ndarray], made: Mapping[str, np.ndar
 
 def places_views(travel: Float[np.ndarray, "3 2"], views: Sequence[Places]) -> Figure:
     """Plans in the work space, side by side in three dimensions; travel of X, Y, Z in m."""
-    drawn = figure(9.6, 4.6)
+    drawn = figure(9.6, 3.9)
     ends = travel * 1e3
     for i, view in enumerate(views):
         ax = drawn.add_subplot(1, len(views), i + 1, projection="3d", computed_zorder=False)
+        assert isinstance(ax, Axes3D)
         for a in range(3):
             others = [b for b in range(3) if b != a]
             for first in (0, 1):
@@ -89,31 +95,37 @@ def places_views(travel: Float[np.ndarray, "3 2"], views: Sequence[Places]) -> F
                 ax.plot(
                     *at[:, view.group == group], "-", color=view.colour, linewidth=0.9, alpha=0.6
                 )
-        ax.plot(*at, ".", color=view.colour, markersize=4)
+        x, y, z = at
+        ax.plot(x, y, z, ".", color=view.colour, markersize=4)
         if view.station is not None:
             place = view.station * 1e3
             ax.plot(*place[:, None], "^", color=INK, markersize=7)
-            ax.text(*place, " instrument", fontsize=8, color=INK)
-        ax.set_title(view.name, fontsize=10, color=INK, loc="left")
+            east, north, up = place.tolist()
+            ax.text(east, north, up, " instrument", fontsize=8, color=INK)
+        ax.text2D(0.04, 0.94, view.name, fontsize=10, color=INK, transform=ax.transAxes)
         for letter, set_label in zip(
             "XYZ", (ax.set_xlabel, ax.set_ylabel, ax.set_zlabel), strict=True
         ):
             set_label(f"{letter}, mm", fontsize=8.5, color=INK)
         ax.tick_params(labelsize=7.5, colors=INK, pad=0)
         span = np.ptp(ends, axis=1)
-        ax.set_box_aspect(np.maximum(span, 0.25 * span.max()), zoom=0.88)
+        ax.set_box_aspect(np.maximum(span, 0.25 * span.max()).tolist(), zoom=_ZOOM)
         for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
-            axis.set_major_locator(matplotlib_ticks(4))
-            axis.pane.set_alpha(0.0)
-    drawn.subplots_adjust(left=0.0, right=0.96, top=0.93, bottom=0.06, wspace=0.02)
+            axis.set_major_locator(MaxNLocator(4))
+    drawn.subplots_adjust(left=0.0, right=0.95, top=0.99, bottom=0.05, wspace=0.02)
     return drawn
 
 
-def matplotlib_ticks(count: int):
-    """At most so many round ticks."""
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(count)
+def _round(low: float, high: float) -> list[float]:
+    """Round numbers from `low` to `high`, not more than seven of them."""
+    decades = range(int(np.floor(np.log10(low))) - 1, int(np.ceil(np.log10(high))) + 1)
+    for steps in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 3, 5), (1, 3), (1,)):
+        found = [
+            s * 10.0**d for d in decades for s in steps if low / 1.2 <= s * 10.0**d <= high * 1.2
+        ]
+        if len(found) <= 7:
+            return found
+    return found[:: len(found) // 7 + 1]
 
 
 def uncertainties(rows: Sequence[Uncertain], words: tuple[str, str]) -> Figure:
@@ -133,6 +145,10 @@ def uncertainties(rows: Sequence[Uncertain], words: tuple[str, str]) -> Figure:
         ax.plot(before, place, "o", color=BEFORE, markersize=5, label=words[0])
         ax.plot(after, place, "o", color=AFTER, markersize=5, label=words[1])
         ax.set_xscale("log")
+        shown = np.r_[before, after, prior[np.isfinite(prior)]]
+        ticks = _round(float(shown.min()), float(shown.max()))
+        ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
+        ax.set_xticks([], minor=True)
         ax.set_yticks(place, [row.name for row in mine])
         ax.set_ylim(-0.7, len(mine) - 0.3)
         plain(ax)

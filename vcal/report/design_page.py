@@ -19,11 +19,11 @@ from .sheet import Badge, Section, Table, Tile, sheet
 
 _MOST_GROUPS = 40
 CONVENTIONS = (
-    "Right-handed frames. Error = actual − nominal. Names of ISO 230-1: E, then the component (X, Y, "
-    "Z translations; A, B, C rotations about them), then the axis that moves; squarenesses such as "
-    "EC0Y.",
-    "Expected rms volumetric error: root of the expected mean square, over a grid in the travel, of "
-    "the length of the error of the tool point after compensation by the declared family's own "
+    "Right-handed frames. Error = actual − nominal. Names of ISO 230-1: E, then the component (X, "
+    "Y, Z translations; A, B, C rotations about them), then the axis that moves; squarenesses such "
+    "as EC0Y.",
+    "Expected rms volumetric error: root of the expected mean square, over a grid in the travel, "
+    "of the length of the error of the tool point after compensation by the declared family's own "
     "estimate; after the best rigid alignment, the raw figure beside it. It averages over machines "
     "of the declared family and over the noise; it is linear in the errors.",
     "U = 2 u. U of an error motion is the largest along its axis.",
@@ -96,8 +96,8 @@ def _tiles(done: Designed) -> list[Tile]:
         Tile(
             "valuation of the designed plan",
             share(valuation(done.after, done.prior)),
-            f"of the prior rms volumetric error is removed; {share(valuation(done.before, done.prior))} "
-            "as it is",
+            "of the prior rms volumetric error is removed; "
+            f"{share(valuation(done.before, done.prior))} as it is",
         ),
     ]
 
@@ -128,17 +128,16 @@ def _compared(done: Designed, seen: tuple[Seen, Seen]) -> Section:
             "",
         ),
     ]
-    lines = []
-    for word, one in zip(("as it is", "designed"), seen, strict=True):
-        if one.unseen:
-            lines.append(
-                f"Seen in combinations only, {word} (without any prior, but with all poses unknown): "
-                f"{', '.join(one.unseen)}."
-            )
+    lines = [
+        f"{word}, these are seen in combinations only: {', '.join(one.unseen)}."
+        for word, one in zip(("As it is", "As designed"), seen, strict=True)
+        if one.unseen
+    ]
+    note = "Rank, and what is seen, are told without any prior and with all poses unknown. "
     return Section(
         "As it is and as designed",
         tables=(Table(("", "as it is", "designed", ""), rows, "lrrl"),),
-        points=tuple(lines),
+        note=" ".join([note, *lines]),
     )
 
 
@@ -146,8 +145,8 @@ def _places(done: Designed, shown: Mapping[str, Picture]) -> Section:
     return Section(
         "Where it is measured",
         (
-            "plan.csv beside this page holds the nominal positions of the axes, in the columns of a "
-            "data file. The folder is a study of its own: vcal uncertainty on it draws machines, "
+            "plan.csv beside this page holds the nominal positions of the axes, in the columns of "
+            "a data file. The folder is a study of its own: vcal uncertainty on it draws machines, "
             "and the measurement fills it.",
         ),
         pictures=tuple(shown[name] for name in ("places",) if name in shown),

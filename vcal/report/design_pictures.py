@@ -28,8 +28,8 @@ def design_pictures(done: Designed) -> Iterator[Picture]:
             view_of(task, done.best, "designed", AFTER),
         ]
         caption = (
-            "Where the axes stand during the measurement, as the plan is (left) and as it was designed "
-            "(right); the box is the travel."
+            "Where the axes stand during the measurement, as the plan is (left) and as it was "
+            "designed (right); the box is the travel."
         )
         yield Picture("places", "places", caption, png(places_views(travel_of(task), views)))
     before, after = space.artefact(done.nominal), space.artefact(done.best)
@@ -40,7 +40,7 @@ def design_pictures(done: Designed) -> Iterator[Picture]:
         yield Picture("artefact", "artefact", caption, png(artefact_views(before, after)))
     caption = (
         "Largest expanded uncertainty (k = 2) of every error motion and squareness along its axis: "
-        "before any measurement (bar), with the plan as it is (orange), with the designed one (blue)."
+        "before any measurement (bar), with the plan as it is (orange), as designed (blue)."
     )
     drawn = uncertainties(uncertain(done), ("plan as it is", "designed"))
     yield Picture("uncertainties", "uncertainties", caption, png(drawn))

@@ -17,10 +17,11 @@ def design_sentence(done: Designed) -> str:
     """The answer in one sentence."""
     criterion = done.task.criterion
     before, after = (number(v.criterion) for v in (done.before, done.after))
+    words = unit(criterion.unit)
     what = f"{criterion.words[0].upper()}{criterion.words[1:]}"
     if done.best is done.nominal:
-        return f"The search found nothing better than the plan as it is: {before} {unit(criterion.unit)}."
-    return f"{what}: {before} with the plan as it is, {after} {unit(criterion.unit)} with the designed one."
+        return f"The search found nothing better than the plan as it is: {before} {words}."
+    return f"{what}: {before} with the plan as it is, {after} {words} with the designed one."
 
 
 def design_notes(done: Designed) -> list[str]:
@@ -35,8 +36,8 @@ def design_notes(done: Designed) -> list[str]:
         found.append(f"{out} of {len(done.fits)} starts ended out of the travel and do not count.")
     if done.prior is None:
         found.append(
-            "Some errors have no prior, so that there is no error before the measurement to compare "
-            "with."
+            "Some errors have no prior, so that there is no error before the measurement to "
+            "compare with."
         )
     return found
 

@@ -31,19 +31,22 @@ _TESTS = (
 def following_sentence(done: Following) -> str:
     """The answer in one sentence."""
     count = len(done.task.space.groups)
-    what = f"{count} further {done.task.space.group}{'s' * (count > 1)}"
+    several = count > 1
+    what = f"{count} further {done.task.space.group}{'s' * several}"
     if done.separation is not None and done.separated is not None:
         first, second = (r.effect.key for r in done.separation.rivals)
         before, after = (_number(x.smaller) for x in (done.separated, _lambdas(done.best)))
         powers = [min(done.separation.powers(x)) for x in (done.separated, _lambdas(done.best))]
+        verb = "raise" if several else "raises"
         return (
-            f"{what} raise the expected lack of fit between {first} and {second} from {before} to "
+            f"{what} {verb} the expected lack of fit between {first} and {second} from {before} to "
             f"{after}; detection power at {100 * ALPHA:g} %: {text.percent(powers[0])} before, "
             f"{text.percent(powers[1])} after."
         )
     criterion = done.task.criterion
     words = f"{criterion.words} from {text.number(done.before.criterion)} to "
-    return f"{what} bring the {words}{text.number(done.best.value.criterion)} {text.unit(criterion.unit)}."
+    after = f"{text.number(done.best.value.criterion)} {text.unit(criterion.unit)}"
+    return f"{what} bring{'s' * (not several)} the {words}{after}."
 
 
 def following_record(
@@ -114,8 +117,8 @@ def following_pictures(done: Following) -> Iterator[Picture]:
         )
     ]
     caption = (
-        "Largest expanded uncertainty (k = 2) of every error along its axis: before any measurement "
-        "(bar), by the data so far (orange), with the next measurement (blue)."
+        "Largest expanded uncertainty (k = 2) of every error along its axis: before any "
+        "measurement (bar), by the data so far (orange), with the next measurement (blue)."
     )
     drawn = uncertainties(rows, ("data so far", "with the next"))
     yield Picture("uncertainties", "uncertainties", caption, png(drawn))
@@ -247,7 +250,7 @@ def _conditions(done: Following) -> Table:
         rows.append(
             (name, text.number(float(values.min()), 4), text.number(float(values.max()), 4))
         )
-    return Table(("condition", "lowest", "highest"), rows, "lrr", note="SI, by row in plan.csv.")
+    return Table(("condition", "lowest", "highest"), rows, "lrr", note="Row by row in plan.csv.")
 
 
 def _separation(done: Following) -> Mapping[str, Any] | None:

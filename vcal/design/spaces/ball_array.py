@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -212,7 +212,9 @@ class BallArraySpace(PlanSpace):
         turns, shares, others = jax.random.split(key, 3)
         m = len(self.groups)
         quaternion = np.array(jax.random.normal(turns, (m, 4)))
-        drawn = np.concatenate([_turn_vectors(quaternion), jax.random.uniform(shares, (m, 3))], 1)
+        drawn = np.concatenate(
+            [_turn_vectors(quaternion), np.array(jax.random.uniform(shares, (m, 3)))], 1
+        )
         z = self.start
         z[: 6 * m] = drawn.ravel()
         rest = np.array(jax.random.uniform(others, (len(z) - 6 * m,)))
@@ -227,7 +229,7 @@ class BallArraySpace(PlanSpace):
         own = len(self.space.low)
         made = self.space.candidate(z[:own])
         chosen = z[own:].reshape(len(self.varied), len(self.groups))
-        covariates = dict(self.known)
+        covariates: dict[str, Any] = dict(self.known)
         for varied, values in zip(self.varied, chosen, strict=True):
             covariates[varied.name] = jnp.broadcast_to(values[:, None], self.touched.shape)
         return Placed(self.frame.certificate(made.poses), covariates, made.excess)
@@ -378,8 +380,8 @@ def _check_artefact(
                     f"balls that move, and the declared effect {effect.key!r}, which hangs on the "
                     "line of the artefact",
                     "one of them",
-                    "leave the balls as they are (across_mm = [0, 0], along = false), or the effect "
-                    "out",
+                    "leave the balls as they are (across_mm = [0, 0], along = false), or leave "
+                    "the effect out",
                 )
 
 

@@ -136,7 +136,7 @@ class PointSpace(PlanSpace):
     def taken(self) -> bool:
         return True  # the readings themselves tell
 
-    # --- numbers within bounds: shares of the travel, shares of the room, conditions ---------------
+    # --- numbers within bounds: shares of the travel and of the room, then conditions -------------
     @property
     def low(self) -> Float[np.ndarray, " d"]:
         return np.concatenate([np.zeros(self._placed_numbers), self._ends(0)])
