@@ -108,7 +108,7 @@ def designed(balls, tmp_path_factory):
     return out, design(balls, out, *FREE)
 
 
-# --- the folder -------------------------------------------------------------------------------------
+# --- the folder ----------------------------------------------------------------------------------
 
 
 def test_the_folder_is_a_study(designed, balls):
@@ -178,12 +178,9 @@ def test_worth_of_a_pose_is_that_of_a_plan_without_it(balls):
         rows = np.flatnonzero(np.asarray(study.plan.groups["pose"]) != pose)
         plan = study.plan.take(rows)
         left = dataclass_without(study.instrument, pose)
-        model = Model(
-            study.chain,
-            left,
-            [*(e for e in study.model.effects if e.key not in ("artefact_pose", "ball_calibration")),
-             *left.effects(plan)],
-        )  # fmt: skip
+        own = {e.key for e in left.effects(plan)}
+        kept = [e for e in study.model.effects if e.key not in own]
+        model = Model(study.chain, left, [*kept, *left.effects(plan)])
         points = grid_points(study.chain, study.plan, (4, 3, 3))
         rest = float(expected_rms(volumetric_gram(model, points).aligned, covariance(model, plan)))
         assert worse[pose] == pytest.approx(rest / whole - 1.0, rel=1e-3)
@@ -201,7 +198,7 @@ def dataclass_without(instrument, pose):
     )
 
 
-# --- spaces ---------------------------------------------------------------------------------------
+# --- spaces --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["balls", "tracker"])
@@ -348,8 +345,8 @@ def test_an_arm(tmp_path):
     for line in ("a_mm = 70\nalpha_deg = -90\n", "d_mm = 302\nalpha_deg = 90\n",
                  "d_mm = 72\ntheta_deg = 180\n"):  # fmt: skip
         text = text.replace(line, f"{line}low_deg = -150\nhigh_deg = 150\n")
-    text = text.replace('type = "revolute"\nalpha_deg = -90\n',
-                        'type = "revolute"\nalpha_deg = -90\nlow_deg = -120\nhigh_deg = 120\n')  # fmt: skip
+    bare = 'type = "revolute"\nalpha_deg = -90\n'
+    text = text.replace(bare, f"{bare}low_deg = -120\nhigh_deg = 120\n")
     setup.write_text(text, encoding="utf-8")
     study, task = task_of(folder)
     compiled = Compiled(task)
@@ -357,11 +354,11 @@ def test_an_arm(tmp_path):
     k = len(task.families[0].model.entries)
     (own,) = compiled.covariances(task.space.nominal, jnp.ones(len(task.space.groups)))
     scale = np.sqrt(np.diag(C))[:k]
-    np.testing.assert_allclose(own / np.outer(scale, scale),
-                               np.asarray(C)[:k, :k] / np.outer(scale, scale), atol=1e-6)  # fmt: skip
+    size = np.outer(scale, scale)
+    np.testing.assert_allclose(own / size, np.asarray(C)[:k, :k] / size, atol=1e-6)
 
 
-# --- what to measure next ----------------------------------------------------------------------------
+# --- what to measure next ------------------------------------------------------------------------
 
 
 def test_the_next_pose_is_better_than_fifty_at_random(balls):
@@ -520,7 +517,7 @@ def test_a_plan_has_no_loop(designed, tmp_path):
     assert "There are no readings yet" in printed
 
 
-# --- mistakes ---------------------------------------------------------------------------------------
+# --- mistakes ------------------------------------------------------------------------------------
 
 TRUE_STATION = ("--set", "design.station=true")
 BAD = {
