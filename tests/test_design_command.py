@@ -344,9 +344,9 @@ def test_an_arm(tmp_path):
     text = setup.read_text(encoding="utf-8")
     for line in ("a_mm = 70\nalpha_deg = -90\n", "d_mm = 302\nalpha_deg = 90\n",
                  "d_mm = 72\ntheta_deg = 180\n"):  # fmt: skip
-        text = text.replace(line, f"{line}low_deg = -150\nhigh_deg = 150\n")
+        text = text.replace(line, f"{line}low_deg = -360\nhigh_deg = 360\n")
     bare = 'type = "revolute"\nalpha_deg = -90\n'
-    text = text.replace(bare, f"{bare}low_deg = -120\nhigh_deg = 120\n")
+    text = text.replace(bare, f"{bare}low_deg = -360\nhigh_deg = 360\n")
     setup.write_text(text, encoding="utf-8")
     study, task = task_of(folder)
     compiled = Compiled(task)
@@ -520,13 +520,14 @@ def test_a_plan_has_no_loop(designed, tmp_path):
 # --- mistakes ------------------------------------------------------------------------------------
 
 TRUE_STATION = ("--set", "design.station=true")
+EVERYTHING = ", ".join(f"E{c}{axis} = 12" for axis in "XYZ" for c in "XYZABC")
 BAD = {
     "spacing": (
         ("--set", "design.along=true", "--set", "design.spacing_mm=900"),
-        ["key design.spacing_mm", "900 between 11 balls", "mm long"],
+        ["key design.spacing_mm", "900 between 8 balls", "mm long"],
     ),
     "neighbours": (
-        ("--set", "design.along=true", "--set", "design.spacing_mm=49.9"),
+        ("--set", "design.along=true", "--set", "design.spacing_mm=71.5"),
         ["key design.spacing_mm"],
     ),
     "across": (
@@ -539,12 +540,17 @@ BAD = {
     ),
     "misspelled": (("--set", "design.acros_mm=[1,0]"), ["did you mean 'across_mm'?"]),
     "goal": (("--set", "design.goal=volum"), ["did you mean 'volume'?"]),
-    "error": (("--set", 'design.errors=["EXQ"]'), ["key design.errors.0", "did you mean 'EX"]),
+    "error": (("--set", 'design.errors=["EYXX"]'), ["key design.errors.0", "did you mean 'EYX'"]),
     "no error": (("--set", "design.errors=[]"), ["key design.errors", "at least one"]),
     "grid": (("--set", "design.grid=[1,2,3]"), ["design.grid.0", "at least 2"]),
     "starts": (("--set", "design.starts=0"), ["design.starts", "at least 1"]),
     "must see": (
-        ("--set", "design.must_see={EXX = 12, EBX = 12, EBY = 12}", "--set", "design.poses=false"),
+        (
+            "--set",
+            f"design.must_see={{{EVERYTHING}}}",
+            "--set",
+            "design.poses=false",
+        ),
         ["key design.must_see", "are part of what they do not"],
     ),
     "unknown to see": (("--set", "design.must_see={EXQ = 2}"), ["key design.must_see.EXQ"]),

@@ -153,9 +153,10 @@ def optimise(
     is leaves what is asked for undetermined.
     """
     space, compiled = task.space, Compiled(task)
+    nominal = space.nominal
     progress("judging the plan as it is")
     require_traceable(compiled.smooth, space)
-    before = compiled.value(space.nominal)
+    before = compiled.value(nominal)
     check_finite(before, task)
     progress(f"searching from {starts} start{'s' * (starts > 1)}")
     found, placed = [], []
@@ -173,19 +174,19 @@ def optimise(
             f"the search: found no {space.group}s within the travel from {starts} starts, expected "
             "room for the artefact; take a smaller one, or more starts (design.starts)"
         )
-    after, best = min(options, key=lambda o: o[0].criterion, default=(before, space.nominal))
+    after, best = min(options, key=lambda o: o[0].criterion, default=(before, nominal))
     # A plan that no start improves is left as it is.
-    if after.criterion > before.criterion and inside(task, space.nominal):
-        after, best = before, space.nominal
+    if after.criterion > before.criterion and inside(task, nominal):
+        after, best = before, nominal
     progress(f"judging every {space.group}")
     return Designed(
         task=task,
-        nominal=space.nominal,
+        nominal=nominal,
         best=best,
         before=before,
         after=after,
         prior=prior_value(task),
-        worse_before=compiled.without_each(space.nominal),
+        worse_before=compiled.without_each(nominal),
         worse_after=compiled.without_each(best),
         found=tuple(found),
         fits=fits,

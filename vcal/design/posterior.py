@@ -18,6 +18,7 @@ from ..arrays import Array
 from ..effects.base import Effect
 from ..model import Model, observe_with_jacobian
 from ..plan import Plan
+from ..simulate import scattering
 
 
 def jacobian(model: Model, plan: Plan) -> Float[Array, "n m k"]:
@@ -71,8 +72,7 @@ def fresh_scatter(
     model: Model, plan: Plan, by_port: Float[Array, "n m p"]
 ) -> Float[Array, "n m r"]:
     """What one standard deviation of every random effect does to the readings of a row."""
-    sizes = [(p.mean or p.sigma) / p.sigma for e in model.random for p in e.amplitudes]
-    return slopes(model.random, model, plan, by_port) * jnp.asarray(sizes)
+    return slopes([scattering(effect) for effect in model.random], model, plan, by_port)
 
 
 def by_root(

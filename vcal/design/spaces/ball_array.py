@@ -34,6 +34,8 @@ _OF_SHAPE = ("along_beam", "tilt")
 _EXACT_M = 1e-9
 """Nearer to the nominal balls than this no machine touches: such positions were planned."""
 
+_DIGITS_MM = 1e-6
+"""What a table of ten digits may lose."""
 
 _Limit = Annotated[float, Field(ge=0)]
 
@@ -316,7 +318,8 @@ def _own_frame(device: BallArray) -> tuple[_Frame, np.ndarray]:
     beam, _ = device.beam()
     longest = int(np.argmax(np.abs(beam)))
     turn = np.roll(np.eye(3), longest, axis=0)
-    centre = device.centres.mean(0)
+    # The middle of the sides, so that balls designed within limits are within them ever after.
+    centre = 0.5 * (device.centres.min(0) + device.centres.max(0))
     return _Frame(turn, centre), np.argsort((device.centres - centre) @ turn[:, 0], kind="stable")
 
 
@@ -343,7 +346,7 @@ def _check_artefact(
         )
     for i, limit in enumerate(settings.across_mm):
         off = np.abs(balls[:, 1 + i]) * 1e3
-        if limit and off.max() > limit:
+        if limit and off.max() > limit + _DIGITS_MM:
             raise subject.refusal(
                 f"across_mm.{i}",
                 f"{limit:g}, while ball {int(numbers[int(off.argmax())])} lies {off.max():.4g} mm "
@@ -363,7 +366,7 @@ def _check_artefact(
                 "ask for less",
             )
         near = np.diff(balls[:, 0]) * 1e3
-        if near.min() < settings.spacing_mm - 1e-6:
+        if near.min() < settings.spacing_mm - _DIGITS_MM:
             first = int(near.argmin())
             raise subject.refusal(
                 "spacing_mm",
