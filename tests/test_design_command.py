@@ -466,6 +466,53 @@ def test_separating_two_effects(tracker):
     assert ALPHA == 0.01
 
 
+OWN = """
+import numpy as np
+import vcal
+
+
+class Step(vcal.Effect):
+    \"\"\"Y is off by a step where it is far out.\"\"\"
+
+    name = "far_step"
+
+    @property
+    def parameters(self):
+        return (vcal.Parameter("height", "um", sigma=5.0),)
+
+    @property
+    def needs(self):
+        return ("Y",)
+
+    def response(self, plan, shape):
+        return {("EYY", "height"): np.where(np.asarray(plan.x("Y")) > 0.45, 1.0, 0.0)}
+
+    @classmethod
+    def candidates(cls, setup):
+        yield cls(placement="Y")
+"""
+
+
+def test_an_effect_that_cannot_be_differentiated(tracker, tmp_path, monkeypatch):
+    monkeypatch.setattr("vcal.design.following.CANDIDATES", 4)
+    copy = declare(tracker, tmp_path, "")
+    (copy / "mine.py").write_text(OWN, encoding="utf-8")
+    own = ("--set", "model.effects_file=mine.py")
+    out = tmp_path / "out"
+    design(copy, out, "--next", "--separate", "far_step:Y", "--separate", "backlash:Y", *own)
+    found = strict(out / "result.json")
+    assert found["searched_by_gradient"] is False
+    assert "none of them moved" in (out / "index.html").read_text(encoding="utf-8")
+    assert found["separation"]["lambda_after"][0] > found["separation"]["lambda_before"][0]
+    # As a declared effect it would have to be followed by every step of a search.
+    text = (copy / "setup.toml").read_text(encoding="utf-8")
+    row = '\n[[model.effect]]\nname = "far_step"\nplacement = "Y"\n'
+    (copy / "setup.toml").write_text(text + row, encoding="utf-8")
+    for options in ((), ("--next", "--set", "loop.max_effects=0")):
+        message = design(copy, tmp_path / "other", *own, *options, code=2).stderr
+        assert "whose response leaves JAX" in message
+
+
 def test_sizes_of_rivals(tracker):
     study, _ = task_of(tracker)
     wanted = parse_rivals(["backlash:Y:size_um=5", "range_scale:scale_um_per_m=2"], study)

@@ -11,9 +11,8 @@ from jaxtyping import Float
 
 from ..arrays import Array
 from ..errors import StudyError
-from ..model import Model
-from .optimise import Compiled, Task, Value, check_finite, prior_value, traceable
-from .plan_space import PlanSpace
+from .optimise import Compiled, Task, Value, check_finite, prior_value, require_traceable, traceable
+from .plan_space import PlanSpace, joint_information
 from .search import search
 from .separation import Lambda, Separating, Separation
 
@@ -73,13 +72,15 @@ def follow(
     present = task.space
     varied = [] if separation is None else separation.varied(recorded(task))
     space = present.following(count, varied)
-    progress("what is known already")
-    held = [_held(present, judged.model) for judged in task.families]
+    progress("judging the data so far")
+    held = [joint_information(present, present.nominal, j.model) for j in task.families]
     further = task._replace(space=space)
     compiled = Compiled(further, held)
+    require_traceable(compiled.smooth, space)
     separating = None
     if separation is not None:
-        separating = Separating(separation, space, _held(present, separation.model))
+        known = joint_information(present, present.nominal, separation.model)
+        separating = Separating(separation, space, known)
     smooth = compiled.smooth if separating is None else separating.smooth
     differentiable = traceable(smooth, space)
     keys = jax.random.split(jax.random.key(seed), max(CANDIDATES, starts))
@@ -137,12 +138,6 @@ def recorded(task: Task) -> dict[str, np.ndarray]:
     """Covariates of the plan as it is, by name."""
     plan = task.space.plan(task.space.nominal)
     return {name: np.asarray(values) for name, values in plan.covariates.items()}
-
-
-def _held(space: PlanSpace, model: Model) -> Float[np.ndarray, "n n"]:
-    """What the plan as it is tells."""
-    ones = jnp.ones(len(space.groups))
-    return np.asarray(jax.jit(lambda placed: space.information(placed, model, ones))(space.nominal))
 
 
 def _each(

@@ -13,7 +13,7 @@ from ..arrays import Array
 from ..errors import StudyError
 from .criteria import MICRO, Criterion, Judged, averaged
 from .judged import prior_covariance
-from .plan_space import EXCESS_M, PlanSpace, starts_of
+from .plan_space import EXCESS_M, NOT_TRACED, PlanSpace, starts_of
 from .posterior import eliminated, inverse
 from .search import Found, search
 from .volume import expected_rms
@@ -198,7 +198,7 @@ def traceable(function: Callable[[Any], Any], space: PlanSpace) -> bool:
     """Whether a criterion can be differentiated by what a space varies."""
     try:
         jax.eval_shape(function, jax.ShapeDtypeStruct(space.low.shape, float))
-    except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError):
+    except NOT_TRACED:
         return False
     return True
 

@@ -212,6 +212,23 @@ def starts_of(space: PlanSpace, seed: int, count: int) -> list[np.ndarray]:
     return [space.start, *(space.scattered(k) for k in keys[: count - 1])]
 
 
+NOT_TRACED = (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError)
+"""What is raised where the response of an effect leaves JAX."""
+
+
+def joint_information(space: PlanSpace, placed: Any, model: Model) -> Float[np.ndarray, "n n"]:
+    """What a plan tells, all groups counting once; slower for effects that leave JAX."""
+
+    def told(placed: Any) -> Float[Array, "n n"]:
+        return space.information(placed, model, jax.numpy.ones(len(space.groups)))
+
+    try:
+        jax.eval_shape(told, placed)
+    except NOT_TRACED:
+        return np.asarray(told(placed))
+    return np.asarray(jax.jit(told)(placed))
+
+
 def path_m(position: Float[np.ndarray, "n axes"]) -> float:
     """Length of the way through successive positions, m."""
     return float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())

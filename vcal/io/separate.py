@@ -4,11 +4,11 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..design.optimise import Task
+from ..design.plan_space import joint_information
 from ..design.separation import Rival, Separation
 from ..effects.base import Effect, Setup
 from ..errors import StudyError
@@ -101,13 +101,8 @@ def _told(task: Task, first: Rival, second: Rival) -> float:
         separation = Separation.of(task.families[0].model, first, second)
     except StudyError:
         return np.inf
-    ones = jnp.ones(len(space.groups))
-    run = jax.jit(
-        lambda placed: separation.lambdas(
-            space.information(placed, separation.model, ones), space.shared
-        )
-    )
-    return float(np.asarray(run(space.nominal)).min())
+    joint = joint_information(space, space.nominal, separation.model)
+    return float(np.asarray(separation.lambdas(jnp.asarray(joint), space.shared)).min())
 
 
 def _declared(study: Study, rivals: Sequence[Rival]) -> tuple[Effect, ...]:
