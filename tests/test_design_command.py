@@ -154,6 +154,7 @@ def test_the_criterion_by_the_whole_covariance(designed):
     assert found["designed"]["valuation"] == pytest.approx(1 - found["designed"]["rms_um"] / prior)
 
 
+@pytest.mark.slow
 def test_the_folder_can_be_judged_by_monte_carlo(designed, tmp_path):
     out, _ = designed
     found = strict(out / "result.json")
@@ -201,8 +202,20 @@ def dataclass_without(instrument, pose):
 # --- spaces --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["balls", "tracker"])
-@pytest.mark.parametrize("goal", ["volume", "largest", "determinant"])
+LONG = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("kind", "goal"),
+    [
+        ("balls", "volume"),
+        pytest.param("balls", "largest", marks=LONG),
+        pytest.param("balls", "determinant", marks=LONG),
+        pytest.param("tracker", "volume", marks=LONG),
+        ("tracker", "largest"),
+        pytest.param("tracker", "determinant", marks=LONG),
+    ],
+)
 def test_gradient_against_finite_differences(request, kind, goal):
     folder = request.getfixturevalue(kind)
     free = ("design.across_mm=[40,40]", "design.along=true", "design.spacing_mm=20")
@@ -252,6 +265,7 @@ def test_points_and_station_by_the_whole_covariance(tracker, tmp_path):
     run("simulate", out, "--out", tmp_path / "made")
 
 
+@pytest.mark.slow
 def test_the_largest_uncertainty(balls, tmp_path):
     out = tmp_path / "out"
     design(balls, out, "--set", "design.goal=largest", "--set", 'design.errors=["EXX", "EBY"]')
@@ -693,6 +707,7 @@ def test_a_folder_with_other_things(balls, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
+@pytest.mark.slow
 def test_written_twice(designed, balls, tmp_path):
     """An earlier design is replaced, and the same seed gives the same plan."""
     out = tmp_path / "again"

@@ -87,7 +87,6 @@ class Compiled:
         self.task = task
         self.held = held
         self._value = jax.jit(self._valued)
-        self._without = jax.jit(self._weighed)
 
     def covariances(self, placed: Any, weights: Float[Array, " g"]) -> list[Float[Array, "k k"]]:
         """Of the amplitudes of every family."""
@@ -117,21 +116,14 @@ class Compiled:
 
     def without_each(self, placed: Any) -> np.ndarray:
         """By which share the criterion is larger without each of the groups."""
-        m = len(self.task.space.groups)
-        whole, each = self._without(placed, 1.0 - np.eye(m))
-        return np.asarray(each / whole - 1.0)
+        # The compiled value again and again: another program would take longer to compile.
+        groups = len(self.task.space.groups)
+        whole = float(self._value(placed, np.ones(groups))[0])
+        rows = 1.0 - np.eye(groups)
+        return np.array([float(self._value(placed, row)[0]) for row in rows]) / whole - 1.0
 
     def _valued(self, placed: Any, weights: Float[Array, " g"]):
         return _values(self.task, self.covariances(placed, weights))
-
-    def _weighed(self, placed: Any, weights: Float[Array, "m m"]):
-        task = self.task
-
-        def one(w):
-            covariances = self.covariances(placed, w)
-            return averaged(task.criterion.of, task.criterion, task.families, covariances)
-
-        return one(jnp.ones(weights.shape[1])), jax.lax.map(one, weights)
 
 
 def prior_value(task: Task) -> Value | None:
