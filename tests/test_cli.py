@@ -20,6 +20,7 @@ import vcal.cli.show
 import vcal.report
 from vcal.cli import app
 from vcal.cli.session import cache_folder, listen, working
+from vcal.design.spaces import SPACES, settings_of
 from vcal.instruments.laser_frame import SegmentSettings
 from vcal.io import load_study, read_table
 from vcal.io.settings import (
@@ -158,6 +159,7 @@ def test_every_key_is_explained():
     assert set(STARTS) == set(vcal.io.study.INSTRUMENTS)
     for kind, text in texts.items():
         known = [DataSettings, LoopSettings, vcal.io.study.INSTRUMENTS[kind].Settings]
+        known += [settings_of(kind)] if kind in SPACES else []
         known += [LinkSettings, JointSettings] if kind == "reflectors" else [
             FourierSettings, SmoothSettings,
         ]  # fmt: skip

@@ -196,11 +196,15 @@ def _scatter(model: Model, plan: Plan) -> Terms:
     """Random effects with their standard deviation as one unit."""
     blocks, count = [], 0
     for effect in model.random:
-        given = tuple((p.name, 0.0, _deviation(p)) for p in effect.amplitudes)
-        own = replace(effect, given=given, priors=())
-        blocks.append(effect_terms(own, model.layout, plan, {}, count))
-        count += len(given)
+        blocks.append(effect_terms(scattering(effect), model.layout, plan, {}, count))
+        count += len(effect.amplitudes)
     return concatenate(blocks, plan.rows, len(model.layout))
+
+
+def scattering(effect: Effect) -> Effect:
+    """A random effect with its standard deviation as one unit."""
+    given = tuple((p.name, 0.0, _deviation(p)) for p in effect.amplitudes)
+    return replace(effect, given=given, priors=())
 
 
 def _fresh(model: Model) -> Amplitudes:

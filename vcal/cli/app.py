@@ -262,6 +262,55 @@ def uncertainty(
 
 @app.command()
 @guarded
+def design(
+    setup: Setup,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the design; a new one.")],
+    following: Annotated[
+        bool, typer.Option("--next", help="Say what to measure next, on top of the data.")
+    ] = False,
+    separate: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--separate",
+            metavar="EFFECT",
+            help="With --next, given twice: tell these two effects apart; as in simulate --with.",
+        ),
+    ] = None,
+    seed: Seed = 0,
+    override: Override = None,
+) -> None:
+    """Make a measurement plan better before measuring; OUT is a study of the designed plan.
+
+    What may vary, and what is made small, is said in the table [design] of the study file. With
+    --next the plan or the data stay, and OUT holds the rows to measure next: those that make the
+    criterion smallest or, where the loop cannot decide between two effects, tell them apart.
+    """
+    start()
+    from .design import run_design
+
+    command = ["vcal", "design", str(setup), "--out", str(out), *(["--next"] if following else [])]
+    command += ["--seed", str(seed)]
+    for option, texts in (("--separate", separate), ("--set", override)):
+        for text in texts or []:
+            command += [option, text]
+    with working("reading the study") as progress:
+        done = run_design(
+            setup,
+            out,
+            following=following,
+            separate=separate or [],
+            seed=seed,
+            overrides=override or [],
+            command=shlex.join(command),
+            progress=progress,
+        )
+    for sentence in done.sentences:
+        typer.echo(sentence)
+    typer.echo(f"Report: {done.page}")
+
+
+@app.command()
+@guarded
 def reproduce(
     name: Annotated[
         str | None, typer.Argument(help="What to reproduce; without it, what there is.")

@@ -14,6 +14,7 @@ all pairs of balls (`pairs_precision`), which says nothing of its place, and acr
 straight artefact nothing of its shape.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import equinox as eqx
@@ -28,10 +29,19 @@ from ..chain import Chain
 from ..model import Model, tool_points_with_jacobian
 from ..plan import Plan
 from ..spatial import skew
-from .posterior import precision, slopes
+from .posterior import by_root, eliminated, fresh_scatter, precision, slopes
 
-_LOOSE_M = 1e-3
+LOOSE_M = 1e-3
 """Standard deviation of a ball centre where nothing else is known of it."""
+
+
+DERIVED = (
+    *(f"gravity_{c}" for c in "xyz"),
+    *(f"ball_{c}" for c in "xyz"),
+    "tilt",
+    "along_beam",
+)
+"""Covariates that follow from the poses and the artefact (`derived`)."""
 
 
 class ArrayPoses(eqx.Module):
@@ -66,18 +76,85 @@ class Touches(NamedTuple):
     balls: Float[Array, "m n n"]
 
 
-def touches(model: Model, poses: ArrayPoses) -> Touches:
+class Conditions(NamedTuple):
+    """Under which conditions the touches are made, and what their poses and balls are called."""
+
+    pose: tuple[int, ...]
+    ball: tuple[int, ...]
+    covariates: Mapping[str, Float[Array, "m N"]]
+    """SI, as in a plan."""
+
+    @classmethod
+    def none(cls, poses: ArrayPoses) -> "Conditions":
+        """Nothing is known of them; poses and balls are counted from zero."""
+        m, n = poses.rotation.shape[0], poses.balls.shape[0]
+        return cls(tuple(range(m)), tuple(range(n)), {})
+
+
+def derived(poses: ArrayPoses, beam: Float[np.ndarray, "3"]) -> dict[str, Float[Array, "m N"]]:
+    """Covariates that follow from the poses and the artefact: gravity in its frame, places of the
+    balls from their centroid, and along the `beam`, the direction of its long axis.
+    """
+    m, n = poses.rotation.shape[0], poses.balls.shape[0]
+    down = -poses.rotation[:, 2, :]
+    arm = poses.balls - poses.balls.mean(0)
+    along = arm @ beam
+    along = (along - along.min()) / (along.max() - along.min())
+    found = {f"gravity_{c}": down[:, i, None] for i, c in enumerate("xyz")}
+    found["tilt"] = jnp.arcsin(jnp.clip(-down @ beam, -1.0, 1.0))[:, None]
+    found["along_beam"] = along[None]
+    found |= {f"ball_{c}": arm[None, :, i] for i, c in enumerate("xyz")}
+    return {name: jnp.broadcast_to(values, (m, n)) for name, values in found.items()}
+
+
+def touches(model: Model, poses: ArrayPoses, conditions: Conditions | None = None) -> Touches:
     """Exact derivatives at the nominal machine, of tool point less ball centre.
 
-    `model` gives the chain and the effects of the machine; its instrument is not looked at. The
-    axes of the chain have to be X, Y and Z in any order.
+    `model` gives the chain and the effects, of the machine and of the artefact; its instrument is
+    asked for its ports only. The axes of the chain have to be X, Y and Z in any order. Raises
+    `KeyError` for an effect that needs a covariate which the `conditions` do not hold.
     """
+    return _touched(model, poses, conditions or Conditions.none(poses))[0]
+
+
+def probed(
+    model: Model, poses: ArrayPoses, probe_m: float, conditions: Conditions | None = None
+) -> Touches:
+    """`touches` in standard deviations of a touch, random effects included: the covariance of a
+    touch is probe^2 I and what the random effects of the model add to it.
+    """
+    seen, scatter = _touched(model, poses, conditions or Conditions.none(poses))
+    if not model.random:
+        return Touches(*(part / probe_m for part in seen))
+    m, n = poses.rotation.shape[0], poses.balls.shape[0]
+    noise = jnp.broadcast_to(probe_m**2 * jnp.eye(3), (m * n, 3, 3))
+    whole = jnp.concatenate([part.reshape(m * n, 3, -1) for part in seen], -1)
+    whole = by_root(noise, scatter, whole).reshape(m, 3 * n, -1)
+    ends = np.cumsum([part.shape[-1] for part in seen])[:-1]
+    return Touches(*jnp.split(whole, ends, axis=-1))
+
+
+def without_poses(whitened: Touches) -> Float[Array, "m n k+n"]:
+    """Derivatives by the amplitudes and then by the balls, less what unknown poses can follow."""
+    J, A, B = whitened
+    # Metres and radians of a pose are made alike before they are projected out.
+    A = A / jnp.linalg.norm(A, axis=1, keepdims=True)
+    q, _ = jnp.linalg.qr(A)
+    both = jnp.concatenate([J, B], -1)
+    return both - q @ (q.swapaxes(1, 2) @ both)
+
+
+def _touched(
+    model: Model, poses: ArrayPoses, conditions: Conditions
+) -> tuple[Touches, Float[Array, "rows 3 r"]]:
+    """`touches`, and what one standard deviation of every random effect does to each touch."""
     m, n = poses.rotation.shape[0], poses.balls.shape[0]
     chain, layout = model.chain, model.layout
     place = jnp.asarray(poses.position(chain)).reshape(m * n, 3)
     order = ["XYZ".index(axis) for axis in chain.axes]
-    number = {"pose": np.repeat(np.arange(m), n), "ball": np.tile(np.arange(n), m)}
-    plan = Plan(chain.axes, place[:, np.array(order)], {}, number)
+    number = {"pose": np.repeat(conditions.pose, n), "ball": np.tile(conditions.ball, m)}
+    known = {name: jnp.reshape(values, m * n) for name, values in conditions.covariates.items()}
+    plan = Plan(chain.axes, place[:, np.array(order)], known, number)
     ports = jnp.zeros((m * n, len(layout)))
     if poses.tool is not None:
         other = poses.tool.reshape(m * n, 3) - jnp.asarray(chain.tool_offset)
@@ -87,11 +164,18 @@ def touches(model: Model, poses: ArrayPoses) -> Touches:
     turned = jax.vmap(lambda r: jax.vmap(lambda b: r @ skew(b))(poses.balls))(poses.rotation)
     still = jnp.broadcast_to(-jnp.eye(3), (m, n, 3, 3))
     by_ball = jnp.einsum("mab,nl->mnalb", -poses.rotation, jnp.eye(n))
-    return Touches(
+    by_pose = jnp.concatenate([still, turned], -1)
+    own = {"target": by_pose.reshape(m * n, 3, 6), "read": jnp.eye(3)}
+    own["ball"] = jnp.repeat(-poses.rotation, n, axis=0)
+    for group, slope in own.items():
+        if any(name.startswith(f"{group}.") for name in layout.names):
+            by_port = jnp.asarray(by_port).at[:, :, layout.slice(group)].set(slope)
+    seen = Touches(
         slopes(model.effects, model, plan, by_port).reshape(m, 3 * n, -1),
-        jnp.concatenate([still, turned], -1).reshape(m, 3 * n, 6),
+        by_pose.reshape(m, 3 * n, 6),
         by_ball.reshape(m, 3 * n, 3 * n),
     )
+    return seen, fresh_scatter(model, plan, by_port)
 
 
 def array_curvature(
@@ -109,14 +193,13 @@ def array_curvature(
     the ball errors (1/m^2), `fresh` whether they are drawn anew in every pose, `often` how often
     the artefact is put up in each pose (once): zero leaves a pose out.
     """
-    J, B = _without_poses(seen, probe_m)
-    K = known + jnp.eye(known.shape[0]) / _LOOSE_M**2
-    times = jnp.ones(J.shape[0]) if often is None else often
-    H = jnp.einsum("m,mnk,mnl->kl", times, J, J) + precision(model)
-    if fresh:
-        return H - jnp.einsum("m,mkl->kl", times, _explained(J.swapaxes(1, 2) @ B, _square(B), K))
-    by_both, by_balls = (jnp.einsum("m,mnk,mnl->kl", times, part, B)[None] for part in (J, B))
-    return H - _explained(by_both, by_balls, K)[0]
+    own, known = precision(model), loosened(known)
+    both = without_poses(Touches(*(part / probe_m for part in seen)))
+    times = jnp.ones(len(both)) if often is None else often
+    if not fresh:
+        return eliminated(jnp.einsum("m,mni,mnj->ij", times, both, both), own, known)
+    left = _each_without_balls(both, own, known)
+    return jnp.einsum("m,mkl->kl", times, left) + own
 
 
 class PoseInformation(NamedTuple):
@@ -149,44 +232,28 @@ def pose_information(
     Ball errors that are fresh in every pose are eliminated with it. Those of one artefact stay: to
     eliminate them would tie the poses together.
     """
-    J, B = _without_poses(seen, probe_m)
-    K = known + jnp.eye(known.shape[0]) / _LOOSE_M**2
-    L = jnp.asarray(precision(model))
+    own, known = jnp.asarray(precision(model)), loosened(known)
+    both = without_poses(Touches(*(part / probe_m for part in seen)))
     if fresh:
-        own = _explained(J.swapaxes(1, 2) @ B, _square(B), K)
-        return PoseInformation(_square(J) - own, L)
-    rows = jnp.concatenate([J, B * _LOOSE_M], -1)
-    return PoseInformation(_square(rows), block_diag(L, K * _LOOSE_M**2))
+        return PoseInformation(_each_without_balls(both, own, known), own)
+    unit = jnp.concatenate([jnp.ones(len(own)), jnp.full(len(known), LOOSE_M)])
+    rows = both * unit
+    return PoseInformation(rows.swapaxes(1, 2) @ rows, block_diag(own, known * LOOSE_M**2))
 
 
-def _without_poses(
-    seen: Touches, probe_m: float
-) -> tuple[Float[Array, "m n k"], Float[Array, "m n n"]]:
-    """Whitened derivatives by machine and balls, less what the place of every pose explains."""
-    J, A, B = (part / probe_m for part in seen)
-    # Metres and radians of a pose are made alike before they are projected out.
-    A = A / jnp.linalg.norm(A, axis=1, keepdims=True)
-    q, _ = jnp.linalg.qr(A)
-
-    def left(part: Float[Array, "m n c"]) -> Float[Array, "m n c"]:
-        return part - q @ (q.swapaxes(1, 2) @ part)
-
-    return left(J), left(B)
-
-
-def _square(rows: Float[Array, "m n c"]) -> Float[Array, "m c c"]:
-    return rows.swapaxes(1, 2) @ rows
-
-
-def _explained(
-    by_both: Float[Array, "m k n"], by_balls: Float[Array, "m n n"], K: Float[Array, "n n"]
+def _each_without_balls(
+    both: Float[Array, "m n c"], own: Float[Array, "k k"], known: Float[Array, "n n"]
 ) -> Float[Array, "m k k"]:
-    """J'B (K + B'B)^-1 B'J, what could as well be the errors of the balls."""
-    # In units of the loosest, as the smallest and the largest precision are many decades apart.
-    scale = 1.0 / jnp.sqrt(jnp.diagonal(K + by_balls, axis1=1, axis2=2))
-    inner = scale[:, :, None] * (K + by_balls) * scale[:, None]
-    reach = by_both * scale[:, None]
-    return reach @ jnp.linalg.solve(inner, reach.swapaxes(1, 2))
+    """Information of every pose, its own ball errors eliminated."""
+    each = both.swapaxes(1, 2) @ both
+    return jax.vmap(lambda joint: eliminated(joint, jnp.zeros_like(own), known))(each)
+
+
+def loosened(known: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """A precision of ball errors with what is known of every ball in any case: its place to about
+    a millimetre.
+    """
+    return known + jnp.eye(known.shape[0]) / LOOSE_M**2
 
 
 def balls_precision(count: int, u_m: float) -> Float[Array, "n n"]:

@@ -9,6 +9,7 @@ and sizes of random effects may be traced, so that the uncertainty has a gradien
 
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +18,7 @@ from ..arrays import Array
 from ..effects.base import Effect
 from ..model import Model, observe_with_jacobian
 from ..plan import Plan
+from ..simulate import scattering
 
 
 def jacobian(model: Model, plan: Plan) -> Float[Array, "n m k"]:
@@ -51,16 +53,34 @@ def _with_ports(
 
 def information(model: Model, plan: Plan) -> Float[Array, "n k k"]:
     """J' C^-1 J of every row. Raises as `jacobian` does."""
+    J = whitened(model, plan)
+    return jnp.einsum("nik,nil->nkl", J, J)
+
+
+def whitened(model: Model, plan: Plan) -> Float[Array, "n m k"]:
+    """W J of every row, W' W = C^-1. Raises as `jacobian` does."""
     J, readings, by_port = _with_ports(model, plan)
     # Typed for the host, where most noise is declared; a traced plan needs an instrument that can.
     sigma = jnp.asarray(model.instrument.noise(plan, readings))  # type: ignore[arg-type]
-    noise = sigma[:, :, None] ** 2 * jnp.eye(sigma.shape[1])
-    if model.random:
-        scatter = slopes(model.random, model, plan, by_port)
-        sizes = [(p.mean or p.sigma) / p.sigma for e in model.random for p in e.amplitudes]
-        scatter = scatter * jnp.asarray(sizes)
-        noise += jnp.einsum("nik,njk->nij", scatter, scatter)
-    return jnp.einsum("nik,nil->nkl", J, jnp.linalg.solve(noise, J))
+    if not model.random:
+        return J / sigma[:, :, None]
+    scatter = fresh_scatter(model, plan, by_port)
+    return by_root(sigma[:, :, None] ** 2 * jnp.eye(sigma.shape[1]), scatter, J)
+
+
+def fresh_scatter(
+    model: Model, plan: Plan, by_port: Float[Array, "n m p"]
+) -> Float[Array, "n m r"]:
+    """What one standard deviation of every random effect does to the readings of a row."""
+    return slopes([scattering(effect) for effect in model.random], model, plan, by_port)
+
+
+def by_root(
+    noise: Float[Array, "n m m"], scatter: Float[Array, "n m r"], J: Float[Array, "n m k"]
+) -> Float[Array, "n m k"]:
+    """L^-1 J of every row, L L' = noise + scatter scatter'."""
+    noise = noise + jnp.einsum("nik,njk->nij", scatter, scatter)
+    return jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(noise), J, lower=True)
 
 
 def precision(model: Model) -> Float[np.ndarray, "k k"]:
@@ -84,6 +104,26 @@ def inverse(H: Float[Array, "k k"]) -> Float[Array, "k k"]:
     """H^-1 by columns of unit length."""
     scale = 1.0 / jnp.sqrt(jnp.diagonal(H))
     return scale[:, None] * jnp.linalg.inv(scale[:, None] * H * scale) * scale
+
+
+def eliminated(
+    joint: Float[Array, "n n"], own: Float[Array, "k k"], shared: Float[Array, "s s"]
+) -> Float[Array, "k k"]:
+    """H of the first k of jointly informed parameters, the other s left over: the Schur complement
+
+        H = J_kk + own - J_ks (J_ss + shared)^-1 J_sk
+
+    with `own` and `shared` the precisions of both kinds before any measurement; zero is flat.
+    """
+    k = own.shape[0]
+    H = joint[:k, :k] + own
+    if not shared.shape[0]:
+        return H
+    inner, reach = joint[k:, k:] + shared, joint[:k, k:]
+    # In units of the loosest, as the smallest and the largest precision are many decades apart.
+    scale = 1.0 / jnp.sqrt(jnp.diagonal(inner))
+    reach = reach * scale
+    return H - reach @ jnp.linalg.solve(scale[:, None] * inner * scale, reach.T)
 
 
 def expanded(

@@ -19,6 +19,7 @@ from .conditions import linear_plan, linear_plan_table
 from .frame import Station, displaced
 
 _READ = ("range", "azimuth", "elevation")
+_RANGE = np.array([1.0, 0.0, 0.0])
 
 
 class LaserTrackerSettings(InstrumentSettings):
@@ -123,8 +124,12 @@ class LaserTracker(Instrument):
 
     def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         r = readings[:, 0]
-        angle = np.full_like(r, self.angle_sigma)
-        return np.column_stack([self.range_sigma + self.range_sigma_per_m * r, angle, angle])
+        # Whole arrays, so that the readings may be traced by a search for better places.
+        return (
+            self.range_sigma * _RANGE
+            + self.range_sigma_per_m * r[:, None] * _RANGE
+            + (self.angle_sigma * (1.0 - _RANGE))
+        )
 
     def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         r, elevation = readings[:, 0], readings[:, 2]

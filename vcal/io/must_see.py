@@ -20,10 +20,15 @@ _SIZE = 1e-5
 
 
 def check_seen(
-    wanted: Mapping[str, int], chain: Chain, instrument: Instrument, plan: Plan, file: str
+    wanted: Mapping[str, int],
+    chain: Chain,
+    instrument: Instrument,
+    plan: Plan,
+    file: str,
+    key: str = "data.must_see",
 ) -> None:
     """Raises `StudyError` where the points do not tell all of that apart, together with the poses
-    that the instrument leaves unknown.
+    that the instrument leaves unknown. `key` is where the study file asks for it.
     """
     if not wanted:
         return
@@ -38,7 +43,7 @@ def check_seen(
     straight = {port for axis in linear for port in across(chain, axis)}
     lowest = {n: 2 if n in straight else 1 for n in motions} | dict.fromkeys(squarenesses, 0)
     for name, degree in wanted.items():
-        _check_key(name, degree, lowest, file)
+        _check_key(name, degree, lowest, file, key)
     model = Model(
         chain,
         instrument,
@@ -53,7 +58,8 @@ def check_seen(
                     LocationError.of(chain, name, _SIZE) for name in wanted if name in squarenesses
                 ),
             ),
-            *instrument.effects(plan),
+            # What has a prior of its own, such as a calibrated ball, is known well enough.
+            *(effect for effect in instrument.effects(plan) if effect.kind == "nuisance"),
         ),
     )
     found = rank_of(model, plan)
@@ -62,7 +68,7 @@ def check_seen(
         mixed = [name for name in dict.fromkeys(parts) if name in wanted]
         raise refusal(
             file,
-            "key data.must_see",
+            f"key {key}",
             f"{plan.rows} points that tell apart {found.rank} of {found.columns} parameters; "
             f"{listed(mixed)} {'is' if len(mixed) == 1 else 'are'} part of what they do not",
             "points that tell all of them apart",
@@ -70,8 +76,8 @@ def check_seen(
         )
 
 
-def _check_key(name: str, degree: int, lowest: Mapping[str, int], file: str) -> None:
-    key = f"key data.must_see.{name}"
+def _check_key(name: str, degree: int, lowest: Mapping[str, int], file: str, table: str) -> None:
+    key = f"key {table}.{name}"
     if name not in lowest:
         raise refusal(
             file,

@@ -10,6 +10,8 @@ from typing import Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
 from ..catalogue import nearest
+from ..design.plan_space import DesignSettings
+from ..design.spaces import settings_of
 from ..errors import StudyError
 from ..instruments import INSTRUMENTS
 from ..instruments.base import InstrumentSettings
@@ -195,7 +197,9 @@ class LoopSettings(Table):
 
 
 class StudySettings(Table):
-    """setup.toml as a whole; `instrument` and `model.geometric` are refined by what they name."""
+    """setup.toml as a whole; `instrument`, `design` and `model.geometric` are refined by what they
+    name.
+    """
 
     name: str = ""
     machine: MachineSettings
@@ -203,6 +207,7 @@ class StudySettings(Table):
     model: ModelSettings = ModelSettings()
     data: DataSettings = DataSettings()
     loop: LoopSettings = LoopSettings()
+    design: DesignSettings = DesignSettings()
 
 
 def read_setup(
@@ -279,6 +284,7 @@ def _refined(
             "correct the kind",
         )
     instrument = INSTRUMENTS[kind].Settings if isinstance(kind, str) else InstrumentSettings
+    design = settings_of(kind) if isinstance(kind, str) else DesignSettings
     family = at(raw, ("model", "geometric", "family"))
     geometric: type[Table]
     if at(raw, ("machine", "joint")) and not at(raw, ("machine", "chain")):
@@ -294,6 +300,7 @@ def _refined(
         __base__=StudySettings,
         instrument=(instrument, ...),
         model=(model, model()),
+        design=(design, design()),
     )
 
 

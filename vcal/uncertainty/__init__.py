@@ -7,6 +7,7 @@ from .ensemble import Ensemble, FieldResult
 from .functions import propagate_distributions
 from .linear import Linearised, linearised
 from .outputs import Field, Output
+from .programs import Programs
 from .propagate import propagate
 from .quantities import (
     ErrorMotionErrors,
@@ -44,6 +45,7 @@ __all__ = [
     "Output",
     "ParameterErrors",
     "Precision",
+    "Programs",
     "Quantity",
     "VolumetricErrors",
     "attained_coverage",

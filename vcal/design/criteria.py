@@ -1,0 +1,156 @@
+"""What a plan is judged by: one positive number that is to be small, of a covariance."""
+
+import abc
+from collections.abc import Callable, Sequence
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from ..catalogue import Catalogue
+from ..model import Model
+from .posterior import expanded
+from .volume import Gram, expected_rms
+
+MICRO = 1e-6
+_POWER = 24.0
+"""Of the norm that stands for the largest of many uncertainties while the search goes on: at most
+30 % above it for 600 of them that are all alike, a few percent in practice."""
+
+
+class ErrorMotion(NamedTuple):
+    """One error motion or squareness as linear functions of the amplitudes."""
+
+    name: str
+    unit: str
+    """``"um"`` or ``"urad"``."""
+    position: Float[np.ndarray, " n"]
+    """Along its axis, m or rad; empty for a squareness."""
+    functionals: Float[np.ndarray, "n k"]
+    """Value at every position (one for a squareness), SI."""
+    amplitudes: tuple[int, ...]
+    """Places of its own coefficients among those of the declared family."""
+
+
+class Judged(NamedTuple):
+    """A declared family of errors, and what its amplitudes amount to."""
+
+    model: Model
+    """Chain, instrument and the effects that are judged: no nuisances of the instrument."""
+    gram: Gram
+    motions: tuple[ErrorMotion, ...]
+    chosen: tuple[int, ...]
+    """Places of the motions that count for the criterion."""
+
+    @property
+    def precision(self) -> Float[np.ndarray, " k"]:
+        """Of the amplitudes before any measurement: one, or zero for a flat prior."""
+        return np.array([float(e.parameter.informed) for e in self.model.entries])
+
+    def largest(self, covariance: Float[Array, "k k"]) -> Float[Array, " q"]:
+        """Largest U (k = 2) of every error motion over its positions, um or urad."""
+        return jnp.stack([expanded(m.functionals, covariance).max() / MICRO for m in self.motions])
+
+
+class Criterion(abc.ABC):
+    """Base class of all criteria; subclasses are final."""
+
+    name: ClassVar[str]
+    """In study files."""
+    words: ClassVar[str]
+    """What it is called on a page."""
+    unit: ClassVar[str]
+
+    @abc.abstractmethod
+    def of(self, judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, ""]:
+        """The criterion itself."""
+
+    def smooth(self, judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, ""]:
+        """What a search makes small in its place: the same unless that has kinks."""
+        return self.of(judged, covariance)
+
+    @abc.abstractmethod
+    def together(self, values: Float[Array, " f"]) -> Float[Array, ""]:
+        """Average over several families."""
+
+
+CRITERIA: Catalogue[type[Criterion]] = Catalogue("goal")
+"""Every criterion by the name of its goal."""
+
+
+@CRITERIA.register
+class Volume(Criterion):
+    """Expected rms volumetric error after compensation, aligned: sqrt(tr(G C))."""
+
+    name = "volume"
+    words = "expected rms volumetric error after compensation"
+    unit = "um"
+
+    def of(self, judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, ""]:
+        return expected_rms(jnp.asarray(judged.gram.aligned), covariance) / MICRO
+
+    def together(self, values: Float[Array, " f"]) -> Float[Array, ""]:
+        return jnp.sqrt((values**2).mean())
+
+
+@CRITERIA.register
+class Largest(Criterion):
+    """Largest expanded uncertainty of the chosen errors; a microradian counts as a micrometre.
+
+    A search sees the norm (sum_i U_i^p)^(1/p), p = 24, which has no kinks.
+    """
+
+    name = "largest"
+    words = "largest expanded uncertainty U (k = 2) of the chosen errors"
+    unit = "um or urad"
+
+    def of(self, judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, ""]:
+        return _uncertainties(judged, covariance).max()
+
+    def smooth(self, judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, ""]:
+        U = _uncertainties(judged, covariance)
+        top = U.max()
+        return top * ((U / top) ** _POWER).sum() ** (1.0 / _POWER)
+
+    def together(self, values: Float[Array, " f"]) -> Float[Array, ""]:
+        return values.mean()
+
+
+@CRITERIA.register
+class Determinant(Criterion):
+    """Geometric mean of the standard deviations left of the chosen errors' amplitudes, in units of
+    their priors: det(C)^(1/(2 n)), so that D-optimal plans have a number people can read.
+    """
+
+    name = "determinant"
+    words = "geometric mean of what is left of the chosen errors' standard deviations"
+    unit = "of the prior"
+
+    def of(self, judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, ""]:
+        places = sorted({i for k in judged.chosen for i in judged.motions[k].amplitudes})
+        own = covariance[np.ix_(places, places)]
+        scale = jnp.sqrt(jnp.diagonal(own))
+        _, log = jnp.linalg.slogdet(own / scale[:, None] / scale)
+        return jnp.exp((0.5 * log + jnp.log(scale).sum()) / len(places))
+
+    def together(self, values: Float[Array, " f"]) -> Float[Array, ""]:
+        return jnp.exp(jnp.log(values).mean())
+
+
+def averaged(
+    function: Callable[[Judged, Float[Array, "k k"]], Float[Array, ""]],
+    criterion: Criterion,
+    families: Sequence[Judged],
+    covariances: Sequence[Float[Array, "k k"]],
+) -> Float[Array, ""]:
+    """A criterion over several families."""
+    each = [function(j, C) for j, C in zip(families, covariances, strict=True)]
+    return criterion.together(jnp.stack(each))
+
+
+def _uncertainties(judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, " n"]:
+    rows = np.concatenate([judged.motions[k].functionals for k in judged.chosen])
+    # The square root of a variance of zero has no slope.
+    return jnp.maximum(expanded(rows, covariance), 1e-15) / MICRO

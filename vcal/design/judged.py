@@ -1,0 +1,95 @@
+"""A declared family of errors made ready to judge plans by."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..chain import Chain
+from ..model import Model
+from ..plan import Plan
+from ..ports import COMPONENTS
+from ..simulate import scattered
+from ..uncertainty.quantities import conditions_at, travels
+from .criteria import ErrorMotion, Judged
+from .volume import volumetric_gram
+
+NODES = 21
+"""Positions along every axis at which the uncertainty of its error motions is asked for."""
+_SCATTERED = 600
+"""Points at which an arm is judged, for which a grid over all joints is too large."""
+
+
+def judge(
+    model: Model, plan: Plan, grid: tuple[int, int, int], names: Sequence[str] | None = None
+) -> Judged:
+    """A model without nuisances as plans are judged by it; `names` are the errors that count, all
+    by default. `plan` gives the conditions of the points.
+    """
+    motions = error_motions(model, plan)
+    wanted = [m.name for m in motions] if names is None else names
+    chosen = tuple(i for i, m in enumerate(motions) if m.name in wanted)
+    return Judged(
+        model, volumetric_gram(model, grid_points(model.chain, plan, grid)), motions, chosen
+    )
+
+
+def grid_points(chain: Chain, plan: Plan, grid: tuple[int, int, int]) -> Plan:
+    """A grid over the travel of X, Y and Z, for an arm points at random, under the conditions of
+    rows of the plan picked at random.
+    """
+    if set(chain.axes) != set("XYZ"):
+        return scattered(chain, plan, jax.random.key(0), _SCATTERED)
+    travel = travels(chain, plan)
+    ends = [travel[chain.axes.index(axis)] for axis in "XYZ"]
+    sides = [np.linspace(low, high, n) for (low, high), n in zip(ends, grid, strict=True)]
+    mesh = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
+    rows = np.random.default_rng(0).integers(plan.rows, size=len(mesh))
+    covariates = {name: np.asarray(values)[rows] for name, values in plan.covariates.items()}
+    return Plan(chain.axes, mesh[:, ["XYZ".index(a) for a in chain.axes]], covariates)
+
+
+def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
+    """Every error motion and squareness that the effects of the machine leave open, at positions
+    along its axis with the others in the middle of their travel.
+    """
+    chain, layout = model.chain, model.layout
+    travel = travels(chain, plan)
+    names = [entry.parameter.name for entry in model.entries]
+    lines = [np.linspace(low, high, NODES) for low, high in travel]
+    position = np.tile(travel.mean(1), (len(lines), NODES, 1))
+    for a, line in enumerate(lines):
+        position[a, :, a] = line
+    # All axes in one plan: every other size of a plan would be compiled for itself.
+    terms = model.terms(conditions_at(plan, position.reshape(-1, len(lines))))
+    values, port, parameter = (
+        np.asarray(part) for part in (terms.values, terms.port, terms.parameter)
+    )
+    found = []
+    for a, axis in enumerate(chain.axes):
+        here = values[a * NODES : (a + 1) * NODES]
+        for c in COMPONENTS:
+            own = port == layout.index(f"E{c}{axis}")
+            rows = np.zeros((NODES, len(names)))
+            for column in np.flatnonzero(own):
+                rows[:, parameter[column]] += here[:, column]
+            if not rows.any():
+                continue
+            mine = tuple(i for i, n in enumerate(names) if n.startswith(f"E{c}{axis}."))
+            unit = "um" if c in "XYZ" else "urad"
+            parts = tuple(np.flatnonzero(np.abs(rows).max(0) > 0.0).tolist())
+            found.append(ErrorMotion(f"E{c}{axis}", unit, lines[a], rows, mine or parts))
+    for i, entry in enumerate(model.entries):
+        if entry.key == "geometric" and "." not in entry.parameter.name:
+            row = np.zeros((1, len(names)))
+            row[0, i] = entry.parameter.step
+            found.append(ErrorMotion(entry.parameter.name, "urad", np.zeros(0), row, (i,)))
+    return tuple(found)
+
+
+def prior_covariance(judged: Judged) -> jnp.ndarray | None:
+    """Before any measurement; None where an error of the machine has no prior."""
+    open_ = judged.precision == 0.0
+    moves = np.diagonal(judged.gram.raw) > 0.0
+    return None if (open_ & moves).any() else jnp.diag(jnp.where(jnp.asarray(open_), 0.0, 1.0))

@@ -1,0 +1,246 @@
+"""A plan made better: the verb behind ``vcal design``."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from ..errors import StudyError
+from .criteria import MICRO, Criterion, Judged, averaged
+from .judged import prior_covariance
+from .plan_space import EXCESS_M, NOT_TRACED, PlanSpace, starts_of
+from .posterior import eliminated, inverse
+from .search import Found, search
+from .volume import expected_rms
+
+_FITS_M = 1e-9
+_TOLERANCE = 1e-5
+
+
+class Task(NamedTuple):
+    """A space of plans and what they are judged by."""
+
+    space: PlanSpace
+    families: tuple[Judged, ...]
+    """The study's own first."""
+    criterion: Criterion
+
+
+class Value(NamedTuple):
+    """What a plan leaves uncertain; averages over the families, but for the errors."""
+
+    criterion: float
+    aligned_um: float
+    """Expected rms volumetric error after compensation and rigid alignment."""
+    raw_um: float
+    """Without alignment."""
+    largest: np.ndarray
+    """Largest U (k = 2) of every error motion of the study's own family, um or urad."""
+    courses: tuple[np.ndarray, ...]
+    """U of every one of them along its axis."""
+
+
+@dataclass(frozen=True)
+class Designed:
+    """A plan as it is and as it was made."""
+
+    task: Task
+    nominal: Any
+    """Placed, as all plans here."""
+    best: Any
+    before: Value
+    after: Value
+    prior: Value | None
+    """Before any measurement; None where an error of the machine has no prior."""
+    worse_before: np.ndarray
+    """Of every group: by which share the criterion is larger without it."""
+    worse_after: np.ndarray
+    found: tuple[Found, ...]
+    """All starts, best first."""
+    fits: tuple[bool, ...]
+    """Whether what was found lies within the travel."""
+    compiled: "Compiled" = field(repr=False)
+
+    @property
+    def gain(self) -> float:
+        """Share by which the criterion fell."""
+        return 1.0 - self.after.criterion / self.before.criterion
+
+
+def valuation(value: Value, prior: Value | None) -> float:
+    """Share of the prior rms volumetric error that a plan removes."""
+    return 1.0 - value.aligned_um / prior.aligned_um if prior is not None else np.nan
+
+
+class Compiled:
+    """A task as compiled functions of what is placed, on top of what is known already.
+
+    Effects and families are closed over: they are data, the same for all plans.
+    """
+
+    def __init__(self, task: Task, held: Sequence[np.ndarray] | None = None):
+        self.task = task
+        self.held = held
+        self._value = jax.jit(self._valued)
+
+    def covariances(self, placed: Any, weights: Float[Array, " g"]) -> list[Float[Array, "k k"]]:
+        """Of the amplitudes of every family."""
+        space, found = self.task.space, []
+        for i, judged in enumerate(self.task.families):
+            joint = space.information(placed, judged.model, weights)
+            if self.held is not None:
+                joint = joint + self.held[i]
+            H = eliminated(
+                joint, jnp.diag(jnp.asarray(judged.precision)), jnp.asarray(space.shared)
+            )
+            found.append(inverse(H))
+        return found
+
+    def smooth(self, z: Float[Array, " d"]) -> Float[Array, ""]:
+        """What the search makes small: a millimetre out of the travel counts 10 %."""
+        space, criterion = self.task.space, self.task.criterion
+        placed = space.placed(z)
+        covariances = self.covariances(placed, jnp.ones(len(space.groups)))
+        value = averaged(criterion.smooth, criterion, self.task.families, covariances)
+        return value * (1.0 + 0.1 * (space.excess(placed) / EXCESS_M) ** 2)
+
+    def value(self, placed: Any, weight: float = 1.0) -> Value:
+        """Of a plan, all groups counting as often as `weight` says."""
+        weights = np.full(len(self.task.space.groups), weight)
+        return _value(self._value(placed, weights))
+
+    def without_each(self, placed: Any) -> np.ndarray:
+        """By which share the criterion is larger without each of the groups."""
+        # The compiled value again and again: another program would take longer to compile.
+        groups = len(self.task.space.groups)
+        whole = float(self._value(placed, np.ones(groups))[0])
+        rows = 1.0 - np.eye(groups)
+        return np.array([float(self._value(placed, row)[0]) for row in rows]) / whole - 1.0
+
+    def _valued(self, placed: Any, weights: Float[Array, " g"]):
+        return _values(self.task, self.covariances(placed, weights))
+
+
+def prior_value(task: Task) -> Value | None:
+    """Before any measurement; None where an error of the machine has no prior."""
+    priors = [prior_covariance(judged) for judged in task.families]
+    known = [p for p in priors if p is not None]
+    if len(known) < len(priors):
+        return None
+    return _value(jax.jit(lambda: _values(task, known))())
+
+
+def optimise(
+    task: Task, *, seed: int = 0, starts: int = 8, steps: int = 200,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Designed:  # fmt: skip
+    """Search the space from the plan as it is and from others around it.
+
+    Raises `StudyError` where no start leads to a plan within the travel, and where the plan as it
+    is leaves what is asked for undetermined.
+    """
+    space, compiled = task.space, Compiled(task)
+    nominal = space.nominal
+    progress("judging the plan as it is")
+    require_traceable(compiled.smooth, space)
+    before = compiled.value(nominal)
+    check_finite(before, task)
+    progress(f"searching from {starts} start{'s' * (starts > 1)}")
+    found, placed = [], []
+    if len(space.start):
+        begin = starts_of(space, seed, starts)
+        found = search(
+            compiled.smooth, begin, space.low, space.high, steps=steps, tolerance=_TOLERANCE
+        )
+        placed = [space.settled(space.placed(jnp.asarray(f.z))) for f in found]
+    fits = tuple(float(space.excess(p)) <= _FITS_M for p in placed)
+    # Of the same rank for the search, but told by the criterion itself.
+    options = [(compiled.value(p), p) for p, fit in zip(placed, fits, strict=True) if fit]
+    if placed and not options:
+        raise StudyError(
+            f"the search: found no {space.group}s within the travel from {starts} starts, expected "
+            "room for the artefact; take a smaller one, or more starts (design.starts)"
+        )
+    after, best = min(options, key=lambda o: o[0].criterion, default=(before, nominal))
+    # A plan that no start improves is left as it is.
+    if after.criterion > before.criterion and inside(task, nominal):
+        after, best = before, nominal
+    progress(f"judging every {space.group}")
+    return Designed(
+        task=task,
+        nominal=nominal,
+        best=best,
+        before=before,
+        after=after,
+        prior=prior_value(task),
+        worse_before=compiled.without_each(nominal),
+        worse_after=compiled.without_each(best),
+        found=tuple(found),
+        fits=fits,
+        compiled=compiled,
+    )
+
+
+def traceable(function: Callable[[Any], Any], space: PlanSpace) -> bool:
+    """Whether a criterion can be differentiated by what a space varies."""
+    try:
+        jax.eval_shape(function, jax.ShapeDtypeStruct(space.low.shape, float))
+    except NOT_TRACED:
+        return False
+    return True
+
+
+def require_traceable(function: Callable[[Any], Any], space: PlanSpace) -> None:
+    """Raise `StudyError` where a criterion cannot be differentiated."""
+    if not traceable(function, space):
+        raise StudyError(
+            "the search: found a declared effect whose response leaves JAX (by numpy.asarray or an "
+            "`if` on a value), expected one that can be differentiated by positions; write it with "
+            "jax.numpy, or leave it out"
+        )
+
+
+def inside(task: Task, placed: Any) -> bool:
+    """Whether all positions are within the travel."""
+    position = np.asarray(task.space.plan(placed).position)
+    low, high = np.stack([j.travel for j in task.families[0].model.chain.joints]).T
+    return bool((position >= low - _FITS_M).all() and (position <= high + _FITS_M).all())
+
+
+def check_finite(value: Value, task: Task) -> None:
+    """Raise `StudyError` for a plan that leaves what it is judged by undetermined."""
+    if not (np.isfinite(value.criterion) and value.criterion > 0.0):
+        raise StudyError(
+            f"the plan as it is: found that it leaves the {task.criterion.words} undetermined, "
+            "expected a number; give every error a prior, measure more, or choose other errors"
+        )
+
+
+def _values(task: Task, covariances: Sequence[Float[Array, "k k"]]):
+    rms = []
+    for gram in ("aligned", "raw"):
+        each = [
+            expected_rms(jnp.asarray(getattr(j.gram, gram)), C)
+            for j, C in zip(task.families, covariances, strict=True)
+        ]
+        rms.append(jnp.sqrt(jnp.mean(jnp.stack(each) ** 2)) / MICRO)
+    own, C = task.families[0], covariances[0]
+    courses = [
+        2.0 * jnp.sqrt(jnp.maximum(jnp.einsum("qk,kl,ql->q", m.functionals, C, m.functionals), 0.0))
+        / MICRO
+        for m in own.motions
+    ]  # fmt: skip
+    criterion = averaged(task.criterion.of, task.criterion, task.families, covariances)
+    return criterion, *rms, courses
+
+
+def _value(values) -> Value:
+    criterion, aligned, raw, courses = values
+    told = tuple(np.asarray(c) for c in courses)
+    largest = np.array([c.max() for c in told])
+    return Value(float(criterion), float(aligned), float(raw), largest, told)

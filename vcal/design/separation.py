@@ -1,0 +1,167 @@
+"""Which of two effects it is: how well a measurement could tell.
+
+Effect A is real with the amplitudes a, and B is fitted in its place, together with the declared
+model. What then cannot be explained is the non-centrality of the test for A,
+
+    lambda(A | B) = a' G a,    G = C' C - C' J (J' J + L)^-1 J' C,
+
+C the whitened columns of A, J those of the declared model, of B and of what the groups share, L
+their prior precision: what the loop's own test sees. Where a is known by its mean m and covariance
+S only, its expectation is m' G m + tr(G S). Which of the two is real is not known, so that the
+smaller of lambda(A | B) and lambda(B | A) counts.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.special import chdtri, chndtr
+
+from ..arrays import Array
+from ..effects.base import Effect
+from ..errors import StudyError
+from ..model import Model
+from .plan_space import PlanSpace, Varied
+from .posterior import eliminated
+
+ALPHA = 0.01
+"""Share of measurements without A in which the test may fire."""
+_NOTHING = 1e-12
+
+
+class Rival(NamedTuple):
+    """An effect with what is known of its size."""
+
+    effect: Effect
+    """With the catalogue's priors of its amplitudes."""
+    moment: Float[np.ndarray, "a a"]
+    """m m' + S of its amplitudes, in solver units."""
+    sized: bool
+    """Whether its size is given or estimated; else it is that of its prior."""
+
+    @classmethod
+    def of(cls, effect: Effect) -> "Rival":
+        """From an effect with declared values: known amplitudes have that size, others that of
+        their priors.
+
+        Raises `StudyError` where a shape parameter, such as a pitch, has no value.
+        """
+        given = {name for name, *_ in effect.given}
+        loose = [p.name for p in effect.shapes if p.name not in given]
+        if loose:
+            raise StudyError(
+                f"effect {effect.key!r}: found the free shape parameter {loose[0]!r}, expected a "
+                "value, as an expected lack of fit is that of one shape; give it, such as "
+                f"{effect.name}:{effect.placement}:{effect.shapes[0].label}=..."
+            )
+        shapes = {p.name for p in effect.shapes}
+        kept = tuple(item for item in effect.given if item[0] in shapes)
+        plain = dataclasses.replace(effect, given=kept, priors=())
+        mean, spread = [], []
+        for known, own in zip(effect.amplitudes, plain.amplitudes, strict=True):
+            mean.append(known.mean * known.si / own.step)
+            spread.append((known.sigma * known.si / own.step) ** 2)
+        moment = np.outer(mean, mean) + np.diag(spread)
+        if not moment.any():
+            raise StudyError(
+                f"effect {effect.key!r}: found a size of zero, expected one that could be seen; "
+                "give another, or none for that of its prior"
+            )
+        return cls(plain, moment, bool(given - shapes))
+
+
+class Lambda(NamedTuple):
+    """Expected lack of fit when the first effect is real and the second is fitted, and the other
+    way round.
+    """
+
+    first: float
+    second: float
+
+    @property
+    def smaller(self) -> float:
+        """What counts."""
+        return min(self.first, self.second)
+
+
+class Separation(NamedTuple):
+    """Two rivals on top of a declared model."""
+
+    model: Model
+    """Declared effects, then those of the first rival, then those of the second."""
+    rivals: tuple[Rival, Rival]
+
+    @classmethod
+    def of(cls, model: Model, first: Rival, second: Rival) -> "Separation":
+        """Raises `StudyError` where both are the same."""
+        if first.effect.key == second.effect.key and [p.name for p in first.effect.parameters] == [
+            p.name for p in second.effect.parameters
+        ]:
+            raise StudyError(
+                f"--separate: found {first.effect.key!r} twice, expected two effects; name another"
+            )
+        return cls(model.with_effects(first.effect, second.effect), (first, second))
+
+    def varied(self, known: dict[str, np.ndarray]) -> list[Varied]:
+        """Conditions that either of them depends on, within what the data have seen; time is left
+        out, as it cannot be chosen.
+        """
+        found = []
+        needs = dict.fromkeys((*self.rivals[0].effect.needs, *self.rivals[1].effect.needs))
+        for name in needs:
+            if name not in known or name == "t":
+                continue
+            if name.startswith("dir_"):
+                found.append(Varied(name, -1.0, 1.0, step=True))
+            elif np.ptp(known[name]) > 0.0:
+                found.append(Varied(name, float(known[name].min()), float(known[name].max())))
+        return found
+
+    def lambdas(
+        self, joint: Float[Array, "n n"], shared: Float[np.ndarray, "s s"]
+    ) -> Float[Array, "2"]:
+        """lambda(A | B) and lambda(B | A) of what is known jointly (`PlanSpace.information`)."""
+        k = len(self.model.entries)
+        prior = np.diag([float(e.parameter.informed) for e in self.model.entries])
+        precision = np.zeros((k + len(shared), k + len(shared)))
+        precision[:k, :k], precision[k:, k:] = prior, shared
+        counts = [len(r.effect.amplitudes) for r in self.rivals]
+        ends = k - sum(counts), k - counts[1], k
+        found = []
+        for i, rival in enumerate(self.rivals):
+            own = np.arange(ends[i], ends[i + 1])
+            others = np.setdiff1d(np.arange(len(precision)), own)
+            order = np.concatenate([own, others])
+            rest = jnp.asarray(precision[np.ix_(others, others)])
+            G = eliminated(joint[np.ix_(order, order)], jnp.zeros((len(own), len(own))), rest)
+            found.append(jnp.einsum("ij,ij->", G, jnp.asarray(rival.moment)))
+        return jnp.stack(found)
+
+    def powers(self, found: Lambda) -> tuple[float, float]:
+        """Power of either test at `ALPHA`."""
+        values = []
+        for rival, size in zip(self.rivals, found, strict=True):
+            count = len(rival.effect.amplitudes)
+            values.append(float(1.0 - chndtr(chdtri(count, ALPHA), count, max(size, 0.0))))
+        return values[0], values[1]
+
+
+class Separating:
+    """Two rivals as a search sees them, on top of what is measured already."""
+
+    def __init__(self, separation: Separation, space: PlanSpace, held: Float[np.ndarray, "n n"]):
+        self.separation, self.space, self.held = separation, space, held
+
+    def lambdas(self, placed: Any, weight: float = 1.0) -> Float[Array, "2"]:
+        """Of the data so far and further groups."""
+        weights = jnp.full(len(self.space.groups), weight)
+        joint = self.space.information(placed, self.separation.model, weights)
+        return self.separation.lambdas(joint + self.held, self.space.shared)
+
+    def smooth(self, z: Float[Array, " d"]) -> Float[Array, ""]:
+        """1 / lambda(A | B) + 1 / lambda(B | A), which the smaller one rules; to be small."""
+        placed = self.space.placed(z)
+        value = (1.0 / jnp.maximum(self.lambdas(placed), _NOTHING)).sum()
+        return value * (1.0 + 0.1 * (self.space.excess(placed) / 1e-3) ** 2)

@@ -1,0 +1,11 @@
+"""Spaces of plans, one leaf file per kind of instrument; importing the package registers them."""
+
+from ..plan_space import SPACES, DesignSettings
+from . import ball_array, points
+
+__all__ = ["SPACES", "ball_array", "points", "settings_of"]
+
+
+def settings_of(kind: str) -> type[DesignSettings]:
+    """The ``[design]`` table of an instrument; the common keys where it has no space."""
+    return SPACES[kind].Settings if kind in SPACES else DesignSettings

@@ -1,0 +1,375 @@
+"""Instruments whose rows are points that may be placed freely."""
+
+import abc
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field, model_validator
+
+from ...arrays import Array
+from ...chain import Chain
+from ...instruments.base import Instrument
+from ...instruments.laser_tracker import LaserTracker
+from ...instruments.reflectors import Reflectors
+from ...model import Model
+from ...plan import Plan
+from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m, register
+from ..posterior import whitened
+
+_SHARE = 0.15
+"""How far a start is scattered, as a share of the travel."""
+
+
+class PointsDesign(DesignSettings):
+    """Keys of ``[design]`` that all instruments of free points have."""
+
+    points: bool = True
+    """Whether the points may be anywhere within the travel."""
+    seconds_per_point: float = Field(default=10.0, ge=0)
+    """Time to measure a point."""
+
+
+class Placed(NamedTuple):
+    """Points under conditions, and where the instrument stands (empty where it does not matter)."""
+
+    position: Float[Array, "n axes"]
+    covariates: Mapping[str, Float[Array, " n"]]
+    station: Float[Array, " s"]
+
+
+@dataclass(frozen=True)
+class PointSpace(PlanSpace):
+    """Positions within the travel of every axis; subclasses say what follows from a position."""
+
+    group = "point"
+
+    chain: Chain
+    device: Any
+    settings: Any
+    position: np.ndarray
+    known: Mapping[str, np.ndarray]
+    """Recorded covariates (n,), those that follow from the positions left out."""
+    index: Mapping[str, np.ndarray]
+    """Group indices of the rows."""
+    numbering: tuple[int, ...]
+    place: np.ndarray
+    """Where the instrument stands, m; empty where it does not matter."""
+    room: np.ndarray
+    """Bounds (s, 2) of where it may stand; none where it stays."""
+    varied: tuple[Varied, ...] = ()
+    anywhere: bool = False
+
+    # --- what a leaf says -----------------------------------------------------------------------
+    @classmethod
+    @abc.abstractmethod
+    def follows(cls, chain: Chain) -> tuple[str, ...]:
+        """Covariates that follow from the positions."""
+
+    @abc.abstractmethod
+    def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
+        """Their values; may be traced."""
+
+    @abc.abstractmethod
+    def standing(self, station: Float[Array, " s"]) -> Instrument:
+        """The instrument at some place; may be traced."""
+
+    @classmethod
+    def stands(cls, subject: Subject, settings: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Where the instrument stands, and bounds of where it may stand."""
+        del subject, settings
+        return np.zeros(0), np.zeros((0, 2))
+
+    # --- where it begins ------------------------------------------------------------------------
+    @classmethod
+    def of(cls, subject: Subject, model: Model, settings: Any) -> Self:
+        chain, plan = subject.chain, subject.plan
+        for joint in chain.joints:
+            if not np.isfinite(np.asarray(joint.travel)).all():
+                raise subject.refusal(
+                    "points", f"axis {joint.name} without bounds", "bounds of every axis",
+                    "declare its travel",
+                )  # fmt: skip
+        place, room = cls.stands(subject, settings)
+        own = {*cls.follows(chain)}
+        known = {n: np.asarray(v) for n, v in plan.covariates.items() if n not in own}
+        index = {name: np.asarray(values) for name, values in plan.groups.items()}
+        return cls(
+            chain=chain,
+            device=subject.instrument,
+            settings=settings,
+            position=np.asarray(plan.position),
+            known=known,
+            index=index,
+            numbering=_numbers(index, cls.group, plan.rows),
+            place=place,
+            room=room,
+        )
+
+    def following(self, count: int, varied: Sequence[Varied]) -> Self:
+        index = {}
+        for name, values in self.index.items():
+            fresh = len(np.unique(values)) == len(values)
+            index[name] = (
+                values.max() + 1 + np.arange(count) if fresh else np.full(count, values[-1])
+            )
+        first = max(self.numbering) + 1
+        return dataclasses.replace(
+            self,
+            settings=self.settings.model_copy(update={"points": True}),
+            position=np.tile(self._travel().mean(1), (count, 1)),
+            known={name: np.full(count, values[-1]) for name, values in self.known.items()},
+            index=index,
+            numbering=tuple(range(first, first + count)),
+            room=np.zeros((0, 2)),
+            varied=tuple(varied),
+            anywhere=True,
+        )
+
+    @property
+    def taken(self) -> bool:
+        return True  # the readings themselves tell
+
+    # --- numbers within bounds: shares of the travel and of the room, then conditions -------------
+    @property
+    def low(self) -> Float[np.ndarray, " d"]:
+        return np.concatenate([np.zeros(self._placed_numbers), self._ends(0)])
+
+    @property
+    def high(self) -> Float[np.ndarray, " d"]:
+        return np.concatenate([np.ones(self._placed_numbers), self._ends(1)])
+
+    @property
+    def start(self) -> Float[np.ndarray, " d"]:
+        parts = []
+        if self.settings.points:
+            low, high = self._travel().T
+            parts.append(((self.position - low) / (high - low)).ravel())
+        if len(self.room):
+            parts.append((self.place - self.room[:, 0]) / np.ptp(self.room, axis=1))
+        parts.append(0.5 * (self._ends(0) + self._ends(1)))
+        return np.clip(np.concatenate(parts), self.low, self.high)
+
+    def scattered(self, key: Array) -> Float[np.ndarray, " d"]:
+        width = self.high - self.low
+        if self.anywhere:
+            return self.low + width * np.array(jax.random.uniform(key, (len(width),)))
+        drawn = np.array(jax.random.normal(key, (len(width),)))
+        return np.clip(self.start + _SHARE * width * drawn, self.low, self.high)
+
+    # --- what a point stands for ----------------------------------------------------------------
+    @property
+    def nominal(self) -> Placed:
+        return Placed(self.position, self.known, self.place)  # type: ignore[arg-type]
+
+    def placed(self, z: Float[Array, " d"]) -> Placed:
+        n = len(self.numbering)
+        position, station = jnp.asarray(self.position), jnp.asarray(self.place)
+        used = 0
+        if self.settings.points:
+            low, high = self._travel().T
+            used = self.position.size
+            position = low + (high - low) * z[:used].reshape(self.position.shape)
+        if len(self.room):
+            shares = z[used : used + len(self.room)]
+            station = self.room[:, 0] + np.ptp(self.room, axis=1) * shares
+            used += len(self.room)
+        covariates = dict(self.known)
+        for varied, values in zip(self.varied, z[used:].reshape(-1, n), strict=True):
+            covariates[varied.name] = values
+        return Placed(position, covariates, station)
+
+    def excess(self, placed: Placed) -> Float[Array, ""]:
+        return jnp.zeros(())
+
+    def settled(self, placed: Placed) -> Placed:
+        covariates = dict(placed.covariates)
+        for v in self.varied:
+            if v.step:
+                up = np.asarray(covariates[v.name]) >= 0.5 * (v.low + v.high)
+                covariates[v.name] = np.where(up, v.high, v.low)
+        return placed._replace(covariates=covariates)
+
+    # --- what it tells --------------------------------------------------------------------------
+    @property
+    def groups(self) -> tuple[int, ...]:
+        return self.numbering
+
+    def information(
+        self, placed: Placed, model: Model, weights: Float[Array, " g"]
+    ) -> Float[Array, "k+s k+s"]:
+        instrument = self.standing(placed.station)
+        plan = self._plan(placed)
+        whole = Model(
+            model.chain, instrument, (*model.effects, *instrument.effects(plan), *model.random)
+        )
+        J = whitened(whole, plan)
+        weighed = J * weights[:, None, None]
+        return weighed.reshape(-1, J.shape[-1]).T @ J.reshape(-1, J.shape[-1])
+
+    @property
+    def shared(self) -> Float[np.ndarray, "s s"]:
+        effects = self.device.effects(self._plan(self.nominal))
+        return np.diag([float(p.informed) for e in effects for p in e.amplitudes])
+
+    # --- edges ----------------------------------------------------------------------------------
+    def instrument(self, placed: Placed) -> Instrument:
+        return self.standing(np.asarray(placed.station))  # type: ignore[arg-type]
+
+    def plan(self, placed: Placed) -> Plan:
+        plan = self._plan(placed)
+        covariates = {name: np.asarray(values) for name, values in plan.covariates.items()}
+        return Plan(plan.axes, np.asarray(plan.position), covariates, plan.groups)
+
+    def seconds(self, placed: Placed) -> float:
+        s = self.settings
+        way = path_m(np.asarray(placed.position)) * s.seconds_per_metre
+        return float(len(self.numbering) * s.seconds_per_point + way)
+
+    def _plan(self, placed: Placed) -> Plan:
+        covariates = {**placed.covariates, **self.following_from(placed)}
+        return Plan(self.chain.axes, placed.position, covariates, self.index)
+
+    def _travel(self) -> np.ndarray:
+        return np.stack([joint.travel for joint in self.chain.joints])
+
+    def _ends(self, which: int) -> np.ndarray:
+        ends = [(v.low, v.high)[which] for v in self.varied]
+        return np.repeat(np.array(ends, float), len(self.numbering))
+
+    @property
+    def _placed_numbers(self) -> int:
+        return self.settings.points * self.position.size + len(self.room)
+
+
+class TrackerDesign(PointsDesign):
+    """Keys of ``[design]`` for ``kind = "laser_tracker"``."""
+
+    station: bool = False
+    """Whether the tracker may stand elsewhere, within the bounds below."""
+    station_low_mm: tuple[float, float, float] | None = None
+    """Lowest place of the station in the workpiece frame."""
+    station_high_mm: tuple[float, float, float] | None = None
+    """Highest place of the station."""
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if not self.station:
+            return self
+        low, high = self.station_low_mm, self.station_high_mm
+        if low is None or high is None:
+            raise ValueError(
+                "found station = true without bounds, expected station_low_mm and station_high_mm; "
+                "add both"
+            )
+        for c, a, b in zip("xyz", low, high, strict=True):
+            if not a < b:
+                raise ValueError(
+                    f"found station_low_mm {a:g} and station_high_mm {b:g} in {c}, expected the "
+                    "first below the second; exchange or correct them"
+                )
+        return self
+
+
+@register
+@dataclass(frozen=True)
+class TrackerSpace(PointSpace):
+    """A laser tracker: points within the travel, and the place of the station.
+
+    A tracker does not come nearer to a point than its data may say, a millimetre; how it is turned
+    stays, as no uncertainty depends on it.
+    """
+
+    kind = "laser_tracker"
+    Settings = TrackerDesign
+
+    @classmethod
+    def follows(cls, chain: Chain) -> tuple[str, ...]:
+        return ("range", "azimuth", "elevation")
+
+    def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
+        order = np.array([self.chain.axes.index(axis) for axis in "XYZ"])
+        point = jnp.asarray(placed.position)[:, order] + jnp.asarray(self.chain.tool_offset)
+        v = (point - placed.station) @ self.device.orientation
+        r = jnp.sqrt((v**2).sum(1))
+        return {
+            "range": r,
+            "azimuth": jnp.arctan2(v[:, 1], v[:, 0]),
+            "elevation": jnp.arcsin(v[:, 2] / r),
+        }
+
+    def standing(self, station: Float[Array, " s"]) -> LaserTracker:
+        return eqx.tree_at(lambda i: i.station, self.device, station)
+
+    @classmethod
+    def stands(cls, subject: Subject, settings: TrackerDesign) -> tuple[np.ndarray, np.ndarray]:
+        assert isinstance(subject.instrument, LaserTracker)
+        place = np.asarray(subject.instrument.station)
+        low, high = settings.station_low_mm, settings.station_high_mm
+        if not settings.station or low is None or high is None:
+            return place, np.zeros((0, 2))
+        room = np.column_stack([low, high]) * 1e-3
+        offset = np.asarray(subject.chain.tool_offset)
+        travel = np.stack([subject.chain.joint(axis).travel for axis in "XYZ"]) + offset[:, None]
+        if ((room[:, 0] < travel[:, 1]) & (room[:, 1] > travel[:, 0])).all():
+            raise subject.refusal(
+                "station_low_mm",
+                "a room for the station that reaches into the work space",
+                "one beside it, where no point of the tool gets",
+                "move one of its bounds",
+            )
+        return place, room
+
+    def station(self, placed: Placed) -> Float[np.ndarray, "3"]:
+        return np.asarray(placed.station) - np.asarray(self.chain.tool_offset)
+
+    def changed(self, placed: Placed) -> Mapping[str, Any]:
+        if not len(self.room):
+            return {}
+        return {"station_mm": [round(1e3 * float(v), 6) for v in np.asarray(placed.station)]}
+
+
+@register
+@dataclass(frozen=True)
+class ReflectorSpace(PointSpace):
+    """Reflectors on an arm: joint angles within their bounds, as commanded or as read back.
+
+    Directions and sizes of the moves into a pose follow from the order of the poses.
+    """
+
+    kind = "reflectors"
+    Settings = PointsDesign
+    group = "pose"
+
+    @classmethod
+    def follows(cls, chain: Chain) -> tuple[str, ...]:
+        own = ("commanded", "read", "dir", "move")
+        return ("order", *(f"{name}_{axis}" for name in own for axis in chain.axes))
+
+    def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
+        angle = jnp.asarray(placed.position)
+        pose = np.asarray(self.index["pose"])
+        # As where data are read: the move into a pose after a gap in the numbering is unknown.
+        known = np.r_[False, np.diff(pose) == 1][:, None]
+        move = jnp.where(known, jnp.diff(angle, axis=0, prepend=angle[:1]), 0.0)
+        found = {"order": jnp.asarray(pose, float)}
+        for i, axis in enumerate(self.chain.axes):
+            found[f"commanded_{axis}"] = found[f"read_{axis}"] = angle[:, i]
+            found[f"dir_{axis}"], found[f"move_{axis}"] = jnp.sign(move[:, i]), move[:, i]
+        return found
+
+    def standing(self, station: Float[Array, " s"]) -> Reflectors:
+        del station
+        return self.device
+
+
+def _numbers(index: Mapping[str, np.ndarray], name: str, rows: int) -> tuple[int, ...]:
+    """The data's own numbers of the points where they differ, else counted from zero."""
+    own = index.get(name, np.arange(rows))
+    return tuple(own.tolist()) if len(np.unique(own)) == rows else tuple(range(rows))

@@ -1,0 +1,171 @@
+"""Pictures of a measurement that is designed: its artefact, its places, what it leaves open."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from .style import AFTER, BEFORE, DOTS, INK, NOMINAL, figure, grid, plain, pretty_unit, titled
+
+_ZOOM: Any = 0.95
+"""Of boxes in three dimensions; a fraction, which the stubs of matplotlib do not know."""
+
+
+class Places(NamedTuple):
+    """Positions of a plan, m, and which of them belong together."""
+
+    name: str
+    position: Float[np.ndarray, "n 3"]
+    """X, Y, Z."""
+    group: np.ndarray
+    """A number per row; rows of one number are joined."""
+    station: Float[np.ndarray, "3"] | None = None
+    """Where the instrument stands, if it does."""
+    colour: str = AFTER
+
+
+class Uncertain(NamedTuple):
+    """The largest expanded uncertainty of one error."""
+
+    name: str
+    unit: str
+    prior: float
+    before: float
+    after: float
+
+
+def artefact_views(nominal: Mapping[str, np.ndarray], made: Mapping[str, np.ndarray]) -> Figure:
+    """Balls from two sides, as they are and as designed; columns as in the artefact's table."""
+    sizes = {c: np.ptp(np.r_[nominal[f"{c}_mm"], made[f"{c}_mm"]]) for c in "xyz"}
+    first, second, third = sorted("xyz", key=lambda c: -sizes[c])
+    drawn = figure(9.6, 4.4)
+    margins = {"left": 0.75, "right": 0.2, "top": 0.4, "bottom": 0.55, "hspace": 0.45}
+    column = grid(drawn, 2, 1, margins)[:, 0]
+    for ax, across in zip(column, (second, third), strict=True):
+        for table, colour, mark, word in (
+            (nominal, BEFORE, "o", "as it is"),
+            (made, AFTER, "o", "designed"),
+        ):
+            x, y = table[f"{first}_mm"], table[f"{across}_mm"]
+            order = np.argsort(x)
+            faint = {"color": colour, "linewidth": 0.8, "alpha": 0.5}
+            ax.plot(x[order], y[order], **faint)
+            face = "white" if word == "as it is" else colour
+            ax.plot(x, y, mark, color=colour, markerfacecolor=face, markersize=6, label=word)
+        for ball, x, y in zip(made["ball"], made[f"{first}_mm"], made[f"{across}_mm"], strict=True):
+            ax.annotate(
+                f"{int(ball)}", (x, y), xytext=(0, 5), textcoords="offset points", fontsize=7.5,
+                ha="center", color=INK,
+            )  # fmt: skip
+        ax.margins(y=0.25)
+        below = f"{first}, mm" if ax is column[-1] else ""
+        titled(ax, f"{first} and {across} of the artefact", below, f"{across}, mm")
+    column[0].legend(
+        fontsize=8.5, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False
+    )
+    return drawn
+
+
+def places_views(travel: Float[np.ndarray, "3 2"], views: Sequence[Places]) -> Figure:
+    """Plans in the work space, side by side in three dimensions; travel of X, Y, Z in m."""
+    drawn = figure(9.6, 3.9)
+    ends = travel * 1e3
+    for i, view in enumerate(views):
+        ax = drawn.add_subplot(1, len(views), i + 1, projection="3d", computed_zorder=False)
+        assert isinstance(ax, Axes3D)
+        for a in range(3):
+            others = [b for b in range(3) if b != a]
+            for first in (0, 1):
+                for second in (0, 1):
+                    line = np.zeros((3, 2))
+                    line[a] = ends[a]
+                    line[others[0]], line[others[1]] = (
+                        ends[others[0]][first],
+                        ends[others[1]][second],
+                    )
+                    ax.plot(*line, color=DOTS, linewidth=0.7)
+        at = view.position.T * 1e3
+        groups = np.unique(view.group)
+        if len(groups) < len(view.group):
+            for group in groups:
+                ax.plot(
+                    *at[:, view.group == group], "-", color=view.colour, linewidth=0.9, alpha=0.6
+                )
+        x, y, z = at
+        ax.plot(x, y, z, ".", color=view.colour, markersize=4)
+        if view.station is not None:
+            place = view.station * 1e3
+            ax.plot(*place[:, None], "^", color=INK, markersize=7)
+            east, north, up = place.tolist()
+            ax.text(east, north, up, " instrument", fontsize=8, color=INK)
+        ax.text2D(0.04, 0.94, view.name, fontsize=10, color=INK, transform=ax.transAxes)
+        for letter, set_label in zip(
+            "XYZ", (ax.set_xlabel, ax.set_ylabel, ax.set_zlabel), strict=True
+        ):
+            set_label(f"{letter}, mm", fontsize=8.5, color=INK)
+        ax.tick_params(labelsize=7.5, colors=INK, pad=0)
+        span = np.ptp(ends, axis=1)
+        ax.set_box_aspect(np.maximum(span, 0.25 * span.max()).tolist(), zoom=_ZOOM)
+        for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+            axis.set_major_locator(MaxNLocator(4))
+    drawn.subplots_adjust(left=0.0, right=0.95, top=0.99, bottom=0.05, wspace=0.02)
+    return drawn
+
+
+def _round(low: float, high: float) -> list[float]:
+    """Round numbers from `low` to `high`, not more than seven of them."""
+    decades = range(int(np.floor(np.log10(low))) - 1, int(np.ceil(np.log10(high))) + 1)
+    for steps in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 3, 5), (1, 3), (1,)):
+        found = [
+            s * 10.0**d for d in decades for s in steps if low / 1.2 <= s * 10.0**d <= high * 1.2
+        ]
+        if len(found) <= 7:
+            return found
+    return found[:: len(found) // 7 + 1]
+
+
+def uncertainties(rows: Sequence[Uncertain], words: tuple[str, str]) -> Figure:
+    """Largest U of every error on a logarithmic scale: before any measurement, and by two plans."""
+    units = list(dict.fromkeys(row.unit for row in rows))
+    tallest = max(sum(row.unit == unit for row in rows) for unit in units)
+    drawn = figure(9.6, 1.25 + 0.235 * tallest)
+    margins = {"left": 0.75, "right": 0.2, "top": 0.55, "bottom": 0.6, "wspace": 0.8}
+    for ax, unit in zip(grid(drawn, 1, len(units), margins)[0], units, strict=True):
+        mine = [row for row in rows if row.unit == unit][::-1]
+        place = np.arange(len(mine))
+        before, after = (np.array([getattr(r, k) for r in mine]) for k in ("before", "after"))
+        prior = np.array([r.prior for r in mine])
+        if np.isfinite(prior).all():
+            ax.plot(prior, place, "|", color=NOMINAL, markersize=9, label="before any measurement")
+        ax.hlines(place, np.minimum(before, after), np.maximum(before, after), color=DOTS, lw=2)
+        ax.plot(before, place, "o", color=BEFORE, markersize=5, label=words[0])
+        ax.plot(after, place, "o", color=AFTER, markersize=5, label=words[1])
+        ax.set_xscale("log")
+        shown = np.r_[before, after, prior[np.isfinite(prior)]]
+        ticks = _round(float(shown.min()), float(shown.max()))
+        ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
+        ax.set_xticks([], minor=True)
+        ax.set_yticks(place, [row.name for row in mine])
+        ax.set_ylim(-0.7, len(mine) - 0.3)
+        plain(ax)
+        titled(ax, "", f"largest U (k = 2) along the axis, {pretty_unit(unit)}")
+    drawn.axes[0].legend(
+        fontsize=8.5, ncols=3, loc="lower left", bbox_to_anchor=(-0.02, 1.0), frameon=False
+    )
+    return drawn
+
+
+def worth(groups: Sequence[int], shares: Float[np.ndarray, " g"], group: str) -> Figure:
+    """By how much the criterion is worse without each group."""
+    drawn = figure(9.6, 2.6)
+    ax = grid(drawn, 1, 1, {"left": 0.75, "right": 0.2, "top": 0.3, "bottom": 0.6})[0, 0]
+    ax.bar(np.arange(len(groups)), 100.0 * shares, color=AFTER, width=0.75)
+    step = max(1, len(groups) // 24)
+    ax.set_xticks(np.arange(len(groups))[::step], [str(g) for g in groups][::step])
+    ax.margins(x=0.01)
+    titled(ax, "", f"{group} left out", "criterion worse by, %")
+    return drawn

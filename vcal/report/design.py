@@ -1,0 +1,109 @@
+"""Writing a designed measurement into a folder, whole or not at all."""
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..design.following import Following
+from ..design.optimise import Designed
+from ..design.seen import Seen
+from ..io.designed import write_designed, write_plan
+from ..io.study import Study
+from .design_page import design_page
+from .design_pictures import design_pictures
+from .design_record import design_record
+from .following_page import following_page, following_pictures, following_record
+from .picture import Picture
+from .place import Place
+
+_PLACE = Place(record="result.json", schema="vcal-design/")
+
+
+def check_design_folder(out: Path | str) -> None:
+    """Refuse a place that a designed measurement must not be written to.
+
+    Raises `StudyError` for a file, and for a folder that holds something but no earlier report of
+    this kind.
+    """
+    _PLACE.check(Path(out))
+
+
+def write_design(
+    done: Designed,
+    seen: tuple[Seen, Seen],
+    study: Study,
+    out: Path | str,
+    *,
+    overrides: Mapping[str, Any] | Sequence[str] = (),
+    seed: int = 0,
+    command: str = "",
+    seconds: float = math.nan,
+) -> Path:
+    """Write the design into `out`, which becomes a study of its own; returns the path of its page.
+
+    `index.html` is the page, self-contained; `result.json` the record for programs; `setup.toml`,
+    `plan.csv` and what else the study names the study of the designed plan; beside them the
+    pictures. Files of an earlier report are replaced; on failure or interruption `out` stays as it
+    was. `seen` is what the plan sees as it is and as designed; `overrides` are those the study was
+    read with. Raises `StudyError` as `check_design_folder` and `write_designed` do.
+    """
+    told = {"seed": seed, "command": command, "seconds": seconds}
+    return fill(
+        Path(out),
+        list(design_pictures(done)),
+        lambda work: write_designed(study, overrides, done.task.space, done.best, work),
+        lambda drawn: design_page(done, seen, study, drawn, **told),
+        lambda: design_record(done, seen, study, **told),
+    )
+
+
+def write_following(
+    done: Following,
+    study: Study,
+    out: Path | str,
+    *,
+    why: str,
+    seed: int = 0,
+    command: str = "",
+    seconds: float = math.nan,
+) -> Path:
+    """Write the next measurement into `out`; returns the path of its page.
+
+    As `write_design`, but `plan.csv` holds the further rows alone, and there is no study around
+    them. `why` says what it is good for. Raises `StudyError` as `check_design_folder` does.
+    """
+    told = {"seed": seed, "why": why, "command": command, "seconds": seconds}
+    return fill(
+        Path(out),
+        list(following_pictures(done)),
+        lambda work: write_plan(study, done.task.space, done.best.placed, work),
+        lambda drawn: following_page(done, study, drawn, **told),
+        lambda: following_record(done, study, **told),
+    )
+
+
+def fill(
+    out: Path,
+    drawn: Sequence[Picture],
+    tables: Callable[[Path], list[str]],
+    page: Callable[[Sequence[Picture]], str],
+    record: Callable[[], dict[str, Any]],
+) -> Path:
+    """Write pictures, tables, page and record of a design; returns the path of the page."""
+
+    def make(work: Path) -> Sequence[str]:
+        # The record comes last: a folder counts as a report by it.
+        files = [*tables(work), *(picture.file for picture in drawn), "index.html", _PLACE.record]
+        for picture in drawn:
+            (work / picture.file).write_bytes(picture.data)
+        (work / "index.html").write_text(page(drawn), encoding="utf-8")
+        content = json.dumps(
+            record() | {"files": files}, indent=1, allow_nan=False, ensure_ascii=False
+        )
+        (work / _PLACE.record).write_text(content + "\n", encoding="utf-8")
+        return files
+
+    _PLACE.fill(out, make)
+    return out / "index.html"
