@@ -285,7 +285,7 @@ def test_the_search_makes_a_better_artefact():
         made = space.candidate(z)
         K = pairs_precision(made.poses.balls, 2e-6)
         H = array_curvature(touches(model, made.poses), model, PROBE, K)
-        return 1e6 * expected_rms(gram, inverse(H)) * (1.0 + 1e5 * made.excess**2)
+        return 1e6 * expected_rms(gram, inverse(H)) * made.penalty
 
     found = search(rms, spread(space, jax.random.key(0), 2), space.low, space.high, steps=40)
     assert found[0].value < 0.8 * float(rms(space.start))

@@ -30,9 +30,18 @@ class Candidate(NamedTuple):
 
     poses: ArrayPoses
     excess: Float[Array, ""]
-    """Root sum of squares, over poses and axes, of how much longer than the travel, less what is to
-    be left clear, the turned artefact is, m.
+    """Root sum of squares, over poses and axes, of how much longer than the travel the turned
+    artefact is, m.
     """
+    crowding: Float[Array, ""]
+    """The same of the room that is missing where some is to be left clear, in units of that. A
+    search that feels the end of the travel before it is there does not stop at it.
+    """
+
+    @property
+    def penalty(self) -> Float[Array, ""]:
+        """By which factor a criterion is to count more."""
+        return 1.0 + 0.1 * self.crowding**2
 
 
 @dataclass(frozen=True)
@@ -59,10 +68,8 @@ class ArraySpace:
     """
     reach: float = 0.0
     """How far the tip of a stylus may be from its nominal place, in every direction."""
-    clear: float = 0.0
-    """Room that the travel has to leave the turned artefact; what is missing counts as excess. Some
-    lets a search feel the end of the travel before it is there.
-    """
+    clear: float = 0.02
+    """Room that the travel should leave the turned artefact (`Candidate.crowding`)."""
 
     def __post_init__(self):
         x = np.asarray(self.nominal.balls)[:, 0]
@@ -146,9 +153,11 @@ class ArraySpace:
         low, room = self._room(turned, balls, tool)
         if shares is not None:
             origin = low + shares * jnp.maximum(room, 0.0)
-        over = jnp.maximum(self.clear - room, 0.0)
-        excess = jnp.sqrt((over**2).sum() + _TINY) - _TINY**0.5
-        return Candidate(ArrayPoses(balls, turned, origin, tool), excess)
+        excess, crowding = (
+            jnp.sqrt((jnp.maximum(least - room, 0.0) ** 2).sum() + _TINY) - _TINY**0.5
+            for least in (0.0, self.clear)
+        )
+        return Candidate(ArrayPoses(balls, turned, origin, tool), excess, crowding / self.clear)
 
     @property
     def _styli(self) -> int:

@@ -13,7 +13,7 @@ from ..arrays import Array
 from ..errors import StudyError
 from .criteria import MICRO, Criterion, Judged, averaged
 from .judged import prior_covariance
-from .plan_space import EXCESS_M, NOT_TRACED, PlanSpace, starts_of
+from .plan_space import NOT_TRACED, PlanSpace, starts_of
 from .posterior import eliminated, inverse
 from .search import Found, search
 from .volume import expected_rms
@@ -102,12 +102,12 @@ class Compiled:
         return found
 
     def smooth(self, z: Float[Array, " d"]) -> Float[Array, ""]:
-        """What the search makes small: a millimetre out of the travel counts 10 %."""
+        """What the search makes small."""
         space, criterion = self.task.space, self.task.criterion
         placed = space.placed(z)
         covariances = self.covariances(placed, jnp.ones(len(space.groups)))
         value = averaged(criterion.smooth, criterion, self.task.families, covariances)
-        return value * (1.0 + 0.1 * (space.excess(placed) / EXCESS_M) ** 2)
+        return value * space.penalty(placed)
 
     def value(self, placed: Any, weight: float = 1.0) -> Value:
         """Of a plan, all groups counting as often as `weight` says."""

@@ -20,8 +20,6 @@ from ..plan import Plan
 Goal = Literal["volume", "largest", "determinant"]
 
 _Count = Annotated[int, Field(ge=2)]
-EXCESS_M = 1e-3
-"""A plan that stands out of the travel by less than this counts as one that may yet fit."""
 
 
 class DesignSettings(BaseModel):
@@ -146,6 +144,11 @@ class PlanSpace(abc.ABC):
     @abc.abstractmethod
     def excess(self, placed: Any) -> Float[Array, ""]:
         """By how much it stands out of the travel, m; zero where it fits by construction."""
+
+    def penalty(self, placed: Any) -> Float[Array, ""] | float:
+        """By which factor a search counts a plan that leaves little room; smooth, at least one."""
+        del placed
+        return 1.0
 
     @abc.abstractmethod
     def settled(self, placed: Any) -> Any:

@@ -164,4 +164,4 @@ class Separating:
         """1 / lambda(A | B) + 1 / lambda(B | A), which the smaller one rules; to be small."""
         placed = self.space.placed(z)
         value = (1.0 / jnp.maximum(self.lambdas(placed), _NOTHING)).sum()
-        return value * (1.0 + 0.1 * (self.space.excess(placed) / 1e-3) ** 2)
+        return value * self.space.penalty(placed)

@@ -63,6 +63,7 @@ class Placed(NamedTuple):
     poses: ArrayPoses
     covariates: Mapping[str, Float[Array, "m N"]]
     excess: Float[Array, ""]
+    penalty: Float[Array, ""]
 
 
 class _Frame(NamedTuple):
@@ -225,7 +226,7 @@ class BallArraySpace(PlanSpace):
 
     @property
     def nominal(self) -> Placed:
-        return Placed(self.nominal_poses, self.known, np.zeros(()))  # type: ignore[arg-type]
+        return Placed(self.nominal_poses, self.known, np.zeros(()), np.ones(()))  # type: ignore[arg-type]
 
     def placed(self, z: Float[Array, " d"]) -> Placed:
         own = len(self.space.low)
@@ -234,10 +235,13 @@ class BallArraySpace(PlanSpace):
         covariates: dict[str, Any] = dict(self.known)
         for varied, values in zip(self.varied, chosen, strict=True):
             covariates[varied.name] = jnp.broadcast_to(values[:, None], self.touched.shape)
-        return Placed(self.frame.certificate(made.poses), covariates, made.excess)
+        return Placed(self.frame.certificate(made.poses), covariates, made.excess, made.penalty)
 
     def excess(self, placed: Placed) -> Float[Array, ""]:
         return placed.excess
+
+    def penalty(self, placed: Placed) -> Float[Array, ""]:
+        return placed.penalty
 
     def settled(self, placed: Placed) -> Placed:
         covariates = dict(placed.covariates)

@@ -33,10 +33,6 @@ from .expected import Task, precision_of
 from .setting import PROBE_UM, TOOL, TRAVEL, Known
 
 _MICRO = 1e-6
-_CLEAR_M = 0.02
-"""Room that a pose should leave the artefact; where it leaves none, the criterion counts 10 % more.
-A steeper limit makes searches end at it.
-"""
 
 
 @dataclass(frozen=True)
@@ -143,7 +139,6 @@ class Searches:
             across=free.across,
             along=free.along,
             tool=TOOL,
-            clear=_CLEAR_M,
         )
 
     def _program(self, space: ArraySpace, *, fresh: bool) -> Callable[..., Any]:
@@ -157,8 +152,7 @@ class Searches:
             ) -> tuple[Array, tuple[Array, ArrayPoses]]:
                 made = space.candidate(z, nominal)
                 families = expected_um(self._tasks, made.poses, often, exactly, fresh=fresh)
-                over = 1.0 + 0.1 * (made.excess / _CLEAR_M) ** 2
-                return jnp.sqrt(shares @ families**2) * over, (families, made.poses)
+                return jnp.sqrt(shares @ families**2) * made.penalty, (families, made.poses)
 
             self._kept[fresh] = jax.jit(jax.value_and_grad(criterion, has_aux=True))
         return self._kept[fresh]

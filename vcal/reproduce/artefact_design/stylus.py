@@ -88,7 +88,7 @@ def star(task: Task, nominal: ArrayPoses, known: Known, *, seed: int = 0) -> Sta
 
     def criterion(z: Float[Array, " d"]) -> Float[Array, ""]:
         made = space.candidate(z)
-        return rms(made.poses)[0] * (1.0 + 0.1 * (made.excess / 1e-3) ** 2)
+        return rms(made.poses)[0] * made.penalty
 
     begin = spread(space, jax.random.key(seed), 2)
     best = space.candidate(search(criterion, begin, space.low, space.high)[0].z).poses
