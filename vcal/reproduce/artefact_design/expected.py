@@ -8,7 +8,8 @@ with the family's own functions; the publication fits Legendre polynomials to di
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from ...basis import Legendre
 from ...design import (
     ArrayPoses,
     Gram,
+    Touches,
     array_curvature,
     balls_precision,
     expected_rms,
@@ -42,26 +44,18 @@ _RANK = 1e-9
 
 @dataclass(frozen=True)
 class Task:
-    """The machine, and what its errors amount to on the grid."""
+    """The machine, what its errors amount to on the grid, and compiled functions of designs."""
 
     model: Model
     gram: Gram
-    _compiled: dict[Known, Callable[[ArrayPoses], Float[Array, "2"]]] = field(
-        default_factory=dict, repr=False
-    )
-    polynomials: list["_Polynomials"] = field(default_factory=list, repr=False)
-    """Made once, when plain least squares is asked for."""
-
-    def rms(self, known: Known) -> Callable[[ArrayPoses], Float[Array, "2"]]:
-        """Expected rms in um, aligned and raw, as a compiled function of artefact and poses."""
-        if known not in self._compiled:
-            # The machine is closed over: it is data, and the same for all designs.
-            def rms(poses: ArrayPoses) -> Float[Array, "2"]:
-                C = posterior(self.model, poses, known)
-                return jnp.stack([expected_rms(jnp.asarray(g), C) for g in self.gram]) / _MICRO
-
-            self._compiled[known] = jax.jit(rms)
-        return self._compiled[known]
+    polynomials: "_Polynomials"
+    """For plain least squares."""
+    seen: Callable[[ArrayPoses], Touches]
+    """Derivatives of all touches, by the machine and then by the polynomials."""
+    left: Callable[..., Float[Array, "2"]]
+    """Expected rms, um, aligned and raw, from these, what is known of the balls, and whether they
+    are fresh in every pose. Compiled apart from the derivatives, it serves all that is known.
+    """
 
 
 def task(family: Family | None = None) -> Task:
@@ -70,7 +64,20 @@ def task(family: Family | None = None) -> Task:
     """
     chain, errors = machine(family)
     model = Model(chain, anything(), (errors,))
-    return Task(model, volumetric_gram(model, grid_points(chain)))
+    gram, polynomials = volumetric_gram(model, grid_points(chain)), _polynomials(model)
+
+    # Machines are closed over: they are data, and the same for all designs.
+    @jax.jit
+    def seen(poses: ArrayPoses) -> Touches:
+        return touches(polynomials.both, poses)
+
+    @partial(jax.jit, static_argnames="fresh")
+    def left(seen: Touches, K: Array, fresh: bool) -> Float[Array, "2"]:
+        own = seen._replace(machine=seen.machine[:, :, : polynomials.truth])
+        C = inverse(array_curvature(own, model, PROBE_UM * _MICRO, K, fresh=fresh))
+        return jnp.stack([expected_rms(jnp.asarray(g), C) for g in gram]) / _MICRO
+
+    return Task(model, gram, polynomials, seen, left)
 
 
 def anything() -> BallArray:
@@ -103,7 +110,9 @@ def posterior(model: Model, poses: ArrayPoses, known: Known) -> Float[Array, "k 
 
 def bayes_um(task: Task, poses: ArrayPoses, known: Known) -> tuple[float, float]:
     """Expected rms on the grid, aligned and raw, um: also the least of all linear estimates."""
-    aligned, raw = task.rms(known)(poses)
+    aligned, raw = task.left(
+        task.seen(poses), precision_of(known, jnp.asarray(poses.balls)), fresh=known == "P"
+    )
     return float(aligned), float(raw)
 
 
@@ -124,9 +133,8 @@ def plain_least_squares(
     """Legendre polynomials up to an order for all error motions, and squarenesses, fitted to the
     distances of all pairs in every pose, unweighted, of least norm where the rank falls short.
     """
-    polynomials = _polynomials(task)
-    k = len(task.model.entries)
-    seen = np.asarray(touches(polynomials.both, poses).machine)
+    polynomials, k = task.polynomials, task.polynomials.truth
+    seen = np.asarray(task.seen(poses).machine)
     balls = np.asarray(poses.balls)
     U = _directions(balls)
     turned = [U @ np.kron(np.eye(len(balls)), r.T) for r in np.asarray(poses.rotation)]
@@ -179,22 +187,19 @@ class _Polynomials:
         return self.truth + np.concatenate([motions[:, : order + 1].ravel(), rest])
 
 
-def _polynomials(task: Task) -> _Polynomials:
-    if not task.polynomials:
-        wanted, degrees = task.model.effects[0], tuple(range(max(ORDERS) + 1))
-        assert isinstance(wanted, GeometricErrors)
-        fitted = GeometricErrors(
-            motions=tuple(
-                ErrorMotion(m.name, m.axis, Legendre(TRAVEL[m.axis], degrees, 1e-5))
-                for m in wanted.motions
-            ),
-            locations=wanted.locations,
-        )
-        both = Model(task.model.chain, task.model.instrument, (wanted, fitted))
-        gram = volumetric_gram(both, grid_points(task.model.chain, _COARSE))
-        made = _Polynomials(both, gram, len(task.model.entries), len(wanted.motions))
-        task.polynomials.append(made)
-    return task.polynomials[0]
+def _polynomials(model: Model) -> _Polynomials:
+    wanted, degrees = model.effects[0], tuple(range(max(ORDERS) + 1))
+    assert isinstance(wanted, GeometricErrors)
+    fitted = GeometricErrors(
+        motions=tuple(
+            ErrorMotion(m.name, m.axis, Legendre(TRAVEL[m.axis], degrees, 1e-5))
+            for m in wanted.motions
+        ),
+        locations=wanted.locations,
+    )
+    both = Model(model.chain, model.instrument, (wanted, fitted))
+    gram = volumetric_gram(both, grid_points(model.chain, _COARSE))
+    return _Polynomials(both, gram, len(model.entries), len(wanted.motions))
 
 
 _COARSE = (30, 10, 10)

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ...arrays import Array
-from ...design import ArrayPoses, ArraySpace, search, spread
-from .expected import Task, bayes_um
+from ...design import ArrayPoses, ArraySpace, expected_rms, search, spread
+from .expected import Task, bayes_um, posterior
 from .setting import TOOL, TRAVEL, Known
 
 SIDE_M = 0.15
@@ -84,11 +84,12 @@ def star(task: Task, nominal: ArrayPoses, known: Known, *, seed: int = 0) -> Sta
         styli=tuple(map(tuple, which.reshape(m, n).tolist())),
         reach=SIDE_M,
     )
-    rms = task.rms(known)
+    gram = jnp.asarray(task.gram.aligned)
 
     def criterion(z: Float[Array, " d"]) -> Float[Array, ""]:
         made = space.candidate(z)
-        return rms(made.poses)[0] * made.penalty
+        rms = expected_rms(gram, posterior(task.model, made.poses, known))
+        return 1e6 * rms * made.penalty
 
     begin = spread(space, jax.random.key(seed), 2)
     best = space.candidate(search(criterion, begin, space.low, space.high)[0].z).poses
