@@ -128,7 +128,8 @@ def pictures(results: Results) -> dict[str, tuple[Picture, ...]]:
                     },
                     {k: (NOMINAL_S / 3600.0, r.trade[k].nominal_um) for k in KNOWN},
                 ),
-                "Designs that no other one beats in both, poses x balls; crosses: the nominal one.",
+                "Designs that no other one beats in both, poses x balls at the line of P;"
+                " the others have the same. Crosses: the nominal one.",
             ),
         ),
         "star": (
@@ -141,7 +142,8 @@ def pictures(results: Results) -> dict[str, tuple[Picture, ...]]:
                         "tips and poses searched": {k: r.star[k].found for k in KNOWN},
                     },
                     "A star stylus, equal touches",
-                    width=7.6,
+                    width=8.2,
+                    legend=2.3,
                 ),
                 "Expected error. First two: the nominal poses.",
             ),

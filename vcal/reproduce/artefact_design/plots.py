@@ -80,10 +80,11 @@ def bars(
     dots: Mapping[str, Mapping[str, float]] | None = None,
     value: str = "rms on the grid, µm",
     width: float = 9.0,
+    legend: float = 1.7,
 ) -> Figure:
     """Groups of bars by label, one bar of each series in it; dots over the bars."""
     drawn = figure(width, 3.4)
-    ax = grid(drawn, 1, 1, {**_MARGINS, "right": 1.7})[0, 0]
+    ax = grid(drawn, 1, 1, {**_MARGINS, "right": legend})[0, 0]
     labels = list(next(iter(series.values())))
     step = 0.8 / len(series)
     at = np.arange(len(labels))
@@ -165,7 +166,7 @@ def front(
     for known, line in points.items():
         x, y = [p[0] for p in line], [p[1] for p in line]
         ax.plot(x, y, "o-", color=OF[known], ms=4.5, lw=1.2, label=known)
-        for time, error, label in line:
+        for time, error, label in line if known == "P" else ():
             ax.annotate(label, (time, error), fontsize=7, color=INK, xytext=(3, 4),
                         textcoords="offset points")  # fmt: skip
         ax.plot(*nominal[known], "x", color=OF[known], ms=9, mew=2)
