@@ -212,7 +212,7 @@ LONG = pytest.mark.slow
         pytest.param("balls", "largest", marks=LONG),
         pytest.param("balls", "determinant", marks=LONG),
         pytest.param("tracker", "volume", marks=LONG),
-        ("tracker", "largest"),
+        pytest.param("tracker", "largest", marks=LONG),
         pytest.param("tracker", "determinant", marks=LONG),
     ],
 )
@@ -241,6 +241,7 @@ def test_gradient_against_finite_differences(request, kind, goal):
     assert slope == pytest.approx(float(found), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_points_and_station_by_the_whole_covariance(tracker, tmp_path):
     out = tmp_path / "out"
     printed = design(
@@ -276,6 +277,7 @@ def test_the_largest_uncertainty(balls, tmp_path):
     assert found["designed"]["criterion"] < found["nominal"]["criterion"]
 
 
+@pytest.mark.slow
 def test_the_determinant(balls, tmp_path):
     out = tmp_path / "out"
     design(balls, out, "--set", "design.goal=determinant", "--set", 'design.errors=["EC0Y","EXX"]')
@@ -321,6 +323,7 @@ def test_effects_of_the_artefact_and_of_conditions_count(balls, tmp_path):
         np.testing.assert_allclose(plan.covariate(name), again.covariate(name), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_several_families(balls, tmp_path):
     copy = declare(balls, tmp_path, "")
     text = (copy / "setup.toml").read_text(encoding="utf-8")
@@ -334,6 +337,7 @@ def test_several_families(balls, tmp_path):
     assert values[2] == pytest.approx(np.sqrt((values[0] ** 2 + values[1] ** 2) / 2), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_touches_that_were_left_out(balls, tmp_path):
     """A ball that no pose but one touched: the plan keeps its gaps, and their information."""
     copy = declare(balls, tmp_path, "")
@@ -349,6 +353,7 @@ def test_touches_that_were_left_out(balls, tmp_path):
     assert Compiled(task).value(task.space.nominal).aligned_um == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_an_arm(tmp_path):
     folder = tmp_path / "arm"
     write_start("reflectors", folder)
@@ -396,6 +401,7 @@ def test_the_next_pose_is_better_than_fifty_at_random(balls):
     assert order == sorted(order)
 
 
+@pytest.mark.slow
 def test_the_next_pose_shares_the_balls(balls, tmp_path):
     """Old and new poses in one study, judged by the engine."""
     out = tmp_path / "out"
@@ -441,6 +447,7 @@ def independent_lambda(model, first, second, plan):
     return float((left**2).sum())
 
 
+@pytest.mark.slow
 def test_separating_two_effects(tracker):
     study, task = task_of(tracker)
     wanted = parse_rivals(["backlash:Y", "scale_growth:Y"], study)
@@ -507,6 +514,7 @@ class Step(vcal.Effect):
 """
 
 
+@pytest.mark.slow
 def test_an_effect_that_cannot_be_differentiated(tracker, tmp_path, monkeypatch):
     monkeypatch.setattr("vcal.design.following.CANDIDATES", 4)
     copy = declare(tracker, tmp_path, "")
@@ -559,6 +567,7 @@ def test_what_the_loop_left_open(tracker):
     assert rivals_of(Ended, study, task) is None
 
 
+@pytest.mark.slow
 def test_the_loop_comes_first_where_there_are_readings(balls, tmp_path):
     out = tmp_path / "out"
     printed = design(
@@ -573,6 +582,7 @@ def test_the_loop_comes_first_where_there_are_readings(balls, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_plan_has_no_loop(designed, tmp_path):
     printed = design(designed[0], tmp_path / "out", "--next").output
     assert "There are no readings yet" in printed

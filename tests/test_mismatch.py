@@ -36,6 +36,7 @@ def small():
     return placed(outer_faces()[::2], ball_line(5, 0.03, 0.03))
 
 
+@pytest.mark.slow
 def test_what_is_not_fitted_by_drawing(given, small):
     """All influences in the truth: theory against machines with exact kinematics."""
     found = costs(given, small, "S")
@@ -87,6 +88,7 @@ def test_gram_of_some_effects(given):
         gram_for(whole, given.gram, given.model)
 
 
+@pytest.mark.slow
 def test_shared_programs_change_nothing(given, small):
     other = placed(outer_faces()[1::2], ball_line(5, 0.02, 0.05))
     programs = Programs()
