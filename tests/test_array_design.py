@@ -75,6 +75,7 @@ def instrument_of(poses, sigma):
     )
 
 
+@pytest.mark.slow
 def test_as_the_engine_identifies():
     """Against the batched identification of a ball array, all unknowns in one matrix."""
     chain, errors = machine()

@@ -130,6 +130,7 @@ def test_undeclared_shapes_are_drawn(known):
 QUANTITIES = ParameterErrors(), ErrorMotionErrors(nodes=3)
 
 
+@pytest.mark.slow
 def test_monte_carlo_and_gum_agree_where_all_is_linear(known):
     it = known["laser_tracker"]
     points = it.plan.take(np.arange(0, it.plan.rows, 6))
@@ -246,6 +247,7 @@ def test_strong_curvature_is_retried_and_told(known):
         assert cost[0] < cost[1]
 
 
+@pytest.mark.slow
 def test_a_draw_that_is_not_finite_is_counted(known):
     it = known["laser_tracker"]
 

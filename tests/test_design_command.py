@@ -208,7 +208,7 @@ LONG = pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "goal"),
     [
-        ("balls", "volume"),
+        pytest.param("balls", "volume", marks=LONG),
         pytest.param("balls", "largest", marks=LONG),
         pytest.param("balls", "determinant", marks=LONG),
         pytest.param("tracker", "volume", marks=LONG),
@@ -380,6 +380,7 @@ def test_an_arm(tmp_path):
 # --- what to measure next ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_next_pose_is_better_than_fifty_at_random(balls):
     _, task = task_of(balls, small=("design.grid=[4,3,3]",))
     done = follow(task, 1, starts=2, steps=30)

@@ -39,6 +39,7 @@ def frame(tmp_path_factory):
     study = load_study(write_frame(tmp_path_factory.mktemp("frame") / "study", growth=0.0, runs=1))
     rows = np.arange(study.plan.rows)
     more = {"T_gradient_z_K_per_m": np.cos(rows), "psd_u_mm": np.sin(rows), "psd_v_mm": 0.1 * rows}
+    more["payload_kg"] = 20.0 + 3.0 * np.sin(2.0 * rows)
     plan = Plan(
         study.plan.axes,
         study.plan.position,

@@ -104,6 +104,7 @@ def test_shared_programs_change_nothing(given, small):
     assert len(programs) > kept
 
 
+@pytest.mark.slow
 def test_a_star_keeps_to_the_travel(given):
     poses = placed(outer_faces(), ball_line(11, 0.03, 0.03))
     star = with_star(poses)

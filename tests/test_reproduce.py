@@ -333,7 +333,8 @@ def test_the_command(tmp_path, monkeypatch):
     out = tmp_path / "out"
     wrong = refused("reproduce", "tracker-verificatoin", "--out", out)
     assert (
-        "found 'tracker-verificatoin', expected one of laser-frame, tracker-verification" in wrong
+        "found 'tracker-verificatoin', expected one of artefact-design, laser-frame, "
+        "tracker-verification" in wrong
     )
     assert "did you mean 'tracker-verification'?" in wrong
     assert "--out: found none" in refused("reproduce", "tracker-verification")

@@ -351,6 +351,7 @@ def killed_evaluate(first, count):
     return {"y": rng.standard_normal((count, 5)), "map": rng.random((count, 50))}
 
 
+@pytest.mark.slow
 def test_killed_at_random_moments_it_ends_with_the_same_numbers(tmp_path):
     settings = {
         "outputs": [Output("y", (5,))],

@@ -15,7 +15,7 @@ from ..model import Model
 from .family import geometric_errors
 from .folder import Folder
 from .messages import listed, refusal
-from .must_see import check_seen
+from .must_see import check_seen, check_wanted
 from .settings import read_setup, validate
 from .study import Study, build_chain
 
@@ -38,6 +38,7 @@ def design_task(
             f"one of {listed(SPACES)}",
             "judge plans of your own with `vcal uncertainty`",
         )
+    check_wanted(settings.must_see, study.chain, file, "design.must_see")
     model = judged_model(study, leave_out).with_effects(*found)
     if not model.entries:
         raise refusal(

@@ -32,18 +32,7 @@ def check_seen(
     """
     if not wanted:
         return
-    linear = [joint.name for joint in chain.joints if joint.kind == "prismatic"]
-    squarenesses = [
-        f"E{c}0{axis}"
-        for axis in linear
-        for c, own in zip("ABC", "XYZ", strict=True)
-        if axis != own
-    ]
-    motions = [f"E{c}{axis}" for axis in chain.axes for c in "XYZABC"]
-    straight = {port for axis in linear for port in across(chain, axis)}
-    lowest = {n: 2 if n in straight else 1 for n in motions} | dict.fromkeys(squarenesses, 0)
-    for name, degree in wanted.items():
-        _check_key(name, degree, lowest, file, key)
+    lowest = check_wanted(wanted, chain, file, key)
     model = Model(
         chain,
         instrument,
@@ -52,10 +41,10 @@ def check_seen(
                 motions=tuple(
                     _motion(plan, name, range(lowest[name], degree + 1))
                     for name, degree in wanted.items()
-                    if name in motions
+                    if lowest[name]
                 ),
                 locations=tuple(
-                    LocationError.of(chain, name, _SIZE) for name in wanted if name in squarenesses
+                    LocationError.of(chain, name, _SIZE) for name in wanted if not lowest[name]
                 ),
             ),
             # What has a prior of its own, such as a calibrated ball, is known well enough.
@@ -74,6 +63,25 @@ def check_seen(
             "points that tell all of them apart",
             "measure more or other places, or ask for less",
         )
+
+
+def check_wanted(wanted: Mapping[str, int], chain: Chain, file: str, key: str) -> dict[str, int]:
+    """Lowest degree of every error there is that is not the artefact's or the station's; zero for
+    squarenesses. Raises `StudyError` for an error or a degree that does not exist.
+    """
+    linear = [joint.name for joint in chain.joints if joint.kind == "prismatic"]
+    squarenesses = [
+        f"E{c}0{axis}"
+        for axis in linear
+        for c, own in zip("ABC", "XYZ", strict=True)
+        if axis != own
+    ]
+    motions = [f"E{c}{axis}" for axis in chain.axes for c in "XYZABC"]
+    straight = {port for axis in linear for port in across(chain, axis)}
+    lowest = {n: 2 if n in straight else 1 for n in motions} | dict.fromkeys(squarenesses, 0)
+    for name, degree in wanted.items():
+        _check_key(name, degree, lowest, file, key)
+    return lowest
 
 
 def _check_key(name: str, degree: int, lowest: Mapping[str, int], file: str, table: str) -> None:

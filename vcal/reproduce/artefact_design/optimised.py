@@ -8,7 +8,7 @@ from .searches import Freedom, Searches
 from .setting import Known
 
 STARTS = 8
-_STEPS = 500
+STEPS = 500
 _ACCURACY = 1e-7
 
 
@@ -37,6 +37,7 @@ def optimise(
     freedom: Freedom,
     *,
     starts: int = STARTS,
+    steps: int = STEPS,
     seed: int = 0,
     searches: Searches | None = None,
 ) -> Optimised:
@@ -47,7 +48,7 @@ def optimise(
     """
     searches = searches or Searches([task], freedom)
     best = searches.polish(
-        nominal, known, starts=starts, seed=seed, steps=_STEPS, tolerance=_ACCURACY
+        nominal, known, starts=starts, seed=seed, steps=steps, tolerance=_ACCURACY
     )
     reached, usual = (bayes_um(task, poses, known)[0] for poses in (best.poses, nominal))
     return Optimised(best.poses, reached, usual, best.found)

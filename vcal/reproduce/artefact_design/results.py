@@ -1,7 +1,7 @@
 """The whole of a reproduction as numbers."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +15,13 @@ from .expected import Plain, Task, bayes_um, plain_least_squares, task
 from .influences import Cost, costs
 from .influences import exact as with_influences
 from .machines import Machines, calibrate
-from .optimised import Optimised, optimise
+from .optimised import STARTS, STEPS, Optimised, optimise
 from .robust import Robust, robust
 from .searches import FREEDOMS, Searches
 from .setting import KNOWN, NOMINAL, POSES, TRAVEL, Known, ball_line, placed
 from .stylus import Star, star
 from .sweep import Drawn, Theory, Varied, drawn, exact, theory
-from .timing import Chooser, Trade, trade
+from .timing import SHAPES, Chooser, Trade, trade
 
 MACHINES = 1000
 SHOWN = 8
@@ -29,16 +29,28 @@ SHOWN = 8
 PLACES = 121
 LEAST = 100
 """Machines of the smallest campaign."""
-_SEARCHED = (
-    "poses",
-    "poses, balls within 60 mm",
-    "poses, artefact within 250 mm",
-)
-_FEW: Sequence[tuple[Varied, float]] = (("N", 5), ("N", 11), ("N", 17))
-"""Designs whose machines are drawn where every pose has an artefact of its own."""
 _SHORT: tuple[int, tuple[int, ...]] = (9, (6,))
 """Balls and poses of a design that leaves more to the prior."""
 Key = tuple[Varied, float]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is computed; the whole unless said otherwise."""
+
+    drawn: Mapping[Known, Sequence[Key] | None] = field(
+        default_factory=lambda: {"P": (("N", 5), ("N", 11), ("N", 17))}
+    )
+    """Designs whose machines are drawn; of P few, as every pose has an artefact of its own."""
+    searched: tuple[str, ...] = (
+        "poses",
+        "poses, balls within 60 mm",
+        "poses, artefact within 250 mm",
+    )
+    starts: int = STARTS
+    steps: int = STEPS
+    shapes: Mapping[int, Sequence[int]] = field(default_factory=lambda: SHAPES)
+    """Numbers of poses by number of balls, for error against time."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +103,11 @@ def nominal_poses() -> ArrayPoses:
     return placed(POSES[next(iter(POSES))](), ball_line(*NOMINAL))
 
 
-def compute(draws: int, seed: int, progress: Callable[[str], None]) -> Results:
+def compute(
+    draws: int, seed: int, progress: Callable[[str], None], effort: Effort | None = None
+) -> Results:
     """Everything; campaigns have `draws` machines, those that judge a search twice as many."""
+    effort = effort or Effort()
     given, usual, programs = task(), nominal_poses(), Programs()
     before = tuple(1e6 * float(np.trace(g)) ** 0.5 for g in given.gram)
     balls = ball_line(*NOMINAL)
@@ -116,7 +131,7 @@ def compute(draws: int, seed: int, progress: Callable[[str], None]) -> Results:
             seed=seed,
             programs=programs,
             progress=progress,
-            only=_FEW if known == "P" else None,
+            only=effort.drawn.get(known),
         )
     progress("influences")
     cost: dict[Known, dict[str, Cost]] = {known: costs(given, usual, known) for known in KNOWN}
@@ -134,22 +149,31 @@ def compute(draws: int, seed: int, progress: Callable[[str], None]) -> Results:
         return drawn(made)
 
     searched: dict[Known, dict[str, Searched]] = {known: {} for known in KNOWN}
-    for name in _SEARCHED:
+    for name in effort.searched:
         searches = Searches([given], FREEDOMS[name])
         for known in KNOWN:
             progress(f"search, {known}: {name}")
-            found = optimise(given, usual, known, FREEDOMS[name], seed=seed, searches=searches)
+            found = optimise(
+                given,
+                usual,
+                known,
+                FREEDOMS[name],
+                starts=effort.starts,
+                steps=effort.steps,
+                seed=seed,
+                searches=searches,
+            )
             searched[known][name] = Searched(found, checked(found.poses, known))
     judged: dict[Known, Drawn] = {known: checked(usual, known) for known in KNOWN}
     stars: dict[Known, Star] = {}
     for known in KNOWN:
         progress(f"star stylus, {known}")
-        stars[known] = star(given, usual, known, seed=seed)
-    traded = trade(given, seed=seed, progress=progress)
+        stars[known] = star(given, usual, known, steps=effort.steps, seed=seed)
+    traded = trade(given, shapes=effort.shapes, seed=seed, progress=progress)
     few = Chooser(given, seed=seed).choose(*_SHORT, "S")[0].poses
     several = {
         f"{start.rotation.shape[0]} poses of {start.balls.shape[0]} balls": robust(
-            "S", nominal=start, seed=seed, progress=progress
+            "S", nominal=start, steps=min(effort.steps, 200), seed=seed, progress=progress
         )
         for start in (usual, few)
     }

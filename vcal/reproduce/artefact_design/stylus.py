@@ -69,7 +69,7 @@ def with_star(poses: ArrayPoses, side_m: float = SIDE_M) -> ArrayPoses:
     return replace(poses, tool=jnp.asarray(tool))
 
 
-def star(task: Task, nominal: ArrayPoses, known: Known, *, seed: int = 0) -> Star:
+def star(task: Task, nominal: ArrayPoses, known: Known, *, steps: int = 200, seed: int = 0) -> Star:
     """Straight against alternating, and what a search makes of it."""
     alternating = with_star(nominal)
     assert alternating.tool is not None
@@ -92,6 +92,6 @@ def star(task: Task, nominal: ArrayPoses, known: Known, *, seed: int = 0) -> Sta
         return 1e6 * rms * made.penalty
 
     begin = spread(space, jax.random.key(seed), 2)
-    best = space.candidate(search(criterion, begin, space.low, space.high)[0].z).poses
+    best = space.candidate(search(criterion, begin, space.low, space.high, steps=steps)[0].z).poses
     straight, other, found = (bayes_um(task, p, known)[0] for p in (nominal, alternating, best))
     return Star(straight, other, found, alternating, best)
