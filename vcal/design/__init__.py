@@ -12,12 +12,18 @@ from .ball_array import (
     pose_information,
     touches,
 )
+from .criteria import CRITERIA, Criterion, Judged
 from .exchange import Choice, exchange
+from .following import Following, follow
 from .minimax import Minimax, minimax
 from .mismatch import Left, drawn_errors, expected_error, fitted_places
+from .optimise import Designed, Task, optimise
+from .plan_space import DesignSettings, PlanSpace, Subject
 from .posterior import covariance, curvature, expanded, information, inverse, jacobian, precision
 from .rank import Rank, rank_of
 from .search import Found, search
+from .separation import Rival, Separation
+from .spaces import SPACES
 from .volume import (
     Displacements,
     Gram,
@@ -29,18 +35,30 @@ from .volume import (
 from .weights import Weights, apportion, weigh
 
 __all__ = [
+    "CRITERIA",
+    "SPACES",
     "ArrayPoses",
     "ArraySpace",
     "Average",
     "Candidate",
     "Choice",
+    "Criterion",
+    "DesignSettings",
+    "Designed",
     "Displacements",
+    "Following",
     "Found",
     "Gram",
+    "Judged",
     "Left",
     "Minimax",
+    "PlanSpace",
     "PoseInformation",
     "Rank",
+    "Rival",
+    "Separation",
+    "Subject",
+    "Task",
     "Touches",
     "Weights",
     "apportion",
@@ -54,12 +72,14 @@ __all__ = [
     "expanded",
     "expected_error",
     "expected_rms",
+    "fitted_places",
+    "follow",
     "gram_for",
     "information",
-    "fitted_places",
     "inverse",
     "jacobian",
     "minimax",
+    "optimise",
     "pairs_precision",
     "pose_information",
     "precision",
