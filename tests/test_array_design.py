@@ -274,6 +274,7 @@ def test_the_search_finds_known_minima():
         search(lambda z: z[0] / 0.0, [np.ones(1)], -np.ones(1), np.ones(1))
 
 
+@pytest.mark.slow
 def test_the_search_makes_a_better_artefact():
     chain, errors = machine()
     poses = design(10)

@@ -206,6 +206,7 @@ def test_shapes_have_the_covariance_of_their_precision():
     np.testing.assert_allclose(response["ball.X", "1.3"], [0, 0, *shape.columns[[0, 1], 0, 3]])
 
 
+@pytest.mark.slow
 def test_the_engine_has_the_same_posterior(given, nominal):
     """Poses and shape as parameters of one identification."""
     model, plan = measured_by(given, nominal, "S")

@@ -40,6 +40,7 @@ def distance(batch, a, b):
 
 
 @pytest.mark.parametrize("kind", ["laser_tracker", "ball_array"])
+@pytest.mark.slow
 def test_a_draw_is_identified_as_alone(kind, known):
     it = known[kind]
     batch, simulator = prepare_batch(it.model, it.plan), prepare(it.model, it.plan)
@@ -85,6 +86,7 @@ def test_an_arm_is_identified_with_a_curvature_of_its_own(known):
     np.testing.assert_allclose(one, two, atol=1e-9 * np.abs(two).max())
 
 
+@pytest.mark.slow
 def test_shape_parameters_move_in_a_batch(known):
     it = known["laser_tracker"]
     model = it.model.with_effects(it.effect("screw_cyclic:X"))

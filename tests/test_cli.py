@@ -201,6 +201,7 @@ def test_keys_that_are_commented_out_can_be_used(tmp_path, instrument):
 # --- simulate ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_simulate_makes_a_study_of_the_same_kind(tmp_path, small_tracker_study):
     out = tmp_path / "made"
     arguments = ("--with", "backlash:Y:size_um=12", "--with", "screw_cyclic:X:pitch_mm=20")

@@ -291,6 +291,7 @@ def test_the_determinant(balls, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_effects_of_the_artefact_and_of_conditions_count(balls, tmp_path):
     """Against the engine's own derivatives, which know nothing of poses by turn and place."""
     text = '\n[[model.effect]]\nname = "artefact_expansion"\nalpha_um_per_m_K_sigma = 5\n'
@@ -545,6 +546,7 @@ def test_sizes_of_rivals(tracker):
     assert pitch.moment.shape[0] == len(pitch.effect.amplitudes)
 
 
+@pytest.mark.slow
 def test_what_the_loop_left_open(tracker):
     """From a closure of which only the doubtful effect matters."""
     study, task = task_of(tracker)

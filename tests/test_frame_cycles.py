@@ -270,6 +270,7 @@ def test_paths_turn_at_every_corner():
         assert one.end == other.start
 
 
+@pytest.mark.slow
 def test_the_bound_of_a_path_is_below_what_gradient_reaches():
     edges = search._Edges()
     start = Layout.named("3d")

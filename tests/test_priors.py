@@ -125,6 +125,7 @@ def test_scatter_has_a_distribution_too(tracker):
         prepare(tracker.model.with_effects(shifted), tracker.plan)
 
 
+@pytest.mark.slow
 def test_the_budget_names_them(tracker, screw):
     effect = dataclasses.replace(screw, given=(("pitch", 20.0, 0.0),))
     effect = dataclasses.replace(effect, priors=(Prior("sine", Triangular(-5.0, 5.0)),))

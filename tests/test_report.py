@@ -289,6 +289,7 @@ def test_report_without_check_points(closed, tmp_path):
     assert "error_field.png" in content["files"]
 
 
+@pytest.mark.slow
 def test_report_of_an_arm(small_arm_study, tmp_path):
     study = load_study(small_arm_study)
     assert study.measurement is not None
