@@ -12,7 +12,7 @@ from vcal.reproduce.artefact_design.results import Effort, compute
 
 FEW = (("N", 5), ("N", 11), ("N", 17))
 LITTLE = Effort(
-    drawn=dict.fromkeys("SPB", FEW),
+    drawn={"S": FEW, "P": (), "B": ()},
     searched=("poses", "poses, balls within 60 mm", "poses, artefact within 250 mm"),
     starts=1,
     steps=4,
@@ -20,7 +20,7 @@ LITTLE = Effort(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_folder(tmp_path, monkeypatch):
     def little(draws, seed, progress):
         return compute(draws, seed, progress, LITTLE)

@@ -91,7 +91,7 @@ def test_a_small_trade(given):
     assert bayes_um(given, last.chosen.poses, "S")[0] == pytest.approx(last.chosen.rms_um, rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_as_good_as_nominal_in_little_more_than_half_the_time(given):
     found = trade(given, shapes={9: (7,), 11: (6,)})
     for known in KNOWN:
@@ -131,7 +131,7 @@ def test_regret():
     assert found.average_um("nominal") == pytest.approx(10.0**0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_robust_design(given):
     """The average is never worse than that of the design for the first family."""
     nominal = placed(outer_faces()[::2], ball_line(*NOMINAL))

@@ -209,11 +209,11 @@ LONG = pytest.mark.slow
     ("kind", "goal"),
     [
         pytest.param("balls", "volume", marks=LONG),
-        pytest.param("balls", "largest", marks=LONG),
-        pytest.param("balls", "determinant", marks=LONG),
-        pytest.param("tracker", "volume", marks=LONG),
+        pytest.param("balls", "largest", marks=pytest.mark.campaign),
+        pytest.param("balls", "determinant", marks=pytest.mark.campaign),
+        pytest.param("tracker", "volume", marks=pytest.mark.campaign),
         pytest.param("tracker", "largest", marks=LONG),
-        pytest.param("tracker", "determinant", marks=LONG),
+        pytest.param("tracker", "determinant", marks=pytest.mark.campaign),
     ],
 )
 def test_gradient_against_finite_differences(request, kind, goal):

@@ -89,7 +89,7 @@ def test_gram_of_some_effects(given):
         gram_for(whole, given.gram, given.model)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_shared_programs_change_nothing(given, small):
     other = placed(outer_faces()[1::2], ball_line(5, 0.02, 0.05))
     programs = Programs()
