@@ -48,19 +48,21 @@ def main() -> None:
         row = {"case": name, "cold_s": seconds[0], "warm_s": seconds[1], "found": note(found)}
         rows.append(row)
         print(row, flush=True)
+        record = {"device": jax.devices()[0].device_kind, "draws": options.draws, "rows": rows}
+        options.out.write_text(json.dumps(record, indent=1) + "\n")
 
-    for known in KNOWN:
-        timed(
-            f"sweep, linear, {known}",
-            lambda k=known: linear(given, k, draws=options.draws, seed=0),
-            lambda found: f"{(found['N', 11] ** 2).mean() ** 0.5:.3f} um at the nominal design",
-        )
     programs = Programs()
     for known in KNOWN:
         timed(
             f"sweep, exact, {known}",
             lambda k=known: exact(given, k, draws=options.draws, seed=0, programs=programs),
             lambda found: f"{found['N', 11].rms:.3f} um at the nominal design",
+        )
+    for known in KNOWN:
+        timed(
+            f"sweep, linear, {known}",
+            lambda k=known: linear(given, k, draws=options.draws, seed=0),
+            lambda found: f"{(found['N', 11] ** 2).mean() ** 0.5:.3f} um at the nominal design",
         )
     for name in SEARCHED:
         freedom = FREEDOMS[name]
@@ -71,8 +73,6 @@ def main() -> None:
                 lambda f=freedom, k=known, s=searches: optimise(given, nominal, k, f, searches=s),
                 lambda o: f"{o.rms_um:.3f} um, {100 * o.gain:.1f} % less",
             )
-    record = {"device": jax.devices()[0].device_kind, "draws": options.draws, "rows": rows}
-    options.out.write_text(json.dumps(record, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ is a sum over the effects of the truth and the noise of the readings.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,6 +20,7 @@ from ..arrays import Array
 from ..model import Model
 from ..noise import standard_normal
 from ..plan import Plan
+from ..prior import Amplitudes
 from ..uncertainty.campaign import virtual_pair
 from ..uncertainty.linear import sources
 from ..uncertainty.quantities import Pair
@@ -82,18 +84,27 @@ def drawn_errors(
     pair = virtual_pair(truth, fit, plan)
     gain, J = _gain(pair), np.asarray(jacobian(truth, plan))
     J = J.reshape(-1, J.shape[-1])
-    s, key = pair.simulator, jax.random.key(seed)
-
-    def one(index: Array) -> tuple[Array, Array]:
-        machine, noise, _ = jax.random.split(jax.random.fold_in(key, index), 3)
-        return s.amplitudes.sample(machine), standard_normal(noise, s.sigma.shape)
-
+    sigma = np.asarray(pair.simulator.sigma)
     index = np.arange(draws, dtype=np.uint32)
-    theta, noise = map(np.asarray, jax.jit(jax.vmap(one))(index))
-    noise = (noise * np.asarray(s.sigma)).reshape(draws, -1)
+    drawn = _drawn(pair.simulator.amplitudes, jax.random.key(seed), index, sigma.shape)
+    theta, noise = map(np.asarray, drawn)
+    noise = (noise * sigma).reshape(draws, -1)
     left = theta @ (np.eye(J.shape[1]) - gain @ J).T - noise @ gain.T
     squares = [np.einsum("na,ab,nb->n", left, G, left, optimize=True) for G in gram]
     return np.sqrt(np.maximum(np.stack(squares, 1), 0.0))
+
+
+@eqx.filter_jit
+def _drawn(
+    amplitudes: Amplitudes, key: Array, index: Array, shape: tuple[int, ...]
+) -> tuple[Float[Array, "draws k"], Float[Array, "draws n m"]]:
+    """Machines and noise as `vcal.simulate.draw` makes them."""
+
+    def one(i: Array) -> tuple[Array, Array]:
+        machine, noise, _ = jax.random.split(jax.random.fold_in(key, i), 3)
+        return amplitudes.sample(machine), standard_normal(noise, shape)
+
+    return jax.vmap(one)(index)
 
 
 def _gain(pair: Pair) -> Float[np.ndarray, "k r"]:
