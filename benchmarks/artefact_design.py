@@ -4,7 +4,8 @@
 
 A sweep is the 21 designs of `vcal reproduce artefact-design` with 1000 machines each: *linear* by
 the linear estimate, *exact* with the kinematics and an identification in every draw. Cold is the
-first one of the process, with compilation; warm the next. A search is one of twelve poses of eleven
+first one of the process, with compilation as far as the user's cache of compiled programs does not
+spare it; warm the next. A search is one of twelve poses of eleven
 balls from eight starts, cold and then warm.
 """
 
@@ -17,7 +18,7 @@ from typing import Any
 
 import jax
 
-import vcal
+from vcal.cli.session import start
 from vcal.reproduce.artefact_design.expected import task
 from vcal.reproduce.artefact_design.optimised import optimise
 from vcal.reproduce.artefact_design.results import Effort, nominal_poses
@@ -35,16 +36,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--out", type=Path, default=HERE / "results" / "artefact_design.json")
+    parser.add_argument("--only", default="", help="cases with this in their name")
     options = parser.parse_args()
-    vcal.enable_float64()
+    start()  # with the cache of compiled programs, as the commands
     given, nominal, rows = task(), nominal_poses(), []
 
     def timed(name: str, function: Callable[[], Any], note: Callable[[Any], str]) -> None:
+        if options.only not in name:
+            return
         seconds, found = [], None
         for _ in range(2):
-            start = time.perf_counter()
+            began = time.perf_counter()
             found = function()
-            seconds.append(time.perf_counter() - start)
+            seconds.append(time.perf_counter() - began)
         row = {"case": name, "cold_s": seconds[0], "warm_s": seconds[1], "found": note(found)}
         rows.append(row)
         print(row, flush=True)
