@@ -8,6 +8,8 @@ import pytest
 import scipy.linalg  # noqa: F401  (so that its BLAS is there to be limited)
 from threadpoolctl import threadpool_limits
 
+from vcal.cli.folders import write_start
+
 jax.config.update("jax_enable_x64", True)
 
 
@@ -198,4 +200,37 @@ def small_arm_study(tmp_path: Path) -> Path:
     folder.mkdir()
     (folder / "setup.toml").write_text(ARM, encoding="utf-8")
     write_csv(folder / "data.csv", data)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def kept_programs(tmp_path_factory):
+    """Programs are compiled once for all commands of a file, whichever process they run in."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.delenv("VCAL_NO_CACHE", raising=False)
+        before = jax.config.jax_compilation_cache_dir
+        yield
+        jax.config.update("jax_compilation_cache_dir", before)
+
+
+@pytest.fixture(scope="module")
+def few_poses(tmp_path_factory):
+    """Four poses of the ball array to start from, with an artefact that may expand."""
+    folder = tmp_path_factory.mktemp("given") / "balls"
+    write_start("ball_array", folder)
+    lines = (folder / "data.csv").read_text().splitlines()
+    kept = [lines[0], *(line for line in lines[1:] if int(line.split(",")[0]) < 4)]
+    (folder / "data.csv").write_text("\n".join(kept) + "\n", encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def few_points(tmp_path_factory):
+    """Twenty-four points of the laser tracker to start from."""
+    folder = tmp_path_factory.mktemp("given") / "tracker"
+    write_start("laser_tracker", folder)
+    lines = (folder / "data.csv").read_text().splitlines()
+    kept = [lines[0], *lines[1::5]]
+    (folder / "data.csv").write_text("\n".join(kept) + "\n", encoding="utf-8")
     return folder

@@ -1,13 +1,14 @@
 """The folder that `vcal reproduce artefact-design` leaves, with little of everything."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import vcal.reproduce.artefact_design.run as running
 from vcal.cli import app
+from vcal.reproduce import REPRODUCTIONS, reproduction
 from vcal.reproduce.artefact_design.results import Effort, compute
 
 FEW = (("N", 5), ("N", 11), ("N", 17))
@@ -25,7 +26,8 @@ def test_the_folder(tmp_path, monkeypatch):
     def little(draws, seed, progress):
         return compute(draws, seed, progress, LITTLE)
 
-    monkeypatch.setattr(running, "compute", little)
+    few = replace(reproduction("artefact-design"), compute=little)
+    monkeypatch.setitem(REPRODUCTIONS, few.name, few)
     out = tmp_path / "out"
     done = CliRunner().invoke(
         app, ["reproduce", "artefact-design", "--out", str(out), "--draws", "200"]

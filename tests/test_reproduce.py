@@ -1,6 +1,7 @@
 """Published campaigns done again: against closed forms, and the folder that they leave."""
 
 import json
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,6 @@ from scipy.stats import maxwell, rayleigh
 from typer.testing import CliRunner
 
 import vcal.reproduce.tracker_verification.results as computing
-import vcal.reproduce.tracker_verification.run as running
 from vcal.batch import prepare_batch
 from vcal.cli import app
 from vcal.errors import StudyError
@@ -286,13 +286,14 @@ def test_probing_adds_what_is_independent(results):
 
 
 @pytest.mark.slow
-def test_the_folder(results, tmp_path, monkeypatch):
+def test_the_folder(results, tmp_path):
     asked = []
-    monkeypatch.setattr(
-        running, "compute", lambda draws, seed, *rest: asked.append((draws, seed)) or results
+    campaign = replace(
+        reproduction("tracker-verification"),
+        compute=lambda draws, seed, progress: asked.append((draws, seed)) or results,
     )
     out = tmp_path / "out"
-    page = reproduction("tracker-verification").run(out, DRAWS, 3, lambda step: None)
+    page = campaign.run(out, DRAWS, 3, lambda step: None)
     assert asked == [(DRAWS, 3)]
     assert page == out / "index.html"
     record = json.loads((out / "result.json").read_text(encoding="utf-8"))
@@ -311,11 +312,11 @@ def test_the_folder(results, tmp_path, monkeypatch):
         if name.endswith(".png"):
             assert (out / name).read_bytes().startswith(b"\x89PNG")
     # Again into the same folder, but not into one with other things in it.
-    assert reproduction("tracker-verification").run(out, DRAWS, 3, print) == page
+    assert campaign.run(out, DRAWS, 3, print) == page
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").write_text("mine")
     with pytest.raises(StudyError, match=r"output folder: found other files \(mine.txt"):
-        reproduction("tracker-verification").run(tmp_path / "other", DRAWS, 3, print)
+        campaign.run(tmp_path / "other", DRAWS, 3, print)
 
 
 def refused(*arguments):

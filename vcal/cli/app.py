@@ -117,9 +117,10 @@ def demo(
 def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
     began = time.perf_counter()
     start()
-    from .. import close_loop, load_study
+    from .. import load_study
     from ..errors import StudyError
     from ..report import check_folder, write_report
+    from .closing import close_study
     from .show import show_closure
 
     check_folder(out)  # before the work, not after it
@@ -131,15 +132,7 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
                 f"plan; expected the readings of a {study.settings.instrument.kind}; add them, or "
                 "make some with `vcal simulate`"
             )
-        options = study.options
-        closure = close_loop(
-            study.model,
-            study.measurement,
-            check=study.check,
-            effects=[study.catalogue[name] for name in options.effects or study.catalogue],
-            **options.model_dump(exclude={"effects"}),
-            progress=progress,
-        )
+        closure = close_study(study, study.measurement, progress)
         progress("writing the report")
         seconds = time.perf_counter() - began
         page = write_report(closure, study, out, command=command, seconds=seconds)

@@ -13,10 +13,10 @@ from ..errors import StudyError
 from ..io import Study, load_study
 from ..io.design import check_designed, design_task
 from ..io.separate import Wanted, parse_rivals, rivals_of
-from ..loop.close_loop import close_loop
 from ..report.design import check_design_folder, write_design, write_following
 from ..report.design_record import design_sentence
 from ..report.following_page import following_sentence
+from .closing import close_study
 
 _MORE = {"pose": 1, "point": 10}
 """Groups of the next measurement, where the study does not say."""
@@ -115,15 +115,7 @@ def _wanted(
         return parse_rivals(separate, study), "The two effects were named by --separate."
     if study.measurement is None or not task.space.taken:
         return None, "There are no readings yet: what counts is the criterion of [design]."
-    options = study.options
-    closure = close_loop(
-        study.model,
-        study.measurement,
-        check=study.check,
-        effects=[study.catalogue[name] for name in options.effects or study.catalogue],
-        **options.model_dump(exclude={"effects"}),
-        progress=progress,
-    )
+    closure = close_study(study, study.measurement, progress)
     if closure.interrupted:
         raise KeyboardInterrupt
     wanted = rivals_of(closure, study, task)

@@ -78,9 +78,8 @@ def show_study(study: Study) -> None:
     travels = ", ".join(
         f"{j.name} {j.travel[0] * 1e3:g} to {j.travel[1] * 1e3:g} mm" for j in chain.joints
     )
-    classes = [study.catalogue[n] for n in study.options.effects or study.catalogue]
     measurement = study.measurement or Measurement(plan, np.zeros((plan.rows, readings)))
-    found, missing = candidates(study.model, measurement, classes)
+    found, missing = candidates(study.model, measurement, study.tried)
     rows = [
         ("machine", f"{chain.text}; {travels}" if linear else chain.text),
         ("instrument", study.settings.instrument.kind),

@@ -18,6 +18,8 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
+from .determined import covariance_of
+
 
 class Average(NamedTuple):
     """The best weights found."""
@@ -64,14 +66,7 @@ def weigh_average(
     bound = 0.0
     for _ in range(steps):
         H = precision + (share @ flat).reshape(precision.shape)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
-        scaled = H * np.outer(scale, scale)
-        if best is None and np.linalg.cond(scaled) > 1e12:
-            raise ValueError(
-                "found candidates that leave a parameter undetermined, expected every parameter to "
-                "be seen by some of them or to have a prior; add candidates"
-            )
-        C = np.linalg.inv(scaled) * np.outer(scale, scale)
+        C = covariance_of(H, check=best is None)
         value = float(np.einsum("kl,kl->", gram, C))
         slope = np.maximum(flat @ (C @ gram @ C).ravel(), 0.0)
         steepest = _held(slope, limit, total, first=True)

@@ -18,12 +18,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from threadpoolctl import threadpool_limits
 
+from .determined import covariance_of
+
 _FACTOR = 1e-13
 """Eigenvalue of an information, relative to its largest, that counts as zero."""
 _RIDGE = 1e-10
 """Precision that is lent to a prior that has none, in units of what all candidates give."""
-_SURE = 1e12
-"""Condition number from which a parameter counts as undetermined."""
 
 
 class Choice(NamedTuple):
@@ -201,12 +201,4 @@ def _gains(C: np.ndarray, G: np.ndarray, parts: np.ndarray) -> np.ndarray:
 def _value(F: np.ndarray, precision: np.ndarray, G: np.ndarray, counts: np.ndarray) -> float:
     """sqrt(tr(G C)), with the prior as it is."""
     H = precision + np.tensordot(counts.astype(float), F, 1)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
-    scaled = H * np.outer(scale, scale)
-    if np.linalg.cond(scaled) > _SURE:
-        raise ValueError(
-            "found a choice that leaves a parameter undetermined, expected every parameter to be "
-            "seen or to have a prior; choose more, or add candidates"
-        )
-    C = np.linalg.inv(scaled) * np.outer(scale, scale)
-    return float(np.sqrt(np.einsum("kl,kl->", G, C)))
+    return float(np.sqrt(np.einsum("kl,kl->", G, covariance_of(H))))

@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from .determined import covariance_of
+
 _POWER = 4.0
 
 
@@ -47,14 +49,7 @@ def weigh(
     best: Weights | None = None
     for _ in range(steps):
         H = precision + np.tensordot(w, information, 1)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
-        scaled = scale[:, None] * H * scale
-        if best is None and np.linalg.cond(scaled) > 1e12:
-            raise ValueError(
-                "found candidates that leave a parameter undetermined, expected every parameter to "
-                "be seen by some of them or to have a prior; add candidates"
-            )
-        C = scale[:, None] * np.linalg.inv(scaled) * scale
+        C = covariance_of(H, check=best is None)
         reached = functionals @ C
         values = np.sqrt(np.maximum((reached * functionals).sum(1), 0.0))
         if best is None or values.max() < best.largest:

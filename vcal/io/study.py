@@ -66,6 +66,11 @@ class Study:
         return self.settings.loop
 
     @property
+    def tried(self) -> list[type[Effect]]:
+        """The effects that the loop tries: those that its settings name, or all there are."""
+        return [self.catalogue[name] for name in self.options.effects or self.catalogue]
+
+    @property
     def as_dict(self) -> dict[str, Any]:
         """The settings as plain values, for reports."""
         return self.settings.model_dump()

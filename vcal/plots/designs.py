@@ -1,18 +1,14 @@
 """Pictures of a measurement that is designed: its artefact, its places, what it leaves open."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from .style import AFTER, BEFORE, DOTS, INK, NOMINAL, figure, grid, plain, pretty_unit, titled
-
-_ZOOM: Any = 0.95
-"""Of boxes in three dimensions; a fraction, which the stubs of matplotlib do not know."""
+from .work_space import work_space
 
 
 class Places(NamedTuple):
@@ -73,21 +69,8 @@ def artefact_views(nominal: Mapping[str, np.ndarray], made: Mapping[str, np.ndar
 def places_views(travel: Float[np.ndarray, "3 2"], views: Sequence[Places]) -> Figure:
     """Plans in the work space, side by side in three dimensions; travel of X, Y, Z in m."""
     drawn = figure(9.6, 3.9)
-    ends = travel * 1e3
     for i, view in enumerate(views):
-        ax = drawn.add_subplot(1, len(views), i + 1, projection="3d", computed_zorder=False)
-        assert isinstance(ax, Axes3D)
-        for a in range(3):
-            others = [b for b in range(3) if b != a]
-            for first in (0, 1):
-                for second in (0, 1):
-                    line = np.zeros((3, 2))
-                    line[a] = ends[a]
-                    line[others[0]], line[others[1]] = (
-                        ends[others[0]][first],
-                        ends[others[1]][second],
-                    )
-                    ax.plot(*line, color=DOTS, linewidth=0.7)
+        ax = work_space(drawn, len(views), i, travel)
         at = view.position.T * 1e3
         groups = np.unique(view.group)
         if len(groups) < len(view.group):
@@ -103,15 +86,6 @@ def places_views(travel: Float[np.ndarray, "3 2"], views: Sequence[Places]) -> F
             east, north, up = place.tolist()
             ax.text(east, north, up, " instrument", fontsize=8, color=INK)
         ax.text2D(0.04, 0.94, view.name, fontsize=10, color=INK, transform=ax.transAxes)
-        for letter, set_label in zip(
-            "XYZ", (ax.set_xlabel, ax.set_ylabel, ax.set_zlabel), strict=True
-        ):
-            set_label(f"{letter}, mm", fontsize=8.5, color=INK)
-        ax.tick_params(labelsize=7.5, colors=INK, pad=0)
-        span = np.ptp(ends, axis=1)
-        ax.set_box_aspect(np.maximum(span, 0.25 * span.max()).tolist(), zoom=_ZOOM)
-        for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
-            axis.set_major_locator(MaxNLocator(4))
     drawn.subplots_adjust(left=0.0, right=0.95, top=0.99, bottom=0.05, wspace=0.02)
     return drawn
 

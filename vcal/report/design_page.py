@@ -1,7 +1,5 @@
 """The page of a designed measurement."""
 
-import datetime
-import json
 import math
 from collections.abc import Mapping, Sequence
 
@@ -14,7 +12,7 @@ from . import text
 from .design_pictures import uncertain
 from .design_record import design_notes, design_sentence, duration, share
 from .picture import Picture
-from .record import plain, versions
+from .provenance import provenance
 from .sheet import Badge, Section, Table, Tile, sheet
 
 _MOST_GROUPS = 40
@@ -59,7 +57,7 @@ def design_page(
             _worth(done, shown),
             _starts(done),
             Section("Frames, signs, units", points=CONVENTIONS),
-            provenance(study, seed, command, seconds),
+            provenance(study, {"seed": str(seed)}, command, seconds, "plan.csv and the pictures"),
         ],
         kicker="vcal – a measurement designed",
         badge=Badge("Better plan", "good") if better else Badge("No better plan", "caution"),
@@ -230,25 +228,4 @@ def _starts(done: Designed) -> Section:
         ("Quasi-Newton search by exact gradient, best end first. Ends that agree speak for it.",),
         tables=(Table(header, rows, "rrrll"),) if rows else (),
         note=smooth,
-    )
-
-
-def provenance(study: Study, seed: int, command: str, seconds: float) -> Section:
-    """Where the numbers come from."""
-    rows = [
-        *([("command", command)] if command else []),
-        ("seed", str(seed)),
-        ("versions", ", ".join(f"{k} {v}" for k, v in versions().items())),
-        *([("time", f"{text.number(seconds)} s")] if math.isfinite(seconds) else []),
-        ("written", datetime.datetime.now().strftime("%Y-%m-%d %H:%M")),
-    ]
-    content = json.dumps(plain(study.as_dict), ensure_ascii=False)
-    return Section(
-        "Provenance",
-        tables=(
-            Table(("input file", "SHA-256"), sorted(study.hashes.items())),
-            Table(("", ""), rows),
-            Table(("",), [(content,)], fold="The study file as it was understood"),
-        ),
-        note="Beside this page: result.json (everything for programs), plan.csv and the pictures.",
     )

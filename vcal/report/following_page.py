@@ -12,10 +12,11 @@ from ..io.study import Study
 from ..plots.designs import Places, Uncertain, places_views, uncertainties
 from ..plots.style import AFTER, BEFORE, png
 from . import text
-from .design_page import CONVENTIONS, provenance
+from .design_page import CONVENTIONS
 from .design_pictures import linear, travel_of, view_of
 from .design_record import DESIGN_SCHEMA, duration, share
 from .picture import Picture
+from .provenance import provenance
 from .record import plain, versions
 from .sheet import Badge, Section, Table, Tile, sheet
 
@@ -152,7 +153,7 @@ def following_page(
             ),
             Section("What is left of every error", pictures=(shown["uncertainties"],)),
             Section("Frames, signs, units", points=(*CONVENTIONS, *_TESTS)),
-            provenance(study, seed, command, seconds),
+            provenance(study, {"seed": str(seed)}, command, seconds, "plan.csv and the pictures"),
         ],
         kicker="vcal – what to measure next",
         badge=Badge("Next", "plain"),

@@ -1,7 +1,5 @@
 """The page of a virtual calibration."""
 
-import datetime
-import json
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,7 +9,8 @@ from ..uncertainty.compare import Comparison
 from ..uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
 from . import text
 from .picture import Picture
-from .record import plain, versions
+from .provenance import provenance
+from .record import plain
 from .sheet import Badge, Section, Table, Tile, sheet
 from .uncertainty_record import notes, sentence
 
@@ -56,7 +55,13 @@ def virtual_page(
         _unseen(result),
         _draws(result),
         Section("Frames, signs, units", points=_CONVENTIONS),
-        _provenance(study, settings, command, seconds),
+        provenance(
+            study,
+            {"settings": ", ".join(f"{k} = {v}" for k, v in plain(settings).items())},
+            command,
+            seconds,
+            "and the pictures",
+        ),
     ]
     return sheet(
         study.name,
@@ -268,26 +273,6 @@ def _draws(result: VirtualCalibration) -> Section:
         done = "all results stable" if ensemble.adaptive.settled else "not all results stable"
         rows.append(("adaptive (JCGM 101, 7.9.4)", done))
     return Section("How the draws went", tables=(Table(("", ""), rows, "lr"),))
-
-
-def _provenance(study: Study, settings: Mapping[str, Any], command: str, seconds: float) -> Section:
-    rows = [
-        *([("command", command)] if command else []),
-        ("settings", ", ".join(f"{k} = {v}" for k, v in plain(settings).items())),
-        ("versions", ", ".join(f"{k} {v}" for k, v in versions().items())),
-        *([("time", f"{text.number(seconds)} s")] if math.isfinite(seconds) else []),
-        ("written", datetime.datetime.now().strftime("%Y-%m-%d %H:%M")),
-    ]
-    content = json.dumps(plain(study.as_dict), ensure_ascii=False)
-    return Section(
-        "Provenance",
-        tables=(
-            Table(("input file", "SHA-256"), sorted(study.hashes.items())),
-            Table(("", ""), rows),
-            Table(("",), [(content,)], fold="The study file as it was understood"),
-        ),
-        note="Beside this page: result.json (everything for programs) and the pictures.",
-    )
 
 
 def _compared(c: Comparison, i: int, name: str, unit: str) -> tuple[str, ...]:

@@ -1,10 +1,10 @@
-"""What a reproduction is, and how its folder is written."""
+"""What a reproduction is, and how it runs from its arguments to its folder."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from ..catalogue import nearest
 from ..errors import StudyError
@@ -14,23 +14,11 @@ from ..report.record import plain, versions
 
 Progress = Callable[[str], None]
 """progress(what is being done)."""
-Run = Callable[[Path, int, int, Progress], Path]
-"""run(out, draws, seed, progress) -> its page."""
+Pictures = Mapping[str, tuple[Picture, ...]]
+"""The pictures of a page, by the part of it that shows them."""
+R = TypeVar("R")
 
 _SCHEMA = "vcal-reproduce/"
-
-
-@dataclass(frozen=True)
-class Reproduction:
-    """A published campaign that can be done again."""
-
-    name: str
-    """As the command line takes it."""
-    summary: str
-    run: Run
-    """Writes page, record and pictures into a folder."""
-    draws: int
-    """Tests, unless another number is asked for."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +33,49 @@ class Row:
     note: str = ""
 
 
-def known(name: str, reproductions: Mapping[str, Reproduction]) -> Reproduction:
+@dataclass(frozen=True)
+class Reproduction(Generic[R]):
+    """A published campaign that can be done again: what it computes, and how that is told."""
+
+    name: str
+    """As the command line takes it."""
+    summary: str
+    compute: Callable[[int, int, Progress], R]
+    """compute(draws, seed, progress) -> its results."""
+    table: Callable[[R], Sequence[Row]]
+    pictures: Callable[[R], Pictures]
+    record: Callable[[R], Mapping[str, Any]]
+    page: Callable[[R, Sequence[Row], Pictures], str]
+    counted: str
+    """What is drawn: machines, tests, cycles."""
+    draws: int
+    """How many of them, unless another number is asked for."""
+    least: int
+    """How many it takes to have a spread."""
+
+    def run(self, out: Path, draws: int, seed: int, progress: Progress) -> Path:
+        """Compute everything and write page, record and pictures into `out`; returns the path of
+        the page.
+
+        Raises `StudyError` for a folder with other things in it, and for too few draws or a
+        negative seed.
+        """
+        check_place(self.name, out)
+        if draws < self.least or seed < 0:
+            raise StudyError(
+                f"found draws = {draws}, seed = {seed}, expected at least {self.least} draws, so "
+                f"that the {self.counted} have a spread, and a seed of at least 0; correct them"
+            )
+        results = self.compute(draws, seed, progress)
+        progress("drawing the pictures")
+        rows, drawn = self.table(results), self.pictures(results)
+        flat = [picture for group in drawn.values() for picture in group]
+        return write(
+            self.name, out, self.page(results, rows, drawn), rows, self.record(results), flat
+        )
+
+
+def known(name: str, reproductions: Mapping[str, Reproduction[Any]]) -> Reproduction[Any]:
     """The reproduction of that name; raises `StudyError` if there is none."""
     if name not in reproductions:
         raise StudyError(

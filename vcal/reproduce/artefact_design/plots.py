@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
 
 from ...design import ArrayPoses
 from ...plots.style import AFTER, BEFORE, DOTS, INK, MARK, NOMINAL, figure, grid, titled
+from ...plots.work_space import work_space
 from .setting import TOOL, TRAVEL, Known
 
 _MARGINS = {"left": 0.75, "right": 0.2, "top": 0.45, "bottom": 0.6, "wspace": 0.7, "hspace": 0.9}
@@ -15,6 +15,8 @@ _GREEN = "#009E73"
 OF: Mapping[Known, str] = {"S": AFTER, "P": BEFORE, "B": _GREEN}
 """Colour of each way to know the artefact."""
 _BINS = 50
+_SPACE = np.array([TRAVEL[c] for c in "XYZ"]) + np.array(TOOL)[:, None]
+"""Of the tool point, which is a tool away from the axes."""
 
 
 def functions(x_mm: np.ndarray, exx_um: np.ndarray, errors_um: np.ndarray) -> Figure:
@@ -125,35 +127,12 @@ def poses(designs: Mapping[str, ArrayPoses]) -> Figure:
     """Artefacts in their poses, in the work space of the tool point."""
     drawn = figure(4.6 * len(designs), 4.3)
     for i, (name, design) in enumerate(designs.items()):
-        ax = drawn.add_subplot(1, len(designs), i + 1, projection="3d")
-        assert isinstance(ax, Axes3D)
-        _box(ax)
+        ax = work_space(drawn, len(designs), i, _SPACE)
         for k, balls in enumerate(1e3 * np.asarray(design.centres)):
             ax.plot(*balls.T, "o-", color=(AFTER, BEFORE, MARK, _GREEN)[k % 4], ms=2.6, lw=0.8)
         ax.set_title(name, fontsize=10, color=INK, y=1.02)
     drawn.subplots_adjust(left=0.02, right=0.95, bottom=0.07, top=0.9, wspace=0.1)
     return drawn
-
-
-def _box(ax: Axes3D) -> None:
-    low, high = ([1e3 * TRAVEL[c][i] for c in "XYZ"] for i in (0, 1))
-    for axis in range(3):
-        for corner in np.ndindex(2, 2):
-            ends = np.empty((2, 3))
-            other = [i for i in range(3) if i != axis]
-            for i, side in zip(other, corner, strict=True):
-                ends[:, i] = (low, high)[side][i]
-            ends[:, axis] = low[axis], high[axis]
-            # The work space is that of the tool point, a tool away from the axes.
-            ends += 1e3 * np.array(TOOL)
-            ax.plot(*ends.T, color=DOTS, lw=0.6)
-    sides = np.subtract(high, low)
-    ax.set_box_aspect(sides / sides.max())
-    for name, setter in zip("XYZ", (ax.set_xlabel, ax.set_ylabel, ax.set_zlabel), strict=True):
-        setter(f"{name}, mm", fontsize=8, labelpad=-4)
-    ax.tick_params(axis="both", labelsize=7, pad=-2)
-    ax.locator_params(nbins=4)
-    ax.view_init(elev=22, azim=-57)
 
 
 def front(

@@ -5,24 +5,23 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
 
 from ...plots.style import AFTER, BEFORE, DOTS, INK, MARK, NOMINAL, figure, grid, titled
+from ...plots.work_space import work_space
 from .setting import THIRTEEN, TRAVEL, Layout
 from .verification import BAND_UM, Agreement
 
 _MARGINS = {"left": 0.75, "right": 0.2, "top": 0.45, "bottom": 0.6, "wspace": 0.65, "hspace": 0.85}
 _COLOURS = (NOMINAL, AFTER, BEFORE, MARK)
 _REPEATS = 3
+_SPACE = np.array([TRAVEL[c] for c in "XYZ"])
 
 
 def beams(layouts: Mapping[str, Layout]) -> Figure:
     """Beam paths in the work space, with their points; the light starts at the square."""
     drawn = figure(3.2 * len(layouts), 3.9)
     for i, (name, layout) in enumerate(layouts.items()):
-        ax = drawn.add_subplot(1, len(layouts), i + 1, projection="3d")
-        assert isinstance(ax, Axes3D)
-        _box(ax)
+        ax = work_space(drawn, len(layouts), i, _SPACE)
         for one in layout.segments:
             ends = 1e3 * np.array([one.start, one.end])
             ax.plot(*ends.T, color=BEFORE, lw=1.2)
@@ -34,25 +33,6 @@ def beams(layouts: Mapping[str, Layout]) -> Figure:
         ax.set_title(name, fontsize=10, color=INK, y=1.06)
     drawn.subplots_adjust(left=0.01, right=0.96, bottom=0.06, top=0.88, wspace=0.08)
     return drawn
-
-
-def _box(ax: Axes3D) -> None:
-    low, high = ([1e3 * TRAVEL[c][i] for c in "XYZ"] for i in (0, 1))
-    for axis in range(3):
-        for corner in np.ndindex(2, 2):
-            ends = np.empty((2, 3))
-            other = [i for i in range(3) if i != axis]
-            for i, side in zip(other, corner, strict=True):
-                ends[:, i] = (low, high)[side][i]
-            ends[:, axis] = low[axis], high[axis]
-            ax.plot(*ends.T, color=DOTS, lw=0.6)
-    sides = np.subtract(high, low)
-    ax.set_box_aspect(sides / sides.max())
-    for name, setter in zip("XYZ", (ax.set_xlabel, ax.set_ylabel, ax.set_zlabel), strict=True):
-        setter(f"{name}, mm", fontsize=8, labelpad=-4)
-    ax.tick_params(axis="both", labelsize=7, pad=-2)
-    ax.locator_params(nbins=4)
-    ax.view_init(elev=22, azim=-57)
 
 
 def along_the_beam(path_m: np.ndarray, parts: Mapping[str, np.ndarray], cuts: Sequence[float]):

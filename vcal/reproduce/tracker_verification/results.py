@@ -47,6 +47,8 @@ _RUNGS = {
 }
 LEAST = 200
 """Tests of the smallest campaign."""
+CAMPAIGN = 30_000
+"""Tests of the long campaign."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,52 @@
+"""`vcal design` in tests: with little of everything."""
+
+import json
+import shutil
+
+from typer.testing import CliRunner
+
+import vcal
+from vcal.cli import app
+from vcal.io.design import design_task
+
+SMALL = (
+    "design.grid=[4,3,3]",
+    "design.starts=2",
+    "design.steps=8",
+)
+FREE = ("--set", "design.across_mm=[40,40]", "--set", "design.along=true",
+        "--set", "design.spacing_mm=20")  # fmt: skip
+
+
+def declare(folder, tmp_path, text):
+    """A copy of a study with more in its study file."""
+    copy = tmp_path / "declared"
+    shutil.copytree(folder, copy)
+    setup = copy / "setup.toml"
+    setup.write_text(setup.read_text(encoding="utf-8") + "\n" + text, encoding="utf-8")
+    return copy
+
+
+def run(*arguments, code=0):
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == code, result.output
+    return result
+
+
+def design(setup, out, *options, code=0, small=SMALL):
+    sets = [part for text in small for part in ("--set", text)]
+    return run("design", setup, "--out", out, *sets, *options, code=code)
+
+
+def strict(path):
+    def refuse(word):
+        raise AssertionError(f"{word} is not JSON")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def task_of(folder, *overrides, small=SMALL):
+    study = vcal.load_study(folder, [*small, *overrides])
+    return study, design_task(study)
