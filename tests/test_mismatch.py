@@ -23,6 +23,8 @@ from vcal.reproduce.artefact_design.influences import (
 from vcal.reproduce.artefact_design.machines import calibrate, measured_by
 from vcal.reproduce.artefact_design.setting import TRAVEL, ball_line, outer_faces, placed
 from vcal.reproduce.artefact_design.stylus import SIDE_M, with_star
+from vcal.reproduce.artefact_design.sweep import designs
+from vcal.reproduce.artefact_design.sweep import exact as exact_sweep
 from vcal.uncertainty.programs import Programs
 
 
@@ -97,12 +99,18 @@ def test_shared_programs_change_nothing(given, small):
         alone = calibrate(given, poses, "B", draws=150, seed=1)
         shared = calibrate(given, poses, "B", draws=150, seed=1, programs=programs)
         np.testing.assert_allclose(shared.errors(), alone.errors(), rtol=1e-9)
-    kept = len(programs)
+    kept = programs.count
     calibrate(given, other, "B", draws=150, seed=1, programs=programs)
-    assert len(programs) == kept
+    assert programs.count == kept
     calibrate(given, placed(outer_faces()[:5], ball_line(5, 0.02, 0.05)), "B", draws=150, seed=1,
               programs=programs)  # fmt: skip
-    assert len(programs) > kept
+    assert programs.count > kept
+    fresh, some = Programs(), [d.key for d in designs() if d.varied != "N"][:2]
+    exact_sweep(given, "B", draws=150, seed=1, programs=fresh, only=some[:1])
+    kept = fresh.count
+    assert kept > 0
+    exact_sweep(given, "B", draws=150, seed=1, programs=fresh, only=some)
+    assert fresh.count == kept
 
 
 @pytest.mark.slow

@@ -23,7 +23,9 @@ class Programs:
     def __init__(self) -> None:
         self._kept: dict[Hashable, Callable[..., Any]] = {}
 
-    def __len__(self) -> int:
+    @property
+    def count(self) -> int:
+        """How many there are. Not a length, with which an empty one would be taken for none."""
         return len(self._kept)
 
     def of(
