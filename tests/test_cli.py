@@ -16,6 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 import vcal
+import vcal.cli.closing
 import vcal.cli.show
 import vcal.report
 from vcal.cli import app
@@ -361,7 +362,7 @@ def test_interrupted_before_there_is_anything(tmp_path, small_tracker_study, mon
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(vcal, "close_loop", interrupted)
+    monkeypatch.setattr(vcal.cli.closing, "close_loop", interrupted)
     shown = run("loop", small_tracker_study, "--out", tmp_path / "out", code=130)
     assert shown.stderr == "vcal: interrupted; nothing was written\n"
     assert not (tmp_path / "out").exists()
@@ -374,7 +375,7 @@ def test_interrupted_with_something_to_tell(tmp_path, small_tracker_study, monke
         return out / "index.html"
 
     closure = SimpleNamespace(interrupted=True, found="what is known")
-    monkeypatch.setattr(vcal, "close_loop", lambda *args, **kwargs: closure)
+    monkeypatch.setattr(vcal.cli.closing, "close_loop", lambda *args, **kwargs: closure)
     monkeypatch.setattr(vcal.report, "write_report", write)
     monkeypatch.setattr(vcal.cli.show, "show_closure", lambda closure: print("a sentence"))
     out = tmp_path / "out"
@@ -388,7 +389,7 @@ def test_an_output_that_cannot_be_written(small_tracker_study, monkeypatch):
     def unwritable(*args, **kwargs):
         raise PermissionError(13, "Permission denied", "/nowhere/out")
 
-    monkeypatch.setattr(vcal, "close_loop", unwritable)
+    monkeypatch.setattr(vcal.cli.closing, "close_loop", unwritable)
     told = refused("loop", small_tracker_study, "--out", small_tracker_study / "out")
     assert told == "vcal: /nowhere/out: Permission denied\n"
 
