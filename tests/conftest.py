@@ -16,14 +16,13 @@ jax.config.update("jax_enable_x64", True)
 def pytest_configure(config: pytest.Config) -> None:
     """Keep compiled programs: most of the time goes into compilation, often of the same program.
 
-    Every process has its own folder, because the cache takes no care of two writers. Where there is
-    a process for every core, one core is what each of them has.
+    All processes share them: a cache of limited size, which nothing here comes near, is locked
+    while it is written. Where there is a process for every core, one core is what each of them has.
     """
-    worker = getattr(config, "workerinput", {}).get("workerid", "main")
-    if worker != "main":
+    if hasattr(config, "workerinput"):
         threadpool_limits(1)
-    folder = config.cache.mkdir("xla") / worker
-    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("xla")))
+    jax.config.update("jax_compilation_cache_max_size", 2**33)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 

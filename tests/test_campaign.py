@@ -112,6 +112,7 @@ def test_shape_parameters_move_in_a_batch(known):
     np.testing.assert_allclose(found.theta[:-1], fit.theta[:-1], atol=5e-3)
 
 
+@pytest.mark.slow
 def test_undeclared_shapes_are_drawn(known):
     it = known["laser_tracker"]
     model = it.model.with_effects(it.effect("screw_cyclic:X"))

@@ -231,6 +231,7 @@ def test_simulate_makes_a_study_of_the_same_kind(tmp_path, small_tracker_study):
     assert 2e-6 < np.sqrt(np.mean(error**2)) < 200e-6
 
 
+@pytest.mark.slow
 def test_simulate_depends_on_the_seed_alone(tmp_path, small_ball_study):
     def made(name, *more):
         run("simulate", small_ball_study, "--out", tmp_path / name, *more)
@@ -243,6 +244,7 @@ def test_simulate_depends_on_the_seed_alone(tmp_path, small_ball_study):
     assert other["artefact.csv"] == first["artefact.csv"]
 
 
+@pytest.mark.slow
 def test_simulate_fills_a_plan_of_an_arm(tmp_path, small_arm_study):
     table = read_table(small_arm_study / "data.csv", [])
     plan = {name: v for name, v in table.items() if name == "pose" or name.startswith("q")}
@@ -320,6 +322,7 @@ def test_simulate_copies_no_file_from_elsewhere(tmp_path, small_tracker_study):
 # --- the loop ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_simulate_then_loop(tmp_path, small_tracker_study):
     made, out = tmp_path / "made", tmp_path / "deep" / "report"
     run("simulate", small_tracker_study, "--out", made, "--with", "backlash:Y:size_um=60")

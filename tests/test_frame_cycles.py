@@ -192,6 +192,7 @@ def compared():
     return verification(300, 4)
 
 
+@pytest.mark.slow
 def test_cycles_give_the_closed_form(planar, three):
     first = variants()[0]
     assert planar.campaign.failed == 0

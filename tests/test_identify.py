@@ -116,6 +116,7 @@ def test_uncertainties_cover_the_truth(tracker):
     assert np.mean(chi2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / first.dof / 60))
 
 
+@pytest.mark.slow
 def test_arm_uncertainties_allow_for_what_rows_share(tmp_path):
     """The base reflectors' noise moves all reflectors of a pose together and is not declared."""
     it = Known("reflectors", tmp_path, noise_factor=1.0)

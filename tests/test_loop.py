@@ -93,6 +93,7 @@ def test_backlash_is_named(backlash):
     assert [any(stage in text for text in said) for stage in STAGES] == [True] * 4
 
 
+@pytest.mark.slow
 def test_same_seed_same_result(backlash):
     one, two, other = (closed(backlash, seed=seed) for seed in (5, 5, 6))
     assert plain(one) == plain(two)

@@ -63,6 +63,7 @@ def test_machine_by_machine(given, small):
         np.testing.assert_allclose(linear[:, i], drawn.errors("after", kind), rtol=0.01)
 
 
+@pytest.mark.slow
 def test_the_parts_add_up(given, small):
     truth, fit, plan = models(given, small, "B", tuple(SIZES), False)
     left = expected_error(truth, fit, plan, volumetric_gram(truth, judged_at(given)))
