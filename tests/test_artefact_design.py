@@ -170,7 +170,7 @@ def test_plain_least_squares_by_drawing(given, nominal):
     assert (found.columns, found.rank) == (39, 11)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_machines_confirm_the_theory(given, nominal):
     """Exact kinematics, uniform priors, poses and artefact identified with the machine."""
     done = calibrate(given, nominal, "S", draws=1000, seed=3)

@@ -211,7 +211,7 @@ def test_the_seed_alone_decides(known, tmp_path):
         run(folder=tmp_path / "draws", noise_factor=2.0)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_strong_curvature_is_retried_and_told(known):
     """Errors eighty times too large: most machines are far from the nominal problem."""
     it = known["laser_tracker"]

@@ -72,7 +72,7 @@ def test_the_criterion_by_the_whole_covariance(designed):
     assert found["designed"]["valuation"] == pytest.approx(1 - found["designed"]["rms_um"] / prior)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_folder_can_be_judged_by_monte_carlo(designed, tmp_path):
     out, _ = designed
     found = strict(out / "result.json")
@@ -120,18 +120,15 @@ def dataclass_without(instrument, pose):
 # --- spaces --------------------------------------------------------------------------------------
 
 
-LONG = pytest.mark.slow
-
-
 @pytest.mark.parametrize(
     ("kind", "goal"),
     [
-        pytest.param("balls", "volume", marks=LONG),
-        pytest.param("balls", "largest", marks=pytest.mark.campaign),
-        pytest.param("balls", "determinant", marks=pytest.mark.campaign),
-        pytest.param("tracker", "volume", marks=pytest.mark.campaign),
-        pytest.param("tracker", "largest", marks=LONG),
-        pytest.param("tracker", "determinant", marks=pytest.mark.campaign),
+        pytest.param("few_poses", "volume", marks=pytest.mark.slow),
+        pytest.param("few_poses", "largest", marks=pytest.mark.campaign),
+        pytest.param("few_poses", "determinant", marks=pytest.mark.campaign),
+        pytest.param("few_points", "volume", marks=pytest.mark.campaign),
+        pytest.param("few_points", "largest", marks=pytest.mark.slow),
+        pytest.param("few_points", "determinant", marks=pytest.mark.campaign),
     ],
 )
 def test_gradient_against_finite_differences(request, kind, goal):
@@ -141,7 +138,7 @@ def test_gradient_against_finite_differences(request, kind, goal):
              "design.station_high_mm=[-500,900,1000]")  # fmt: skip
     _, task = task_of(
         folder, f"design.goal={goal}", 'design.errors=["EXX","EBZ","EC0Y"]',
-        *(free if kind == "balls" else moves),
+        *(free if kind == "few_poses" else moves),
     )  # fmt: skip
     space, compiled = task.space, Compiled(task)
     z = space.scattered(jax.random.key(1))

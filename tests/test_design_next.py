@@ -87,7 +87,7 @@ def independent_lambda(model, first, second, plan):
     return float((left**2).sum())
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_separating_two_effects(few_points):
     study, task = task_of(few_points)
     wanted = parse_rivals(["backlash:Y", "scale_growth:Y"], study)

@@ -38,7 +38,7 @@ def small():
     return placed(outer_faces()[::2], ball_line(5, 0.03, 0.03))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_what_is_not_fitted_by_drawing(given, small):
     """All influences in the truth: theory against machines with exact kinematics."""
     found = costs(given, small, "S")

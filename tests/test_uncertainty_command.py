@@ -360,7 +360,7 @@ class Process:
         return self.process.returncode, stdout, stderr
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.skipif(os.name == "nt", reason="signals are sent to a process")
 def test_interrupted_killed_and_resumed(study, report, tmp_path):
     out = tmp_path / "out"
