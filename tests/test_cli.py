@@ -35,7 +35,7 @@ from vcal.io.settings import (
 )
 
 DEMO = Path(vcal.__file__).parent / "demo"
-STARTS = ("laser_tracker", "ball_array", "reflectors", "laser_frame")
+STARTS = ("laser_tracker", "ball_array", "reflectors", "laser_frame", "r_test")
 
 
 @pytest.fixture(autouse=True)

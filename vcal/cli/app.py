@@ -148,7 +148,7 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
 def init(
     folder: Annotated[Path, typer.Argument(help="Folder to write; a new or an empty one.")],
     instrument: Annotated[
-        str, typer.Option(help="laser_tracker, ball_array, laser_frame or reflectors.")
+        str, typer.Option(help="laser_tracker, ball_array, laser_frame, r_test or reflectors.")
     ] = "laser_tracker",
 ) -> None:
     """Write a commented study folder to start from."""

@@ -76,12 +76,14 @@ def show_study(study: Study) -> None:
     readings = len(study.instrument.readings)
     linear = all(joint.kind == "prismatic" for joint in chain.joints)
     travels = ", ".join(
-        f"{j.name} {j.travel[0] * 1e3:g} to {j.travel[1] * 1e3:g} mm" for j in chain.joints
+        f"{j.name} {j.travel[0] * 1e3:g} to {j.travel[1] * 1e3:g} mm"
+        for j in chain.joints
+        if np.isfinite(j.travel).all()
     )
     measurement = study.measurement or Measurement(plan, np.zeros((plan.rows, readings)))
     found, missing = candidates(study.model, measurement, study.tried)
     rows = [
-        ("machine", f"{chain.text}; {travels}" if linear else chain.text),
+        ("machine", f"{chain.text}; {travels}" if linear and travels else chain.text),
         ("instrument", study.settings.instrument.kind),
         (
             "data",

@@ -126,6 +126,30 @@ def frame(travel: tuple[float, float, float], runs: int, seed: int) -> Columns:
     return columns
 
 
+def circles(radius: float, accelerations: tuple[float, ...], samples: int, seed: int) -> Columns:
+    """One turn per run of an R-test: three planes, both senses; radius in mm, m/s^2.
+
+    The amplitude of a closed loop falls by a few per cent as the circles get faster.
+    """
+    rng = np.random.default_rng(seed)
+    runs = [(p, s, a) for p in ("XY", "YZ", "ZX") for s in (1, -1) for a in accelerations]
+    found: dict[str, list] = {name: [] for name in ("run", "plane", "sense", "a_set_m_s2", "t_s")}
+    position = []
+    for number, (plane, sense, a) in enumerate(runs):
+        omega = np.sqrt(a / (1e-3 * radius))
+        t = (np.arange(samples) + 0.5) / samples * 2.0 * np.pi / omega
+        ratio = 1.0 - 1e-5 * omega**2
+        place = rng.normal(0.0, 2e-5, (samples, 3))
+        place[:, "XYZ".index(plane[0])] += radius * ratio * np.cos(omega * t)
+        place[:, "XYZ".index(plane[1])] += radius * ratio * sense * np.sin(omega * t)
+        position.append(place)
+        for name, value in zip(found, (number, plane, sense, a, t), strict=True):
+            found[name] += list(np.broadcast_to(value, samples))
+    columns = {name: np.array(values) for name, values in found.items()}
+    internal = np.concatenate(position).round(8)
+    return columns | {f"{c}_int_mm": internal[:, i] for i, c in enumerate("xyz")}
+
+
 def main(folder: Path) -> None:
     """Write all plans below a folder that is laid out like this one."""
     plan, artefact = balls(2)
@@ -136,6 +160,7 @@ def main(folder: Path) -> None:
         "start/ball_array/artefact.csv": artefact,
         "start/reflectors/data.csv": arm(3),
         "start/laser_frame/data.csv": frame((500.0, 400.0, 350.0), 4, 4),
+        "start/r_test/data.csv": circles(2.0, (0.5, 1.5, 3.0, 4.5), 40, 5),
     }
     for name, columns in tables.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

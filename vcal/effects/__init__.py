@@ -3,6 +3,7 @@ the catalogue.
 """
 
 from . import (
+    acceleration,
     arm,
     artefact,
     coupling,
@@ -23,6 +24,7 @@ __all__ = [
     "CATALOGUE",
     "Effect",
     "Setup",
+    "acceleration",
     "arm",
     "artefact",
     "coupling",

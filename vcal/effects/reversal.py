@@ -1,8 +1,10 @@
-"""Effects of the direction of approach: backlash, lateral and angular reversal errors."""
+"""Effects of the direction of travel: backlash, lateral and angular reversal errors, friction."""
 
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 
 from ..arrays import Array
 from ..parameters import Parameter
@@ -110,3 +112,53 @@ class AngularReversal(Effect):
             for c in "ABC":
                 if f"E{c}{axis}" != own:
                     yield cls(port=f"E{c}{axis}", placement=axis)
+
+
+@register
+class ReversalSpike(Effect):
+    """Friction after a reversal: -a sgn(v) exp(-s/s0) along every axis that reverses, a > 0.
+
+    s is the distance travelled since the reversal. Until the drive has built up the force that
+    overcomes friction in the new direction, the axis lags (ISO 230-4 shows it as quadrant peaks).
+    Placed on one axis, or on all of them with one size and one decay.
+    """
+
+    name = "reversal_spike"
+    summary = "quadrant peak: friction holds an axis back after its reversal"
+    axes: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("size", "um", sigma=5.0),
+            Parameter("decay", "mm", shape=True, coordinate="log"),
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(f"{kind}_{axis}" for axis in self.axes for kind in ("since", "dir"))
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {
+            (f"tool.{axis}", "size"): -plan.covariate(f"dir_{axis}")
+            * jnp.exp(-plan.covariate(f"since_{axis}") / shape["decay"])
+            for axis in self.axes
+        }
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        # An axis at rest is far from any reversal.
+        moving = [np.asarray(plan.covariate(f"dir_{axis}")) != 0.0 for axis in self.axes]
+        since = [np.asarray(plan.covariate(f"since_{axis}")) for axis in self.axes]
+        reached = np.concatenate([s[m] for s, m in zip(since, moving, strict=True)])
+        longest = float(reached.max()) if len(reached) else 1e-3
+        # A spike of less than a hundredth of the way is a matter of one or two rows.
+        return {"decay": np.geomspace(2e-3 * longest, longest, 28)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        axes = [joint.name for joint in setup.chain.joints if joint.kind == "prismatic"]
+        if len(axes) == len(setup.chain.joints):
+            yield cls(axes=tuple(axes))
+            if len(axes) > 1:
+                for axis in axes:
+                    yield cls(axes=(axis,), placement=axis)

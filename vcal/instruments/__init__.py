@@ -1,6 +1,6 @@
 """Measuring instruments, one leaf file each; importing the package fills the registry."""
 
-from . import ball_array, laser_frame, laser_tracker, reflectors
+from . import ball_array, laser_frame, laser_tracker, r_test, reflectors
 from .base import INSTRUMENTS, Column, Instrument
 
 __all__ = [
@@ -10,5 +10,6 @@ __all__ = [
     "ball_array",
     "laser_frame",
     "laser_tracker",
+    "r_test",
     "reflectors",
 ]

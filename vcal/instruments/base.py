@@ -56,6 +56,12 @@ class Instrument(eqx.Module):
     """Name in study files."""
     dimension: ClassVar[int] = 3
     """How many readings make one point, for root mean squares of points."""
+    machine: ClassVar[str | None] = None
+    """Chain of a study without a ``[machine]``; without one the study has to have it."""
+    positioned: ClassVar[bool] = False
+    """Whether the axis positions are in columns of its own."""
+    labels: ClassVar[tuple[str, ...]] = ()
+    """Columns of text in its data table."""
     Settings: ClassVar[type[InstrumentSettings]]
     """Keys of the ``[instrument]`` table, validated."""
 

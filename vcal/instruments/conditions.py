@@ -19,6 +19,8 @@ _COLUMNS = {
     "order": ("pose", 1.0),
 }
 """Column and factor from SI of covariates whose names inside differ from those in the files."""
+_MOTION = {"dir": ("", 1.0), "a": ("_m_s2", 1.0), "v": ("_m_s", 1.0), "since": ("_mm", 1e3)}
+"""Unit at the end of a column of an axis's motion, and its factor from SI."""
 _JOINT_COLUMNS = {
     "commanded_": ("q{}_cmd_deg", math.degrees(1.0)),
     "read_": ("q{}_read_deg", math.degrees(1.0)),
@@ -69,8 +71,9 @@ def linear_plan_table(plan: Plan, derived: Collection[str] = ()) -> dict[str, np
 
 def inside_name(column: str, axes: tuple[str, ...]) -> str:
     """Name inside vcal of a column of conditions: the inverse of `file_name`."""
-    if match := re.fullmatch(r"dir_(\w+)", column):
-        return f"dir_{match[1].upper()}" if match[1].upper() in axes else column
+    if match := re.fullmatch(r"dir_(\w+)|a_([xyz])_m_s2|v_([xyz])_m_s", column):
+        axis = (match[1] or match[2] or match[3]).upper()
+        return f"{column[: column.index('_')]}_{axis}" if axis in axes else column
     if match := re.fullmatch(r"T_(\w+)_degC", column):
         name = match[1].upper()
         return f"T_{name}" if name in axes else f"T_{match[1]}"
@@ -93,8 +96,9 @@ def file_column(covariate: str, axes: tuple[str, ...]) -> tuple[str, float]:
         return name.format(match[2]), factor
     if covariate in axes:
         return f"{covariate.lower()}_mm", 1e3
-    if match := re.fullmatch(r"dir_(\w+)", covariate):
-        return f"dir_{match[1].lower()}", 1.0
+    if match := re.fullmatch(r"(dir|a|v|since)_([XYZ])", covariate):
+        unit, factor = _MOTION[match[1]]
+        return f"{match[1]}_{match[2].lower()}{unit}", factor
     # A column such as T_gradient_K_per_m came without a conversion, and goes so.
     if (match := re.fullmatch(r"T_(\w+)", covariate)) and not re.search(r"_K(_|$)", covariate):
         name = match[1].lower() if match[1] in axes else match[1]

@@ -295,9 +295,12 @@ def _refined(
     # pydantic reads these at run time, which a type checker cannot follow.
     optional: Any = geometric | None
     model: Any = create_model("ModelSettings", __base__=ModelSettings, geometric=(optional, None))
+    usual = INSTRUMENTS[kind].machine if isinstance(kind, str) else None
+    machine: Any = ... if usual is None else MachineSettings(chain=usual)
     return create_model(
         "StudySettings",
         __base__=StudySettings,
+        machine=(MachineSettings, machine),
         instrument=(instrument, ...),
         model=(model, model()),
         design=(design, design()),

@@ -179,10 +179,11 @@ def _data(study: Study, result: Simulated) -> dict[str, np.ndarray]:
 def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndarray] | None:
     """Conditions at random positions, and the true tool point there.
 
-    None for an arm: where its tool point is, is for its instrument to find.
+    None for an arm: where its tool point is, is for its instrument to find. None where an
+    instrument has columns of its own for positions: it measures at one place.
     """
     chain = study.chain
-    if any(joint.kind != "prismatic" for joint in chain.joints):
+    if study.instrument.positioned or any(joint.kind != "prismatic" for joint in chain.joints):
         return None
     data, kind = study.settings.data.data, study.instrument
     plain, full = (

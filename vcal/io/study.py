@@ -192,8 +192,9 @@ def _data(settings: StudySettings, chain: Chain, folder: Folder, file: str) -> t
     reading_names = {c.name for c in full} - {c.name for c in plain}
     measured = not reading_names or any(column in reading_names for column in header)
     _check_machine(settings, chain, plain, file)
-    columns = [*_positions(chain, plain), *(full if measured else plain)]
-    table = folder.table(name, columns, _condition)
+    places = [] if kind.positioned else _positions(chain, plain)
+    columns = [*places, *(full if measured else plain)]
+    table = folder.table(name, columns, _condition, labels=kind.labels)
     if table.rows < _FEWEST_ROWS:
         raise refusal(
             name,

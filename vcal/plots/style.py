@@ -113,6 +113,13 @@ def column_label(column: str) -> str:
     if match := re.fullmatch(r"dir_(\w+)", column):
         joint = re.fullmatch(r"q(\d+)", match[1])
         return f"direction of travel of {f'joint {joint[1]}' if joint else match[1].upper()}"
+    if match := re.fullmatch(r"(a|v|since)_([xyz])_\w+", column):
+        words = {
+            "a": "acceleration of {}, m/s²",
+            "v": "velocity of {}, m/s",
+            "since": "travel of {} since its reversal, mm",
+        }
+        return words[match[1]].format(match[2].upper())
     if match := re.fullmatch(r"q(\d+)_(cmd|read)_deg", column):
         return f"joint {match[1]}, {'commanded' if match[2] == 'cmd' else 'read back'}, °"
     if match := re.fullmatch(r"T_(\w+)_degC", column):

@@ -1,0 +1,360 @@
+"""R-test: circles, the instrument, its effects and evaluations, on data written by plain numpy."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import vcal
+from vcal import Measurement, close_loop, load_study, predict
+from vcal.circles import FAR, fit_circle
+from vcal.dynamics.evaluate import evaluate, even_ellipse
+from vcal.errors import StudyError
+from vcal.identify import identify
+from vcal.io import write_table
+
+E = np.array([[0.9, 0.1, -1.55], [0.05, 0.6, 0.3], [-0.4, 0.2, 1.1]])
+"""um s^2/m."""
+SETUP = """
+[instrument]
+kind = "r_test"
+radius_mm = 2.0
+external_sigma_um = 0.25
+internal_sigma_um = 0.02
+"""
+PLANES = ("XY", "YZ", "ZX")
+LEVELS = (0.5, 1.0, 2.0, 3.0, 4.5)
+
+
+def circles(*, planes=PLANES, levels=LEVELS, samples=60, ratio=1.0, matrix=E, seed=0, noise=1.0,
+            skew=None, spike=None, turns=1.0):  # fmt: skip
+    """Columns of the data of an R-test. `ratio` is the amplitude over the commanded one, by
+    angular velocity; `skew` what the probes read of a displacement beside it; `spike` the size (um)
+    and the decay (mm) of quadrant peaks.
+    """
+    rng = np.random.default_rng(seed)
+    found = {name: [] for name in ("run", "plane", "sense", "a_set_m_s2", "t_s")}
+    internal, external = [], []
+    number = 0
+    for plane in planes:
+        first, second = ("XYZ".index(c) for c in plane)
+        for sense in (1, -1):
+            for level in levels:
+                omega = np.sqrt(level / 2e-3)
+                angle = 2 * np.pi * turns * (np.arange(samples) + 0.5) / samples
+                size = 2e-3 * (ratio(omega) if callable(ratio) else ratio)
+                place, a, late = np.zeros((samples, 3)), np.zeros((samples, 3)), 0.0
+                place[:, first], place[:, second] = np.cos(angle), sense * np.sin(angle)
+                a = -(omega**2) * size * place
+                read = size * place
+                seen = read + 1e-6 * a @ matrix.T + rng.uniform(-2e-6, 2e-6, 3)
+                if skew is not None:
+                    seen = seen + read @ skew.T
+                if spike is not None:
+                    for axis, wave in ((first, angle), (second, angle - np.pi / 2)):
+                        # Distance since the last extremum of cos(wave), and where it goes.
+                        late = size * (1 - np.abs(np.cos(wave % np.pi / 1.0)))
+                        late = size * (1 - np.cos(wave % np.pi))
+                        way = -np.sign(np.sin(wave)) * (sense if axis == second else 1)
+                        seen[:, axis] -= 1e-6 * spike[0] * way * np.exp(-late / (1e-3 * spike[1]))
+                internal.append(read + noise * rng.normal(0, 2e-8, read.shape))
+                external.append(seen + noise * rng.normal(0, 2.5e-7, read.shape))
+                columns = (number, plane, sense, level, angle / omega)
+                for name, value in zip(found, columns, strict=True):
+                    found[name] += list(np.broadcast_to(value, samples))
+                number += 1
+    table = {name: np.array(values) for name, values in found.items()}
+    for kind, values in (("int", internal), ("ext", external)):
+        joined = 1e3 * np.concatenate(values)
+        table |= {f"{c}_{kind}_mm": joined[:, i] for i, c in enumerate("xyz")}
+    return table
+
+
+def write(folder, table, more=""):
+    folder.mkdir(parents=True, exist_ok=True)
+    write_table(folder / "data.csv", table)
+    (folder / "setup.toml").write_text(SETUP + more, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    return load_study(write(tmp_path_factory.mktemp("r_test") / "study", circles()))
+
+
+def fitted(study, *effects):
+    return identify(study.model.with_effects(*effects), study.measurement)
+
+
+def crosstalk(fit):
+    """Matrix and standard uncertainties, um s^2/m."""
+    rows = {p.name: (v, u) for (_, p), v, u in zip(*_entries(fit), strict=True)}
+    values, u = (
+        np.array([[rows[f"matrix_{i}{j}"][k] for j in "XYZ"] for i in "XYZ"]) for k in (0, 1)
+    )
+    return values, u
+
+
+def _entries(fit):
+    entries = [(e.key, e.parameter) for e in fit.model.entries]
+    step = np.array([p.step / p.si for _, p in entries])
+    u = np.sqrt(np.diag(fit.covariance))[: len(entries)]
+    return entries, np.asarray(fit.theta)[: len(entries)] * step, u * step
+
+
+def bend(chain):
+    return vcal.CATALOGUE["acceleration_crosstalk"](axes=chain.axes)
+
+
+# --- circles -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turns", [1.0, 1.7])
+def test_a_circle_is_found(turns):
+    t = np.linspace(0.0, 2 * np.pi * turns / 40.0, 90)
+    x = np.column_stack([3 + 2 * np.cos(40 * t + 0.3), 1.9 * np.sin(40 * t + 0.3), 0 * t + 7])
+    found = fit_circle(t, 1e-3 * x)
+    assert found.omega == pytest.approx(40.0, rel=1e-11)
+    np.testing.assert_allclose(found.amplitude, [2e-3, 1.9e-3, 0], atol=1e-14)
+    np.testing.assert_allclose(found.position(t), 1e-3 * x, atol=1e-14)
+    v, a = (np.gradient(1e-3 * x, t, axis=0), found.acceleration(t))
+    np.testing.assert_allclose(found.velocity(t)[3:-3], v[3:-3], atol=5e-3 * np.abs(v).max())
+    np.testing.assert_allclose(a, -(40.0**2) * 1e-3 * (x - [3, 0, 7]), atol=1e-10)
+
+
+def test_way_since_the_reversal():
+    """Against the way added up in small steps."""
+    t = np.linspace(0.0, 3 * 2 * np.pi / 30.0, 60001)
+    x = np.column_stack([2e-3 * np.cos(30 * t + 1.1), 2e-3 * np.sin(30 * t + 1.1), 0 * t])
+    found = fit_circle(t[::50], x[::50]).since_reversal(t)
+    for axis in (0, 1):
+        step = np.diff(x[:, axis], prepend=x[0, axis])
+        way, last, since = 0.0, 0.0, []
+        for d in step:
+            way = abs(d) if d * last < 0 else way + abs(d)
+            last = d or last
+            since.append(way)
+        # Where it turns within a step, either end of the way is right.
+        later = (t > 2 * np.pi / 30) & (np.array(since) < 0.99999 * 4e-3)
+        np.testing.assert_allclose(found[later, axis], np.array(since)[later], atol=1e-7)
+    assert (found[:, 2] == FAR).all()
+
+
+def test_no_circle():
+    t = np.linspace(0.0, 1.0, 50)
+    with pytest.raises(ValueError, match="one axis that moves at most"):
+        fit_circle(t, np.column_stack([np.cos(9 * t), 0 * t, 0 * t]))
+    with pytest.raises(ValueError, match="found 4 rows"):
+        fit_circle(t[:4], np.zeros((4, 3)))
+
+
+# --- the matrix ----------------------------------------------------------------------------------
+
+
+def test_the_matrix_is_identified(study):
+    """Against plain least squares in numpy, run by run."""
+    found, u = crosstalk(fitted(study, bend(study.chain)))
+    plan = study.plan
+    a = np.column_stack([plan.covariate(f"a_{c}") for c in "XYZ"])
+    runs = (np.asarray(plan.groups["run"])[:, None] == np.arange(30)) * 1.0
+    columns = np.column_stack([a, runs])
+    apart = np.asarray(study.measurement.readings) - np.asarray(plan.position)
+    expected = 1e6 * np.linalg.lstsq(columns, apart, rcond=None)[0][:3].T
+    # The prior of 1 um s^2/m draws by a few parts in a hundred thousand.
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    spread = 0.2508 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns))[:3])
+    np.testing.assert_allclose(u, np.tile(spread, (3, 1)), rtol=1e-3)
+    assert (np.abs(found - E) < 4 * u).all()
+
+
+def test_the_amplitude_trap(tmp_path):
+    """A closed loop that makes circles of 0.8 of the radius: nominal accelerations are too large,
+    and the matrix comes out by that factor too small.
+    """
+    table = circles(ratio=lambda omega: 1.0 - 8e-5 * omega**2, levels=(4.5,), noise=0.0)
+    right, wrong = (
+        crosstalk(fitted(s := load_study(write(tmp_path / name, table, more)), bend(s.chain)))[0]
+        for name, more in (("actual", ""), ("nominal", 'acceleration = "nominal"\n'))
+    )
+    ratio = 1.0 - 8e-5 * 4.5 / 2e-3
+    np.testing.assert_allclose(right, E, atol=2e-4)
+    np.testing.assert_allclose(wrong, ratio * E, atol=2e-4)
+
+
+def test_uncertainty_of_the_device(tmp_path):
+    """Errors of the probes do not average out: circles of one acceleration cannot tell them from
+    the machine, those of several can.
+    """
+    skew = 1e-6 * np.array([[300.0, -200, 100], [50, -400, 150], [-250, 100, 200]])
+    us = []
+    for levels in ((4.5,), LEVELS):
+        table = circles(levels=levels, skew=skew)
+        s = load_study(write(tmp_path / f"{len(levels)}", table, "external_u_um = 1.4\n"))
+        found, u = crosstalk(fitted(s, bend(s.chain)))
+        assert (np.abs(found - E) < 3.5 * u).all()
+        us.append(u)
+    # u_S = 1.4 um / 3 mm of the position, -omega^2 of which is the acceleration.
+    prior = 1.4e-6 / 3e-3 / (4.5 / 2e-3) * 1e6
+    np.testing.assert_allclose(us[0], prior / np.hypot(1.0, prior), rtol=2e-2)
+    assert us[1].max() < 0.1 * us[0].min()
+    # Taken for noise alone the same data are far outside their uncertainty.
+    s = load_study(write(tmp_path / "trusting", circles(levels=(4.5,), skew=skew)))
+    found, u = crosstalk(fitted(s, bend(s.chain)))
+    assert (np.abs(found - E) / u).max() > 20
+
+
+def test_both_evaluations(study):
+    """The publication's plane and ellipse, and the fit of everything."""
+    found = evaluate(study.measurement)
+    assert found.runs.shape == (30, 3, 3)
+    np.testing.assert_allclose(found.mean, E, atol=0.05)
+    # Every circle shows two elements of cross-talk and two of in-talk.
+    assert (np.isfinite(found.runs).sum((1, 2)) == 4).all()
+    spread = found.dispersion()
+    assert list(spread) == list(LEVELS)
+    # Noise over acceleration: nine times larger at 0.5 than at 4.5 m/s^2.
+    assert spread[0.5] / spread[4.5] == pytest.approx(9.0, rel=0.6)
+    clean = circles(noise=0.0)
+    read = dataclasses.replace(study).instrument.measured(clean)
+    exact = evaluate(Measurement(study.instrument.plan(study.chain, clean), read))
+    np.testing.assert_allclose(exact.mean, E, atol=2e-3)
+
+
+def test_planes_that_are_missing(tmp_path):
+    s = load_study(write(tmp_path / "two", circles(planes=("XY", "ZX"))))
+    with pytest.raises(ValueError, match=r"found circles in XY, XZ, expected some in XY, YZ and"):
+        evaluate(s.measurement)
+
+
+def test_an_even_ellipse():
+    angle = np.linspace(0, 6, 40)
+    points = np.column_stack([5 + 2 * np.cos(angle), -3 + 1.5 * np.sin(angle)])
+    np.testing.assert_allclose(even_ellipse(points), [2.0, 1.5], rtol=1e-10)
+    with pytest.raises(ValueError, match="lie on no ellipse"):
+        even_ellipse(np.column_stack([np.cosh(angle), np.sinh(angle)]))
+
+
+# --- the loop ------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_loop_names_the_matrix(study):
+    found = close_loop(study.model, study.measurement)
+    assert found.verdict == "named" and [e.effect.key for e in found.effects] == [
+        "acceleration_crosstalk"
+    ]
+    values = {name: (v, u) for name, v, _, u in found.effects[0].parameters}
+    for i, j in np.ndindex(3, 3):
+        v, u = values[f"matrix_{'XYZ'[i]}{'XYZ'[j]}"]
+        assert abs(v - E[i, j]) < 4 * u
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_loop_names_quadrant_peaks(tmp_path, seed):
+    rows = "[[model.effect]]\nname = 'acceleration_crosstalk'\n"
+    rows += f"matrix_um_s2_per_m = {E.tolist()}\n"
+    table = circles(samples=120, spike=(2.0, 0.1), seed=seed)
+    s = load_study(write(tmp_path / "spikes", table, rows))
+    found = close_loop(s.model, s.measurement)
+    assert found.verdict == "named"
+    (one,) = found.effects
+    assert one.effect.key == "reversal_spike"
+    values = {name: (v, u) for name, v, _, u in one.parameters}
+    assert abs(values["size"][0] - 2.0) < 4 * values["size"][1]
+    assert abs(values["decay"][0] - 0.1) < 4 * values["decay"][1]
+    assert found.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.03)
+    assert found.errors["before"].chi2_per_dof > 1.2
+
+
+# --- probes --------------------------------------------------------------------------------------
+
+NEST = np.array([[0.8, 0.0, 0.6], [-0.4, 0.69, 0.6], [-0.4, -0.69, 0.6]])
+
+
+@pytest.mark.parametrize("tip", [None, 1.5])
+def test_probes_on_a_sphere(study, tmp_path, tip):
+    """Against the contact of two spheres, found by bisection."""
+    table = circles(levels=(4.5,), noise=0.0)
+    seen = np.column_stack([table.pop(f"{c}_ext_mm") for c in "xyz"])
+    directions = NEST / np.linalg.norm(NEST, axis=1, keepdims=True)
+    if tip is None:
+        touched = seen @ directions.T
+    else:
+        touched = np.empty_like(seen)
+        for k, n in enumerate(directions):
+            low, high = np.full(len(seen), 5.0), np.full(len(seen), 20.0)
+            for _ in range(60):
+                middle = (low + high) / 2
+                apart = np.linalg.norm(middle[:, None] * n - seen, axis=1) > 11.0 + tip
+                low, high = np.where(apart, low, middle), np.where(apart, middle, high)
+            touched[:, k] = low - (11.0 + tip)
+    table |= {f"p{k + 1}_mm": touched[:, k] for k in range(3)}
+    more = f"probes = {NEST.tolist()}\n" + ("" if tip is None else f"tip_radius_mm = {tip}\n")
+    s = load_study(write(tmp_path / "probes", table, more))
+    fit = fitted(s, bend(s.chain))
+    found, _ = crosstalk(fit)
+    np.testing.assert_allclose(found, E, atol=2e-3)
+    left = np.asarray(s.measurement.readings) - np.asarray(predict(fit.model, s.plan, fit.theta))
+    assert np.abs(left).max() < 2e-9
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def test_there_and_back(study):
+    table = study.instrument.to_table(study.plan, study.measurement.readings)
+    again = study.instrument.plan(study.chain, table)
+    np.testing.assert_allclose(again.position, study.plan.position, atol=1e-15)
+    for name in ("a_X", "v_Y", "dir_Z", "since_X", "t_run", "sense"):
+        np.testing.assert_allclose(again.covariate(name), study.plan.covariate(name), atol=1e-8)
+    read = study.instrument.measured(table)
+    np.testing.assert_allclose(read, study.measurement.readings, atol=1e-13)
+
+
+def test_readings_do_not_hold_the_noise_of_the_positions(study):
+    """What the scales read beside the circle is in the internal and in the external reading."""
+    table = circles()
+    moved = dict(table)
+    shake = 1e-3 * np.random.default_rng(5).standard_normal(len(table["t_s"]))
+    shake -= np.bincount(table["run"], shake)[table["run"]] / 60
+    for name in ("z_int_mm", "z_ext_mm"):
+        moved[name] = table[name] + shake
+    one, other = (study.instrument.measured(t) for t in (table, moved))
+    # Of a shake of 1 um what looks like a circle of its own, a share of about sqrt(2 / 60).
+    assert np.sqrt(((one - other)[:, 2] ** 2).mean()) < 2e-7
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t | {"t_s": t["t_s"] * 0 + 1.0}, r"run 0, column t_s: found 1 after 1, exp"),
+        (lambda t: t | {"plane": np.where(t["run"] == 3, "UV", t["plane"])}, "found 'UV', exp"),
+        (lambda t: t | {"plane": np.where(t["run"] == 3, "ZX", t["plane"])},
+         r"run 3, column plane: found ZX, while Y, Z move"),
+        (lambda t: {k: v * 4 if k.endswith("int_mm") else v for k, v in t.items()},
+         r"run 0: found a circle of 8 mm, expected about radius_mm = 2"),
+        (lambda t: t | {"x_ext_mm": t["x_ext_mm"] + 2.5}, r"column x_ext_mm: found 4.* to 3;"),
+    ],
+)  # fmt: skip
+def test_mistakes_in_the_data(tmp_path, change, message):
+    with pytest.raises(StudyError, match=message):
+        load_study(write(tmp_path / "bad", change(circles(levels=(4.5,)))))
+
+
+def test_less_than_a_turn(tmp_path):
+    with pytest.raises(StudyError, match=r"run 0: found 0.70 of a turn, expected a whole one"):
+        load_study(write(tmp_path / "short", circles(turns=0.7, levels=(4.5,))))
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("probes = [[1, 0, 0], [0, 1, 0], [1, 1, 0]]\n", "three that do not lie in one plane"),
+        ("range_mm = 1.5\n", r"column x_ext_mm: found .* expected a number from -1.5 to 1.5"),
+        ("acceleration = 'set'\n", "instrument.acceleration"),
+    ],
+)
+def test_mistakes_in_the_study_file(tmp_path, more, message):
+    with pytest.raises(StudyError, match=message):
+        load_study(write(tmp_path / "bad", circles(levels=(4.5,)), more))

@@ -1,0 +1,73 @@
+"""Machines that move: bodies on springs under their controllers, and what acceleration does.
+
+`vcal.io.machine.load_machine` reads a description; `assemble` gives its matrices, `modes` its
+frequencies, `compliance` how it bends while it is accelerated, `close` the machine under its
+controllers, `run` and `run_circle` what comes of set points, `identify_machine` what the circles of
+an R-test say of its stiffness, damping, centres of gravity and delay.
+"""
+
+from .assemble import Structure, assemble
+from .bodies import Body, Drive, Machine, Scale, Spring, ToolPoint
+from .circles import Phasors, measured_phasors, predicted, set_phasors
+from .closed_loop import ClosedLoop, Response, check_stable, close, run, run_circle, steady
+from .compliance import compliance
+from .control import Controller
+from .evaluate import Evaluated, evaluate
+from .gains import propose
+from .identify import Identified, identify_machine, task
+from .modes import Modes, check_supported, modes
+from .setpoints import Limits, Profile, SetCircle, circle_set, positioning
+from .unknowns import (
+    CentreShift,
+    DampingFactor,
+    Delay,
+    DriveFactor,
+    SpringFactor,
+    Unknown,
+    applied,
+)
+
+__all__ = [
+    "Body",
+    "CentreShift",
+    "ClosedLoop",
+    "Controller",
+    "DampingFactor",
+    "Delay",
+    "Drive",
+    "DriveFactor",
+    "Evaluated",
+    "Identified",
+    "Limits",
+    "Machine",
+    "Modes",
+    "Phasors",
+    "Profile",
+    "Response",
+    "Scale",
+    "SetCircle",
+    "Spring",
+    "SpringFactor",
+    "Structure",
+    "ToolPoint",
+    "Unknown",
+    "applied",
+    "assemble",
+    "check_stable",
+    "check_supported",
+    "circle_set",
+    "close",
+    "compliance",
+    "evaluate",
+    "identify_machine",
+    "measured_phasors",
+    "modes",
+    "positioning",
+    "predicted",
+    "propose",
+    "run",
+    "run_circle",
+    "set_phasors",
+    "steady",
+    "task",
+]

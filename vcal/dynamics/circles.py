@@ -1,0 +1,112 @@
+"""Circles as the numbers that determine them: one complex amplitude per reading.
+
+A linear machine on a circle answers with the circle's frequency, so that amplitude and phase of the
+fundamental hold all that a run says. They are estimated by least squares from the samples; with
+white noise sigma and n samples over whole turns, the real and the imaginary part have the standard
+uncertainty sigma sqrt(2 / n) each.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ..arrays import Array
+from ..circles import fit_circle
+from ..instruments.r_test import PLANES, RTest
+from ..measurement import Measurement
+from .closed_loop import ClosedLoop, steady
+from .setpoints import SetCircle
+
+
+class Phasors(eqx.Module):
+    """Fundamental of many circles, x(t) = Re(X exp(i omega t)), t from the start of a run."""
+
+    axes: tuple[str, ...] = eqx.field(static=True)
+    omega: Float[Array, " r"]
+    """rad/s."""
+    asked: Complex[Array, "r axes"]
+    """Set points, m."""
+    internal: Complex[Array, "r axes"]
+    """Scales, m."""
+    error: Complex[Array, "r 3"]
+    """External less internal reading, m."""
+    internal_u: Float[Array, " r"]
+    """Standard uncertainty of real and imaginary part of `internal`, m."""
+    error_u: Float[Array, " r"]
+    """The same of `error`."""
+
+
+def predicted(
+    loop: ClosedLoop, omega: Float[Array, " r"], asked: Complex[Array, "r axes"]
+) -> tuple[Complex[Array, "r axes"], Complex[Array, "r 3"]]:
+    """Internal reading and error of circles that go on for ever."""
+    states = jax.vmap(lambda w: steady(loop, w))(omega)
+    settled = jnp.einsum("rma,ra->rm", states, asked)
+    return settled @ loop.scale.T, settled @ loop.structural.T
+
+
+def predicted_at(
+    loop: ClosedLoop,
+    omega: Float[Array, " w"],
+    place: np.ndarray,
+    asked: Complex[Array, "r axes"],
+) -> tuple[Complex[Array, "r axes"], Complex[Array, "r 3"]]:
+    """`predicted`, where circles share few angular velocities: that of circle r is
+    `omega[place[r]]`.
+    """
+    states = jax.vmap(lambda w: steady(loop, w))(omega)
+    scale, error = loop.scale @ states, loop.structural @ states
+    return (
+        jnp.einsum("rxa,ra->rx", scale[place], asked),
+        jnp.einsum("rxa,ra->rx", error[place], asked),
+    )
+
+
+def set_phasors(
+    circles: Sequence[SetCircle], axes: tuple[str, ...]
+) -> tuple[Float[np.ndarray, " r"], Complex[np.ndarray, "r axes"]]:
+    """Angular velocities and set points of circles."""
+    return (
+        np.array([circle.omega for circle in circles]),
+        np.array([circle.phasor(axes) for circle in circles]),
+    )
+
+
+def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
+    """Those of an R-test that reads coordinates.
+
+    Set points are circles of the commanded radius that begin with the time of a run, as a trace of
+    the controller does.
+    """
+    plan = measurement.plan
+    run, t = np.asarray(plan.groups["run"]), np.asarray(plan.covariate("t_run"))
+    position, external = np.asarray(plan.position), np.asarray(measurement.readings)
+    found = {name: [] for name in ("omega", "asked", "internal", "error", "n")}
+    for number in np.unique(run):
+        mine = run == number
+        circle = fit_circle(t[mine], position[mine])
+        seen = external[mine] - position[mine]
+        turned = np.column_stack(
+            [np.ones(mine.sum()), np.cos(circle.omega * t[mine]), np.sin(circle.omega * t[mine])]
+        )
+        _, a, b = np.linalg.lstsq(turned, seen, rcond=None)[0]
+        sense = int(np.asarray(plan.covariate("sense"))[mine][0])
+        plane = PLANES[int(np.asarray(plan.groups["plane"])[mine][0])]
+        asked = SetCircle(plane, sense, instrument.radius, 1.0).phasor(plan.axes)
+        found["omega"].append(circle.omega)
+        found["asked"].append(asked)
+        found["internal"].append(circle.moving * (circle.cosine - 1j * circle.sine))
+        found["error"].append(a - 1j * b)
+        found["n"].append(mine.sum())
+    arrays = {name: np.array(values) for name, values in found.items()}
+    each = np.sqrt(2.0 / arrays.pop("n"))
+    return Phasors(
+        axes=plan.axes,
+        **{name: jnp.asarray(values) for name, values in arrays.items()},
+        internal_u=jnp.asarray(each * instrument.internal_sigma),
+        error_u=jnp.asarray(each * instrument.sigma),
+    )

@@ -1,0 +1,228 @@
+"""A machine under its controllers, exactly discretised.
+
+Between two samples the plant is linear and the forces are constant, so that
+
+    x(t + h) = e^(A h) x(t) + G(h) F,    G(h) = int_0^h e^(A s) ds B
+
+holds without error. A force acts a delay after its sample: with the delay d T + f T, 0 <= f < 1, a
+sample interval sees the force d + 1 samples old for f T, and then the force d samples old. Plant,
+integrators and the forces that are still to come make one linear system,
+
+    X[k+1] = Phi X[k] + Gamma r[k],    y[k] = C X[k],    r = (z_s, v_s).
+"""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ..arrays import Array
+from .assemble import Structure
+from .control import Controller
+
+PENDING = 3
+"""Forces that may still be to come: the delay is shorter than that many samples less one."""
+_SQUARINGS = 7
+_PACE = 1e3
+"""rad/s. Velocities count in units of it, so that the numbers of a state are alike."""
+
+
+class ClosedLoop(eqx.Module):
+    """The discrete system of a machine and its controllers."""
+
+    axes: tuple[str, ...] = eqx.field(static=True)
+    sample_time: float = eqx.field(static=True)
+    transition: Float[Array, "m m"]
+    """Phi."""
+    input: Float[Array, "m 2*axes"]
+    """Gamma, for set positions and set velocities."""
+    scale: Float[Array, "axes m"]
+    """Rows of C: position read by every scale, m."""
+    velocity: Float[Array, "axes m"]
+    """The same as velocity, m/s."""
+    acceleration: Float[Array, "axes m"]
+    """The same as acceleration, just after the sample, m/s^2."""
+    through: Float[Array, "axes 2*axes"]
+    """What set points add to that at once, where a force acts without delay."""
+    tool: Float[Array, "3 m"]
+    """Tool point against the workpiece, m."""
+
+    @property
+    def structural(self) -> Float[Array, "3 m"]:
+        """Tool point against where the scales say it is: the error of the structure."""
+        return (
+            jnp.asarray(self.tool)
+            .at[jnp.array(["XYZ".index(a) for a in self.axes])]
+            .add(-self.scale)
+        )
+
+
+class Response(eqx.Module):
+    """What came of set points, at the samples."""
+
+    t: Float[Array, " n"]
+    scale: Float[Array, "n axes"]
+    """Actual positions, m."""
+    velocity: Float[Array, "n axes"]
+    acceleration: Float[Array, "n axes"]
+    """Actual accelerations, m/s^2."""
+    tool: Float[Array, "n 3"]
+    """Tool point, m."""
+    error: Float[Array, "n 3"]
+    """Tool point against where the scales say it is, m."""
+
+
+def close(structure: Structure, controller: Controller) -> ClosedLoop:
+    """The closed loop; structure and controller may be traced."""
+    n, axes, T = structure.size, len(structure.axes), controller.sample_time
+    inverse = jnp.linalg.inv(structure.mass)
+    flow = jnp.zeros((2 * n, 2 * n)).at[:n, n:].set(_PACE * jnp.eye(n))
+    flow = flow.at[n:, :n].set(-inverse @ structure.stiffness / _PACE)
+    flow = flow.at[n:, n:].set(-inverse @ structure.damping)
+    push = jnp.zeros((2 * n, axes)).at[n:].set(inverse @ structure.force / _PACE)
+
+    whole = jnp.floor(jax.lax.stop_gradient(controller.delay) / T)
+    part = controller.delay - whole * T
+    first, late = _step(flow, push, part)
+    rest, soon = _step(flow, push, T - part)
+    # Column block j multiplies the force of j samples ago.
+    age = jnp.arange(PENDING)
+    now, before = (age == whole) * 1.0, (age == whole + 1) * 1.0
+    forces = jnp.concatenate(
+        [now[j] * soon + before[j] * (rest @ late) for j in range(PENDING)], axis=1
+    )
+
+    # State: plant, integrators, forces of the last PENDING - 1 samples, newest first.
+    places = np.cumsum([0, 2 * n, axes, (PENDING - 1) * axes])
+    plant, integral, past = (slice(a, b) for a, b in zip(places[:-1], places[1:], strict=True))
+    size = int(places[-1])
+    scale = jnp.zeros((axes, size)).at[:, :n].set(structure.scale)
+    velocity = jnp.zeros((axes, size)).at[:, n : 2 * n].set(_PACE * structure.scale)
+    tool = jnp.zeros((3, size)).at[:, :n].set(structure.tool)
+    Kv, Kp = controller.position_gain[:, None], controller.velocity_gain[:, None]
+    paced = jnp.zeros((axes, size)).at[:, n : 2 * n].set(_PACE * structure.pace)
+    lag = -Kv * scale - paced
+    asked = jnp.concatenate([jnp.diag(Kv[:, 0]), jnp.diag(controller.feed_forward)], 1)
+    force = Kp * jnp.asarray(lag).at[:, integral].add(jnp.eye(axes))
+    by_set = Kp * asked
+
+    Phi, Gamma = jnp.zeros((size, size)), jnp.zeros((size, 2 * axes))
+    Phi = Phi.at[plant, plant].set(rest @ first).at[plant, past].set(forces[:, axes:])
+    Phi = Phi.at[plant].add(forces[:, :axes] @ force)
+    Gamma = Gamma.at[plant].set(forces[:, :axes] @ by_set)
+    share = T / controller.integral_time[:, None]
+    Phi = Phi.at[integral].add(share * lag).at[integral, integral].add(jnp.eye(axes))
+    Gamma = Gamma.at[integral].set(share * asked)
+    newest = slice(past.start, past.start + axes)
+    Phi, Gamma = Phi.at[newest].set(force), Gamma.at[newest].set(by_set)
+    older = slice(past.start + axes, past.stop)
+    Phi = Phi.at[older, past.start : past.stop - axes].set(jnp.eye((PENDING - 2) * axes))
+
+    # Of the force that acts from the sample on: the newest one with no delay.
+    acting = _PACE * push[n:]
+    acceleration = jnp.zeros((axes, size)).at[:, plant].set(_PACE * structure.scale @ flow[n:])
+    held = structure.scale @ acting
+    for j in range(1, PENDING):
+        older = slice(past.start + (j - 1) * axes, past.start + j * axes)
+        acts = jnp.where(part > 0.0, before[j], now[j])
+        acceleration = acceleration.at[:, older].add(acts * held)
+    fresh = jnp.where(part > 0.0, before[0], now[0])
+    acceleration, through = acceleration + fresh * held @ force, fresh * held @ by_set
+    return ClosedLoop(structure.axes, T, Phi, Gamma, scale, velocity, acceleration, through, tool)
+
+
+def _step(flow: Array, push: Array, h: Array | float) -> tuple[Array, Array]:
+    """e^(A h) and G(h)."""
+    size, axes = push.shape
+    both = jnp.zeros((size + axes, size + axes)).at[:size, :size].set(flow)
+    found = _exponential(h * both.at[:size, size:].set(push))
+    return found[:size, :size], found[:size, size:]
+
+
+def _exponential(X: Array) -> Array:
+    """e^X for a 1-norm of up to 2^(_SQUARINGS - 1), by its Taylor series to the sixteenth power.
+
+    A fixed number of products, so that it and its derivatives compile to little, mapped or not.
+    """
+    X = X / 2.0**_SQUARINGS
+    powers = [jnp.eye(X.shape[0]), X, X @ X]
+    powers.append(powers[2] @ X)
+    fourth = powers[2] @ powers[2]
+    found = jnp.zeros_like(X)
+    for start in (16, 12, 8, 4, 0):
+        part = sum(powers[i] / math.factorial(start + i) for i in range(4 if start < 16 else 1))
+        found = found @ fourth + part
+    for _ in range(_SQUARINGS):
+        found = found @ found
+    return found
+
+
+def check_stable(loop: ClosedLoop) -> None:
+    """Raise `ValueError` where the loop is unstable."""
+    if not np.isfinite(loop.transition).all():
+        raise ValueError(
+            "controller: found a machine far too stiff for the sample time, expected springs that "
+            f"give frequencies up to some {0.5 / loop.sample_time:.3g} Hz; shorten the sample "
+            "time, or correct the stiffness and the masses"
+        )
+    values, shapes = np.linalg.eig(np.asarray(loop.transition))
+    worst = int(np.argmax(np.abs(values)))
+    radius = float(np.abs(values[worst]))
+    if radius < 1.0:
+        return
+    moved = np.abs(np.asarray(loop.scale) @ shapes[:, worst])
+    axis = loop.axes[int(np.argmax(moved))]
+    hz = float(np.abs(np.angle(values[worst]))) / (2.0 * np.pi * loop.sample_time)
+    raise ValueError(
+        f"controller: found an unstable loop, growing by a factor of {radius:.4g} per sample at "
+        f"{hz:.3g} Hz, mostly in axis {axis}, expected one that settles; lower position_gain or "
+        "bandwidth, shorten the delay, or stiffen the machine"
+    )
+
+
+def run(
+    loop: ClosedLoop, position: Float[Array, "n axes"], velocity: Float[Array, "n axes"]
+) -> Response:
+    """Set points at the samples, from rest at zero."""
+    asked = jnp.concatenate([jnp.asarray(position), jnp.asarray(velocity)], axis=1)
+
+    def step(state: Array, r: Array) -> tuple[Array, Array]:
+        return loop.transition @ state + loop.input @ r, state
+
+    _, states = jax.lax.scan(step, jnp.zeros(loop.transition.shape[0]), asked)
+    return _response(loop, loop.sample_time * jnp.arange(asked.shape[0]), states, asked)
+
+
+def steady(loop: ClosedLoop, omega: Float[Array, ""] | float) -> Complex[Array, "m axes"]:
+    """States per set position exp(i omega t) of every axis, once everything has settled.
+
+    (z - Phi) X = Gamma (1, i omega), z = exp(i omega T).
+    """
+    axes = len(loop.axes)
+    z = jnp.exp(1j * omega * loop.sample_time)
+    asked = loop.input[:, :axes] + 1j * omega * loop.input[:, axes:]
+    return jnp.linalg.solve(z * jnp.eye(loop.transition.shape[0]) - loop.transition, asked)
+
+
+def run_circle(
+    loop: ClosedLoop, phasor: Complex[Array, " axes"], omega: float, t: Float[Array, " n"]
+) -> Response:
+    """A circle that goes on for ever, at any times."""
+    turned = jnp.exp(1j * omega * jnp.asarray(t))[:, None]
+    states = (turned * (steady(loop, omega) @ phasor)).real
+    asked = (turned * jnp.concatenate([phasor, 1j * omega * phasor])).real
+    return _response(loop, jnp.asarray(t), states, asked)
+
+
+def _response(loop: ClosedLoop, t: Array, states: Array, asked: Array) -> Response:
+    return Response(
+        t,
+        states @ loop.scale.T,
+        states @ loop.velocity.T,
+        states @ loop.acceleration.T + asked @ loop.through.T,
+        states @ loop.tool.T,
+        states @ loop.structural.T,
+    )

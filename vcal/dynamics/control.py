@@ -1,0 +1,62 @@
+"""Cascaded PPI control: position P, velocity PI, sampled.
+
+    v_c = Kv (z_s - z_m) + f v_s,    F = Kp (e + I),    e = v_c - v_m,    I' = e / Tn
+
+for every axis, with z the position, v the velocity, s set and m measured (Zirn, Weikert 2006). The
+position is that of the scale; the velocity is that of the motor where a screw is between them. The
+force acts one delay after the sample.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from .assemble import Structure
+
+
+class Controller(eqx.Module):
+    """Gains of all axes, each an array (axes,)."""
+
+    position_gain: Float[Array, " axes"]
+    """Kv, 1/s."""
+    velocity_gain: Float[Array, " axes"]
+    """Kp, N s/m."""
+    integral_time: Float[Array, " axes"]
+    """Tn, s."""
+    feed_forward: Float[Array, " axes"]
+    """Share f of the set velocity that is added to the velocity command."""
+    delay: Float[Array, ""]
+    """From a sample to its force, s."""
+    sample_time: float = eqx.field(static=True)
+    """s."""
+
+    @classmethod
+    def of(
+        cls,
+        structure: Structure,
+        *,
+        position_gain: Float[Array | np.ndarray, " axes"] | float,
+        bandwidth: Float[Array | np.ndarray, " axes"] | float,
+        integral_time: Float[Array | np.ndarray, " axes"] | float,
+        feed_forward: Float[Array | np.ndarray, " axes"] | float = 0.0,
+        delay: float = 0.0,
+        sample_time: float = 1e-3,
+    ) -> "Controller":
+        """From the bandwidth w_v of the velocity loop, rad/s: Kp = m w_v with m the mass that the
+        drive moves.
+        """
+        count = len(structure.axes)
+
+        def each(value: Float[Array | np.ndarray, " axes"] | float) -> Array:
+            return jnp.broadcast_to(jnp.asarray(value, float), (count,))
+
+        return cls(
+            each(position_gain),
+            structure.moved_mass * each(bandwidth),
+            each(integral_time),
+            each(feed_forward),
+            jnp.asarray(delay, float),
+            sample_time,
+        )

@@ -1,0 +1,116 @@
+"""In-talk and cross-talk circle by circle, as the publication evaluates them.
+
+Nguyen, Weikert, Wegener (2012), section 2.3. Across the plane of a circle the external reading is
+the plane y = c + EYZ z'' + EYX x'' (eq. 9), by least squares: two elements of cross-talk. Within
+it, once the cross-talk that other circles gave has been taken out, the circle is an ellipse along
+the axes, whose half axes are those of the internal reading less EZZ a and EXX a (eqs. 7 and 8), by
+least squares: two elements of in-talk. The acceleration is the set one, in the direction of the
+internal reading (eqs. 5 and 6), or the actual one.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ..circles import fit_circle
+from ..measurement import Measurement
+
+_AXES = "XYZ"
+Acceleration = Literal["nominal", "actual"]
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """Elements of the matrix by the publication's way, um s^2/m."""
+
+    runs: Float[np.ndarray, "r 3 3"]
+    """By run; nan where a circle does not show the element."""
+    acceleration: Float[np.ndarray, " r"]
+    """Of every run, m/s^2."""
+
+    @property
+    def mean(self) -> Float[np.ndarray, "3 3"]:
+        """Mean over the runs that show an element."""
+        return np.nanmean(self.runs, axis=0)
+
+    def dispersion(self) -> dict[float, float]:
+        """Standard deviation about the mean of their element, pooled, by set acceleration."""
+        beside = self.runs - self.mean
+        found = {}
+        for a in np.unique(np.round(self.acceleration, 9)):
+            mine = beside[np.isclose(self.acceleration, a)]
+            found[float(a)] = float(np.sqrt(np.nanmean(mine**2)))
+        return found
+
+
+def evaluate(measurement: Measurement, acceleration: Acceleration = "actual") -> Evaluated:
+    """Both fits for every run of an R-test that reads coordinates.
+
+    Raises `ValueError` unless circles of all three planes are there, as every plane gives two of
+    the six elements of cross-talk, and the in-talk needs all of them.
+    """
+    plan = measurement.plan
+    run, t = np.asarray(plan.groups["run"]), np.asarray(plan.covariate("t_run"))
+    position, external = np.asarray(plan.position), np.asarray(measurement.readings)
+    numbers = np.unique(run)
+    found = np.full((len(numbers), 3, 3), np.nan)
+    circles = [fit_circle(t[run == k], position[run == k]) for k in numbers]
+    planes = {"".join(np.array(list(_AXES))[c.moving]) for c in circles}
+    if planes != {"XY", "YZ", "XZ"}:
+        raise ValueError(
+            f"found circles in {', '.join(sorted(planes))}, expected some in XY, YZ and XZ: every "
+            "plane gives two elements of the cross-talk; measure the planes that are missing"
+        )
+    settings = np.array([plan.covariate("a_set_m_s2")[run == k][0] for k in numbers])
+    accelerations = []
+    for number, circle, a_set in zip(numbers, circles, settings, strict=True):
+        place = position[run == number] - circle.centre
+        if acceleration == "nominal":
+            far = np.linalg.norm(place, axis=1, keepdims=True)
+            accelerations.append(-a_set * place / far)
+        else:
+            accelerations.append(circle.acceleration(t[run == number]))
+    for i, (number, circle) in enumerate(zip(numbers, circles, strict=True)):
+        (across,), inside = np.flatnonzero(~circle.moving), np.flatnonzero(circle.moving)
+        a, read = accelerations[i][:, inside], external[run == number, across]
+        columns = np.column_stack([np.ones(len(a)), a])
+        found[i, across, inside] = 1e6 * np.linalg.lstsq(columns, read, rcond=None)[0][1:]
+    crosstalk = np.nansum(found, axis=0) / np.maximum(np.isfinite(found).sum(axis=0), 1)
+    for i, (number, circle) in enumerate(zip(numbers, circles, strict=True)):
+        mine, inside = run == number, np.flatnonzero(circle.moving)
+        first, second = inside
+        a = accelerations[i]
+        untilted = external[mine][:, inside].copy()
+        untilted[:, 0] -= 1e-6 * crosstalk[first, second] * a[:, second]
+        untilted[:, 1] -= 1e-6 * crosstalk[second, first] * a[:, first]
+        if acceleration == "nominal":
+            half = np.full(2, measurement_radius(circle.amplitude))
+            peak = np.full(2, settings[i])
+        else:
+            half = circle.amplitude[inside]
+            peak = circle.omega**2 * half
+        reached = even_ellipse(untilted)
+        found[i, inside, inside] = 1e6 * (half - reached) / peak
+    return Evaluated(found, settings)
+
+
+def measurement_radius(amplitude: Float[np.ndarray, " axes"]) -> float:
+    """Radius of the circle that was read internally, m."""
+    return float(np.sort(amplitude)[-2:].mean())
+
+
+def even_ellipse(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
+    """Half axes of the least-squares ellipse along the coordinates, A x^2 + B y^2 + C x + D y = 1.
+
+    Raises `ValueError` where the points are not those of an ellipse.
+    """
+    middle, size = points.mean(0), np.ptp(points, axis=0) / 2.0
+    x, y = ((points - middle) / size).T
+    columns = np.column_stack([x * x, y * y, x, y])
+    A, B, C, D = np.linalg.lstsq(columns, np.ones(len(x)), rcond=None)[0]
+    level = 1.0 + C**2 / (4.0 * A) + D**2 / (4.0 * B)
+    if A <= 0.0 or B <= 0.0 or level <= 0.0:
+        raise ValueError("found points that lie on no ellipse, expected those of a circle")
+    return size * np.sqrt(level / np.array([A, B]))

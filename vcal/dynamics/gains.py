@@ -1,0 +1,57 @@
+"""Gains of controllers from the physical parameters of a machine."""
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from .assemble import Structure
+from .closed_loop import close
+from .control import Controller
+
+_MARGIN = 2.0
+"""By how much the velocity loop's gain could grow before it is unstable."""
+_BANDWIDTHS = np.geomspace(3000.0, 20.0, 61)
+"""rad/s, tried from the fastest."""
+
+
+def propose(
+    structure: Structure,
+    *,
+    position_gain: Float[Array | np.ndarray, " axes"] | None = None,
+    bandwidth: Float[Array | np.ndarray, " axes"] | None = None,
+    integral_time: Float[Array | np.ndarray, " axes"] | None = None,
+    feed_forward: float = 0.0,
+    delay: float = 0.0,
+    sample_time: float = 1e-3,
+) -> Controller:
+    """A controller from the machine's physical parameters, where gains are not given.
+
+    The bandwidth is the largest with which the velocity loops of all axes stay stable at twice
+    their gain, but no more than a fifth of the sampling rate; Tn = 4 / w_v, Kv = w_v / 4, which is
+    critical damping of the position loop of a rigid mass. Raises `ValueError` where no bandwidth
+    is slow enough.
+    """
+
+    def controller(w: Array, factor: float = 1.0) -> Controller:
+        return Controller.of(
+            structure,
+            position_gain=w / 4.0 if position_gain is None else position_gain,
+            bandwidth=factor * w,
+            integral_time=4.0 / w if integral_time is None else integral_time,
+            feed_forward=feed_forward,
+            delay=delay,
+            sample_time=sample_time,
+        )
+
+    if bandwidth is not None:
+        return controller(bandwidth)
+    transition = jax.jit(lambda w: close(structure, controller(w, _MARGIN)).transition)
+    for w in _BANDWIDTHS[_BANDWIDTHS * sample_time <= 0.2 * 2.0 * np.pi]:
+        if np.abs(np.linalg.eigvals(np.asarray(transition(w)))).max() < 1.0:
+            return controller(w)
+    raise ValueError(
+        f"[controller]: found no bandwidth down to {_BANDWIDTHS[-1]:g} rad/s with which the loop "
+        "is stable at twice its gain; expected one; shorten the delay, stiffen the machine, or "
+        "give the gains"
+    )

@@ -1,0 +1,60 @@
+"""Natural frequencies, damping ratios and mode shapes of a machine."""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float
+
+from .assemble import Structure
+
+_RIGID = 1e-6
+"""Of the largest natural frequency, below which a mode counts as a rigid body's."""
+
+
+class Modes(NamedTuple):
+    """Modes in rising order, without those of rigid bodies unless asked for."""
+
+    hz: Float[np.ndarray, " m"]
+    """Undamped natural frequency."""
+    damping: Float[np.ndarray, " m"]
+    """Modal damping ratio, phi' D phi / (2 omega) for phi' M phi = 1."""
+    shapes: Float[np.ndarray, "n m"]
+    """Mass-normalised."""
+
+
+def modes(structure: Structure, *, rigid: bool = False) -> Modes:
+    """Solve K phi = omega^2 M phi; with `rigid` those of frequency zero as well."""
+    M, D, K = (np.asarray(m) for m in (structure.mass, structure.damping, structure.stiffness))
+    squares, shapes = scipy.linalg.eigh(K, M)
+    omega = np.sqrt(np.maximum(squares, 0.0))
+    kept = np.full(len(omega), True) if rigid else omega > _RIGID * omega.max()
+    omega, shapes = omega[kept], shapes[:, kept]
+    modal = np.einsum("nm,nk,km->m", shapes, D, shapes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(omega > 0.0, modal / (2.0 * omega), np.nan)
+    return Modes(omega / (2.0 * np.pi), ratio, shapes)
+
+
+def check_supported(structure: Structure, names: list[str]) -> None:
+    """Raise `ValueError` where a body can move without any spring or drive to hold it.
+
+    `names` are those of the bodies, in the order of the coordinates.
+    """
+    # What the drives hold is their affair: stiffness is lent to them here.
+    K, M = np.asarray(structure.stiffness), np.asarray(structure.mass)
+    B = np.asarray(structure.force)
+    lent = np.trace(K) / len(K)
+    K = K + lent * B @ B.T
+    root = 1.0 / np.sqrt(np.diag(M))
+    squares, shapes = np.linalg.eigh(root[:, None] * K * root)
+    if squares[0] > 1e-9 * squares[-1]:
+        return
+    shape = (root * shapes[:, 0])[: 6 * len(names)].reshape(-1, 6)
+    size = np.abs(shape) * np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3])
+    body, way = np.unravel_index(int(np.argmax(size)), size.shape)
+    how = f"along {'XYZ'[way]}" if way < 3 else f"about {'XYZ'[way - 3]}"
+    raise ValueError(
+        f"body {names[body]}: found nothing that holds it {how}, expected springs or a drive; add "
+        "carriages, a foundation, or a stiffness to those there are"
+    )

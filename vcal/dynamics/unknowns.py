@@ -1,0 +1,165 @@
+"""What may be unknown of a machine and its controllers, each with what a catalogue says of it.
+
+A value of zero, in units of the prior standard deviation, is the catalogue's. Another kind of
+unknown is a class with `apply`.
+"""
+
+import abc
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from ..arrays import Array
+from .bodies import Machine, Scalar
+from .control import Controller
+
+
+class Unknown(eqx.Module):
+    """Base class; subclasses are final."""
+
+    @property
+    @abc.abstractmethod
+    def name(self) -> str:
+        """Such as ``"stiffness of carriage Z"``."""
+
+    @property
+    @abc.abstractmethod
+    def unit(self) -> str:
+        """Of `value`."""
+
+    @abc.abstractmethod
+    def value(self, z: Scalar) -> Scalar:
+        """The quantity at z standard deviations of the prior from the catalogue's, in `unit`."""
+
+    @abc.abstractmethod
+    def apply(
+        self, machine: Machine, controller: Controller, z: Scalar
+    ) -> tuple[Machine, Controller]:
+        """Machine and controller with that value."""
+
+
+class _Factor(Unknown):
+    """A quantity that is wrong by a factor: log-normal about the catalogue's."""
+
+    spread: float = eqx.field(static=True, default=math.log(2.0), kw_only=True)
+    """Standard deviation of the natural logarithm; log 2 for "a factor of two"."""
+
+    @property
+    def unit(self) -> str:
+        return "1"
+
+    def value(self, z: Scalar) -> Scalar:
+        return jnp.exp(self.spread * z)
+
+
+class SpringFactor(_Factor):
+    """Stiffness of all springs of one name over that of the catalogue."""
+
+    spring: str = eqx.field(static=True)
+
+    @property
+    def name(self) -> str:
+        return f"stiffness of {self.spring}"
+
+    def apply(self, machine, controller, z):
+        factor = self.value(z)
+        springs = tuple(
+            dataclasses.replace(s, stiffness=s.stiffness * factor, turning=s.turning * factor)
+            if s.name == self.spring
+            else s
+            for s in machine.springs
+        )
+        return dataclasses.replace(machine, springs=springs), controller
+
+
+class DriveFactor(_Factor):
+    """Stiffness of a screw over that of the catalogue."""
+
+    axis: str = eqx.field(static=True)
+
+    @property
+    def name(self) -> str:
+        return f"stiffness of drive {self.axis}"
+
+    def apply(self, machine, controller, z):
+        drives = tuple(
+            dataclasses.replace(d, stiffness=d.stiffness * self.value(z))
+            if d.axis == self.axis and d.stiffness is not None
+            else d
+            for d in machine.drives
+        )
+        return dataclasses.replace(machine, drives=drives), controller
+
+
+class DampingFactor(_Factor):
+    """Damping of all springs over that of the catalogue."""
+
+    @property
+    def name(self) -> str:
+        return "damping"
+
+    def apply(self, machine, controller, z):
+        return dataclasses.replace(machine, loss=machine.loss * self.value(z)), controller
+
+
+class CentreShift(Unknown):
+    """Place of a body's centre of gravity against the drawing, along one axis."""
+
+    body: str = eqx.field(static=True)
+    along: str = eqx.field(static=True)
+    sigma_mm: float = eqx.field(static=True, default=20.0)
+
+    @property
+    def name(self) -> str:
+        return f"centre of gravity of {self.body} along {self.along}"
+
+    @property
+    def unit(self) -> str:
+        return "mm"
+
+    def value(self, z):
+        return self.sigma_mm * z
+
+    def apply(self, machine, controller, z):
+        shift = 1e-3 * self.value(z) * jnp.eye(3)["XYZ".index(self.along)]
+        bodies = tuple(
+            dataclasses.replace(b, centre=b.centre + shift) if b.name == self.body else b
+            for b in machine.bodies
+        )
+        return dataclasses.replace(machine, bodies=bodies), controller
+
+
+class Delay(Unknown):
+    """Delay of the controllers, from a sample to its force, beside the declared one."""
+
+    sigma_ms: float = eqx.field(static=True, default=0.5)
+
+    @property
+    def name(self) -> str:
+        return "controller delay"
+
+    @property
+    def unit(self) -> str:
+        return "ms"
+
+    def value(self, z):
+        return self.sigma_ms * z
+
+    def apply(self, machine, controller, z):
+        later = controller.delay + 1e-3 * self.value(z)
+        # A force before its sample there is not; the latest is the last one that is kept.
+        latest = 1.999 * controller.sample_time
+        return machine, dataclasses.replace(controller, delay=jnp.clip(later, 0.0, latest))
+
+
+def applied(
+    unknowns: Sequence[Unknown], machine: Machine, controller: Controller, z: Float[Array, " k"]
+) -> tuple[Machine, Controller]:
+    """Machine and controller with all of them."""
+    for i, unknown in enumerate(unknowns):
+        machine, controller = unknown.apply(machine, controller, z[i])
+    return machine, controller

@@ -1,0 +1,349 @@
+"""R-test: three probes in a nest follow a precision sphere while the axes travel small circles.
+
+The difference between where the axes' own scales say the sphere is (internal) and where the probes
+see it (external) is the error of the structure in between. Weikert, Knapp (2004), CIRP Annals
+53(1), 429-432; its use on circles of known acceleration: Nguyen, Weikert, Wegener (2012).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field, model_validator
+
+from ..arrays import Array
+from ..chain import Chain
+from ..circles import Circle, fit_circle
+from ..effects.base import Effect, Response
+from ..errors import StudyError
+from ..parameters import Parameter
+from ..plan import Plan
+from ..ports import group
+from ..rigid import Rotation, Scalar, Vector
+from .base import Column, Instrument, InstrumentSettings, Loader, Ports, register
+from .conditions import linear_plan, linear_plan_table
+
+_XYZ = "XYZ"
+PLANES = ("XY", "YZ", "ZX")
+"""Planes of circles, in the order of their numbers in a plan."""
+_SLACK = 0.02
+"""Of a turn, that may be missing where the last row stands short of the first."""
+_DERIVED = tuple(f"{kind}_{axis}" for kind in ("a", "v", "dir", "since") for axis in _XYZ)
+_OWN = ("run", "plane", "sense", "a_set_m_s2", "t_s")
+
+Triple = tuple[float, float, float]
+
+
+class RTestSettings(InstrumentSettings):
+    """Keys of ``[instrument]`` for ``kind = "r_test"``."""
+
+    radius_mm: float = Field(gt=0)
+    """Of the circles, as commanded."""
+    external_sigma_um: float = Field(gt=0)
+    """Noise of a coordinate that the probes give."""
+    internal_sigma_um: float = Field(default=0.0, ge=0)
+    """Noise of the axes' scales."""
+    external_u_um: float = Field(default=0.0, ge=0)
+    """Standard uncertainty of a coordinate at the end of the range, from the device's calibration:
+    sensitivities and directions of the probes. It does not average out over a run.
+    """
+    range_mm: float = Field(default=3.0, gt=0)
+    """The probes measure up to here, in every direction."""
+    acceleration: Literal["actual", "nominal"] = "actual"
+    """What effects take for acceleration: that of the circle really travelled, or that commanded,
+    r omega^2 in the direction of the circle (eqs. (5) and (6) of the publication).
+    """
+    probes: tuple[Triple, Triple, Triple] | None = None
+    """Directions from the sphere to the three probes, where the data hold the probes' own readings
+    p1_mm, p2_mm, p3_mm instead of coordinates.
+    """
+    sphere_radius_mm: float = Field(default=11.0, gt=0)
+    tip_radius_mm: float | None = Field(default=None, ge=0)
+    """Radius of the probes' tips; flat ones without it."""
+
+    @model_validator(mode="after")
+    def _independent(self) -> Self:
+        if self.probes is not None:
+            directions = np.array(self.probes, float)
+            lengths = np.linalg.norm(directions, axis=1)
+            if lengths.min() == 0.0 or abs(np.linalg.det(directions / lengths[:, None])) < 0.05:
+                raise ValueError(
+                    f"found the directions {[list(d) for d in self.probes]}, expected three that "
+                    "do not lie in one plane; correct probes"
+                )
+        return self
+
+
+class RunOffsets(Effect):
+    """Place of the sphere between the probes in every run: three flat parameters per run."""
+
+    name = "run_offset"
+    summary = "place of the sphere in each run"
+    kind = "nuisance"
+    where = "instrument"
+    runs: tuple[int, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"{run}.{c}", "um", scale=100.0) for run in self.runs for c in _XYZ)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        index = plan.groups["run"]
+        return {
+            (f"sphere.{c}", f"{run}.{c}"): (index == run) * 1.0 for run in self.runs for c in _XYZ
+        }
+
+
+class ProbeMatrix(Effect):
+    """Errors of the probes' sensitivities and directions: a displacement p is read as (1 + S) p.
+
+    S has nine independent elements; their standard deviation u/range makes the standard uncertainty
+    of a coordinate u at the end of the range. One S for all runs: what circles of one acceleration
+    cannot tell from the machine, those of several can.
+    """
+
+    name = "probe_matrix"
+    summary = "sensitivities and directions of the probes of an R-test"
+    where = "instrument"
+    sigma: float = 0.0
+    """u/range."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        size = self.sigma / 1e-6
+        return tuple(Parameter(f"S_{i}{j}", "um/m", sigma=size) for i in _XYZ for j in _XYZ)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {(f"sphere.{i}", f"S_{i}{j}"): plan.x(j) for i in _XYZ for j in _XYZ}
+
+
+@register
+class RTest(Instrument):
+    """Sphere centre seen by the probes, p = tool point + offset of the run, x, y, z of the machine.
+
+    The axis positions are those read by the machine's scales, so that the tool point differs from
+    them by the errors of the structure. As coordinates the reading is p. As probes it is, with n_k
+    the direction from the sphere to probe k and D the sum of the radii of sphere and tip,
+
+        l_k = n_k . p                                                  (flat tip)
+        l_k = n_k . p + sqrt(D^2 - |p|^2 + (n_k . p)^2) - D            (spherical tip)
+
+    Every run is one circle or more. Positions, accelerations, directions and the distance since the
+    last reversal are those of its fundamental (`vcal.circles`); what else the scales read, their
+    noise among that, is taken from both the internal and the external reading, so that no residual
+    seems to depend on a position only because the noise of that position is in both.
+    """
+
+    kind = "r_test"
+    machine: ClassVar[str | None] = "w b X Y Z t"
+    labels: ClassVar[tuple[str, ...]] = ("plane",)
+    positioned: ClassVar[bool] = True
+    Settings = RTestSettings
+
+    radius: float
+    sigma: float
+    """Noise of a difference between external and internal reading, m."""
+    internal_sigma: float
+    """Noise of the internal reading alone, m."""
+    matrix_sigma: float
+    """Standard deviation of the elements of `ProbeMatrix`."""
+    nominal: bool = eqx.field(static=True)
+    probes: np.ndarray | None
+    """Unit vectors (3, 3), row by row."""
+    distance: float | None
+    """D, m; flat tips without."""
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        return group("sphere", tuple(_XYZ))
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        return ("x_ext", "y_ext", "z_ext") if self.probes is None else ("p1", "p2", "p3")
+
+    @classmethod
+    def columns(cls, settings: RTestSettings, axes: Sequence[str], readings: bool) -> list[Column]:
+        found = [
+            Column(name="run", low=0, integer=True),
+            Column(name="sense", low=-1, high=1, integer=True),
+            Column(name="a_set_m_s2", low=1e-9, high=1e3),
+            Column(name="t_s"),
+            *(Column(name=f"{axis.lower()}_int_mm", low=-1e6, high=1e6) for axis in axes),
+        ]
+        if readings:
+            names = [f"{c}_ext_mm" for c in "xyz"] if settings.probes is None else _PROBES
+            limit = settings.range_mm
+            found += [Column(name=name, low=-limit, high=limit) for name in names]
+        return found
+
+    @classmethod
+    def build(
+        cls, settings: RTestSettings, chain: Chain, table: Mapping[str, np.ndarray], load: Loader
+    ) -> "RTest":
+        probes = None
+        if settings.probes is not None:
+            probes = np.array(settings.probes, float)
+            probes /= np.linalg.norm(probes, axis=1, keepdims=True)
+        tip = settings.tip_radius_mm
+        return cls(
+            radius=settings.radius_mm * 1e-3,
+            sigma=math.hypot(settings.external_sigma_um, settings.internal_sigma_um) * 1e-6,
+            internal_sigma=settings.internal_sigma_um * 1e-6,
+            matrix_sigma=settings.external_u_um / settings.range_mm * 1e-3,
+            nominal=settings.acceleration == "nominal",
+            probes=probes,
+            distance=None if tip is None else (settings.sphere_radius_mm + tip) * 1e-3,
+        )
+
+    def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
+        own = {name: values for name, values in table.items() if name not in ("plane", "t_s")}
+        for axis in chain.axes:
+            own[f"{axis.lower()}_mm"] = own.pop(f"{axis.lower()}_int_mm")
+        plan = linear_plan(chain, own, (*_COORDINATES, *_PROBES))
+        t, run = np.asarray(table["t_s"], float), np.asarray(plan.groups["run"])
+        covariates = dict(plan.covariates) | {"t_run": t}
+        if (np.diff(t) > 0.0).all():  # else it counts from the start of every run
+            covariates["t"] = t
+        plane = _plane_numbers(table["plane"])
+        derived = {name: np.zeros(plan.rows) for name in _DERIVED}
+        read, position = np.asarray(plan.position), np.zeros((plan.rows, len(chain.axes)))
+        for number in np.unique(run):
+            mine = np.flatnonzero(run == number)
+            circle = self._circle(number, t[mine], read[mine], plane[mine], chain.axes)
+            position[mine] = circle.position(t[mine])
+            values = circle.acceleration(t[mine])
+            if self.nominal:
+                place = position[mine] - circle.centre
+                far = np.linalg.norm(place, axis=1, keepdims=True)
+                values = -covariates["a_set_m_s2"][mine][:, None] * place / far
+            found = {
+                "a": values,
+                "v": circle.velocity(t[mine]),
+                "dir": np.sign(circle.velocity(t[mine])),
+                "since": circle.since_reversal(t[mine]),
+            }
+            for kind, columns in found.items():
+                for i, axis in enumerate(chain.axes):
+                    derived[f"{kind}_{axis}"][mine] = columns[:, i]
+        return Plan(plan.axes, position, covariates | derived, dict(plan.groups) | {"plane": plane})
+
+    def circles(self, plan: Plan) -> dict[int, Circle]:
+        """The circle that the axes travelled in every run."""
+        t, run = np.asarray(plan.covariate("t_run")), np.asarray(plan.groups["run"])
+        position = np.asarray(plan.position)
+        return {int(k): fit_circle(t[run == k], position[run == k]) for k in np.unique(run)}
+
+    def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
+        names = _COORDINATES if self.probes is None else _PROBES
+        readings = np.column_stack([table[name] for name in names]) * 1e-3
+        t, run = np.asarray(table["t_s"], float), np.asarray(table["run"], int)
+        internal = np.column_stack([table[f"{c}_int_mm"] for c in "xyz"]) * 1e-3
+        for number in np.unique(run):
+            mine = np.flatnonzero(run == number)
+            beside = internal[mine] - fit_circle(t[mine], internal[mine]).position(t[mine])
+            # A tenth of a micrometre beside the circle: probes see it by their directions.
+            readings[mine] -= beside if self.probes is None else beside @ self.probes.T
+        return readings
+
+    def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
+        shown = linear_plan_table(plan, (*_DERIVED, "t", "t_run", "sense", "a_set_m_s2"))
+        for axis in plan.axes:
+            shown[f"{axis.lower()}_int_mm"] = shown.pop(f"{axis.lower()}_mm")
+        own = {
+            "run": shown.pop("run"),
+            "plane": np.array(PLANES)[shown.pop("plane")],
+            "sense": np.asarray(plan.covariate("sense")),
+            "a_set_m_s2": np.asarray(plan.covariate("a_set_m_s2")),
+            "t_s": np.asarray(plan.covariate("t_run")),
+        }
+        names = _COORDINATES if self.probes is None else _PROBES
+        read = {name: readings[:, i] * 1e3 for i, name in enumerate(names)}
+        return {**own, **shown, **read}
+
+    def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
+        seen = tool + Vector.of(ports["sphere"])
+        if self.probes is None:
+            return list(seen.parts)
+        along = [Vector.of(n).dot(seen) for n in self.probes]
+        if self.distance is None:
+            return along
+        square = seen.dot(seen)
+        return [a + jnp.sqrt(self.distance**2 - square + a * a) - self.distance for a in along]
+
+    def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        return np.full((plan.rows, 3), self.sigma)
+
+    def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        return np.ones((plan.rows, 3))
+
+    def effects(self, plan: Plan) -> tuple[Effect, ...]:
+        runs = tuple(int(run) for run in np.unique(np.asarray(plan.groups["run"])))
+        found: tuple[Effect, ...] = (RunOffsets(runs=runs),)
+        if self.matrix_sigma > 0.0:
+            found += (ProbeMatrix(sigma=self.matrix_sigma),)
+        return found
+
+    def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
+        runs, fold = np.unique(np.asarray(plan.groups["run"]), return_inverse=True)
+        # Runs that follow each other differ in acceleration alone: every fold has some of each.
+        return fold % min(len(runs), 5), False
+
+    def _circle(
+        self,
+        run: int,
+        t: Float[np.ndarray, " n"],
+        position: Float[np.ndarray, "n axes"],
+        plane: np.ndarray,
+        axes: Sequence[str],
+    ) -> Circle:
+        where = f"data, run {run}"
+        if (np.diff(t) <= 0.0).any():
+            row = int(np.argmax(np.diff(t) <= 0.0))
+            raise StudyError(
+                f"{where}, column t_s: found {t[row + 1]:g} after {t[row]:g}, expected rising "
+                "times; sort the rows of the run, or give the repeated circle another run"
+            )
+        try:
+            circle = fit_circle(t, position)
+        except ValueError as error:
+            raise StudyError(f"{where}: {error}; correct the rows, or leave the run out") from error
+        step = float(np.median(np.diff(t)))
+        turns = circle.omega * (t[-1] - t[0] + step) / (2.0 * np.pi)
+        if turns < 1.0 - _SLACK:
+            raise StudyError(
+                f"{where}: found {turns:.2f} of a turn, expected a whole one at least, as offset "
+                "and amplitude cannot be told apart on less; measure longer, or leave the run out"
+            )
+        moving = {axis for axis, moves in zip(axes, circle.moving, strict=True) if moves}
+        if len(set(plane)) > 1 or moving != set(PLANES[plane[0]]):
+            found = " and ".join(dict.fromkeys(PLANES[k] for k in plane))
+            raise StudyError(
+                f"{where}, column plane: found {found}, while {', '.join(sorted(moving))} move; "
+                "expected the plane of the two axes that do; correct the column"
+            )
+        ratio = float(circle.amplitude.max()) / self.radius
+        if not 0.3 < ratio < 3.0:
+            raise StudyError(
+                f"{where}: found a circle of {1e3 * ratio * self.radius:.3g} mm, expected about "
+                f"radius_mm = {1e3 * self.radius:g}; correct the key, or the unit of the columns"
+            )
+        return circle
+
+
+_COORDINATES = ("x_ext_mm", "y_ext_mm", "z_ext_mm")
+_PROBES = ("p1_mm", "p2_mm", "p3_mm")
+
+
+def _plane_numbers(names: np.ndarray) -> np.ndarray:
+    known = {name: i for i, plane in enumerate(PLANES) for name in (plane, plane[::-1])}
+    for row, name in enumerate(names):
+        if str(name).upper() not in known:
+            raise StudyError(
+                f"data, row {row + 1}, column plane: found {str(name)!r}, expected one of "
+                f"{', '.join(PLANES)}; correct it"
+            )
+    return np.array([known[str(name).upper()] for name in names])

@@ -1,0 +1,359 @@
+"""A machine for its dynamics, from a TOML description."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ..catalogue import nearest
+from ..chain import Chain, chain_from_string
+from ..dynamics.assemble import Structure, assemble
+from ..dynamics.bodies import (
+    BED,
+    GROUND,
+    Body,
+    Drive,
+    Machine,
+    Scale,
+    Spring,
+    ToolPoint,
+)
+from ..dynamics.closed_loop import check_stable, close
+from ..dynamics.control import Controller
+from ..dynamics.gains import propose
+from ..dynamics.modes import check_supported, modes
+from ..dynamics.setpoints import Limits
+from ..errors import StudyError
+from .messages import explain, listed, refusal
+from .settings import read_setup
+
+Triple = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class BodySettings(_Table):
+    """``[[body]]``: a rigid body."""
+
+    name: str
+    on: str | None = None
+    """What it rides with, ``"bed"`` or an axis; its own name by default."""
+    mass_kg: Positive
+    inertia_kg_m2: tuple[Positive, Positive, Positive]
+    """About its centre of gravity, about X, Y, Z."""
+    centre_mm: Triple
+    """Centre of gravity at the axis positions zero."""
+
+
+class SpringSettings(_Table):
+    """``[[spring]]``: carriages of a guideway, mounts of a foundation, bearings."""
+
+    name: str
+    between: tuple[str, str]
+    """Two bodies, or a body and ``"ground"``."""
+    on: str | None = None
+    """What the points ride with; the first body's link by default."""
+    points_mm: Annotated[tuple[Triple, ...], Field(min_length=1)]
+    stiffness_N_per_um: Triple  # noqa: N815
+    """Of one point, along X, Y, Z."""
+    turning_Nm_per_mrad: Triple = (0.0, 0.0, 0.0)  # noqa: N815
+    """Of one point, about X, Y, Z."""
+    damping_Ns_per_mm: Triple = (0.0, 0.0, 0.0)  # noqa: N815
+    """Viscous, of one point, beside the damping of all."""
+
+
+class DriveSettings(_Table):
+    """``[[drive]]``: one per axis."""
+
+    axis: str
+    base: str | None = None
+    """Body that it pushes from; the one towards the bed by default."""
+    point_mm: Triple
+    """Where its force attacks."""
+    screw_N_per_um: Positive | None = None  # noqa: N815
+    """Stiffness of screw, nut and bearings; a linear motor without it."""
+    motor_mass_kg: Annotated[float, Field(ge=0)] = 0.0
+    """Inertia of motor and screw as a mass along the axis, J (2 pi / pitch)^2."""
+    scale_mm: Triple | None = None
+    """Where the scale is read; at the drive by default."""
+    measured: Literal["scale", "motor"] = "scale"
+    """By a linear scale, or by the motor's encoder."""
+
+
+class ToolPointSettings(_Table):
+    """``[tool_point]``."""
+
+    point_mm: Triple
+    tool: str | None = None
+    """Body with the tool; the last one on the tool's side by default."""
+    work: str | None = None
+    """Body with the workpiece; the last one on its side by default."""
+
+
+class ControllerSettings(_Table):
+    """``[controller]``: gains of all axes, or one per axis; what is left out is proposed."""
+
+    position_gain_per_s: Positive | tuple[Positive, ...] | None = None
+    """Kv."""
+    bandwidth_rad_per_s: Positive | tuple[Positive, ...] | None = None
+    """w_v of the velocity loop; Kp = m w_v."""
+    integral_time_ms: Positive | tuple[Positive, ...] | None = None
+    """Tn."""
+    feed_forward: float = 0.0
+    """Share of the set velocity added to the velocity command."""
+    delay_ms: Annotated[float, Field(ge=0)] = 0.0
+    sample_time_ms: Positive = 1.0
+
+
+class LimitSettings(_Table):
+    """``[limits]``: of every axis."""
+
+    velocity_m_per_min: Positive = np.inf
+    acceleration_m_per_s2: Positive = np.inf
+    jerk_m_per_s3: Positive = np.inf
+
+
+class MachineDescription(_Table):
+    """The whole file."""
+
+    chain: str
+    """ISO 10791-6, such as ``"w X b Y Z t"``."""
+    damping: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Damping ratio of all springs at `damping_hz`."""
+    damping_hz: Positive | None = None
+    """The first mode by default."""
+    body: Annotated[tuple[BodySettings, ...], Field(min_length=1)]
+    spring: tuple[SpringSettings, ...] = ()
+    drive: Annotated[tuple[DriveSettings, ...], Field(min_length=1)]
+    tool_point: ToolPointSettings
+    controller: ControllerSettings = ControllerSettings()
+    limits: LimitSettings = LimitSettings()
+
+
+class Described(NamedTuple):
+    """A machine and how it is driven."""
+
+    machine: Machine
+    controller: Controller
+    limits: Limits
+
+
+def load_machine(path: Path | str, overrides: Sequence[str] = ()) -> Described:
+    """Read a description, check it, and put the controllers in.
+
+    Raises `StudyError` for every mistake in the file, for a body that nothing holds, and for a loop
+    that is unstable.
+    """
+    path = Path(path)
+    raw, given = read_setup(path, overrides)
+    try:
+        found = MachineDescription.model_validate_json(json.dumps(raw, default=str), strict=True)
+    except ValidationError as error:
+        raise explain(error, path.name, raw, MachineDescription, given) from error
+    machine = _machine(found, path.name)
+    structure = assemble(machine)
+    try:
+        check_supported(structure, [body.name for body in machine.bodies])
+    except ValueError as error:
+        raise StudyError(f"{path.name}, {error}") from error
+    machine = _damped(machine, structure, found)
+    structure = assemble(machine)
+    controller = _controller(found.controller, structure, path.name)
+    try:
+        check_stable(close(structure, controller))
+    except ValueError as error:
+        raise StudyError(f"{path.name}, {error}") from error
+    limits = Limits(
+        found.limits.velocity_m_per_min / 60.0,
+        found.limits.acceleration_m_per_s2,
+        found.limits.jerk_m_per_s3,
+    )
+    return Described(machine, controller, limits)
+
+
+def _machine(found: MachineDescription, file: str) -> Machine:
+    try:
+        chain = chain_from_string(found.chain)
+    except ValueError as error:
+        raise refusal(
+            file, "key chain", str(error), "such as 'w X b Y Z t'", "correct the chain"
+        ) from error
+    links = {body.name: body.on or body.name for body in found.body}
+    _check_names([body.name for body in found.body], "body", "name", file)
+    _check_names([drive.axis for drive in found.drive], "drive", "axis", file)
+    for i, body in enumerate(found.body):
+        known = (BED, *chain.axes)
+        _known(links[body.name], known, f"body.{i}.{'on' if body.on else 'name'}", file)
+    bodies = tuple(
+        Body(
+            body.name,
+            links[body.name],
+            body.mass_kg,
+            jnp.diag(jnp.array(body.inertia_kg_m2)),
+            1e-3 * jnp.array(body.centre_mm),
+        )
+        for body in found.body
+    )
+    springs = []
+    for i, spring in enumerate(found.spring):
+        for name in spring.between:
+            _known(name, (*links, GROUND), f"spring.{i}.between", file)
+        first = spring.between[0] if spring.between[0] != GROUND else spring.between[1]
+        link = spring.on or links[first]
+        _known(link, (BED, *chain.axes), f"spring.{i}.on", file)
+        springs += [
+            Spring(
+                spring.name,
+                *spring.between,
+                link,
+                1e-3 * jnp.array(point),
+                1e6 * jnp.array(spring.stiffness_N_per_um),
+                1e3 * jnp.array(spring.turning_Nm_per_mrad),
+                1e3 * jnp.array(spring.damping_Ns_per_mm),
+            )
+            for point in spring.points_mm
+        ]
+    drives, scales = [], []
+    for i, drive in enumerate(found.drive):
+        _known(drive.axis, chain.axes, f"drive.{i}.axis", file)
+        _known(drive.axis, links, f"drive.{i}.axis", file)
+        base = drive.base or _towards_bed(chain, drive.axis, links, GROUND)
+        _known(base, (*links, GROUND), f"drive.{i}.base", file)
+        if drive.measured == "motor" and drive.screw_N_per_um is None:
+            raise refusal(
+                file,
+                f"key drive.{i}.measured",
+                "'motor' on a drive without a screw",
+                "'scale', as a linear motor has no encoder of its own",
+                "correct the key, or add screw_N_per_um",
+            )
+        screw = None if drive.screw_N_per_um is None else 1e6 * drive.screw_N_per_um
+        place = (drive.axis, drive.axis, base, drive.axis)
+        drives.append(Drive(*place, 1e-3 * jnp.array(drive.point_mm), screw, drive.motor_mass_kg))
+        at = drive.scale_mm or drive.point_mm
+        scales.append(Scale(*place, 1e-3 * jnp.array(at), drive.measured == "motor"))
+        if screw is not None and drive.motor_mass_kg == 0.0:
+            raise refusal(
+                file,
+                f"key drive.{i}.motor_mass_kg",
+                "none beside a screw",
+                "the inertia of motor and screw as a mass, J (2 pi / pitch)^2",
+                "add it",
+            )
+    end = found.tool_point
+    tool = end.tool or _last(chain, "tool", links)
+    work = end.work or _last(chain, "workpiece", links)
+    _known(tool, links, "tool_point.tool", file)
+    _known(work, (*links, GROUND), "tool_point.work", file)
+    return Machine(
+        chain,
+        bodies,
+        tuple(springs),
+        tuple(drives),
+        tuple(scales),
+        ToolPoint(tool, work, links[tool], 1e-3 * jnp.array(end.point_mm)),
+        0.0,
+    )
+
+
+def _damped(machine: Machine, structure: Structure, found: MachineDescription) -> Machine:
+    hz = found.damping_hz or float(modes(structure).hz[0])
+    loss = found.damping / (np.pi * hz)  # D = loss K has the ratio loss omega / 2
+    return Machine(
+        machine.chain,
+        machine.bodies,
+        machine.springs,
+        machine.drives,
+        machine.scales,
+        machine.tool_point,
+        loss,
+    )
+
+
+def _controller(found: ControllerSettings, structure: Structure, file: str) -> Controller:
+    count = len(structure.axes)
+    given: dict[str, Any] = {}
+    for key, factor, name in (
+        ("position_gain_per_s", 1.0, "position_gain"),
+        ("bandwidth_rad_per_s", 1.0, "bandwidth"),
+        ("integral_time_ms", 1e-3, "integral_time"),
+    ):
+        value = getattr(found, key)
+        if isinstance(value, tuple) and len(value) != count:
+            raise refusal(
+                file,
+                f"key controller.{key}",
+                f"{len(value)} values",
+                f"one, or one for each of {listed(structure.axes)}",
+                "correct the list",
+            )
+        if value is not None:
+            given[name] = factor * np.broadcast_to(np.asarray(value, float), (count,))
+    if found.delay_ms >= 2.0 * found.sample_time_ms:
+        raise refusal(
+            file,
+            "key controller.delay_ms",
+            f"{found.delay_ms:g}",
+            f"less than two sample times, {2.0 * found.sample_time_ms:g}",
+            "correct it, or the sample time",
+        )
+    try:
+        return propose(
+            structure,
+            **given,
+            feed_forward=found.feed_forward,
+            delay=1e-3 * found.delay_ms,
+            sample_time=1e-3 * found.sample_time_ms,
+        )
+    except ValueError as error:
+        raise StudyError(f"{file}, {error}") from error
+
+
+def _check_names(names: Sequence[str], table: str, key: str, file: str) -> None:
+    for i, name in enumerate(names):
+        if name in names[:i] or name == GROUND:
+            raise refusal(
+                file,
+                f"key {table}.{i}.{key}",
+                f"{name!r} {'again' if name in names[:i] else ', which is not a body'}",
+                "every name once",
+                "rename or remove one of them",
+            )
+
+
+def _known(name: str, known: Any, key: str, file: str) -> None:
+    if name not in known:
+        raise refusal(
+            file,
+            f"key {key}",
+            f"{name!r}{nearest(name, known)}",
+            f"one of {listed(known)}",
+            "correct the name",
+        )
+
+
+def _side(chain: Chain, side: str) -> list[str]:
+    order = chain.tool_side if side == "tool" else chain.workpiece_side
+    return [chain.joints[i].name for i in order]
+
+
+def _towards_bed(chain: Chain, axis: str, bodies: Any, otherwise: str) -> str:
+    side = _side(chain, chain.joint(axis).side)
+    for name in reversed([BED, *side[: side.index(axis)]]):
+        if name in bodies:
+            return name
+    return otherwise
+
+
+def _last(chain: Chain, side: str, bodies: Any) -> str:
+    for name in reversed([BED, *_side(chain, side)]):
+        if name in bodies:
+            return name
+    return GROUND
