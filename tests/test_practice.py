@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from vcal import close_loop, load_study
@@ -93,6 +94,27 @@ def test_a_growing_head_is_named_without_a_rival():
     assert abs(value - 0.984) <= 2 * u
     assert not [rival for rival in one.alternatives if rival[2] > 0.05]
     assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_matrix_of_crosstalk():
+    closure = closed(DATA / "practice" / "08_rtest_crosstalk")
+    assert closure.verdict == "named" and named(closure) == ["acceleration_crosstalk"]
+    true = [[0.9, 0.1, -1.55], [0.05, 0.6, 0.3], [-0.4, 0.2, 1.1]]
+    values = {name: (value, u) for name, value, _, u in closure.effects[0].parameters}
+    for i, j in np.ndindex(3, 3):
+        value, u = values[f"matrix_{'XYZ'[i]}{'XYZ'[j]}"]
+        assert abs(value - true[i][j]) <= 2 * u
+
+
+def test_quadrant_peaks_beside_a_declared_matrix():
+    closure = closed(DATA / "practice" / "09_rtest_reversal")
+    assert closure.verdict == "named" and named(closure) == ["reversal_spike"]
+    assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.02)
+    assert closure.errors["before"].chi2_per_dof > 1.2
+    values = {name: (value, u) for name, value, _, u in closure.effects[0].parameters}
+    # 3.6 and 3.4 standard uncertainties from what was put in; scipy finds the same minimum.
+    for name, true in (("size", 3.5), ("decay", 0.06)):
+        assert abs(values[name][0] - true) <= 4 * values[name][1]
 
 
 def test_arm_by_its_commanded_joints():

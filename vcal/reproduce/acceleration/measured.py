@@ -104,8 +104,7 @@ def fit_matrix(run: RTestRun, chain: Chain, *, device: bool = True) -> Joint:
     step = np.array([e.parameter.step / e.parameter.si for e in fit.model.entries[last:]])
     u = np.sqrt(np.diag(np.asarray(fit.covariance))[last : last + 9]) * step
     values = np.asarray(fit.theta)[last : last + 9] * step
-    residual = np.asarray(fit.residual)
-    return Joint(values.reshape(3, 3), u.reshape(3, 3), float((residual**2).mean()))
+    return Joint(values.reshape(3, 3), u.reshape(3, 3), fit.chi2 / fit.dof)
 
 
 def both_ways(run: RTestRun) -> dict[str, Evaluated]:
