@@ -130,6 +130,7 @@ def test_trends(given, known):
     assert (np.diff([rms(n, a, v) for v in OFFSETS]) < 0.0).all()
 
 
+@pytest.mark.slow
 def test_better_than_plain_least_squares(given, nominal):
     for known, limit in (("S", 0.15), ("P", 0.35), ("B", 0.15)):
         plain = plain_least_squares(given, nominal, known)

@@ -86,6 +86,7 @@ def test_the_folder_can_be_judged_by_monte_carlo(designed, tmp_path):
         assert told[name] == pytest.approx(u[name], rel=0.15), name
 
 
+@pytest.mark.slow
 def test_worth_of_a_pose_is_that_of_a_plan_without_it(few_poses):
     _, task = task_of(few_poses)
     compiled = Compiled(task)

@@ -137,6 +137,7 @@ def test_positioning(catalogue):
     assert found.fitted == pytest.approx(-0.55, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_matrix_holds_for_other_movements(truth):
     """As long as they do not excite the modes."""
     machine, _, loop = truth

@@ -181,6 +181,7 @@ def test_the_amplitude_trap(tmp_path):
     np.testing.assert_allclose(wrong, ratio * E, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_uncertainty_of_the_device(tmp_path):
     """Errors of the probes do not average out: circles of one acceleration cannot tell them from
     the machine, those of several can.
@@ -272,7 +273,7 @@ def test_the_loop_names_quadrant_peaks(tmp_path, seed):
 NEST = np.array([[0.8, 0.0, 0.6], [-0.4, 0.69, 0.6], [-0.4, -0.69, 0.6]])
 
 
-@pytest.mark.parametrize("tip", [None, 1.5])
+@pytest.mark.parametrize("tip", [pytest.param(None, marks=pytest.mark.slow), 1.5])
 def test_probes_on_a_sphere(study, tmp_path, tip):
     """Against the contact of two spheres, found by bisection."""
     table = circles(levels=(4.5,), noise=0.0)

@@ -88,6 +88,7 @@ def test_the_family_has_the_printed_mean_and_spread():
     assert np.sqrt(square - mean**2) == pytest.approx(INITIAL_UM[1], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_spread_that_no_family_has_is_refused():
     with pytest.raises(ValueError, match=r"found a spread of 1\.500 of the mean, expected one"):
         find_family(SMALL, 10.0, 15.0, machines=200)

@@ -98,6 +98,7 @@ def test_the_key_alone_decides(tracker):
     np.testing.assert_allclose(quiet.noise, 0.5 * first.noise, rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_compiled_and_mapped_draws_are_the_single_ones(tracker):
     simulator = prepare(tracker.model, tracker.plan)
     keys = jax.random.split(KEY, 4)
