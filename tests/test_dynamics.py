@@ -17,6 +17,7 @@ from vcal.dynamics.compliance import compliance
 from vcal.dynamics.control import Controller
 from vcal.dynamics.gains import propose
 from vcal.dynamics.modes import check_supported, modes
+from vcal.dynamics.response import response
 from vcal.dynamics.setpoints import Limits, SetCircle, positioning
 
 NONE = jnp.zeros(3)
@@ -234,6 +235,41 @@ def test_circles_settle():
     assert np.abs(settled.acceleration).max() == pytest.approx(
         0.002 * omega**2 * amplitude, rel=0.1
     )
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3e-3, 1.0e-3, 1.6e-3])
+def test_sampled_frequency_response(delay):
+    """The sum over the harmonics of the sampling is the steady state of the exact matrices."""
+    given = one_slide(loss=3e-4)
+    screw = dataclasses.replace(given.drives[0], stiffness=1.5e8, motor_mass=120.0)
+    machine = dataclasses.replace(given, drives=(screw,))
+    s, c, loop = loop_of(machine, delay=delay, f=0.4)
+    for omega in (5.0, 48.5, 200.0):
+        states = np.asarray(steady(loop, omega))
+        exact = np.asarray(loop.scale) @ states, np.asarray(loop.structural) @ states
+        for aliases, digits in ((1, 1e-4), (30, 1e-7), (1000, 1e-9)):
+            found = response(s, c, omega, aliases)
+            for a, b in zip(found, exact, strict=True):
+                np.testing.assert_allclose(a, b, atol=digits * np.abs(b).max())
+
+
+def test_derivative_of_the_sampled_frequency_response():
+    def read(p):
+        given = screw_slide(mass=300.0 * p[0], loss=3e-4 * p[1])
+        stiff = [dataclasses.replace(k, stiffness=k.stiffness * p[2]) for k in given.springs]
+        s = assemble(dataclasses.replace(given, springs=tuple(stiff)))
+        c = Controller.of(s, position_gain=40.0, bandwidth=120.0, integral_time=0.05,
+                          delay=0.3e-3 * p[3])  # fmt: skip
+        scale, error = response(s, c, 48.5 * p[4])
+        return jnp.concatenate([scale.ravel(), 1e3 * error.ravel()])
+
+    at = jnp.ones(5)
+    slope = np.asarray(jax.jit(jax.jacfwd(read))(at))
+    quick = jax.jit(read)
+    for i in range(5):
+        d = [(quick(at.at[i].add(h)) - quick(at.at[i].add(-h))) / (2 * h) for h in (2e-3, 1e-3)]
+        np.testing.assert_allclose((4 * d[1] - d[0]) / 3, slope[:, i],
+                                   atol=1e-7 * np.abs(slope[:, i]).max())  # fmt: skip
 
 
 def test_slow_circles_bend_as_the_compliance_says():

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from vcal.dynamics import (
+    Noise,
     Phasors,
     assemble,
+    campaign,
     check_stable,
     circle_set,
     close,
@@ -21,7 +23,6 @@ from vcal.dynamics import (
     set_phasors,
     task,
 )
-from vcal.dynamics.circles import predicted_at
 from vcal.errors import StudyError
 from vcal.io.machine import load_machine
 from vcal.reproduce.acceleration.measured import MATRIX_U, fit_matrix, measure
@@ -183,10 +184,10 @@ def test_residual_and_gradient_against_finite_differences(catalogue):
     machine, controller, loop = catalogue
     seen = seen_by(loop, 0)
     given = task(machine, controller, UNKNOWNS, seen, matrix_u=MATRIX_U)
-    at = jnp.asarray(0.3 * np.random.default_rng(1).standard_normal(given.size))
+    at = jnp.asarray(0.3 * np.random.default_rng(1).standard_normal(len(UNKNOWNS)))
     cost = jax.jit(lambda x: jnp.sum(given.residual(x, seen) ** 2))
     slope = np.asarray(jax.grad(cost)(at))
-    for i in range(given.size):
+    for i in range(len(UNKNOWNS)):
         d = [float(cost(at.at[i].add(h)) - cost(at.at[i].add(-h))) / (2 * h) for h in (2e-3, 1e-3)]
         assert (4 * d[1] - d[0]) / 3 == pytest.approx(
             slope[i], rel=1e-5, abs=1e-6 * np.abs(slope).max()
@@ -196,11 +197,56 @@ def test_residual_and_gradient_against_finite_differences(catalogue):
 def test_phasors_of_circles_with_one_speed(catalogue):
     _, _, loop = catalogue
     omega, asked = set_phasors(circle_set(RADIUS_M, LEVELS), AXES)
-    distinct, place = np.unique(omega, return_inverse=True)
-    one = predicted(loop, jnp.asarray(omega), jnp.asarray(asked))
-    other = predicted_at(loop, jnp.asarray(distinct), place, jnp.asarray(asked))
-    for a, b in zip(one, other, strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-15)
+    internal, error = predicted(loop, jnp.asarray(omega), jnp.asarray(asked))
+    u = jnp.full(len(omega), 1e-9)
+    seen = Phasors(AXES, jnp.asarray(omega), jnp.asarray(asked), internal, error, u, u)
+    machine, controller, _ = catalogue
+    given = task(machine, controller, UNKNOWNS, seen)
+    assert len(given.omega) == len(LEVELS)
+    left = given.residual(jnp.zeros(len(UNKNOWNS)), seen)
+    np.testing.assert_allclose(left, 0.0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_errors_of_the_probes_are_eliminated(catalogue, truth):
+    """The cost is that of the best matrix S, found here by plain least squares."""
+    machine, controller, _ = catalogue
+    seen = seen_by(truth[2], 0)
+    z = jnp.asarray(0.3 * np.random.default_rng(2).standard_normal(len(UNKNOWNS)))
+    bare = task(machine, controller, UNKNOWNS, seen).residual(z, seen)
+    bare = np.asarray(bare[: -len(z)]).reshape(2, 60, 3)
+    S = np.asarray(seen.internal / seen.error_u[:, None]) * MATRIX_U
+    columns = np.r_[S.real, S.imag]
+    least = 0.0
+    for x in range(3):
+        whole = np.r_[columns, np.eye(3)]
+        right = np.r_[bare[1][:, x], np.zeros(3)]
+        least += np.linalg.lstsq(whole, right, rcond=None)[1][0]
+    for quick, digits in ((False, 1e-9), (True, 1e-4)):
+        given = task(machine, controller, UNKNOWNS, seen, matrix_u=MATRIX_U, quick=quick)
+        cost = float((given.residual(z, seen) ** 2).sum())
+        assert cost == pytest.approx(least + (bare[0] ** 2).sum() + float(z @ z), rel=digits)
+
+
+@pytest.mark.slow
+def test_many_machines(catalogue):
+    """Errors are as large as their uncertainties say, and machine i is machine i."""
+    machine, controller, _ = catalogue
+    noise = Noise(0.02e-6, 0.25e-6, 240)
+    circles = circle_set(RADIUS_M, LEVELS)
+    done, few = (
+        campaign(machine, controller, UNKNOWNS, circles, noise, draws=draws, seed=5,
+                 matrix_u=MATRIX_U)
+        for draws in (60, 3)
+    )  # fmt: skip
+    assert done.converged.mean() > 0.95
+    np.testing.assert_allclose(few.found, done.found[:3], rtol=1e-9)
+    assert done.pulls.std() == pytest.approx(1.0, abs=0.15)
+    assert (np.abs(done.pulls) < 2).mean() > 0.9
+    assert np.nanstd(done.matrix_pulls) == pytest.approx(1.0, abs=0.15)
+    assert (done.chi2 / done.readings).mean() == pytest.approx(1.0, abs=0.05)
+    # What is told by the circles is told far better than the catalogue did.
+    assert np.median(done.u, axis=0).min() < 0.01
 
 
 @pytest.mark.slow

@@ -3,11 +3,13 @@
 `vcal.io.machine.load_machine` reads a description; `assemble` gives its matrices, `modes` its
 frequencies, `compliance` how it bends while it is accelerated, `close` the machine under its
 controllers, `run` and `run_circle` what comes of set points, `identify_machine` what the circles of
-an R-test say of its stiffness, damping, centres of gravity and delay.
+an R-test say of its stiffness, damping, centres of gravity and delay, and `campaign` how well they
+do so for many machines.
 """
 
 from .assemble import Structure, assemble
 from .bodies import Body, Drive, Machine, Scale, Spring, ToolPoint
+from .campaign import Campaign, Noise, campaign
 from .circles import Phasors, measured_phasors, predicted, set_phasors
 from .closed_loop import ClosedLoop, Response, check_stable, close, run, run_circle, steady
 from .compliance import compliance
@@ -16,6 +18,7 @@ from .evaluate import Evaluated, evaluate
 from .gains import propose
 from .identify import Identified, identify_machine, task
 from .modes import Modes, check_supported, modes
+from .response import response
 from .setpoints import Limits, Profile, SetCircle, circle_set, positioning
 from .unknowns import (
     CentreShift,
@@ -29,6 +32,7 @@ from .unknowns import (
 
 __all__ = [
     "Body",
+    "Campaign",
     "CentreShift",
     "ClosedLoop",
     "Controller",
@@ -41,6 +45,7 @@ __all__ = [
     "Limits",
     "Machine",
     "Modes",
+    "Noise",
     "Phasors",
     "Profile",
     "Response",
@@ -53,6 +58,7 @@ __all__ = [
     "Unknown",
     "applied",
     "assemble",
+    "campaign",
     "check_stable",
     "check_supported",
     "circle_set",
@@ -65,6 +71,7 @@ __all__ = [
     "positioning",
     "predicted",
     "propose",
+    "response",
     "run",
     "run_circle",
     "set_phasors",

@@ -40,30 +40,20 @@ class Phasors(eqx.Module):
     """The same of `error`."""
 
 
+def answers(
+    loop: ClosedLoop, omega: Float[Array, " w"]
+) -> tuple[Complex[Array, "w axes axes"], Complex[Array, "w 3 axes"]]:
+    """Internal reading and error per set position exp(i omega t) of every axis, once settled."""
+    states = jax.vmap(lambda w: steady(loop, w))(omega)
+    return loop.scale @ states, loop.structural @ states
+
+
 def predicted(
     loop: ClosedLoop, omega: Float[Array, " r"], asked: Complex[Array, "r axes"]
 ) -> tuple[Complex[Array, "r axes"], Complex[Array, "r 3"]]:
     """Internal reading and error of circles that go on for ever."""
-    states = jax.vmap(lambda w: steady(loop, w))(omega)
-    settled = jnp.einsum("rma,ra->rm", states, asked)
-    return settled @ loop.scale.T, settled @ loop.structural.T
-
-
-def predicted_at(
-    loop: ClosedLoop,
-    omega: Float[Array, " w"],
-    place: np.ndarray,
-    asked: Complex[Array, "r axes"],
-) -> tuple[Complex[Array, "r axes"], Complex[Array, "r 3"]]:
-    """`predicted`, where circles share few angular velocities: that of circle r is
-    `omega[place[r]]`.
-    """
-    states = jax.vmap(lambda w: steady(loop, w))(omega)
-    scale, error = loop.scale @ states, loop.structural @ states
-    return (
-        jnp.einsum("rxa,ra->rx", scale[place], asked),
-        jnp.einsum("rxa,ra->rx", error[place], asked),
-    )
+    internal, error = answers(loop, omega)
+    return jnp.einsum("rxa,ra->rx", internal, asked), jnp.einsum("rxa,ra->rx", error, asked)
 
 
 def set_phasors(

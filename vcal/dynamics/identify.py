@@ -1,11 +1,13 @@
 """Stiffness, damping, centres of gravity and delay from the circles of an R-test.
 
     minimise  sum over circles |(X_int - x_int(z)) / u_int|^2
-              + |(X_err - x_err(z) - S X_int) / u_err|^2   + |z|^2 + |S / u_S|^2
+              + |(X_err - x_err(z) - S X_int) / u_err|^2   + |z|^2 + |S / u_S|^2   over z and S
 
 x(z) are the amplitudes of the simulated machine under its controllers (`predicted`), by z the
 unknowns in standard deviations of what a catalogue says of them, S the matrix of the probes' own
-errors with the standard uncertainty u_S of its elements. The derivative goes through the assembly,
+errors with the standard uncertainty u_S of its elements. S is linear and is eliminated: what it can
+take up of the differences counts as their covariance, V = 1 + u_S^2 X_int X_int' / u_err^2. The
+derivative goes through the assembly,
 the discretisation and the solution for the steady state.
 """
 
@@ -16,18 +18,21 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from ..arrays import Array
-from ..least_squares import Status, least_squares
-from .assemble import assemble
+from ..least_squares import Status
+from ..trust_region import Found, within_prior
+from .assemble import Structure, assemble
 from .bodies import Machine
-from .circles import Phasors, predicted_at
-from .closed_loop import ClosedLoop, close
+from .circles import Phasors, answers
+from .closed_loop import close
 from .compliance import compliance
 from .control import Controller
+from .response import response
 from .unknowns import Unknown, applied
 
+Answers = tuple[Complex[Array, "w axes axes"], Complex[Array, "w 3 axes"]]
 _TOLERANCE = 1e-3
 """Remaining step in standard uncertainties."""
 _STEPS = 60
@@ -99,32 +104,41 @@ class Task(eqx.Module):
     place: tuple[int, ...] = eqx.field(static=True)
     matrix_u: float = eqx.field(static=True)
     """u_S."""
+    quick: bool = eqx.field(static=True, default=False)
+    """Whether answers come from `response`: a fraction of the time, to eight digits."""
 
-    @property
-    def size(self) -> int:
-        """Numbers that are looked for: z and S."""
-        return len(self.unknowns) + (9 if self.matrix_u > 0.0 else 0)
-
-    def loop(self, z: Float[Array, " k"]) -> ClosedLoop:
-        """The closed loop at z."""
+    def at(self, z: Float[Array, " k"]) -> tuple[Structure, Controller]:
+        """Matrices and controllers at z."""
         machine, controller = applied(self.unknowns, self.machine, self.controller, z)
-        return close(assemble(machine), controller)
+        return assemble(machine), controller
 
-    def residual(self, both: Float[Array, " p"], seen: Phasors) -> Float[Array, " n"]:
-        """Whitened differences, then z and S in their prior standard deviations."""
-        z = both[: len(self.unknowns)]
-        internal, error = predicted_at(self.loop(z), self.omega, np.array(self.place), seen.asked)
-        if self.matrix_u > 0.0:
-            S = self.matrix_u * both[len(self.unknowns) :].reshape(3, 3)
-            three = jnp.array(["XYZ".index(axis) for axis in seen.axes])
-            error = error + seen.internal @ S[:, three].T
-        left = jnp.concatenate(
-            [
-                ((seen.internal - internal) / seen.internal_u[:, None]).ravel(),
-                ((seen.error - error) / seen.error_u[:, None]).ravel(),
-            ]
+    def answers(self, z: Float[Array, " k"]) -> Answers:
+        """Internal reading and error per set position of every axis, at every `omega`."""
+        structure, controller = self.at(z)
+        if self.quick:
+            return jax.vmap(lambda w: response(structure, controller, w))(self.omega)
+        return answers(close(structure, controller), self.omega)
+
+    def residual(self, z: Float[Array, " k"], seen: Phasors) -> Float[Array, " n"]:
+        """Whitened differences, then z, which is in prior standard deviations."""
+        place = np.array(self.place)
+        internal, error = (
+            jnp.einsum("rxa,ra->rx", per[place], seen.asked) for per in self.answers(z)
         )
-        return jnp.concatenate([left.real, left.imag, both])
+        scales = _real((seen.internal - internal) / seen.internal_u[:, None])
+        probes = _real((seen.error - error) / seen.error_u[:, None])
+        if self.matrix_u > 0.0:
+            # V^(-1/2) leaves alone what S cannot do, and shrinks what it can.
+            taken = self.matrix_u * _real(seen.internal / seen.error_u[:, None])
+            values, ways = jnp.linalg.eigh(taken.T @ taken)
+            root = jnp.sqrt(1.0 + jnp.maximum(values, 0.0))
+            shrink = -1.0 / (root * (1.0 + root))
+            probes = probes + taken @ (ways @ (shrink[:, None] * (ways.T @ (taken.T @ probes))))
+        return jnp.concatenate([scales.ravel(), probes.ravel(), z])
+
+
+def _real(numbers: Complex[Array, "r a"]) -> Float[Array, "2*r a"]:
+    return jnp.concatenate([jnp.real(numbers), jnp.imag(numbers)])
 
 
 def task(
@@ -134,29 +148,36 @@ def task(
     seen: Phasors,
     *,
     matrix_u: float = 0.0,
+    quick: bool = False,
 ) -> Task:
     """`matrix_u` is the standard uncertainty of an element of the probes' matrix: for the standard
-    uncertainty u of a coordinate at the end of the range R, u / R.
+    uncertainty u of a coordinate at the end of the range R, u / R. With `quick`, answers are
+    good to eight digits: for campaigns.
     """
     # Circles of one acceleration differ in their angular velocity by the noise of its estimate.
     omega, place = np.unique(np.round(np.asarray(seen.omega), 3), return_inverse=True)
     means = np.array([np.asarray(seen.omega)[place == i].mean() for i in range(len(omega))])
-    return Task(
-        machine, controller, tuple(unknowns), jnp.asarray(means), tuple(place.tolist()), matrix_u
+    known = jnp.asarray(means), tuple(place.tolist())
+    return Task(machine, controller, tuple(unknowns), *known, matrix_u, quick)
+
+
+def solve(given: Task, seen: Phasors) -> Found:
+    """The minimum for one measurement, from the catalogue on; may be mapped over many (`seen`)."""
+    return within_prior(
+        _residual,
+        jnp.zeros(len(given.unknowns)),
+        (given, seen),
+        tolerance=_TOLERANCE,
+        max_steps=_STEPS,
     )
 
 
-def solve(given: Task, seen: Phasors, start: Float[Array, " p"] | None = None):
-    """The minimum for one measurement; may be mapped over many (`seen`)."""
-    first = jnp.zeros(given.size) if start is None else start
-    return least_squares(
-        _residual, first, (given, seen), tolerance=_TOLERANCE, noise=1.0, max_steps=_STEPS
-    )
-
-
-def _residual(both: Array, args: tuple[Task, Phasors]) -> Array:
+def _residual(z: Array, args: tuple[Task, Phasors]) -> Array:
     given, seen = args
-    return given.residual(both, seen)
+    return given.residual(z, seen)
+
+
+_solve = eqx.filter_jit(solve)
 
 
 def identify_machine(given: Task, seen: Phasors) -> Identified:
@@ -164,10 +185,8 @@ def identify_machine(given: Task, seen: Phasors) -> Identified:
 
     The result says by its `status` whether the search converged.
     """
-    found = solve(given, seen)
-    k = len(given.unknowns)
-    whole = np.linalg.inv(np.asarray(found.jacobian.T @ found.jacobian))
-    z, covariance = np.asarray(found.value[:k]), whole[:k, :k]
+    found = _solve(given, seen)
+    z, covariance = np.asarray(found.value), np.asarray(found.covariance)
     machine, controller = applied(given.unknowns, given.machine, given.controller, jnp.asarray(z))
 
     def matrix(z: Array) -> Array:
@@ -175,7 +194,7 @@ def identify_machine(given: Task, seen: Phasors) -> Identified:
 
     slope = np.asarray(jax.jacfwd(matrix)(jnp.asarray(z)))
     variance = np.einsum("iak,kl,ial->ia", slope, covariance, slope)
-    residual = np.asarray(found.residual)[: -given.size]
+    residual = np.asarray(found.residual)[: -len(z)]
     return Identified(
         given.unknowns,
         z,

@@ -10,12 +10,16 @@ import math
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
 from ..arrays import Array
 from .bodies import Machine, Scalar
 from .control import Controller
+
+_ROUNDED = 0.02
+"""Of a sample time: how near to its ends a delay is bent away from them."""
 
 
 class Unknown(eqx.Module):
@@ -151,9 +155,13 @@ class Delay(Unknown):
 
     def apply(self, machine, controller, z):
         later = controller.delay + 1e-3 * self.value(z)
-        # A force before its sample there is not; the latest is the last one that is kept.
-        latest = 1.999 * controller.sample_time
-        return machine, dataclasses.replace(controller, delay=jnp.clip(later, 0.0, latest))
+        # A force before its sample there is not; the latest is the last one that is kept. The
+        # ends are rounded off, or a search would be caught in their corners.
+        T, latest = controller.sample_time, 1.999 * controller.sample_time
+        soft = _ROUNDED * T
+        later = soft * jax.nn.softplus(later / soft)
+        later = latest - soft * jax.nn.softplus((latest - later) / soft)
+        return machine, dataclasses.replace(controller, delay=later)
 
 
 def applied(

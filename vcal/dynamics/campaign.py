@@ -1,0 +1,176 @@
+"""Many machines, each measured by circles and identified: how well an R-test tells them.
+
+Every machine is drawn from what a catalogue says (z and the errors of the probes, standard normal),
+its circles are simulated sample by sample with the noise of scales and probes, reduced to their
+amplitudes, and the machine is identified from them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..arrays import Array
+from .assemble import assemble
+from .bodies import Machine
+from .circles import Phasors, set_phasors
+from .compliance import compliance
+from .control import Controller
+from .identify import Task, solve, task
+from .setpoints import SetCircle
+from .unknowns import Unknown, applied
+
+_NONE = 1e-9
+"""Uncertainty of an element over that of the largest below which there is no such element."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White noise of an R-test, and how many samples a turn has."""
+
+    internal: float
+    """Standard deviation of a scale, m."""
+    external: float
+    """The same of a coordinate of the sphere, m."""
+    samples: int
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What was put into many machines and what was found."""
+
+    unknowns: tuple[Unknown, ...]
+    true: Float[np.ndarray, "d k"]
+    """z of the machines."""
+    found: Float[np.ndarray, "d k"]
+    u: Float[np.ndarray, "d k"]
+    """Standard uncertainties of z."""
+    matrix: Float[np.ndarray, "d 3 axes"]
+    """E that was identified, m per m/s^2."""
+    matrix_true: Float[np.ndarray, "d 3 axes"]
+    matrix_u: Float[np.ndarray, "d 3 axes"]
+    chi2: Float[np.ndarray, " d"]
+    """Sum of the squared whitened differences and of the prior's: a chi-square with as many
+    degrees of freedom as there are `readings`.
+    """
+    readings: int
+    status: Int[np.ndarray, " d"]
+    """`Status` of every search."""
+    steps: Int[np.ndarray, " d"]
+    """Evaluations that every search took."""
+
+    @property
+    def converged(self) -> np.ndarray:
+        """Which searches ended in a minimum (d,)."""
+        return self.status == 0
+
+    @property
+    def pulls(self) -> Float[np.ndarray, "d k"]:
+        """Errors over their standard uncertainties, of the machines whose search converged."""
+        return ((self.found - self.true) / self.u)[self.converged]
+
+    @property
+    def matrix_pulls(self) -> Float[np.ndarray, "d 3 axes"]:
+        """The same of E; nan for elements that are zero by the symmetry of the machine."""
+        seen = self.matrix_u > _NONE * self.matrix_u.max(axis=(1, 2), keepdims=True)
+        errors = self.matrix - self.matrix_true
+        return np.divide(errors, self.matrix_u, out=np.full(errors.shape, np.nan), where=seen)[
+            self.converged
+        ]
+
+
+def campaign(
+    machine: Machine,
+    controller: Controller,
+    unknowns: Sequence[Unknown],
+    circles: Sequence[SetCircle],
+    noise: Noise,
+    *,
+    draws: int,
+    seed: int,
+    matrix_u: float = 0.0,
+) -> Campaign:
+    """Simulate and identify `draws` machines, one after the other in one program.
+
+    `matrix_u` is the standard uncertainty of an element of the probes' matrix. Machine number i is
+    the same for any number of draws. A machine that its controllers cannot hold counts as one whose
+    search did not converge. Raises `ValueError` for fewer than one draw.
+    """
+    if draws < 1:
+        raise ValueError(f"draws: found {draws}, expected at least 1")
+    omega, asked = set_phasors(circles, machine.axes)
+    each = np.sqrt(2.0 / noise.samples)
+    blank = np.zeros((len(circles), len(machine.axes)), complex)
+    seen = Phasors(
+        machine.axes,
+        jnp.asarray(omega),
+        jnp.asarray(asked),
+        jnp.asarray(blank),
+        jnp.zeros((len(circles), 3), complex),
+        jnp.full(len(circles), each * noise.internal),
+        jnp.full(len(circles), each * noise.external),
+    )
+    given = task(machine, controller, unknowns, seen, matrix_u=matrix_u, quick=True)
+    root = jax.random.key(seed)
+    keys = jax.vmap(lambda i: jax.random.fold_in(root, i))(jnp.arange(draws))
+    scatter = jnp.array([noise.internal, noise.external])
+    *numbers, status, steps = (
+        np.asarray(a) for a in _run(given, seen, scatter, noise.samples, keys)
+    )
+    readings = 2 * (len(machine.axes) + 3) * len(circles)
+    return Campaign(tuple(unknowns), *numbers, readings, status, steps)
+
+
+@eqx.filter_jit
+def _run(given: Task, seen: Phasors, scatter: Array, samples: int, keys: Array) -> tuple:
+    return jax.lax.map(lambda key: _one(given, seen, scatter, samples, key), keys)
+
+
+def _one(given: Task, seen: Phasors, scatter: Array, samples: int, key: Array) -> tuple:
+    drawn, noise = jax.random.split(key)
+    k = len(given.unknowns)
+    true = jax.random.normal(drawn, (k + 9,))
+    seen = _measured(given, seen, scatter, samples, true, noise)
+    result = solve(given, seen)
+    whole, z = result.covariance, result.value
+
+    def matrix(z: Array) -> Array:
+        return compliance(assemble(applied(given.unknowns, given.machine, given.controller, z)[0]))
+
+    slope = jax.jacfwd(matrix)(z)
+    u = jnp.sqrt(jnp.einsum("xak,kl,xal->xa", slope, whole, slope))
+    sd = jnp.sqrt(jnp.diag(whole))
+    made = true[:k], z, sd, matrix(z), matrix(true[:k]), u
+    return *made, result.cost, result.status, result.steps
+
+
+def _measured(
+    given: Task, seen: Phasors, scatter: Array, samples: int, true: Array, key: Array
+) -> Phasors:
+    """Amplitudes from one turn of every circle, by least squares from its samples."""
+    k = len(given.unknowns)
+    place = np.array(given.place)
+    internal, error = (
+        jnp.einsum("rxa,ra->rx", per[place], seen.asked)
+        for per in replace(given, quick=False).answers(true[:k])
+    )
+    S = given.matrix_u * true[k:].reshape(3, 3)
+    axes = jnp.array(["XYZ".index(axis) for axis in seen.axes])
+    turn = jnp.exp(2j * jnp.pi * (jnp.arange(samples) + 0.5) / samples)
+    first, second = jax.random.split(key)
+    read, shown = (  # (r, axes, n) and (r, 3, n)
+        (amplitude[..., None] * turn).real for amplitude in (internal, error)
+    )
+    read_noise = scatter[0] * jax.random.normal(first, read.shape)
+    # What the probes see is the sphere, with the errors of their matrix; the error is that less
+    # the scales' reading, noise included.
+    place = jnp.zeros(shown.shape).at[:, axes].set(read)
+    shown = shown + jnp.einsum("xy,ryn->rxn", S, place)
+    shown = shown + scatter[1] * jax.random.normal(second, shown.shape)
+    shown = shown.at[:, axes].add(-read_noise)
+    reduced = [2.0 / samples * (x @ turn.conj()) for x in (read + read_noise, shown)]
+    return eqx.tree_at(lambda p: (p.internal, p.error), seen, tuple(reduced))
