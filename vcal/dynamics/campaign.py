@@ -118,19 +118,21 @@ def campaign(
     root = jax.random.key(seed)
     keys = jax.vmap(lambda i: jax.random.fold_in(root, i))(jnp.arange(draws))
     scatter = jnp.array([noise.internal, noise.external])
-    *numbers, status, steps = (
-        np.asarray(a) for a in _run(given, seen, scatter, noise.samples, keys)
-    )
+    made = _run(given, seen, scatter, noise.samples, keys)
     readings = 2 * (len(machine.axes) + 3) * len(circles)
-    return Campaign(tuple(unknowns), *numbers, readings, status, steps)
+    return Campaign(
+        unknowns=tuple(unknowns),
+        readings=readings,
+        **{name: np.asarray(values) for name, values in made.items()},
+    )
 
 
 @eqx.filter_jit
-def _run(given: Task, seen: Phasors, scatter: Array, samples: int, keys: Array) -> tuple:
+def _run(given: Task, seen: Phasors, scatter: Array, samples: int, keys: Array) -> dict:
     return jax.lax.map(lambda key: _one(given, seen, scatter, samples, key), keys)
 
 
-def _one(given: Task, seen: Phasors, scatter: Array, samples: int, key: Array) -> tuple:
+def _one(given: Task, seen: Phasors, scatter: Array, samples: int, key: Array) -> dict:
     drawn, noise = jax.random.split(key)
     k = len(given.unknowns)
     true = jax.random.normal(drawn, (k + 9,))
@@ -142,10 +144,17 @@ def _one(given: Task, seen: Phasors, scatter: Array, samples: int, key: Array) -
         return compliance(assemble(applied(given.unknowns, given.machine, given.controller, z)[0]))
 
     slope = jax.jacfwd(matrix)(z)
-    u = jnp.sqrt(jnp.einsum("xak,kl,xal->xa", slope, whole, slope))
-    sd = jnp.sqrt(jnp.diag(whole))
-    made = true[:k], z, sd, matrix(z), matrix(true[:k]), u
-    return *made, result.cost, result.status, result.steps
+    return {
+        "true": true[:k],
+        "found": z,
+        "u": jnp.sqrt(jnp.diag(whole)),
+        "matrix": matrix(z),
+        "matrix_true": matrix(true[:k]),
+        "matrix_u": jnp.sqrt(jnp.einsum("xak,kl,xal->xa", slope, whole, slope)),
+        "chi2": result.cost,
+        "status": result.status,
+        "steps": result.steps,
+    }
 
 
 def _measured(

@@ -2,13 +2,14 @@
 
 from typing import Any
 
+from .acceleration import ACCELERATION
 from .artefact_design import ARTEFACT_DESIGN
 from .laser_frame import LASER_FRAME
 from .registry import Reproduction, known
 from .tracker_verification import TRACKER_VERIFICATION
 
 REPRODUCTIONS: dict[str, Reproduction[Any]] = {
-    one.name: one for one in (ARTEFACT_DESIGN, LASER_FRAME, TRACKER_VERIFICATION)
+    one.name: one for one in (ACCELERATION, ARTEFACT_DESIGN, LASER_FRAME, TRACKER_VERIFICATION)
 }
 """Every reproduction by the name that the command line takes."""
 
