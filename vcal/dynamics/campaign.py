@@ -111,7 +111,7 @@ def campaign(
         jnp.asarray(asked),
         jnp.asarray(blank),
         jnp.zeros((len(circles), 3), complex),
-        jnp.full(len(circles), each * noise.internal),
+        jnp.full(blank.shape, each * noise.internal),
         jnp.full(len(circles), each * noise.external),
     )
     given = task(machine, controller, unknowns, seen, matrix_u=matrix_u, quick=True)

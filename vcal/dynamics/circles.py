@@ -34,10 +34,12 @@ class Phasors(eqx.Module):
     """Scales, m."""
     error: Complex[Array, "r 3"]
     """External less internal reading, m."""
-    internal_u: Float[Array, " r"]
-    """Standard uncertainty of real and imaginary part of `internal`, m."""
+    internal_u: Float[Array, "r axes"]
+    """Standard uncertainty of real and imaginary part of `internal`, m; infinite where nothing is
+    known of a scale, such as that of an axis at rest.
+    """
     error_u: Float[Array, " r"]
-    """The same of `error`."""
+    """The same of `error`, m."""
 
 
 def answers(
@@ -94,9 +96,11 @@ def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
         found["n"].append(mine.sum())
     arrays = {name: np.array(values) for name, values in found.items()}
     each = np.sqrt(2.0 / arrays.pop("n"))
+    # What the scale of an axis at rest read is not part of a plan.
+    known = np.where(arrays["internal"] == 0.0, np.inf, instrument.internal_sigma)
     return Phasors(
         axes=plan.axes,
         **{name: jnp.asarray(values) for name, values in arrays.items()},
-        internal_u=jnp.asarray(each * instrument.internal_sigma),
+        internal_u=jnp.asarray(each[:, None] * known),
         error_u=jnp.asarray(each * instrument.sigma),
     )

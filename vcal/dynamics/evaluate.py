@@ -35,9 +35,13 @@ class Evaluated:
         """Mean over the runs that show an element."""
         return np.nanmean(self.runs, axis=0)
 
-    def dispersion(self) -> dict[float, float]:
-        """Standard deviation about the mean of their element, pooled, by set acceleration."""
-        beside = self.runs - self.mean
+    def at(self, acceleration: float) -> Float[np.ndarray, "3 3"]:
+        """Mean over the runs of one set acceleration that show an element."""
+        return np.nanmean(self.runs[np.isclose(self.acceleration, acceleration)], axis=0)
+
+    def dispersion(self, about: Float[np.ndarray, "3 3"] | None = None) -> dict[float, float]:
+        """Root mean square about the mean of all runs, or about a matrix, by set acceleration."""
+        beside = self.runs - (self.mean if about is None else about)
         found = {}
         for a in np.unique(np.round(self.acceleration, 9)):
             mine = beside[np.isclose(self.acceleration, a)]

@@ -125,7 +125,7 @@ class Task(eqx.Module):
         internal, error = (
             jnp.einsum("rxa,ra->rx", per[place], seen.asked) for per in self.answers(z)
         )
-        scales = _real((seen.internal - internal) / seen.internal_u[:, None])
+        scales = _real((seen.internal - internal) / seen.internal_u)
         probes = _real((seen.error - error) / seen.error_u[:, None])
         if self.matrix_u > 0.0:
             # V^(-1/2) leaves alone what S cannot do, and shrinks what it can.
@@ -195,6 +195,7 @@ def identify_machine(given: Task, seen: Phasors) -> Identified:
     slope = np.asarray(jax.jacfwd(matrix)(jnp.asarray(z)))
     variance = np.einsum("iak,kl,ial->ia", slope, covariance, slope)
     residual = np.asarray(found.residual)[: -len(z)]
+    silent = 2 * int(np.isinf(seen.internal_u).sum())
     return Identified(
         given.unknowns,
         z,
@@ -204,6 +205,6 @@ def identify_machine(given: Task, seen: Phasors) -> Identified:
         np.asarray(matrix(jnp.asarray(z))),
         np.sqrt(variance),
         float(residual @ residual),
-        len(residual),
+        len(residual) - silent,
         Status(int(found.status)),
     )

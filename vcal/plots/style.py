@@ -104,8 +104,11 @@ def png(drawn: Figure) -> bytes:
 
 
 def pretty_unit(unit: str) -> str:
-    """A unit as it is printed: ``"um/(m K)"`` gives ``"µm/(m K)"``, ``"1"`` nothing."""
-    return re.sub(r"[A-Za-z%]+|^1$", lambda m: _UNITS.get(m[0], m[0]), unit)
+    """A unit as it is printed: ``"um/(m K)"`` gives ``"µm/(m K)"``, ``"s2"``
+    ``"s²"``, ``"1"`` nothing.
+    """
+    words = re.sub(r"[A-Za-z%]+|^1$", lambda m: _UNITS.get(m[0], m[0]), unit)
+    return re.sub(r"(?<=[a-z])[23]", lambda m: "²³"[int(m[0]) - 2], words)
 
 
 def column_label(column: str) -> str:

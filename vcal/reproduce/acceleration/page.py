@@ -7,7 +7,7 @@ import numpy as np
 from ...report import Picture, Section, Table, Tile, sheet
 from ...report.text import COVERAGE, DASH, number, percent, rounded, unit
 from ..registry import Row
-from .results import Results, element, exz_of_the_circle, true_z
+from .results import Results, element, exz_of_the_circle, single_circle_U, true_z
 from .setting import (
     DEVICE_U_UM,
     EXTERNAL_UM,
@@ -26,20 +26,24 @@ from .setting import (
 )
 
 _E = "µm s²/m"
-_MOVE = "Z, 20 mm, 250 m/s³"
+_NONE = 1e-9
+"""What is zero but for rounding, um s^2/m."""
+_SEEN_UM = 1.0
+"""Root mean square of an error that is worth taking off."""
 
 
 def page(results: Results, rows: Sequence[Row], pictures: Mapping[str, tuple[Picture, ...]]) -> str:
     """The results as one self-contained HTML text."""
     r = results
     simulated, measured = exz_of_the_circle(r)
-    there = element(r.identified.matrix, "XZ")
+    there, joint = element(r.identified.matrix, "XZ"), element(r.joint.matrix, "XZ")
     U = COVERAGE * 1e6 * element(r.found.matrix_u, "XZ")
     peaks = [abs(one.move.at_peak_um) for one in (r.catalogue, r.identified, r.true)]
     summary = (
         f"The publication measures EXZ = {number(MEASURED)} {_E} and simulates "
-        f"{number(SIMULATED)}: nothing was identified. Here stiffness, damping, centres of gravity and controller delay "
-        "are identified from the circles of the R-test through the differentiable simulation: "
+        f"{number(SIMULATED)}: nothing was identified. Here stiffness, damping, centres of gravity "
+        "and controller delay are identified from the circles of the R-test through the "
+        "differentiable simulation: "
         f"{number(there, 4)} {_E} with U = {number(U, 2)}. The 20 mm positioning, which it never "
         f"saw, is foretold with {number(peaks[1])} µm of cross-talk where it has "
         f"{number(peaks[2])} µm; the catalogue foretells {number(peaks[0])} µm."
@@ -47,7 +51,8 @@ def page(results: Results, rows: Sequence[Row], pictures: Mapping[str, tuple[Pic
     c = r.campaign
     within = float((np.abs(c.pulls) < COVERAGE).mean())
     tiles = [
-        Tile("EXZ, measured", f"{number(measured)} {_E}", f"printed {number(MEASURED)}"),
+        Tile("EXZ, measured, all circles", f"{number(joint, 4)} {_E}",
+             f"one circle {number(measured)}; printed {number(MEASURED)}"),
         Tile("EXZ, catalogue", f"{number(simulated)} {_E}", f"printed {number(SIMULATED)}"),
         Tile("EXZ, identified", f"{number(there, 4)} {_E}", f"U = {number(U, 2)}, k = 2"),
         Tile("20 mm positioning", percent(abs(peaks[1] / peaks[2] - 1.0)),
@@ -101,42 +106,44 @@ def _evaluations(r: Results, pictures: tuple[Picture, ...]) -> Section:
             rows.append(
                 (
                     f"E{first}{second}",
-                    number(r.true.matrix[i, j]),
+                    _value(r.true.matrix[i, j]),
                     value,
                     u,
-                    number(ways["actual"].mean[i, j]),
-                    number(ways["nominal"].mean[i, j]),
+                    _value(ways["actual"].at(MEASURED_M_S2)[i, j]),
+                    _value(ways["nominal"].at(MEASURED_M_S2)[i, j]),
                 )
             )
     far = np.array([r.measured.ratio[a] for a in LEVELS])
     joint, bare = (COVERAGE * element(e.u, "XZ") for e in (r.joint, r.joint_no_device))
-    scatter = ways["actual"].dispersion()
+    scatter = ways["actual"].dispersion(r.joint.matrix)
     return Section(
         "From circles to the matrix",
         (
             "All circles at once, with the offset of every run and the errors of the probes as "
             "unknowns, give the matrix with its covariance. Beside it stands the publication's "
             "way, circle by circle: a plane across, an even ellipse within after the tilt has "
-            "been taken out; the mean of all circles.",
+            "been taken out; the mean of the circles "
+            f"at {MEASURED_M_S2:g} m/s².",
             f"The device's U of {DEVICE_U_UM:g} µm (k = 2) is an input: an error of sensitivity or "
-            "direction grows with the circle and looks like acceleration of one level. Circles of "
-            f"several levels tell them apart; U of EXZ is {number(joint, 2)} with it, "
-            f"{number(bare, 2)} {_E} if noise were all.",
+            "direction grows with the radius, as what acceleration does to one circle. A circle at "
+            f"{MEASURED_M_S2:g} m/s² alone has therefore U = {number(single_circle_U(), 2)} {_E}, "
+            f"whatever its noise; circles of several levels tell the two apart, and U of EXZ is "
+            f"{number(joint, 2)} ({number(bare, 2)} if noise were all).",
             f"The closed loop travels {number(float(np.nanmin(far)))} to "
             f"{number(float(np.nanmax(far)))} of the set radius. Who normalises to the set circle, "
             "as eqs. (5) and (6) do, takes its acceleration for the nominal one, and scales the "
             "matrix by that ratio.",
-            f"Low accelerations scatter more, as the publication reports: "
-            f"{number(scatter[min(scatter)], 2)} {_E} at {min(scatter):g} m/s², "
+            "At low accelerations single circles are farther off, as the publication reports "
+            f"(its section 2.4): {number(scatter[min(scatter)], 2)} {_E} at {min(scatter):g} m/s², "
             f"{number(scatter[max(scatter)], 2)} at {max(scatter):g} m/s².",
         ),
         tables=(
             Table(
-                ("", "put in", "all circles", "u", "plane and ellipse", "with nominal"),
+                ("", "put in", "all circles", "u", "plane, ellipse", "the same, nominal"),
                 rows,
                 "lrrrrr",
                 note=f"{_E}; put in is the quasi-static compliance of the machine. The last column "
-                "takes nominal accelerations.",
+                f"takes nominal accelerations; the last two are of {MEASURED_M_S2:g} m/s² alone.",
             ),
         ),
         pictures=pictures,
@@ -154,8 +161,8 @@ def _identified(r: Results, pictures: tuple[Picture, ...]) -> Section:
                 unknown.name,
                 unit(unknown.unit) or "× catalogue",
                 number(float(unknown.value(z))),
-                number(value),
-                f"{number(low)} … {number(high)}",
+                number(value, 4),
+                f"{number(low, 4)} … {number(high, 4)}",
                 percent(told) if told >= 0.001 else DASH,
             )
         )
@@ -163,11 +170,11 @@ def _identified(r: Results, pictures: tuple[Picture, ...]) -> Section:
     matrix = [
         (
             f"E{name}",
-            number(element(r.catalogue.matrix, name)),
-            number(element(r.catalogue_matrix_u, name), 2),
-            number(element(r.identified.matrix, name)),
-            number(COVERAGE * 1e6 * element(f.matrix_u, name), 2),
-            number(element(r.true.matrix, name)),
+            _value(element(r.catalogue.matrix, name)),
+            _value(element(r.catalogue_matrix_u, name), 2),
+            _value(element(r.identified.matrix, name), 4),
+            _value(COVERAGE * 1e6 * element(f.matrix_u, name), 2),
+            _value(element(r.true.matrix, name), 4),
         )
         for name in names
     ]
@@ -217,7 +224,8 @@ def _moves(r: Results, pictures: tuple[Picture, ...]) -> Section:
         )
         for name, a in r.by_circles.items()
     ]
-    worst = max(r.by_circles.values(), key=lambda c: c.left)
+    shown = [c for c in r.by_circles.values() if c.before_um > _SEEN_UM]
+    worst = max(shown, key=lambda c: c.left)
     return Section(
         "Larger movements",
         (
@@ -226,11 +234,13 @@ def _moves(r: Results, pictures: tuple[Picture, ...]) -> Section:
             f"{number(abs(move.at_peak_um))} µm aside: {number(move.ratio)} {_E}, against "
             f"{number(simulated)} on the circle. The publication prints {MOVE_UM:g} µm and "
             f"{number(MOVE_RATIO)}; its drop of {percent(1.0 - MOVE_RATIO / SIMULATED)} from "
-            "circle to positioning does not come out of this machine, and of none that was tried: below "
-            "its first mode a structure answers to acceleration alike, whatever the movement.",
+            "circle to positioning does not come out of this machine, nor of any that was tried: "
+            "below its first mode a structure answers to acceleration alike, whatever the "
+            "movement.",
             "Valid for arbitrary movements is checked here: the matrix from circles is taken off "
-            f"other moves of the machine, and leaves {percent(worst.left)} at most. What is left "
-            "is vibration that the jerk excites, which no matrix can hold.",
+            f"other moves of the machine, and leaves {percent(worst.left)} at most where there was "
+            f"more than {_SEEN_UM:g} µm. What is left is vibration that the jerk excites, which no "
+            "matrix can hold.",
         ),
         tables=(
             Table(
@@ -262,7 +272,7 @@ def _campaign(r: Results, pictures: tuple[Picture, ...]) -> Section:
             f"{len(c.status)} machines drawn from what the catalogue leaves open, each measured by "
             f"{2 * 3 * len(LEVELS)} circles and identified from the catalogue on: "
             f"{int(c.converged.sum())} searches found a minimum, after "
-            f"{number(float(np.median(c.steps)))} steps (median). Squared differences per "
+            f"{np.median(c.steps):g} steps (median). Squared differences per "
             f"degree of freedom: {number(float((c.chi2[c.converged] / c.readings).mean()))}.",
             "Where errors over standard uncertainties scatter by more than one, the problem is "
             "curved within its uncertainty: the linearised (GUM) uncertainty is then too small by "
@@ -307,6 +317,10 @@ def _settings(r: Results) -> Section:
         note="Equations (1), (2) and (12) to (16) of the publication are taken in their standard "
         "form: M q'' + D q' + K q = B F.",
     )
+
+
+def _value(value: float, digits: int = 3) -> str:
+    return number(0.0 if abs(value) < _NONE else float(value), digits)
 
 
 def _listed(values: Iterable[float]) -> str:

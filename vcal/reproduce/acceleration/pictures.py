@@ -9,7 +9,7 @@ from . import plots
 from .results import Results, element, true_z
 from .setting import MEASURED_M_S2, SIMULATED_M_S2
 
-_MAGNIFICATION = 30.0
+_MAGNIFICATION = 60.0
 
 
 def pictures(results: Results) -> dict[str, tuple[Picture, ...]]:
@@ -32,19 +32,19 @@ def pictures(results: Results) -> dict[str, tuple[Picture, ...]]:
             _picture(
                 "intalk",
                 plots.within(tests, (MEASURED_M_S2, SIMULATED_M_S2), _MAGNIFICATION),
-                f"Circles in ZX, deviations from the set circle × {_MAGNIFICATION:g} (its Figs. 5 "
-                "and 8). The internal circle is that of the closed loop; in-talk makes an ellipse "
-                "of the external one, cross-talk tilts it.",
+                "Circles in ZX, deviations from the mean internal circle × "
+                f"{_MAGNIFICATION:g} (its Figs. 5 and 8). In-talk makes an ellipse of the external "
+                "circle, cross-talk tilts it; an even ellipse alone does not follow.",
             ),
         ),
         "evaluations": (
             _picture(
                 "dispersion",
-                plots.dispersion(r.measured),
-                "Left: scatter of the nine elements from circle to circle, which falls with the "
-                "acceleration (the publication's section 2.4), by actual and by nominal "
-                "accelerations. Right: the radius that the axes really travel; who evaluates with "
-                "nominal accelerations scales the matrix by it.",
+                plots.dispersion(r.measured, r.joint.matrix),
+                "Left: how far the elements from single circles are from those of all circles at "
+                "once; it falls with the acceleration (the publication's section 2.4). Right: the "
+                "radius that the axes really travel; who evaluates with nominal accelerations "
+                "scales the matrix by it.",
             ),
         ),
         "identified": (

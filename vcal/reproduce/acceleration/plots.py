@@ -38,14 +38,15 @@ def across(test: RTestOf, acceleration: float, colour: str) -> Figure:
 
 def within(tests: Mapping[str, RTestOf], levels: Sequence[float], magnification: float) -> Figure:
     """Circles in ZX with their deviations from the set circle enlarged, and fitted ellipses."""
-    drawn = figure(4.4 * len(tests) + 1.2, 4.9)
+    drawn = figure(4.4 * len(tests) + 1.2, 4.7)
     table = grid(drawn, 1, len(tests), {**_MARGINS, "right": 1.6})[0]
     for ax, (name, test), level in zip(table, tests.items(), levels, strict=True):
-        mine, _, radius = _run(test, test.place("ZX", level))
+        mine, _, _ = _run(test, test.place("ZX", level))
         internal, external = (1e3 * part[:, [2, 0]] for part in mine)
         angle = np.linspace(0.0, 2.0 * np.pi, 361)
-        r = 1e3 * radius
-        ax.plot(r * np.cos(angle), r * np.sin(angle), color=NOMINAL, lw=1.0, label="set circle")
+        r = float(np.linalg.norm(internal - internal.mean(0), axis=1).mean())
+        ring = r * np.cos(angle), r * np.sin(angle)
+        ax.plot(*ring, color=NOMINAL, lw=1.0, label="mean circle")
         for points, colour, label in (
             (internal, AFTER, "internal"),
             (external, BEFORE, "external"),
@@ -53,7 +54,7 @@ def within(tests: Mapping[str, RTestOf], levels: Sequence[float], magnification:
             centred = points - points.mean(0)
             ax.plot(*_larger(centred, r, magnification).T, ".", ms=2.5, color=colour, label=label)
         tilted = _tilted(external - external.mean(0))
-        ax.plot(*_larger(tilted, r, magnification).T, color=INK, lw=1.1, label="ellipse,\ntilted")
+        ax.plot(*_larger(tilted, r, magnification).T, color=INK, lw=0.9, label="ellipse,\ntilted")
         even = even_ellipse(external - external.mean(0))
         wave = np.column_stack([even[0] * np.cos(angle), even[1] * np.sin(angle)])
         ax.plot(*_larger(wave, r, magnification).T, "--", color=MARK, lw=1.1, label="even\nellipse")
@@ -117,15 +118,15 @@ def foretold(moves: Mapping[str, Positioning]) -> Figure:
     return drawn
 
 
-def dispersion(test: RTestOf) -> Figure:
-    """Scatter of single circles about the mean, and the amplitudes that cause the trap."""
+def dispersion(test: RTestOf, matrix: Float[np.ndarray, "3 3"]) -> Figure:
+    """Deviation of single circles from all together, and the amplitudes that cause the trap."""
     drawn = figure(9.4, 3.5)
     left, right = grid(drawn, 1, 2, _MARGINS)[0]
     for way, colour in _WAYS.items():
-        found = test.ways[way].dispersion()
+        found = test.ways[way].dispersion(matrix)
         left.plot(list(found), list(found.values()), "o-", color=colour, ms=4, label=way)
-    left.set_yscale("log")
-    titled(left, "Scatter of the elements, circle by circle", "set acceleration, m/s²", "µm s²/m")
+    titled(left, "Single circles against all of them", "set acceleration, m/s²", "rms, µm s²/m")
+    left.set_ylim(bottom=0.0)
     left.legend(fontsize=8.5, frameon=False)
     levels = sorted(test.ratio)
     for i, (axis, colour) in enumerate(zip("XYZ", (AFTER, BEFORE, MARK), strict=True)):

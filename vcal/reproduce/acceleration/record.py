@@ -44,7 +44,10 @@ def record(results: Results) -> dict[str, Any]:
         },
         "joint": {"matrix": r.joint.matrix, "u": r.joint.u, "chi2_per_dof": r.joint.chi2_per_dof},
         "joint_noise_only": {"matrix": r.joint_no_device.matrix, "u": r.joint_no_device.u},
-        "evaluated": {"simulated": _evaluated(r.simulated), "measured": _evaluated(r.measured)},
+        "evaluated": {
+            "simulated": _evaluated(r.simulated, r.catalogue.matrix),
+            "measured": _evaluated(r.measured, r.joint.matrix),
+        },
         "identified": [
             {
                 "name": unknown.name,
@@ -91,13 +94,13 @@ def _model(model: Model) -> dict[str, Any]:
     }
 
 
-def _evaluated(one: RTestOf) -> dict[str, Any]:
+def _evaluated(one: RTestOf, matrix: np.ndarray) -> dict[str, Any]:
     return {
         "amplitude_ratio": {f"{a:g}": ratio for a, ratio in one.ratio.items()},
         **{
             way: {
                 "mean": found.mean,
-                "dispersion": {f"{a:g}": d for a, d in found.dispersion().items()},
+                "dispersion": {f"{a:g}": d for a, d in found.dispersion(matrix).items()},
             }
             for way, found in one.ways.items()
         },

@@ -33,6 +33,7 @@ from .setting import (
     SIMULATED_M_S2,
     UNKNOWNS,
     carriage_factors,
+    circle,
     described,
     real,
 )
@@ -212,6 +213,13 @@ def exz_of_the_circle(results: Results) -> tuple[float, float]:
         results.simulated.element("XZ", "YZ", SIMULATED_M_S2),
         results.measured.element("XZ", "YZ", MEASURED_M_S2),
     )
+
+
+def single_circle_U() -> float:
+    """Expanded uncertainty (k = 2) of an element from one circle of the measured level by the
+    device alone, um s^2/m: its errors grow as the position, which is acceleration over omega^2.
+    """
+    return 2e6 * MATRIX_U / circle("YZ", MEASURED_M_S2).omega ** 2
 
 
 def true_z() -> Float[np.ndarray, " k"]:
