@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ..arrays import Array
-from ..circles import fit_circle
 from ..instruments.r_test import PLANES, RTest
 from ..measurement import Measurement
 from .closed_loop import ClosedLoop, steady
@@ -78,21 +77,26 @@ def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
     run, t = np.asarray(plan.groups["run"]), np.asarray(plan.covariate("t_run"))
     position, external = np.asarray(plan.position), np.asarray(measurement.readings)
     found = {name: [] for name in ("omega", "asked", "internal", "error", "n")}
-    for number in np.unique(run):
+    circles = instrument.circles(plan)
+    level = {k: float(np.asarray(plan.covariate("a_set_m_s2"))[run == k][0]) for k in circles}
+    for number, circle in circles.items():
         mine = run == number
-        circle = fit_circle(t[mine], position[mine])
-        seen = external[mine] - position[mine]
-        turned = np.column_stack(
-            [np.ones(mine.sum()), np.cos(circle.omega * t[mine]), np.sin(circle.omega * t[mine])]
-        )
-        _, a, b = np.linalg.lstsq(turned, seen, rcond=None)[0]
+        # Circles of one level are asked for at one speed: the mean of what they show, as a phase at
+        # the start of a single run is twice as uncertain where its own speed is to be found.
+        alike = [c.omega for k, c in circles.items() if np.isclose(level[k], level[number])]
+        omega = float(np.mean(alike))
+        angle = omega * t[mine]
+        turned = np.column_stack([np.ones(mine.sum()), np.cos(angle), np.sin(angle)])
+        both = np.column_stack([position[mine], external[mine] - position[mine]])
+        _, cosine, sine = np.linalg.lstsq(turned, both, rcond=None)[0]
+        internal, error = np.split(cosine - 1j * sine, [position.shape[1]])
         sense = int(np.asarray(plan.covariate("sense"))[mine][0])
         plane = PLANES[int(np.asarray(plan.groups["plane"])[mine][0])]
         asked = SetCircle(plane, sense, instrument.radius, 1.0).phasor(plan.axes)
-        found["omega"].append(circle.omega)
+        found["omega"].append(omega)
         found["asked"].append(asked)
-        found["internal"].append(circle.moving * (circle.cosine - 1j * circle.sine))
-        found["error"].append(a - 1j * b)
+        found["internal"].append(np.where(circle.moving, internal, 0.0))
+        found["error"].append(error)
         found["n"].append(mine.sum())
     arrays = {name: np.array(values) for name, values in found.items()}
     each = np.sqrt(2.0 / arrays.pop("n"))

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ...arrays import Array
 from ...dynamics.assemble import assemble
 from ...dynamics.bodies import Machine
 from ...dynamics.campaign import Campaign, Noise, campaign
@@ -176,8 +177,8 @@ def _evaluated(run: RTestRun) -> RTestOf:
     levels = np.asarray(plan.covariate("a_set_m_s2"))
     runs = np.asarray(plan.groups["run"])
     found: dict[float, list] = {}
-    for k, circle in run.instrument.circles(plan).items():
-        size = np.where(circle.moving, circle.amplitude / run.instrument.radius, np.nan)
+    for k, turn in run.instrument.circles(plan).items():
+        size = np.where(turn.moving, turn.amplitude / run.instrument.radius, np.nan)
         found.setdefault(float(levels[runs == k][0]), []).append(size)
     ratio = {a: np.nanmean(sizes, axis=0) for a, sizes in found.items()}
     return RTestOf(run, both_ways(run), ratio)
@@ -192,7 +193,7 @@ def _identify(catalogue: Model, run: RTestRun) -> Identified:
 def _prior_of_matrix(catalogue: Model, draws: int = 2000) -> Float[np.ndarray, "3 3"]:
     """By drawing from it: what is open by factors is no matter of derivatives."""
 
-    def matrix(z: jax.Array) -> jax.Array:
+    def matrix(z: Array) -> Array:
         return compliance(
             assemble(applied(UNKNOWNS, catalogue.machine, catalogue.controller, z)[0])
         )

@@ -2,6 +2,7 @@
 
 import math
 
+from ...report.text import number
 from ..registry import Row
 from .results import Results, element, exz_of_the_circle, single_circle_U
 from .setting import (
@@ -34,17 +35,17 @@ def table(results: Results) -> list[Row]:
     return [
         Row("frequency of a circle of 2 mm at 5 m/s²", 8.0, fastest.omega / math.tau, "Hz"),
         Row("EXZ, measured, circle in YZ", MEASURED, measured, _E,
-            f"at {MEASURED_M_S2:g} m/s²; U = {single_circle_U():.2f} by the device; the machine that "
-            "is measured here was chosen to have the printed value"),
+            f"at {MEASURED_M_S2:g} m/s²; U = {single_circle_U():.2f} by the device; the machine "
+            "that is measured here was chosen to have the printed value"),
         Row("EXZ, measured, all circles at once", MEASURED, element(r.joint.matrix, "XZ"), _E,
             f"U = {u:.3f}, with U = {DEVICE_U_UM:g} µm of the R-test"),
         Row("EXZ, simulated, circle in YZ", SIMULATED, simulated, _E,
             f"at {SIMULATED_M_S2:g} m/s²; the catalogue's machine was chosen to have the printed "
             "value"),
         Row("EXZ, identified from the catalogue on", MEASURED, element(r.identified.matrix, "XZ"),
-            _E, f"U = {found_u:.3f}; put in: {element(r.true.matrix, 'XZ'):.4f}"),
-        Row("measured over simulated", MEASURED / SIMULATED, element(r.joint.matrix, "XZ") / simulated, "1",
-            "“about the factor of 2 to 3”"),
+            _E, f"U = {found_u:.3f}; put in {number(element(r.true.matrix, 'XZ'), 5)}"),
+        Row("measured over simulated", MEASURED / SIMULATED,
+            element(r.joint.matrix, "XZ") / simulated, "1", "“about the factor of 2 to 3”"),
         Row("measured over identified", None,
             element(r.joint.matrix, "XZ") / element(r.identified.matrix, "XZ"), "1"),
         Row("angular velocity at 4.7 m/s²", None, circle("YZ", SIMULATED_M_S2).omega, "rad/s"),
@@ -56,8 +57,8 @@ def table(results: Results) -> list[Row]:
         Row("positioning, cross-talk at that peak", MOVE_UM, abs(here.at_peak_um), "um",
             "catalogue's machine"),
         Row("positioning, cross-talk over acceleration at the peak", MOVE_RATIO, here.ratio, _E,
-            f"printed 3.7 µm over 7.9 m/s² is {-MOVE_UM / ACTUAL_PEAK:.3f}; the drop from "
-            f"{SIMULATED:g} on the circle is not reproduced"),
+            f"printed 3.7 µm over 7.9 m/s² is {number(-MOVE_UM / ACTUAL_PEAK)}; the drop from "
+            f"{number(SIMULATED)} on the circle is not reproduced"),
         Row("the same over that of the circle", MOVE_RATIO / SIMULATED, here.ratio / simulated,
             "1"),
         Row("positioning, least squares over the whole move", None, here.fitted, _E),
