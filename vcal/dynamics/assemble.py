@@ -62,10 +62,10 @@ def assemble(machine: Machine, positions: Float[Array, " axes"] | None = None) -
     kinds = (machine.springs, machine.drives, machine.scales)
     end = machine.tool_point
     joints = [(j.body, j.base, j.link, j.point) for kind in kinds for j in kind]
-    between = _between(machine, size, q, [*joints, (end.tool, end.work, end.link, end.point)])
+    relative = between(machine, size, q, [*joints, (end.tool, end.work, end.link, end.point)])
     first = np.cumsum([0, *map(len, kinds)])
     at_springs, at_drives, at_scales = (
-        between[a:b] for a, b in zip(first[:-1], first[1:], strict=True)
+        relative[a:b] for a, b in zip(first[:-1], first[1:], strict=True)
     )
 
     def motor(axis: str) -> jax.Array:
@@ -109,12 +109,12 @@ def assemble(machine: Machine, positions: Float[Array, " axes"] | None = None) -
         force=jnp.stack(force, 1),
         scale=jnp.stack(read),
         pace=jnp.stack(pace),
-        tool=between[-1, :3],
+        tool=relative[-1, :3],
         travel=jnp.stack(travel, 1),
     )
 
 
-def _between(
+def between(
     machine: Machine, size: int, q: Array, joints: Sequence[tuple[str, str, str, Array]]
 ) -> Float[Array, "p 6 n"]:
     """Displacement and rotation of a body against its base, at points that ride with a link."""

@@ -71,6 +71,25 @@ class Drive(eqx.Module):
     """Inertia of motor and screw as a mass along the axis, J (2 pi / pitch)^2, kg; 0 for none."""
 
 
+class Friction(eqx.Module):
+    """Friction of a guideway along its axis, between slide and base (see `friction`)."""
+
+    axis: str = eqx.field(static=True)
+    link: str = eqx.field(static=True)
+    point: Vector3
+    """Where it acts, m."""
+    coulomb: Scalar
+    """Force of sliding, N."""
+    stiction: Scalar
+    """Force at which sliding sets in, N; no less than `coulomb`."""
+    stribeck: Scalar
+    """Velocity over which the one goes over into the other, m/s."""
+    presliding: Scalar
+    """How far contacts bend before they slide, m: bristle stiffness = coulomb / presliding."""
+    viscous: Scalar
+    """N s/m."""
+
+
 class Scale(eqx.Module):
     """Where an axis is measured: the slide against its base at one point."""
 
@@ -105,6 +124,8 @@ class Machine(eqx.Module):
     tool_point: ToolPoint
     loss: Scalar
     """Damping of every spring over its stiffness, 2 zeta / omega, s."""
+    friction: tuple[Friction, ...] = ()
+    """What `run` and `run_circle`, which are linear, leave out and `run_with_friction` has."""
 
     @property
     def axes(self) -> tuple[str, ...]:

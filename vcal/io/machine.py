@@ -17,6 +17,7 @@ from ..dynamics.bodies import (
     GROUND,
     Body,
     Drive,
+    Friction,
     Machine,
     Scale,
     Spring,
@@ -87,6 +88,21 @@ class DriveSettings(_Table):
     """By a linear scale, or by the motor's encoder."""
 
 
+class FrictionSettings(_Table):
+    """``[[friction]]``: of the guideway of one axis."""
+
+    axis: str
+    point_mm: Triple | None = None
+    """Where it acts; where the drive attacks by default."""
+    coulomb_N: Positive  # noqa: N815
+    stiction_N: Positive | None = None  # noqa: N815
+    """No less than `coulomb_N`, which it is by default."""
+    stribeck_mm_per_s: Positive = 1.0
+    presliding_um: Positive
+    """How far the contacts bend before they slide."""
+    viscous_Ns_per_mm: Annotated[float, Field(ge=0)] = 0.0  # noqa: N815
+
+
 class ToolPointSettings(_Table):
     """``[tool_point]``."""
 
@@ -132,6 +148,7 @@ class MachineDescription(_Table):
     body: Annotated[tuple[BodySettings, ...], Field(min_length=1)]
     spring: tuple[SpringSettings, ...] = ()
     drive: Annotated[tuple[DriveSettings, ...], Field(min_length=1)]
+    friction: tuple[FrictionSettings, ...] = ()
     tool_point: ToolPointSettings
     controller: ControllerSettings = ControllerSettings()
     limits: LimitSettings = LimitSettings()
@@ -260,7 +277,41 @@ def _machine(found: MachineDescription, file: str) -> Machine:
         tuple(scales),
         ToolPoint(tool, work, links[tool], 1e-3 * jnp.array(end.point_mm)),
         0.0,
+        _friction(found, drives, file),
     )
+
+
+def _friction(
+    found: MachineDescription, drives: Sequence[Drive], file: str
+) -> tuple[Friction, ...]:
+    by_axis = {drive.axis: drive for drive in drives}
+    _check_names([friction.axis for friction in found.friction], "friction", "axis", file)
+    made = []
+    for i, one in enumerate(found.friction):
+        _known(one.axis, by_axis, f"friction.{i}.axis", file)
+        stiction = one.coulomb_N if one.stiction_N is None else one.stiction_N
+        if stiction < one.coulomb_N:
+            raise refusal(
+                file,
+                f"key friction.{i}.stiction_N",
+                f"{stiction:g}",
+                f"at least coulomb_N = {one.coulomb_N:g}",
+                "correct one of them",
+            )
+        drive = by_axis[one.axis]
+        made.append(
+            Friction(
+                axis=one.axis,
+                link=drive.link,
+                point=drive.point if one.point_mm is None else 1e-3 * jnp.array(one.point_mm),
+                coulomb=one.coulomb_N,
+                stiction=stiction,
+                stribeck=1e-3 * one.stribeck_mm_per_s,
+                presliding=1e-6 * one.presliding_um,
+                viscous=1e3 * one.viscous_Ns_per_mm,
+            )
+        )
+    return tuple(made)
 
 
 def _damped(machine: Machine, structure: Structure, found: MachineDescription) -> Machine:
@@ -274,6 +325,7 @@ def _damped(machine: Machine, structure: Structure, found: MachineDescription) -
         machine.scales,
         machine.tool_point,
         loss,
+        machine.friction,
     )
 
 
