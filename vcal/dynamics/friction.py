@@ -181,5 +181,5 @@ def _run(
             tool,
             tool.at[:, place].add(-read),
         ),
-        done.all(),
+        jnp.all(done),
     )

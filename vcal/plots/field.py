@@ -18,6 +18,7 @@ from .style import AFTER, BEFORE, FIELD, INK, NOMINAL, figure, grid, plain, titl
 
 _NODES = (8, 13)
 """Fewest and most grid points along an axis."""
+_NOTHING_UM = 1e-9
 _PLANES = (("X", "Y"), ("X", "Z"), ("Y", "Z"))
 
 
@@ -37,7 +38,8 @@ class Field:
 
 
 def error_field(before: Fit, after: Fit, check: CheckPoints | None = None) -> Field | None:
-    """The identified error field of a machine with the axes X, Y and Z; None for other machines.
+    """The identified error field of a machine with the axes X, Y and Z; None for other machines,
+    and for models that hold nothing that depends on the position.
 
     Only what depends on the axis positions alone is in it: no direction, temperature or time. With
     check points the grid is made to fit their number, so that nothing has to be compiled anew.
@@ -65,6 +67,8 @@ def error_field(before: Fit, after: Fit, check: CheckPoints | None = None) -> Fi
     free = rigid_free(nominal, jacobian)
     variance = ((free @ after.covariance) * free).sum((1, 2))
     shape = (len(_PLANES), nodes, nodes)
+    if variance.max() == 0.0 and max(np.abs(e).max() for e in errors) < _NOTHING_UM:
+        return None
     return Field(
         axes=chain.axes,
         nodes=line,

@@ -60,4 +60,11 @@ def missing_columns(item: Untestable, plan: Plan) -> list[str]:
     """
     if not item.reason.startswith(_NO):
         return []
-    return [column_of(name, plan)[0] for name in item.reason.removeprefix(_NO).split(", ")]
+    names = item.reason.removeprefix(_NO).split(", ")
+    return [_column(name, plan) for name in names]
+
+
+def _column(name: str, plan: Plan) -> str:
+    column = column_of(name, plan)[0]
+    # A time that begins anew with every run is there, and is another one.
+    return f"{column} through all runs" if f"{name}_run" in plan.covariates else column
