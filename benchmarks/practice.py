@@ -22,6 +22,8 @@ CASES: list[tuple[str, str, str, float | None]] = [
     ("practice/05_balls_clean", "", "check", 4.8),
     ("practice/06_tracker_dent", "", "check", None),
     ("practice/07_balls_two_effects", "", "check", 5.0),
+    ("practice/08_rtest_crosstalk", "", "heldout", None),
+    ("practice/09_rtest_reversal", "", "heldout", None),
     ("practice/10_frame_head_growth", "", "check", None),
     ("real/irb120", "", "heldout", 115.0),
     ("real/irb120", "instrument.joints=read", "heldout", None),

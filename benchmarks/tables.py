@@ -162,6 +162,38 @@ def artefact_design(found: dict) -> str:
     return table([f"{found['draws']} machines per design", "cold s", "warm s", "found"], rows)
 
 
+def dynamics(found: dict) -> str:
+    rows = (
+        [
+            r["model"],
+            r["way"],
+            f"{r['cold_s']:.2f}",
+            f"{r['simulated_s'] / r['warm_s']:.3g}",
+            f"{r['off_nm']:.1g}",
+        ]
+        for r in found["simulations"]
+    )
+    head = "model,way,first call s,simulated s per s,off by nm"
+    return table(head.split(","), rows)
+
+
+def r_tests(found: dict) -> str:
+    rows = (
+        [
+            r["run"],
+            f"{r['machines']:,}",
+            f"{r['circles']}",
+            f"{r['wall_s']:.0f}",
+            f"{r['converged']:,}",
+            f"{r['sd_of_pulls']:.2f}",
+            f"{100 * r['within_U']:.1f}",
+        ]
+        for r in found["campaigns"]
+    )
+    head = "run,machines,circles each,whole run s,converged,sd of error / u,within U (k = 2) %"
+    return table(head.split(","), rows)
+
+
 TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "false_alarms": ("false_alarms", false_alarms),
     "practice": ("practice", practice),
@@ -172,6 +204,8 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "strd": ("strd", strd),
     "laser_frame": ("laser_frame", laser_frame),
     "artefact_design": ("artefact_design", artefact_design),
+    "dynamics": ("dynamics", dynamics),
+    "r_tests": ("dynamics", r_tests),
 }
 """Name of the table: the file in results/ and how it is laid out."""
 
