@@ -237,7 +237,9 @@ def test_circles_settle():
     )
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.3e-3, 1.0e-3, 1.6e-3])
+@pytest.mark.parametrize(
+    "delay", [0.3e-3, *(pytest.param(d, marks=pytest.mark.slow) for d in (0.0, 1.0e-3, 1.6e-3))]
+)
 def test_sampled_frequency_response(delay):
     """The sum over the harmonics of the sampling is the steady state of the exact matrices."""
     given = one_slide(loss=3e-4)
