@@ -20,7 +20,7 @@ def folder(tmp_path_factory):
     return out
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_table(folder):
     record = json.loads((folder / "result.json").read_text())
     assert {p.name for p in folder.iterdir()} == set(record["files"])
@@ -49,7 +49,7 @@ def test_the_table(folder):
     assert record["campaign"]["converged"] >= 19
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_page(folder):
     page = (folder / "index.html").read_text()
     for title in ("From circles to the matrix", "From circles to the machine", "Many machines"):

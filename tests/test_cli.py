@@ -1,5 +1,6 @@
 """The command line as a user runs it."""
 
+import html
 import io
 import json
 import os
@@ -93,6 +94,34 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path):
     assert found.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
     assert process("loop", "nowhere.toml", cwd=tmp_path).returncode == 2  # no --out
+
+
+def test_pages_of_effects(tmp_path):
+    done = run("effects", "reversal_spike", "--out", tmp_path / "one").output
+    page = (tmp_path / "one" / "reversal_spike.html").read_text()
+    assert "reversal_spike.html" in done and "since_x_mm" in page and "data:image/png" in page
+    assert "reversal_spike:size_um=5" in page
+    # What no bundled study has a column for is shown with one made up.
+    run("effects", "probe_lobing", "--out", tmp_path / "one")
+    assert {p.name for p in (tmp_path / "one").iterdir()} == {
+        "effects.json", "probe_lobing.html", "probe_lobing.png"
+    }  # fmt: skip
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    assert "found other files" in refused("effects", "drift", "--out", tmp_path / "mine")
+
+
+@pytest.mark.slow
+def test_a_page_for_every_effect(tmp_path):
+    out = tmp_path / "all"
+    run("effects", "--out", out)
+    index = (out / "index.html").read_text()
+    for name, effect in vcal.CATALOGUE.items():
+        assert f'href="{name}.html"' in index
+        page = (out / f"{name}.html").read_text()
+        assert effect.summary[1:] in html.unescape(page)
+        told = effect.kind == "systematic" and name not in ("head_temperature", "tool_interface")
+        assert (out / f"{name}.png").is_file() == told, name
 
 
 def test_effects():

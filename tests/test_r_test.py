@@ -27,10 +27,11 @@ LEVELS = (0.5, 1.0, 2.0, 3.0, 4.5)
 
 
 def circles(*, planes=PLANES, levels=LEVELS, samples=60, ratio=1.0, matrix=E, seed=0, noise=1.0,
-            skew=None, spike=None, turns=1.0):  # fmt: skip
+            skew=None, spike=None, late=0.0, grating=None, turns=1.0):  # fmt: skip
     """Columns of the data of an R-test. `ratio` is the amplitude over the commanded one, by
     angular velocity; `skew` what the probes read of a displacement beside it; `spike` the size (um)
-    and the decay (mm) of quadrant peaks.
+    and the decay (mm) of quadrant peaks; `late` (s) by how much the clock of the probes is behind;
+    `grating` the amplitude (um) and the period (um) of the error of the scale of X.
     """
     rng = np.random.default_rng(seed)
     found = {name: [] for name in ("run", "plane", "sense", "a_set_m_s2", "t_s")}
@@ -43,20 +44,23 @@ def circles(*, planes=PLANES, levels=LEVELS, samples=60, ratio=1.0, matrix=E, se
                 omega = np.sqrt(level / 2e-3)
                 angle = 2 * np.pi * turns * (np.arange(samples) + 0.5) / samples
                 size = 2e-3 * (ratio(omega) if callable(ratio) else ratio)
-                place, a, late = np.zeros((samples, 3)), np.zeros((samples, 3)), 0.0
+                place, v = np.zeros((samples, 3)), np.zeros((samples, 3))
                 place[:, first], place[:, second] = np.cos(angle), sense * np.sin(angle)
+                v[:, first], v[:, second] = -np.sin(angle), sense * np.cos(angle)
                 a = -(omega**2) * size * place
                 read = size * place
                 seen = read + 1e-6 * a @ matrix.T + rng.uniform(-2e-6, 2e-6, 3)
+                seen = seen - late * omega * size * v
+                if grating is not None:
+                    seen[:, 0] += 1e-6 * grating[0] * np.sin(2e6 * np.pi * read[:, 0] / grating[1])
                 if skew is not None:
                     seen = seen + read @ skew.T
                 if spike is not None:
                     for axis, wave in ((first, angle), (second, angle - np.pi / 2)):
                         # Distance since the last extremum of cos(wave), and where it goes.
-                        late = size * (1 - np.abs(np.cos(wave % np.pi / 1.0)))
-                        late = size * (1 - np.cos(wave % np.pi))
+                        since = size * (1 - np.cos(wave % np.pi))
                         way = -np.sign(np.sin(wave)) * (sense if axis == second else 1)
-                        seen[:, axis] -= 1e-6 * spike[0] * way * np.exp(-late / (1e-3 * spike[1]))
+                        seen[:, axis] -= 1e-6 * spike[0] * way * np.exp(-since / (1e-3 * spike[1]))
                 internal.append(read + noise * rng.normal(0, 2e-8, read.shape))
                 external.append(seen + noise * rng.normal(0, 2.5e-7, read.shape))
                 columns = (number, plane, sense, level, angle / omega)
@@ -266,6 +270,24 @@ def test_the_loop_names_quadrant_peaks(tmp_path, seed):
     assert abs(values["decay"][0] - 0.1) < 4 * values["decay"][1]
     assert found.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.03)
     assert found.errors["before"].chi2_per_dof > 1.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "key, name, true, more",
+    [
+        ("servo_lag", "T", 0.02, {"late": 2e-5}),
+        ("scale_interpolation X", "sine", 0.2, {"grating": (0.2, 40.0)}),
+    ],
+)
+def test_the_loop_names_clocks_and_gratings(tmp_path, key, name, true, more):
+    rows = "[[model.effect]]\nname = 'acceleration_crosstalk'\n"
+    rows += f"matrix_um_s2_per_m = {E.tolist()}\n"
+    s = load_study(write(tmp_path / "it", circles(samples=120, seed=4, **more), rows))
+    found = close_loop(s.model, s.measurement)
+    assert found.verdict == "named" and [e.effect.key for e in found.effects] == [key]
+    values = {n: (v, u) for n, v, _, u in found.effects[0].parameters}
+    assert abs(values[name][0] - true) < 4 * values[name][1]
 
 
 # --- probes --------------------------------------------------------------------------------------

@@ -335,7 +335,7 @@ def test_the_command(tmp_path, monkeypatch):
     out = tmp_path / "out"
     wrong = refused("reproduce", "tracker-verificatoin", "--out", out)
     assert (
-        "found 'tracker-verificatoin', expected one of artefact-design, laser-frame, "
+        "found 'tracker-verificatoin', expected one of acceleration, artefact-design, laser-frame, "
         "tracker-verification" in wrong
     )
     assert "did you mean 'tracker-verification'?" in wrong

@@ -346,15 +346,25 @@ def check(setup: Setup, override: Override = None) -> None:
 @guarded
 def effects(
     name: Annotated[str | None, typer.Argument(help="Show this one in full.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write pages with pictures into this folder: of all, or of this one."),
+    ] = None,
 ) -> None:
     """List the effects that the loop knows, or explain one."""
     from ..effects import CATALOGUE, effect_class
     from .folders import example
     from .show import show_catalogue, show_effect
 
-    if name is None:
-        show_catalogue(CATALOGUE.values())
-        return
-    effect = effect_class(name)
-    start()
-    show_effect(effect, example(effect))
+    chosen = list(CATALOGUE.values()) if name is None else [effect_class(name)]
+    if out is not None:
+        from ..report.effect_page import write_effects
+
+        start()
+        page = write_effects(chosen, {e.name: example(e) for e in chosen}, out)
+        print(f"Effects: {page}")
+    elif name is None:
+        show_catalogue(chosen)
+    else:
+        start()
+        show_effect(chosen[0], example(chosen[0]))

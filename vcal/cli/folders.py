@@ -1,8 +1,13 @@
 """The studies to start from that come with the package, and what they tell of an effect."""
 
+import dataclasses
+import functools
 import shutil
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from ..catalogue import nearest
 from ..demo import FOLDER
@@ -11,6 +16,7 @@ from ..errors import StudyError
 from ..io import load_study
 from ..io.messages import listed
 from ..io.simulated import publish, require_empty
+from ..plan import Plan
 
 _STARTS = FOLDER / "start"
 
@@ -47,14 +53,42 @@ def write_start(instrument: str, out: Path) -> list[str]:
 
 
 def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
-    """An instance of an effect on a bundled study where it has a place; None if there is none.
+    """An instance of an effect on a bundled study where it has a place and the columns that it
+    needs, if need be with such columns added; None if there is no such place.
 
     Raises `RuntimeError` where JAX runs in float32.
     """
-    for instrument in starts():
-        study = load_study(_STARTS / instrument)
-        artefact = study.instrument.artefact
-        setup = Setup(study.chain, study.model.layout, study.plan, study.model.effects, artefact)
+    setups = [_setup(instrument) for instrument in starts()]
+    wanting: list[tuple[Effect, Setup]] = []
+    for setup in setups:
         for instance in effect.candidates(setup):
-            return instance, setup
+            if setup.plan.has(*instance.needs):
+                return instance, setup
+            wanting.append((instance, setup))
+    for instance, setup in wanting:
+        fuller = dataclasses.replace(setup, plan=_with_columns(setup.plan, instance.needs))
+        for found in effect.candidates(fuller):
+            if fuller.plan.has(*found.needs):
+                return found, fuller
     return None
+
+
+@functools.cache
+def _setup(instrument: str) -> Setup:
+    study = load_study(_STARTS / instrument)
+    artefact = study.instrument.artefact
+    return Setup(study.chain, study.model.layout, study.plan, study.model.effects, artefact)
+
+
+def _with_columns(plan: Plan, needs: Sequence[str]) -> Plan:
+    """The plan with what it lacks: usual values, so that an effect has something to act on."""
+    share = np.arange(plan.rows) / plan.rows
+    usual = {
+        "speed_rpm": 6000.0 * ((share > 0.1) & (share < 0.6)),
+        "approach_rad": 2.0 * np.pi * np.mod(0.381966 * np.arange(plan.rows), 1.0),
+        "payload_kg": 40.0 * np.round(share * 4.0) / 4.0,
+        "t": 10.0 * np.arange(plan.rows),
+    }
+    other = np.sin(2.399963 * np.arange(plan.rows))
+    added = {name: usual.get(name, other) for name in needs if not plan.has(name)}
+    return Plan(plan.axes, plan.position, {**plan.covariates, **added}, plan.groups)

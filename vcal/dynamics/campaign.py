@@ -24,6 +24,7 @@ from .identify import Task, solve, task
 from .setpoints import SetCircle
 from .unknowns import Unknown, applied
 
+_BLOCK = 20
 _NONE = 1e-9
 """Uncertainty of an element over that of the largest below which there is no such element."""
 
@@ -116,14 +117,22 @@ def campaign(
     )
     given = task(machine, controller, unknowns, seen, matrix_u=matrix_u, quick=True)
     root = jax.random.key(seed)
-    keys = jax.vmap(lambda i: jax.random.fold_in(root, i))(jnp.arange(draws))
+    # Blocks of one size, so that any number of draws runs the same program.
+    blocks = -(-draws // _BLOCK)
+    keys = jax.vmap(lambda i: jax.random.fold_in(root, i))(jnp.arange(blocks * _BLOCK))
     scatter = jnp.array([noise.internal, noise.external])
-    made = _run(given, seen, scatter, noise.samples, keys)
+    parts = [
+        _run(given, seen, scatter, noise.samples, keys[start : start + _BLOCK])
+        for start in range(0, blocks * _BLOCK, _BLOCK)
+    ]
     readings = 2 * (len(machine.axes) + 3) * len(circles)
     return Campaign(
         unknowns=tuple(unknowns),
         readings=readings,
-        **{name: np.asarray(values) for name, values in made.items()},
+        **{
+            name: np.concatenate([np.asarray(part[name]) for part in parts])[:draws]
+            for name in parts[0]
+        },
     )
 
 

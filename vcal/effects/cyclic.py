@@ -20,6 +20,12 @@ NOMINAL_LEADS_M = (4e-3, 5e-3, 6e-3, 8e-3, 10e-3, 12e-3, 16e-3, 20e-3, 25e-3, 32
 from its aliases 1/p +/- 1/s; that real screws have these leads often can."""
 
 
+SIGNAL_PERIODS_M = (2e-6, 4e-6, 10e-6, 20e-6, 40e-6, 100e-6, 200e-6)
+"""Signal periods of linear encoders."""
+_PERIODS = 500.0
+"""Most periods that a plan may cover: an error of a scale of two parts in a thousand is one."""
+
+
 @register
 class ScrewCyclic(Effect):
     """Error of a screw within one turn: a sin(2 pi x/p) + b cos(2 pi x/p) along the axis.
@@ -73,6 +79,53 @@ class ScrewCyclic(Effect):
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         for joint in setup.chain.joints:
             if joint.kind == "prismatic":
+                port, _ = along(setup.chain, joint.name)
+                yield cls(port=port, placement=joint.name)
+
+
+@register
+class ScaleInterpolation(Effect):
+    """Error of a scale within one signal period p: a sin(2 pi x/p) + b cos(2 pi x/p) along it.
+
+    Encoders divide the period of a grating; amplitudes and offsets of its two signals that are not
+    equal leave an error of up to a hundredth of it. Seen only where the axis moves by some hundred
+    periods at most and its positions are known to a fraction of one, as on the circles of an
+    R-test: over a whole travel the errors of the scale itself are several periods long. The periods
+    of usual gratings are tried.
+    """
+
+    name = "scale_interpolation"
+    summary = "error of a scale within its signal period"
+    port: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("sine", "um", sigma=0.5),
+            Parameter("cosine", "um", sigma=0.5),
+            Parameter("period", "um", shape=True, smooth=False),
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (self.placement,)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        phase = 2.0 * jnp.pi * plan.x(self.placement) / shape["period"]
+        return {(self.port, "sine"): jnp.sin(phase), (self.port, "cosine"): jnp.cos(phase)}
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        covered = float(np.ptp(np.asarray(plan.x(self.placement))))
+        seen = [p for p in SIGNAL_PERIODS_M if p <= covered <= _PERIODS * p]
+        return {"period": np.array(seen or SIGNAL_PERIODS_M[-1:])}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for joint in setup.chain.joints:
+            if joint.kind != "prismatic":
+                continue
+            covered = float(np.ptp(np.asarray(setup.plan.x(joint.name))))
+            if any(p <= covered <= _PERIODS * p for p in SIGNAL_PERIODS_M):
                 port, _ = along(setup.chain, joint.name)
                 yield cls(port=port, placement=joint.name)
 

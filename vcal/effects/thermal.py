@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import Array
 from ..parameters import Parameter
 from ..plan import Plan
-from .base import Effect, Response, Setup, along
+from .base import Effect, Response, Setup, across, along
 from .registry import register
 
 TIME_ODDS = 0.2
@@ -107,6 +107,37 @@ class ThermalTilt(Effect):
         for axis in setup.chain.axes:
             for c in "ABC":
                 yield cls(port=f"E{c}{axis}", placement=axis)
+
+
+@register
+class SquarenessTemperature(Effect):
+    """An axis that turns away from its direction: k (T_axis - 20 degC) x across the axis.
+
+    A slope of a straightness that grows with the temperature: the axis's squareness to the others.
+    """
+
+    name = "squareness_temperature"
+    summary = "squareness of an axis that changes with its temperature"
+    port: str = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter(f"k_{self.port}", "urad/K", sigma=20.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (f"T_{self.placement}", self.placement)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        turned = _excess(plan, self.placement) * plan.x(self.placement)
+        return {(self.port, f"k_{self.port}"): turned}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for joint in setup.chain.joints:
+            if joint.kind == "prismatic":
+                for port in across(setup.chain, joint.name):
+                    yield cls(port=port, placement=joint.name)
 
 
 @register

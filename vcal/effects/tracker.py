@@ -70,6 +70,40 @@ class EncoderEccentricity(Effect):
 
 
 @register
+class TrackerAxes(Effect):
+    """Axes of a tracker that are not square: i tan(el) + c / cos(el) added to the azimuth.
+
+    i is the tilt of the transit axis against the standing axis, c the collimation error of the
+    beam against the transit axis (ASME B89.4.19; VDI/VDE 2617-10). What of it is constant is the
+    station's turn about its standing axis.
+    """
+
+    name = "tracker_axes"
+    summary = "tilt of the transit axis and collimation error of a tracker"
+    where = "instrument"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (Parameter("tilt", "urad", sigma=10.0), Parameter("collimation", "urad", sigma=10.0))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("elevation",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        elevation = plan.covariate("elevation")
+        return {
+            ("read.azimuth", "tilt"): jnp.tan(elevation),
+            ("read.azimuth", "collimation"): 1.0 / jnp.cos(elevation),
+        }
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        if "read.azimuth" in setup.layout:
+            yield cls()
+
+
+@register
 class StationDrift(Effect):
     """The instrument's frame drifts in proportion to time: three translations, three rotations."""
 

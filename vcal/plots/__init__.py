@@ -11,12 +11,14 @@ from .field import (
 from .motions import ErrorMotionTable, error_motions
 from .residuals import before_after, normal_plot, unexplained, unexplained_views
 from .search import minus_log10_p, search
+from .signature import Signature, signature, signatures
 from .style import png, pretty_unit
 from .views import View, column_of, effect_view, parameter_places, place_of
 
 __all__ = [
     "ErrorMotionTable",
     "Field",
+    "Signature",
     "View",
     "before_after",
     "check_errors",
@@ -34,6 +36,8 @@ __all__ = [
     "png",
     "pretty_unit",
     "search",
+    "signature",
+    "signatures",
     "unexplained",
     "unexplained_views",
 ]

@@ -1,7 +1,7 @@
 """A page of any content in the look of the reports: self-contained HTML."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 from .picture import Picture
@@ -49,6 +49,8 @@ class Table:
     """What to call it where it is folded away until it is asked for; empty: it is open."""
     strong: frozenset[int] = frozenset()
     """Places of the rows that are set in bold."""
+    links: Mapping[str, str] = field(default_factory=dict)
+    """Addresses of cells, by their text."""
 
     def __post_init__(self):
         if self.align and len(self.align) != len(self.header) or set(self.align) - set(_SIDES):

@@ -1,0 +1,50 @@
+"""Effects of a touch probe."""
+
+from collections.abc import Iterable, Mapping
+
+import jax.numpy as jnp
+
+from ..arrays import Array
+from ..parameters import Parameter
+from ..plan import Plan
+from .base import Effect, Response, Setup
+from .registry import register
+
+
+@register
+class ProbeLobing(Effect):
+    """A probe whose pre-travel depends on the direction of approach: a0 + a3 cos(3 phi + phi0).
+
+    phi is the azimuth of the approach about the probe's axis, in the frame of the tool (column
+    ``approach_rad``); the tool point is off by that much along the approach. Kinematic probes on
+    three supports have three lobes; a0 is what the effective tip radius was wrong by.
+    """
+
+    name = "probe_lobing"
+    summary = "pre-travel of a touch probe that depends on the direction of approach"
+    where = "instrument"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(name, "um", sigma=2.0) for name in ("radius", "sine3", "cosine3"))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("approach_rad",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        phi = plan.covariate("approach_rad")
+        ways = {"tool.X": jnp.cos(phi), "tool.Y": jnp.sin(phi)}
+        sizes = {
+            "radius": jnp.ones_like(phi),
+            "sine3": jnp.sin(3.0 * phi),
+            "cosine3": jnp.cos(3.0 * phi),
+        }
+        return {(port, name): way * size for port, way in ways.items()
+                for name, size in sizes.items()}  # fmt: skip
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        # Balls are what is touched; without them no approach leads to a reading.
+        if "ball.X" in setup.layout:
+            yield cls()

@@ -1,0 +1,73 @@
+"""Effects of a spindle."""
+
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..arrays import Array
+from ..parameters import Parameter
+from ..plan import Plan
+from .base import Effect, Response, Setup
+from .registry import register
+
+
+class _History(eqx.Module):
+    """Speed over time as it was recorded: from every time on, until the next."""
+
+    t: Float[np.ndarray, " k"]
+    """s, rising."""
+    share: Float[np.ndarray, " k"]
+    """Speed over the highest one."""
+
+
+@register
+class SpindleGrowth(Effect):
+    """A spindle that warms up with its speed and grows along the tool axis (ISO 230-3).
+
+    First order: tau g' = A n / n_max - g, cold at the first reading; the speed n counts from every
+    row to the next. A is the growth at the highest speed in the long run. Without a recorded speed
+    nothing tells it from the `warm_up` of the axis that carries the spindle.
+    """
+
+    name = "spindle_growth"
+    summary = "growth of the spindle along the tool axis with its speed"
+    history: _History
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("size", "um", sigma=20.0),
+            Parameter("tau", "h", shape=True, coordinate="log"),
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("t", "speed_rpm")
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        # Superposition of the steps of the speed: each is answered by 1 - exp(-(t - t_k) / tau).
+        steps = np.diff(self.history.share, prepend=0.0)
+        t, grown = plan.covariate("t"), 0.0
+        for at, step in zip(self.history.t, steps, strict=True):
+            if step != 0.0:
+                since = jnp.maximum(t - at, 0.0)
+                grown = grown - step * jnp.expm1(-since / shape["tau"])
+        return {("tool.Z", "size"): jnp.asarray(grown)}
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        span = float(np.ptp(np.asarray(plan.covariate("t")))) or 1.0
+        return {"tau": np.geomspace(span / 20.0, span * 2.0, 16)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        if not setup.plan.has("t", "speed_rpm"):
+            yield cls(history=_History(np.zeros(0), np.zeros(0)))  # to be told what it wants
+            return
+        t = np.asarray(setup.plan.covariate("t"), float)
+        speed = np.abs(np.asarray(setup.plan.covariate("speed_rpm"), float))
+        order = np.argsort(t, kind="stable")
+        if speed.max() > 0.0:
+            yield cls(history=_History(t[order], speed[order] / speed.max()))
