@@ -142,7 +142,8 @@ def test_check(small_tracker_study):
     assert "48 rows of 3 readings" in shown
     assert "geometric (93 parameters), station (6 parameters)" in shown
     assert "candidates of" in shown and "backlash" in shown
-    assert shown.endswith("not testable payload_sag: wants payload_kg")
+    assert "not testable payload_sag: wants payload_kg" in shown
+    assert shown.endswith("not testable spindle_growth: wants speed_rpm")
 
 
 def test_check_names_what_cannot_be_tested(small_tracker_study):
