@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from oracle import error_motions, make_case
-from vcal import CATALOGUE, StudyError, close_loop, load_study, plots
+from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
+from vcal.effects import Setup, load_effects
 from vcal.instruments.conditions import file_column
 from vcal.loop.stray import Stray
 from vcal.loop.unexplained import Interval, Unexplained
@@ -19,6 +20,7 @@ from vcal.plan import Plan
 from vcal.plots.views import residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.derived import parameters
+from vcal.report.own_effect import own_effect
 from vcal.report.pictures import Picture
 
 SEARCHED = ("backlash", "lateral_reversal", "screw_cyclic", "thermal_tilt", "artefact_bending")
@@ -76,6 +78,7 @@ KEYS = {
     "effects": list,
     "errors": dict,
     "unexplained": type(None),
+    "variance": dict,
     "noise_scale": float,
     "suspected_readings": list,
     "rejected": list,
@@ -155,6 +158,63 @@ def test_what_is_unexplained_is_told_in_columns_of_the_file(closed):
         {"column": "T_y_degC", "low": 20.5, "high": 21.0},
     ]
     assert told["sentence"].endswith("a local error along Z where x_mm is 200 to 450.")
+
+
+def test_shares_of_the_variance(closed):
+    """Of what the declared model leaves: all of it, whatever was found."""
+    _, _, closure = closed
+    assert sum(closure.variance.values()) == pytest.approx(1.0)
+    before, after = (closure.errors[n].chi2_per_dof for n in ("before", "after"))
+    assert closure.variance["named effects"] == pytest.approx((before - after) / before)
+    assert closure.variance["noise"] == pytest.approx(min(after, 1.0) / before)
+
+
+@pytest.mark.parametrize("direction, count", [("Z", 4), ("mixed", 12)])
+def test_an_effect_of_ones_own_to_start_from(closed, tmp_path, direction, count):
+    """A file that runs as it is: slopes and curvatures of the two first covariates."""
+    _, study, closure = closed
+    what = Unexplained(["X", "T_Y", "t"], [0.5, 0.2, 0.1], [], direction, 12.0, 0.5, 1e-9, "a test")
+    text = own_effect(dataclasses.replace(closure, verdict="unexplained", unexplained=what))
+    assert text is not None
+    (tmp_path / "own_effect.py").write_text(text)
+    (cls,) = load_effects(tmp_path / "own_effect.py")
+    setup = Setup(study.chain, study.model.layout, study.plan, study.model.effects)
+    (effect,) = cls.candidates(setup)
+    assert effect.needs == ("X", "T_Y") and len(effect.parameters) == count
+    response = effect.response(study.plan, {})
+    x = np.asarray(study.plan.x("X"))
+    u = 2.0 * (x - x.min()) / np.ptp(x) - 1.0
+    np.testing.assert_allclose(response["tool.Z", "slope1_Z"], u, atol=1e-4)
+    np.testing.assert_allclose(response["tool.Z", "curve1_Z"], u * u, atol=1e-4)
+    fit = identify(study.model.with_effects(effect), study.measurement)
+    assert fit.converged
+    assert own_effect(closure) is None
+
+
+@pytest.mark.slow
+def test_a_dent_becomes_an_effect_of_ones_own(tmp_path):
+    """Unexplained at first; with the file that the report leaves it has a name."""
+    dent = {"effect": "dent", "axis": "X", "component": "Z", "depth_um": 25, "at_mm": 240,
+            "sigma_mm": 35}  # fmt: skip
+    folder = tmp_path / "study"
+    make_case("laser_tracker", seed=5, effects=[dent], plan={"shape": (12, 5, 4)}, n_check=60,
+              folder=folder)  # fmt: skip
+    study = load_study(folder)
+    closure = close_loop(study.model, study.measurement, check=study.check, draws=200)
+    assert closure.verdict == "unexplained" and not closure.effects
+    assert closure.variance["description"] > 0.5 * (1.0 - closure.variance["noise"])
+    page = write_report(closure, study, tmp_path / "report")
+    assert "own_effect.py" in page.read_text()
+    (own,) = load_effects(tmp_path / "report" / "own_effect.py")
+    again = close_loop(
+        study.model,
+        study.measurement,
+        check=study.check,
+        effects=[*CATALOGUE.values(), own],
+        draws=200,
+    )
+    assert again.verdict == "named" and [e.effect.name for e in again.effects] == ["own_effect"]
+    assert again.errors["after"].check.value < closure.errors["after"].check.value
 
 
 def test_rows_count_as_in_the_file_and_what_is_not_a_number_is_null(closed):

@@ -88,6 +88,25 @@ class Closure:
     notes: list[str] = field(default_factory=list)
 
     @property
+    def variance(self) -> dict[str, float]:
+        """Shares of the whitened variance that the declared model leaves: what the named effects
+        take of it, what the empirical description would, the declared noise, and the rest.
+        """
+        before, after = (self.errors[name].chi2_per_dof for name in ("before", "after"))
+        noise = min(1.0, after)
+        what, described = self.unexplained, 0.0
+        if what is not None and what.bump is not None:
+            described = what.share_of_variance * (after - noise)
+        elif what is not None and what.shares:
+            described = min(what.shares[0] * after, after - noise)
+        return {
+            "named effects": (before - after) / before,
+            "description": described / before,
+            "noise": noise / before,
+            "rest": (after - noise - described) / before,
+        }
+
+    @property
     def sentence(self) -> str:
         """The verdict in words."""
         names = [f"{e.effect.name} {e.placement}".strip() for e in self.effects]

@@ -13,7 +13,7 @@ from .residuals import before_after, normal_plot, unexplained, unexplained_views
 from .search import minus_log10_p, search
 from .signature import Signature, signature, signatures
 from .style import png, pretty_unit
-from .views import View, column_of, effect_view, parameter_places, place_of
+from .views import View, column_of, effect_view, parameter_places, place_of, values_of
 
 __all__ = [
     "ErrorMotionTable",
@@ -40,4 +40,5 @@ __all__ = [
     "signatures",
     "unexplained",
     "unexplained_views",
+    "values_of",
 ]

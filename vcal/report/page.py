@@ -16,6 +16,7 @@ from ..loop.closure import Closure, FoundEffect
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
 from .derived import missing_columns, parameters
+from .own_effect import own_effect
 from .picture import Picture
 from .record import plain, versions
 from .template import render
@@ -58,6 +59,7 @@ def page(
         has_check=closure.check is not None,
         effects=[_effect(closure, found) for found in closure.effects],
         unexplained=_unexplained(closure),
+        own_effect=own_effect(closure) is not None,
         pictures=shown,
         alpha=f"{100 * closure.settings['alpha']:g} %",
         tried=_tried(closure),
@@ -223,6 +225,9 @@ def _unexplained(closure: Closure) -> dict[str, Any] | None:
         "size": text.number(what.size_um),
         "share": text.percent(what.share_of_variance),
         "p": text.probability(what.p_value),
+        "variance": ", ".join(
+            f"{name} {text.percent(share)}" for name, share in closure.variance.items()
+        ),
     }
 
 

@@ -40,6 +40,7 @@ def record(
         "effects": [_effect(closure, effect) for effect in closure.effects],
         "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
         "unexplained": _unexplained(closure.unexplained, plan),
+        "variance": closure.variance,
         "noise_scale": closure.noise_scale,
         "suspected_readings": [
             {"row": stray.row + 1, "distance": stray.distance, "p_value": stray.p_value}

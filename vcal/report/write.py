@@ -8,6 +8,7 @@ from pathlib import Path
 from ..io.study import Study
 from ..loop.closure import Closure
 from .compensation import compensation_csv, effects_csv, error_motion_tables
+from .own_effect import FILE, own_effect
 from .page import page
 from .pictures import pictures
 from .place import Place
@@ -30,7 +31,8 @@ def write_report(
     """Write the report of a closure into the folder `out`; returns the path of its page.
 
     `index.html` is the page, self-contained; `report.json` the record for programs;
-    `compensation.csv` the error motions and `effects.csv` the named effects; beside them the
+    `compensation.csv` the error motions and `effects.csv` the named effects; `own_effect.py`, where
+    something is left unexplained, an effect of the user's own to start from; beside them the
     pictures. Files of an earlier report are replaced, others are left alone. All is made in a
     temporary folder and moved at the end: on failure or interruption `out` stays as it was.
 
@@ -53,6 +55,9 @@ def _make(
         "compensation.csv": compensation_csv(tables),
         "effects.csv": effects_csv(closure),
     }
+    template = own_effect(closure)
+    if template is not None:
+        texts[FILE] = template
     # The record comes last: a folder counts as a report by it.
     files = [*(picture.file for picture in drawn), *texts, _PLACE.record]
     content = record(closure, study, command=command, seconds=seconds) | {"files": files}

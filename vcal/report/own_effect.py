@@ -1,0 +1,110 @@
+"""A file with an effect of the user's own, to start from where the catalogue has none that fits."""
+
+import numpy as np
+
+from ..instruments.conditions import file_name
+from ..loop.candidates import LocalBump
+from ..loop.closure import Closure
+from ..plan import Plan
+from ..plots import values_of
+
+FILE = "own_effect.py"
+_HEAD = '''"""An effect of your own, to start from.
+
+{found}
+
+Give it a name and a reason, correct `response`, and name this file in the study:
+
+    [model]
+    effects_file = "own_effect.py"
+
+`vcal loop` then tries it beside the catalogue.
+"""
+
+import jax.numpy as jnp
+
+import vcal
+
+
+class OwnEffect(vcal.Effect):
+    """What it is, its formula, and where that comes from."""
+
+    name = "own_effect"
+    summary = "one line on what it is"
+
+    @property
+    def parameters(self):
+        # Name, unit, standard deviation of what is believed before the measurement.
+        return ({parameters},)
+
+    @property
+    def needs(self):
+        # Axes and columns without which it cannot be evaluated.
+        return ({needs},)
+
+    def response(self, plan, shape):
+        # Deviation of every port per SI unit of every parameter, one value per row.
+{body}
+
+    @classmethod
+    def candidates(cls, setup):
+        yield cls({placement})
+'''
+
+
+def own_effect(closure: Closure) -> str | None:
+    """The text of the file; None where nothing is left unexplained or no covariate orders it.
+
+    A local error becomes a bump where it was found, with its height free; a dependence on
+    covariates a slope and a curvature of each of the first two, along every direction that it has.
+    """
+    what = closure.unexplained
+    if what is None or not what.depends_on:
+        return None
+    plan = closure.after.measurement.plan
+    found = f"vcal found: {what.reason}."
+    effect = None if what.bump is None else what.bump.effect
+    if isinstance(effect, LocalBump):
+        place = what.where[0]
+        centre, width = 0.5 * (place.low + place.high), 0.25 * (place.high - place.low)
+        unit, size = effect.amplitudes[0].unit, max(2.0 * what.size_um, 1.0)
+        return _HEAD.format(
+            found=found,
+            parameters=f'vcal.Parameter("height", "{unit}", sigma={size:.3g})',
+            needs=f'"{place.covariate}"',
+            body=(
+                f"        x = {_read(place.covariate, plan)}\n"
+                f"        u = (x - {centre:.6g}) / {width:.4g}  # m\n"
+                f'        return {{("{effect.port}", "height"): jnp.exp(-0.5 * u * u)}}'
+            ),
+            placement=f'placement="{effect.placement}"',
+        )
+    names = [n for n in what.depends_on if n not in plan.groups][:2]
+    if not names:
+        return None
+    ways = what.direction if what.direction in "XYZ" else "XYZ"
+    size = max(2.0 * what.size_um, 1.0)
+    parameters, lines, terms = [], [], []
+    for i, name in enumerate(names, start=1):
+        x = values_of(name, plan)
+        middle, half = 0.5 * float(x.max() + x.min()), 0.5 * float(np.ptp(x)) or 1.0
+        lines.append(
+            f"        u{i} = ({_read(name, plan)} - {middle:.6g}) / {half:.4g}"
+            f"  # {file_name(name, plan.axes)}, -1 to 1"
+        )
+        for c in ways:
+            for kind, power in (("slope", f"u{i}"), ("curve", f"u{i} * u{i}")):
+                label = f"{kind}{i}_{c}"
+                parameters.append(f'vcal.Parameter("{label}", "um", sigma={size:.3g})')
+                terms.append(f'            ("tool.{c}", "{label}"): {power},')
+    return _HEAD.format(
+        found=found,
+        parameters=",\n            ".join(parameters),
+        needs=", ".join(f'"{name}"' for name in names),
+        body="\n".join([*lines, "        return {", *terms, "        }"]),
+        placement="",
+    )
+
+
+def _read(name: str, plan: Plan) -> str:
+    return f'plan.x("{name}")' if name in plan.axes else f'plan.covariate("{name}")'
