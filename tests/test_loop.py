@@ -7,7 +7,8 @@ import pytest
 
 from known import LATERAL, PLANS, Known
 from oracle import make_case, tool_point, tracker_readings, write_study
-from vcal import CATALOGUE, Measurement, close_loop, load_study
+from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify, load_study
+from vcal.loop.unexplained import dependence, from_structure
 
 STAGES = ("screening", "refitting", "adding", "describing")
 
@@ -48,6 +49,41 @@ def plain(closure):
         closure.noise_scale,
         [(s.p_value, s.trials) for s in closure.screenings],
     )  # fmt: skip
+
+
+class Joint(Effect):
+    """Z that depends on the product of two covariates, which none of the catalogue does."""
+
+    name = "joint"
+
+    @property
+    def parameters(self):
+        return (Parameter("size", "um", sigma=10.0),)
+
+    def response(self, plan, shape):
+        u, v = ((x - x.mean()) / x.std() for x in (plan.x("Y"), plan.covariate("dir_X")))
+        return {("tool.Z", "size"): u * v}
+
+
+@pytest.mark.parametrize("size", [0.0, 6.0])
+def test_what_remains_may_depend_on_a_product(tracker, size):
+    """Neither of the two shows it alone; of noise nothing is told."""
+    joint = Joint(given=(("size", size, 0.0),))
+    measurement = noisy(tracker, 5, *([joint] if size else []))
+    fit = identify(tracker.model, measurement, room=tracker.room)
+    told = dependence(fit, 200, 0)
+    what = from_structure(fit, fit.chi2 / fit.dof, 0.01, 200, 0)
+    if size == 0.0:
+        assert told.p_value > 0.01 and what is None
+        return
+    assert told.p_value < 0.01 and told.joint
+    assert set(told.products[0][:2]) == {"Y", "dir_X"} and told.products[0][2] > 0.2
+    assert set(what.depends_on[:2]) == {"Y", "dir_X"} and what.joint
+    closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
+    assert closure.verdict == "unexplained"
+    assert closure.sentence.endswith("depends on y_mm times dir_x.") or (
+        closure.sentence.endswith("depends on dir_x times y_mm.")
+    )
 
 
 def test_nothing_is_missing_from_a_clean_machine(tracker):

@@ -97,8 +97,9 @@ class Closure:
         what, described = self.unexplained, 0.0
         if what is not None and what.bump is not None:
             described = what.share_of_variance * (after - noise)
-        elif what is not None and what.shares:
-            described = min(what.shares[0] * after, after - noise)
+        elif what is not None:
+            best = max([*what.shares, *(share for *_, share in what.products)], default=0.0)
+            described = min(best * after, after - noise)
         return {
             "named effects": (before - after) / before,
             "description": described / before,
@@ -133,4 +134,5 @@ class Closure:
             along = f" along {what.direction}" if what.direction in "XYZ" else ""
             low, high = place.low * factor, place.high * factor
             return f"a local error{along} where {column} is {low:.4g} to {high:.4g}"
-        return f"it depends on {file_column(what.depends_on[0], axes)[0]}"
+        columns = [file_column(name, axes)[0] for name in what.depends_on[:2]]
+        return f"it depends on {' times '.join(columns) if what.joint else columns[0]}"

@@ -1,15 +1,20 @@
 """What remains and has no name: along which covariate, where, in which direction, how large."""
 
+import itertools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import gammaincc
 
 from ..fit import Fit
 from .rivals import Rival
 from .screen import Screen
 
 _BINS = 10
+_SHOWN = 3
+"""Products of two covariates that are told."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,10 @@ class Unexplained:
     reason: str
     bump: Rival | None = None
     """The local description, where there is one."""
+    products: tuple[tuple[str, str, float], ...] = ()
+    """Pairs of covariates whose product describes some of it, with its share, largest first."""
+    joint: bool = False
+    """Whether it is the product of two that it depends on first of all."""
 
 
 def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
@@ -80,9 +89,23 @@ def bins(x: np.ndarray) -> np.ndarray:
     return np.searchsorted(edges, x)
 
 
-def dependence(fit: Fit, draws: int, seed: int) -> tuple[list[tuple[str, float]], float]:
-    """Share of the tool point's residual variance described by ten bins of each covariate, with
-    what chance gives taken off, best first; and the corrected p-value of the best.
+class Dependence(NamedTuple):
+    """What the residual depends on."""
+
+    single: list[tuple[str, float]]
+    """Covariates with the share of the variance that each describes alone, what chance gives taken
+    off; best first."""
+    products: list[tuple[str, str, float]]
+    """The same of products of two, beyond what is linear in either."""
+    joint: bool
+    """Whether a product is less likely to be chance than every covariate alone."""
+    p_value: float
+    """Of the best, corrected for all of them."""
+
+
+def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
+    """Shares of the tool point's residual variance that are described by ten bins of each
+    covariate, and by products of two, against what chance gives in `draws` null residuals.
     """
     state = Screen(fit, draws, seed)
     used = fit.used
@@ -93,23 +116,72 @@ def dependence(fit: Fit, draws: int, seed: int) -> tuple[list[tuple[str, float]]
     both = np.concatenate([data[:, :, None], null], axis=2)
     total = (both**2).sum((0, 1))
     names, shares = [], []
-    for name, x in covariates(fit).items():
-        index = bins(x[used])
+    known = {name: x[used] for name, x in covariates(fit).items()}
+    for name, x in known.items():
+        index = bins(x)
         counts = np.bincount(index)
         sums = np.zeros((len(counts), *both.shape[1:]))
         np.add.at(sums, index, both)
         described = (sums**2 / np.maximum(counts, 1)[:, None, None]).sum((0, 1)) / total
         names.append(name)
         shares.append(described)
-    table = np.array(shares)
-    expected, spread = table[:, 1:].mean(1), table[:, 1:].std(1) + 1e-12
-    score = (table - expected[:, None]) / spread[:, None]
-    best, best_null = score[:, 0].max(), score[:, 1:].max(0)
+    singles = np.array(shares)
+    pairs, columns = _products(
+        {n: x for n, x in known.items() if n not in fit.measurement.plan.groups}
+    )
+    moved = np.tensordot(columns, both, 1) if pairs else np.zeros((0, *both.shape[1:]))
+    products = (moved**2).sum(1) / total
+    rare = np.concatenate([_rarity(singles), _rarity(products)])
+    best, best_null = rare[:, 0].max(), rare[:, 1:].max(0)
     p_value = (1.0 + (best_null >= best).sum()) / (draws + 1.0)
+    usual = float(best_null.mean())
+    count = len(names)
+    telling = [(names[i], share) for i, share in _by_share(singles) if rare[i, 0] > usual]
+    joined = [(*pairs[i], share) for i, share in _by_share(products) if rare[count + i, 0] > usual]
+    # Both may be beyond what a probability can say: then the larger share decides.
+    rarest = [
+        max(zip(part[:, 0], table[:, 0], strict=True), default=(0.0, 0.0))
+        for part, table in ((rare[:count], singles), (rare[count:], products))
+    ]
+    joint = bool(joined) and rarest[1] > rarest[0]
+    return Dependence(telling, joined[:_SHOWN], joint, float(p_value))
+
+
+def _products(known: dict[str, np.ndarray]) -> tuple[list[tuple[str, str]], np.ndarray]:
+    """Pairs of covariates and (pairs, n) their products, without what is linear in either, of unit
+    length.
+    """
+    pairs, rows = [], []
+    for (first, x), (second, y) in itertools.combinations(known.items(), 2):
+        u, v = ((z - z.mean()) / z.std() for z in (x, y))
+        linear = np.linalg.qr(np.column_stack([np.ones_like(u), u, v]))[0]
+        both = u * v
+        left = both - linear @ (linear.T @ both)
+        if np.linalg.norm(left) > 1e-3 * np.linalg.norm(both):
+            pairs.append((first, second))
+            rows.append(left / np.linalg.norm(left))
+    return pairs, np.array(rows)
+
+
+def _rarity(table: np.ndarray) -> np.ndarray:
+    """-log10 of the probability of a share by chance, every row against the gamma distribution with
+    the mean and variance of its null draws (columns from 1 on): what has one degree of freedom and
+    what has thirty is then alike.
+    """
+    if not len(table):
+        return table
+    mean, variance = table[:, 1:].mean(1), table[:, 1:].var(1) + 1e-24
+    p = gammaincc((mean**2 / variance)[:, None], table * (mean / variance)[:, None])
+    return -np.log10(np.maximum(p, 1e-300))
+
+
+def _by_share(table: np.ndarray) -> list[tuple[int, float]]:
+    """Rows with their share beyond chance, largest first."""
+    if not len(table):
+        return []
+    expected = table[:, 1:].mean(1)
     corrected = np.maximum((table[:, 0] - expected) / (1.0 - expected), 0.0)
-    order = np.argsort(-corrected)
-    telling = [(names[i], float(corrected[i])) for i in order if score[i, 0] > best_null.mean()]
-    return telling, float(p_value)
+    return [(int(i), float(corrected[i])) for i in np.argsort(-corrected)]
 
 
 def main_direction(vectors: np.ndarray) -> str:
@@ -133,9 +205,9 @@ def from_bump(fit: Fit, bump: Rival, p_value: float, draws: int, seed: int) -> U
     used = fit.used
     moved[used] = np.linalg.solve(fit.whitener[used], step.reshape(n, m)[used][:, :, None])[:, :, 0]
     vectors = displacements(fit, moved)[used]
-    telling, _ = dependence(fit, draws, seed)
-    others = [name for name, _ in telling if name != axis]
-    shares = dict(telling)
+    told = dependence(fit, draws, seed)
+    others = [name for name, _ in told.single if name != axis]
+    shares = dict(told.single)
     drop = (fit.chi2 - bump.fit.chi2) / max(fit.chi2 - fit.dof, bump.fit.chi2 / fit.dof)
     return Unexplained(
         depends_on=[axis, *others],
@@ -153,6 +225,7 @@ def from_bump(fit: Fit, bump: Rival, p_value: float, draws: int, seed: int) -> U
         p_value=p_value,
         reason="a local error describes the residual better than every effect of the catalogue",
         bump=bump,
+        products=tuple(told.products),
     )
 
 
@@ -160,14 +233,21 @@ def from_structure(
     fit: Fit, chi2_per_dof: float, alpha: float, draws: int, seed: int
 ) -> Unexplained | None:
     """The description where the residual depends on covariates, or is far larger than declared."""
-    telling, p_value = dependence(fit, draws, seed)
+    told = dependence(fit, draws, seed)
     spread = chi2_per_dof > 4.0
-    if p_value > alpha and not spread:
+    if told.p_value > alpha and not spread:
         return None
+    shares = dict(told.single)
+    if told.joint:
+        # A product shows in neither alone: both of it come first.
+        first, second, _ = told.products[0]
+        ahead = {name: shares.get(name, 0.0) for name in (first, second)}
+        shares = ahead | {name: s for name, s in shares.items() if name not in ahead}
+    best = max([*shares.values(), *(share for *_, share in told.products)], default=0.0)
     vectors = displacements(fit)[fit.used]
     excess = max(1.0 - 1.0 / chi2_per_dof, 0.0)
-    size = math.sqrt((vectors**2).sum(1).mean() * (excess if spread else telling[0][1]))
-    if spread and (not telling or telling[0][1] < 0.1):
+    size = math.sqrt((vectors**2).sum(1).mean() * (excess if spread else best))
+    if spread and best < 0.1:
         reason = (
             "the residual is far larger than the declared noise, and no single covariate "
             "describes a tenth of it: spread"
@@ -177,12 +257,14 @@ def from_structure(
     else:
         reason = "the residual depends on covariates in a way no effect of the catalogue has"
     return Unexplained(
-        depends_on=[name for name, _ in telling],
-        shares=[share for _, share in telling],
+        depends_on=list(shares),
+        shares=list(shares.values()),
         where=[],
         direction=main_direction(vectors),
         size_um=size * 1e6,
-        share_of_variance=excess if spread else float(telling[0][1]),
-        p_value=p_value,
+        share_of_variance=excess if spread else best,
+        p_value=told.p_value,
         reason=reason,
+        products=tuple(told.products),
+        joint=told.joint,
     )

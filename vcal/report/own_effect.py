@@ -56,7 +56,8 @@ def own_effect(closure: Closure) -> str | None:
     """The text of the file; None where nothing is left unexplained or no covariate orders it.
 
     A local error becomes a bump where it was found, with its height free; a dependence on
-    covariates a slope and a curvature of each of the first two, along every direction that it has.
+    covariates a slope and a curvature of each of the first two, along every direction that it has,
+    and their product where it is that which the residual depends on.
     """
     what = closure.unexplained
     if what is None or not what.depends_on:
@@ -97,6 +98,10 @@ def own_effect(closure: Closure) -> str | None:
                 label = f"{kind}{i}_{c}"
                 parameters.append(f'vcal.Parameter("{label}", "um", sigma={size:.3g})')
                 terms.append(f'            ("tool.{c}", "{label}"): {power},')
+    if what.joint:
+        for c in ways:
+            parameters.append(f'vcal.Parameter("both_{c}", "um", sigma={size:.3g})')
+            terms.append(f'            ("tool.{c}", "both_{c}"): u1 * u2,')
     return _HEAD.format(
         found=found,
         parameters=",\n            ".join(parameters),

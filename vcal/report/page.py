@@ -221,6 +221,10 @@ def _unexplained(closure: Closure) -> dict[str, Any] | None:
         "reason": what.reason,
         "depends_on": list(depends.items()),
         "where": where,
+        "products": [
+            f"{column_of(a, plan)[0]} × {column_of(b, plan)[0]} {text.percent(share)}"
+            for a, b, share in what.products
+        ],
         "direction": what.direction,
         "size": text.number(what.size_um),
         "share": text.percent(what.share_of_variance),

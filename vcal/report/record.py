@@ -130,6 +130,10 @@ def _unexplained(what: Unexplained | None, plan: Plan) -> dict[str, Any] | None:
     return {
         "depends_on": list(shares),
         "shares": list(shares.values()),
+        "products": [
+            {"columns": [column_of(a, plan)[0], column_of(b, plan)[0]], "share": share}
+            for a, b, share in what.products
+        ],
         "where": where,
         "direction": what.direction,
         "size_um": what.size_um,
