@@ -21,7 +21,7 @@ from .heldout import check_rms, fit_rms, heldout_rms, improvement
 from .rivals import Rival, Weighed, refit_all, weigh
 from .screen import Peak, Screen, Screening, screen
 from .stray import Stray, stray_rows
-from .unexplained import Unexplained, from_bump, from_structure
+from .unexplained import Unexplained, described, from_structure
 
 CERTAIN = 0.95
 """Posterior probability from which an effect is named rather than called ambiguous."""
@@ -166,8 +166,14 @@ class _Run:
             and p_values[LocalBump.name] <= self.alpha
             and (not significant or bump.log_bayes > significant[0].log_bayes)
         ):
-            self.unexplained = from_bump(
-                fit, bump, p_values[LocalBump.name], self.draws, self.seed + number
+            self.unexplained = described(
+                fit,
+                bump,
+                p_values[LocalBump.name],
+                _chi2_per_dof(state.fit),
+                self.alpha,
+                self.draws,
+                self.seed + number,
             )
             for rival in significant:
                 self._reject(rival, p_values, "a local error describes the residual better")

@@ -13,6 +13,9 @@ from .rivals import Rival
 from .screen import Screen
 
 _BINS = 10
+_CLEARLY = 1.2
+"""What a covariate must describe of the variance, over what a local bump does, to be told first:
+the bump says where."""
 _SHOWN = 3
 """Products of two covariates that are told."""
 
@@ -193,8 +196,32 @@ def main_direction(vectors: np.ndarray) -> str:
     return "XYZ"[i] if squares[i] > 0.6 * squares.sum() else "mixed"
 
 
-def from_bump(fit: Fit, bump: Rival, p_value: float, draws: int, seed: int) -> Unexplained:
-    """The description where a local bump explains more than every effect of the catalogue."""
+def described(
+    fit: Fit,
+    bump: Rival,
+    p_value: float,
+    chi2_per_dof: float,
+    alpha: float,
+    draws: int,
+    seed: int,
+) -> Unexplained:
+    """The description where a local bump explains more than every effect of the catalogue: by the
+    bump or, where that describes clearly more, by a covariate or a product of two.
+    """
+    told = dependence(fit, draws, seed)
+    local = _from_bump(fit, bump, p_value, told)
+    spread = _from_dependence(fit, told, chi2_per_dof, alpha)
+    if spread is None:
+        return local
+    by_bump = local.share_of_variance * max(1.0 - fit.dof / fit.chi2, 0.0)
+    return spread if _best(spread) > _CLEARLY * by_bump else local
+
+
+def _best(what: Unexplained) -> float:
+    return max([*what.shares, *(share for *_, share in what.products)], default=0.0)
+
+
+def _from_bump(fit: Fit, bump: Rival, p_value: float, told: Dependence) -> Unexplained:
     axis = bump.effect.placement
     place = len(fit.model.effects)
     shape = bump.fit.shapes[place]
@@ -205,7 +232,6 @@ def from_bump(fit: Fit, bump: Rival, p_value: float, draws: int, seed: int) -> U
     used = fit.used
     moved[used] = np.linalg.solve(fit.whitener[used], step.reshape(n, m)[used][:, :, None])[:, :, 0]
     vectors = displacements(fit, moved)[used]
-    told = dependence(fit, draws, seed)
     others = [name for name, _ in told.single if name != axis]
     shares = dict(told.single)
     drop = (fit.chi2 - bump.fit.chi2) / max(fit.chi2 - fit.dof, bump.fit.chi2 / fit.dof)
@@ -233,7 +259,12 @@ def from_structure(
     fit: Fit, chi2_per_dof: float, alpha: float, draws: int, seed: int
 ) -> Unexplained | None:
     """The description where the residual depends on covariates, or is far larger than declared."""
-    told = dependence(fit, draws, seed)
+    return _from_dependence(fit, dependence(fit, draws, seed), chi2_per_dof, alpha)
+
+
+def _from_dependence(
+    fit: Fit, told: Dependence, chi2_per_dof: float, alpha: float
+) -> Unexplained | None:
     spread = chi2_per_dof > 4.0
     if told.p_value > alpha and not spread:
         return None
