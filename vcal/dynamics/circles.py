@@ -21,6 +21,10 @@ from .closed_loop import ClosedLoop, steady
 from .setpoints import SetCircle
 
 
+_ALIKE = 1e-3
+"""Relative difference up to which two speeds count as one."""
+
+
 class Phasors(eqx.Module):
     """Fundamental of many circles, x(t) = Re(X exp(i omega t)), t from the start of a run."""
 
@@ -83,7 +87,11 @@ def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
         mine = run == number
         # Circles of one level are asked for at one speed: the mean of what they show, as a phase at
         # the start of a single run is twice as uncertain where its own speed is to be found.
-        alike = [c.omega for k, c in circles.items() if np.isclose(level[k], level[number])]
+        alike = [
+            c.omega
+            for k, c in circles.items()
+            if np.isclose(level[k], level[number]) and np.isclose(c.omega, circle.omega, _ALIKE)
+        ]
         omega = float(np.mean(alike))
         angle = omega * t[mine]
         turned = np.column_stack([np.ones(mine.sum()), np.cos(angle), np.sin(angle)])
