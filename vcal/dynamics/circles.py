@@ -20,7 +20,6 @@ from ..measurement import Measurement
 from .closed_loop import ClosedLoop, steady
 from .setpoints import SetCircle
 
-
 _ALIKE = 1e-3
 """Relative difference up to which two speeds count as one."""
 
