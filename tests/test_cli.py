@@ -111,7 +111,7 @@ def test_pages_of_effects(tmp_path):
     assert "found other files" in refused("effects", "drift", "--out", tmp_path / "mine")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_page_for_every_effect(tmp_path):
     out = tmp_path / "all"
     run("effects", "--out", out)

@@ -213,7 +213,7 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
     machine, controller, _ = catalogue
     seen = seen_by(truth[2], 0)
     z = jnp.asarray(0.3 * np.random.default_rng(2).standard_normal(len(UNKNOWNS)))
-    bare = task(machine, controller, UNKNOWNS, seen).residual(z, seen)
+    bare = jax.jit(task(machine, controller, UNKNOWNS, seen).residual)(z, seen)
     bare = np.asarray(bare[: -len(z)]).reshape(2, 60, 3)
     S = np.asarray(seen.internal / seen.error_u[:, None]) * MATRIX_U
     columns = np.r_[S.real, S.imag]
@@ -224,7 +224,7 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
         least += np.linalg.lstsq(whole, right, rcond=None)[1][0]
     for quick, digits in ((False, 1e-9), (True, 1e-4)):
         given = task(machine, controller, UNKNOWNS, seen, matrix_u=MATRIX_U, quick=quick)
-        cost = float((given.residual(z, seen) ** 2).sum())
+        cost = float((jax.jit(given.residual)(z, seen) ** 2).sum())
         assert cost == pytest.approx(least + (bare[0] ** 2).sum() + float(z @ z), rel=digits)
 
 
@@ -237,9 +237,9 @@ def test_many_machines(catalogue):
     done, few = (
         campaign(machine, controller, UNKNOWNS, circles, noise, draws=draws, seed=5,
                  matrix_u=MATRIX_U)
-        for draws in (60, 3)
+        for draws in (20, 3)
     )  # fmt: skip
-    assert done.converged.mean() > 0.95
+    assert done.converged.mean() > 0.9
     np.testing.assert_allclose(few.found, done.found[:3], rtol=1e-9)
     assert done.pulls.std() == pytest.approx(1.0, abs=0.15)
     assert (np.abs(done.pulls) < 2).mean() > 0.9

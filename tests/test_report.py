@@ -191,7 +191,7 @@ def test_an_effect_of_ones_own_to_start_from(closed, tmp_path, direction, count)
     assert own_effect(closure) is None
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_dent_becomes_an_effect_of_ones_own(tmp_path):
     """Unexplained at first; with the file that the report leaves it has a name."""
     dent = {"effect": "dent", "axis": "X", "component": "Z", "depth_um": 25, "at_mm": 240,
