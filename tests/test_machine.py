@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -213,7 +214,8 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
     machine, controller, _ = catalogue
     seen = seen_by(truth[2], 0)
     z = jnp.asarray(0.3 * np.random.default_rng(2).standard_normal(len(UNKNOWNS)))
-    bare = jax.jit(task(machine, controller, UNKNOWNS, seen).residual)(z, seen)
+    left = eqx.filter_jit(lambda given, z, seen: given.residual(z, seen))
+    bare = left(task(machine, controller, UNKNOWNS, seen), z, seen)
     bare = np.asarray(bare[: -len(z)]).reshape(2, 60, 3)
     S = np.asarray(seen.internal / seen.error_u[:, None]) * MATRIX_U
     columns = np.r_[S.real, S.imag]
@@ -224,7 +226,7 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
         least += np.linalg.lstsq(whole, right, rcond=None)[1][0]
     for quick, digits in ((False, 1e-9), (True, 1e-4)):
         given = task(machine, controller, UNKNOWNS, seen, matrix_u=MATRIX_U, quick=quick)
-        cost = float((jax.jit(given.residual)(z, seen) ** 2).sum())
+        cost = float((left(given, z, seen) ** 2).sum())
         assert cost == pytest.approx(least + (bare[0] ** 2).sum() + float(z @ z), rel=digits)
 
 
@@ -241,9 +243,9 @@ def test_many_machines(catalogue):
     )  # fmt: skip
     assert done.converged.mean() > 0.9
     np.testing.assert_allclose(few.found, done.found[:3], rtol=1e-9)
-    assert done.pulls.std() == pytest.approx(1.0, abs=0.15)
+    assert done.pulls.std() == pytest.approx(1.0, abs=0.25)
     assert (np.abs(done.pulls) < 2).mean() > 0.9
-    assert np.nanstd(done.matrix_pulls) == pytest.approx(1.0, abs=0.15)
+    assert np.nanstd(done.matrix_pulls) == pytest.approx(1.0, abs=0.25)
     assert (done.chi2 / done.readings).mean() == pytest.approx(1.0, abs=0.05)
     # What is told by the circles is told far better than the catalogue did.
     assert np.median(done.u, axis=0).min() < 0.01
