@@ -98,8 +98,8 @@ def campaign(
     """Simulate and identify `draws` machines, one after the other in one program.
 
     `matrix_u` is the standard uncertainty of an element of the probes' matrix. Machine number i is
-    the same for any number of draws. A machine that its controllers cannot hold counts as one whose
-    search did not converge. Raises `ValueError` for fewer than one draw.
+    the same for any number of draws. Whether the controllers hold every machine is not checked.
+    Raises `ValueError` for fewer than one draw.
     """
     if draws < 1:
         raise ValueError(f"draws: found {draws}, expected at least 1")
