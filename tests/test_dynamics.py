@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from vcal.chain import chain_from_string
 from vcal.dynamics.assemble import assemble
 from vcal.dynamics.bodies import GROUND, Body, Drive, Machine, Scale, Spring, ToolPoint
-from vcal.dynamics.closed_loop import check_stable, close, run, run_circle, steady
+from vcal.dynamics.closed_loop import check_stable, close, run, run_circle, settles, steady
 from vcal.dynamics.compliance import compliance
 from vcal.dynamics.control import Controller
 from vcal.dynamics.gains import propose
@@ -314,6 +314,20 @@ def test_an_unstable_loop():
     _, _, loop = loop_of(screw_slide(), T=1e-3, Kv=400.0, w=900.0)
     with pytest.raises(ValueError, match=r"unstable loop, growing .* mostly in axis Z"):
         check_stable(loop)
+    assert not settles(loop)
+
+
+def test_settles_agrees_with_the_poles():
+    """On both sides of the gain at which the largest pole leaves the unit circle."""
+    s = assemble(screw_slide())
+    c = propose(s, sample_time=0.5e-3, delay=0.5e-3)
+    sides = []
+    for factor in np.geomspace(0.5, 8.0, 25):
+        loop = close(s, dataclasses.replace(c, velocity_gain=factor * c.velocity_gain))
+        inside = np.abs(np.linalg.eigvals(np.asarray(loop.transition))).max() < 1.0
+        assert bool(settles(loop)) == inside
+        sides.append(inside)
+    assert sides[0] and not sides[-1]
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5e-3])
@@ -321,6 +335,7 @@ def test_proposed_gains_settle(delay):
     s = assemble(screw_slide(loss=1e-3))
     c = propose(s, sample_time=0.5e-3, delay=delay)
     loop = close(s, c)
+    assert settles(loop)
     check_stable(loop)
     check_stable(close(s, dataclasses.replace(c, velocity_gain=1.9 * c.velocity_gain)))
     n = 4000

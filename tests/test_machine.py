@@ -241,7 +241,7 @@ def test_many_machines(catalogue):
                  matrix_u=MATRIX_U)
         for draws in (20, 3)
     )  # fmt: skip
-    assert done.converged.mean() > 0.9
+    assert done.stable.all() and done.converged.mean() > 0.9
     np.testing.assert_allclose(few.found, done.found[:3], rtol=1e-9)
     assert done.pulls.std() == pytest.approx(1.0, abs=0.25)
     assert (np.abs(done.pulls) < 2).mean() > 0.9

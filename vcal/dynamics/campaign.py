@@ -12,12 +12,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..arrays import Array
+from ..least_squares import Status
 from .assemble import assemble
 from .bodies import Machine
 from .circles import Phasors, set_phasors
+from .closed_loop import close, settles
 from .compliance import compliance
 from .control import Controller
 from .identify import Task, solve, task
@@ -59,6 +61,8 @@ class Campaign:
     degrees of freedom as there are `readings`.
     """
     readings: int
+    stable: Bool[np.ndarray, " d"]
+    """Which machines are held by their controllers; circles of the others cannot be driven."""
     status: Int[np.ndarray, " d"]
     """`Status` of every search."""
     steps: Int[np.ndarray, " d"]
@@ -66,8 +70,8 @@ class Campaign:
 
     @property
     def converged(self) -> np.ndarray:
-        """Which searches ended in a minimum (d,)."""
-        return self.status == 0
+        """Which machines are stable, and their search ended in a minimum (d,)."""
+        return self.stable & (self.status == Status.CONVERGED)
 
     @property
     def pulls(self) -> Float[np.ndarray, "d k"]:
@@ -98,8 +102,7 @@ def campaign(
     """Simulate and identify `draws` machines, one after the other in one program.
 
     `matrix_u` is the standard uncertainty of an element of the probes' matrix. Machine number i is
-    the same for any number of draws. Whether the controllers hold every machine is not checked.
-    Raises `ValueError` for fewer than one draw.
+    the same for any number of draws. Raises `ValueError` for fewer than one draw.
     """
     if draws < 1:
         raise ValueError(f"draws: found {draws}, expected at least 1")
@@ -161,6 +164,7 @@ def _one(given: Task, seen: Phasors, scatter: Array, samples: int, key: Array) -
         "matrix_true": matrix(true[:k]),
         "matrix_u": jnp.sqrt(jnp.einsum("xak,kl,xal->xa", slope, whole, slope)),
         "chi2": result.cost,
+        "stable": settles(close(*given.at(true[:k]))),
         "status": result.status,
         "steps": result.steps,
     }
@@ -171,9 +175,9 @@ def _measured(
 ) -> Phasors:
     """Amplitudes from one turn of every circle, by least squares from its samples."""
     k = len(given.unknowns)
-    place = np.array(given.place)
+    rows = np.array(given.place)
     internal, error = (
-        jnp.einsum("rxa,ra->rx", per[place], seen.asked)
+        jnp.einsum("rxa,ra->rx", per[rows], seen.asked)
         for per in replace(given, quick=False).answers(true[:k])
     )
     S = given.matrix_u * true[k:].reshape(3, 3)

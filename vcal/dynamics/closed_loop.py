@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 
 from ..arrays import Array
 from .assemble import Structure
@@ -26,6 +26,8 @@ from .control import Controller
 PENDING = 3
 """Forces that may still be to come: the delay is shorter than that many samples less one."""
 _SQUARINGS = 7
+_DOUBLINGS = 24
+"""Squarings of Phi after which what settles has settled: hours of samples."""
 _PACE = 1e3
 """rad/s. Velocities count in units of it, so that the numbers of a state are alike."""
 
@@ -181,6 +183,15 @@ def check_stable(loop: ClosedLoop) -> None:
         f"{hz:.3g} Hz, mostly in axis {axis}, expected one that settles; lower position_gain or "
         "bandwidth, shorten the delay, or stiffen the machine"
     )
+
+
+def settles(loop: ClosedLoop) -> Bool[Array, ""]:
+    """Whether a loop is stable, as a value that may be jitted and mapped: ||Phi^(2^24)|| < 1."""
+    power = loop.transition
+    for _ in range(_DOUBLINGS):
+        power = power @ power
+    # What grows without bound is no longer a number, and not below one.
+    return jnp.sqrt(jnp.sum(power**2)) < 1.0
 
 
 def run(

@@ -90,7 +90,7 @@ def evaluate(measurement: Measurement, acceleration: Acceleration = "actual") ->
         untilted[:, 0] -= 1e-6 * crosstalk[first, second] * a[:, second]
         untilted[:, 1] -= 1e-6 * crosstalk[second, first] * a[:, first]
         if acceleration == "nominal":
-            half = np.full(2, measurement_radius(circle.amplitude))
+            half = np.full(2, _radius(circle.amplitude))
             peak = np.full(2, settings[i])
         else:
             half = circle.amplitude[inside]
@@ -100,7 +100,7 @@ def evaluate(measurement: Measurement, acceleration: Acceleration = "actual") ->
     return Evaluated(found, settings)
 
 
-def measurement_radius(amplitude: Float[np.ndarray, " axes"]) -> float:
+def _radius(amplitude: Float[np.ndarray, " axes"]) -> float:
     """Radius of the circle that was read internally, m."""
     return float(np.sort(amplitude)[-2:].mean())
 

@@ -7,8 +7,7 @@ x(z) are the amplitudes of the simulated machine under its controllers (`predict
 unknowns in standard deviations of what a catalogue says of them, S the matrix of the probes' own
 errors with the standard uncertainty u_S of its elements. S is linear and is eliminated: what it can
 take up of the differences counts as their covariance, V = 1 + u_S^2 X_int X_int' / u_err^2. The
-derivative goes through the assembly,
-the discretisation and the solution for the steady state.
+derivative goes through the assembly, the discretisation and the solution for the steady state.
 """
 
 from collections.abc import Sequence

@@ -38,7 +38,7 @@ def candidates(
     present = {_identity(effect) for effect in model.effects}
     found, missing = [], {}
     for cls in classes:
-        if cls.kind != "systematic" or not cls.searched:
+        if cls.kind != "systematic":
             continue
         for effect in cls.candidates(setup):
             if _identity(effect) in present:

@@ -76,7 +76,9 @@ def close_loop(
     is known so far; before the declared model is fitted nothing is, and it passes on. Raises
     `RuntimeError` in float32.
     """
-    classes = list(CATALOGUE.values()) if effects is None else list(effects)
+    if effects is None:
+        effects = [cls for cls in CATALOGUE.values() if cls.searched]
+    classes = list(effects)
     settings = {
         "alpha": alpha,
         "draws": draws,

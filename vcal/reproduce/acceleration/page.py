@@ -277,9 +277,9 @@ def _campaign(r: Results, pictures: tuple[Picture, ...]) -> Section:
         "Many machines",
         (
             f"{len(c.status)} machines drawn from what the catalogue leaves open, each measured by "
-            f"{2 * 3 * len(LEVELS)} circles and identified from the catalogue on: "
-            f"{int(c.converged.sum())} searches found a minimum, after "
-            f"{np.median(c.steps):g} steps (median). Squared differences per "
+            f"{2 * 3 * len(LEVELS)} circles and identified from the catalogue on. The controllers "
+            f"hold {int(c.stable.sum())} of them; {int(c.converged.sum())} searches found a "
+            f"minimum, after {np.median(c.steps):g} steps (median). Squared differences per "
             f"degree of freedom: {number(float((c.chi2[c.converged] / c.readings).mean()))}.",
             "Where errors over standard uncertainties scatter by more than one, the problem is "
             "curved within its uncertainty: the linearised (GUM) uncertainty is then too small by "

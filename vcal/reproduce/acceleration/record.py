@@ -111,6 +111,7 @@ def _campaign(results: Results) -> dict[str, Any]:
     c = results.campaign
     return {
         "machines": len(c.status),
+        "stable": int(c.stable.sum()),
         "converged": int(c.converged.sum()),
         "steps_median": float(np.median(c.steps)),
         "chi2_per_reading": float(np.mean(c.chi2[c.converged]) / c.readings),
