@@ -191,6 +191,7 @@ def campaigns(draws: int) -> list[dict]:
                 "machines": draws,
                 "circles": 6 * len(LEVELS),
                 "wall_s": time.perf_counter() - start,
+                "stable": int(done.stable.sum()),
                 "converged": int(done.converged.sum()),
                 "sd_of_pulls": float(done.pulls.std()),
                 "within_U": float((np.abs(done.pulls) < 2.0).mean()),

@@ -184,13 +184,14 @@ def r_tests(found: dict) -> str:
             f"{r['machines']:,}",
             f"{r['circles']}",
             f"{r['wall_s']:.0f}",
+            f"{r['stable']:,}",
             f"{r['converged']:,}",
             f"{r['sd_of_pulls']:.2f}",
             f"{100 * r['within_U']:.1f}",
         ]
         for r in found["campaigns"]
     )
-    head = "run,machines,circles each,whole run s,converged,sd of error / u,within U (k = 2) %"
+    head = "run,machines,circles each,whole run s,stable,converged,sd of error / u,within U (k = 2) %"
     return table(head.split(","), rows)
 
 
