@@ -191,7 +191,7 @@ def r_tests(found: dict) -> str:
         ]
         for r in found["campaigns"]
     )
-    head = "run,machines,circles each,whole run s,stable,converged,sd of error / u,within U (k = 2) %"
+    head = "run,machines,circles each,whole run s,stable,converged,sd of error / u,within U %"
     return table(head.split(","), rows)
 
 

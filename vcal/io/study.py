@@ -67,8 +67,12 @@ class Study:
 
     @property
     def tried(self) -> list[type[Effect]]:
-        """The effects that the loop tries: those that its settings name, or all there are."""
-        return [self.catalogue[name] for name in self.options.effects or self.catalogue]
+        """The effects that the loop tries: those that its settings name, or all that are looked
+        for unasked.
+        """
+        if self.options.effects:
+            return [self.catalogue[name] for name in self.options.effects]
+        return [effect for effect in self.catalogue.values() if effect.searched]
 
     @property
     def as_dict(self) -> dict[str, Any]:
