@@ -23,7 +23,7 @@ def closed(path: Path, overrides=()):
         study.model,
         study.measurement,
         check=study.check,
-        effects=study.catalogue.values(),
+        effects=study.tried,
         alpha=study.options.alpha,
         seed=study.options.seed,
     )

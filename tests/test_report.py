@@ -80,6 +80,7 @@ KEYS = {
     "unexplained": type(None),
     "variance": dict,
     "noise_scale": float,
+    "noise_components": list,
     "suspected_readings": list,
     "rejected": list,
     "untestable": list,

@@ -206,9 +206,23 @@ def declared_whitener(model: Model, measurement: Measurement) -> np.ndarray:
     A random effect whose response through the nominal machine is c (per unit of its parameter, SI)
     adds sigma^2 c c' to the covariance of each row.
     """
+    covariance = np.sum([part for _, part in declared_covariances(model, measurement)], axis=0)
+    return np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
+
+
+def declared_covariances(model: Model, measurement: Measurement) -> list[tuple[str, np.ndarray]]:
+    """What the covariance of every row is made of, each with its name and (n, m, m), SI: the noise
+    of every component of a reading, and the random effects.
+    """
     plan, instrument = measurement.plan, model.instrument
     sigma = instrument.noise(plan, measurement.readings)
-    covariance = np.einsum("ni,ij->nij", sigma**2, np.eye(sigma.shape[1]))
+    m = sigma.shape[1]
+    names = instrument.readings if len(instrument.readings) == m else map(str, range(1, m + 1))
+    found = []
+    for k, name in enumerate(names):
+        part = np.zeros((len(sigma), m, m))
+        part[:, k, k] = sigma[:, k] ** 2
+        found.append((name, part))
     if model.random:
         ports = np.zeros((plan.rows, len(model.layout)))
         _, by_port = observe_with_jacobian(
@@ -223,8 +237,8 @@ def declared_whitener(model: Model, measurement: Measurement) -> np.ndarray:
                 terms = effect_terms(own, model.layout, plan, {})
                 mine = terms.parameter == [q.name for q in effect.amplitudes].index(p.name)
                 c = (by_port[:, :, terms.port] * terms.values[:, None, :])[:, :, mine].sum(2)
-                covariance += np.einsum("ni,nj->nij", c, c)
-    return np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
+                found.append((f"{effect.key} {p.name}", np.einsum("ni,nj->nij", c, c)))
+    return found
 
 
 def identify(

@@ -17,22 +17,27 @@ def identify_robust(
     rounds: int = 10,
     theta: np.ndarray | None = None,
     shapes: Shapes | None = None,
+    keep: np.ndarray | None = None,
     room: int = 0,
 ) -> tuple[Fit, np.ndarray]:
     """Fit with Huber's loss on whole rows, by iteratively reweighted least squares.
 
     A row whose whitened residual has the norm d is weighted by min(1, c s / d): s is the robust
     scale of all rows (median of d over its expectation), c is `tuning` times the expected norm.
-    Returns the fit and the weights (n,); rows with weights far below one are suspect.
+    `keep` (n,) leaves rows out. Returns the fit and the weights (n,); rows with weights far below
+    one are suspect.
     """
     whitener = declared_whitener(model, measurement)
-    fit = identify(model, measurement, theta=theta, shapes=shapes, whitener=whitener, room=room)
+    fit = identify(
+        model, measurement, theta=theta, shapes=shapes, whitener=whitener, keep=keep, room=room
+    )
     m = fit.residual.shape[1]
     median = np.sqrt(2.0 * gammainccinv(0.5 * m, 0.5))
     weights = np.ones(measurement.rows)
     for _ in range(rounds):
         distance = np.linalg.norm(np.einsum("nij,nj->ni", whitener, fit.residual), axis=1)
-        limit = tuning * np.sqrt(m) * np.median(distance) / median
+        used = slice(None) if keep is None else np.asarray(keep, bool)
+        limit = tuning * np.sqrt(m) * np.median(distance[used]) / median
         new = np.minimum(1.0, limit / np.maximum(distance, 1e-30))
         if np.abs(new - weights).max() < 1e-3:
             break
@@ -43,6 +48,7 @@ def identify_robust(
             theta=fit.theta,
             shapes=fit.shapes,
             whitener=whitener * np.sqrt(weights)[:, None, None],
+            keep=keep,
             room=room,
         )
     return fit, weights

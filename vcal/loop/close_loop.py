@@ -4,50 +4,48 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from scipy.special import gammaincc
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
 from ..fit import Fit
-from ..identify import declared_whitener, identify
 from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from .candidates import LocalBump, Untestable, candidates
 from .closure import Closure, Errors, FoundEffect, Rejected, Verdict
+from .confounded import confounded
 from .heldout import check_rms, fit_rms, heldout_rms, improvement
 from .rivals import Rival, Weighed, refit_all, weigh
 from .screen import Peak, Screen, Screening, screen
-from .stray import Stray, stray_rows
+from .serial import Serial, gain_beside, persists, serial
+from .state import (
+    State,
+    at_declared,
+    at_noise_found,
+    chi2_per_dof,
+    fitted,
+    noise_scale,
+    rescored,
+    without,
+)
 from .unexplained import Unexplained, described, from_structure
 
 CERTAIN = 0.95
 """Posterior probability from which an effect is named rather than called ambiguous."""
 _PRACTICAL = 0.02
-"""Least fall of the held-out rms that counts where the fit is far worse than the noise: chance
-alignments with what is not modelled are then significant without being real."""
+"""Least fall of the held-out rms that counts where the fit is far worse than the noise, and what
+remains is no white noise: chance alignments with what is not modelled are then significant without
+being real."""
 _MARGIN = 30.0
 _CLOSE = 8.0
 """Candidates whose linear log evidence is further behind the best than `_MARGIN` are not refined,
 further than `_CLOSE` after that not refitted: their weight is below one in a thousand."""
 _REFITS = 10
+_MANY = 50.0
+"""Degrees of freedom from which a search is worth its name."""
 _ROOM = 16
 """Parameters that added effects may have before the solver must be compiled anew."""
-
-
-@dataclass(frozen=True)
-class _State:
-    """The model as far as the loop has come."""
-
-    model: Model
-    fit: Fit
-    """With the declared noise."""
-    scored: Fit
-    """With the covariance that clustered readings show, for tests and evidence; else the same."""
-    keep: np.ndarray
-    strays: list[Stray]
 
 
 # The loop is many products of small matrices: a second BLAS thread gains nothing on an idle machine
@@ -91,7 +89,7 @@ def close_loop(
     # Room for the effects to come, so that the solver is compiled once.
     room = len(model.entries) + _ROOM
     nominal = _nominal(model, measurement, room)
-    state = _fit(model, measurement, None, room)
+    state = fitted(model, measurement, None, room)
     before = state.fit
     run = _Run(check, classes, alpha, draws, seed, room, progress)
     interrupted = False
@@ -102,14 +100,14 @@ def close_loop(
                 break
             state = added
         if run.unexplained is None:
-            state = run.prune(state)
+            state, correlated = run.prune_correlated(run.prune(state))
             if learn:
                 progress("learning the sizes of the families")
                 learned = with_sizes(state.model, learned_sizes(state.fit))
-                state = _fit(learned, measurement, state.fit, room)
+                state = fitted(learned, measurement, state.fit, room)
             progress("describing what remains")
             run.unexplained = from_structure(
-                state.fit, _chi2_per_dof(state.fit), alpha, draws, seed + 1
+                state.fit, chi2_per_dof(state.fit), alpha, draws, seed + 1, correlated
             )
     except KeyboardInterrupt:
         interrupted = True
@@ -126,6 +124,8 @@ class _Added:
     weighed: Weighed
     p_value: float
     gain: float
+    trials: float
+    """Effective number of independent trials in which it was found."""
 
 
 class _Run:
@@ -141,7 +141,7 @@ class _Run:
         self.screenings: list[Screening] = []
         self.unexplained: Unexplained | None = None
 
-    def step(self, state: _State) -> _State | None:
+    def step(self, state: State) -> State | None:
         """One round: None where nothing (more) is to be added."""
         number = len(self.added) + 1
         fit, measurement = state.scored, state.fit.measurement
@@ -160,6 +160,9 @@ class _Run:
         worth = [p for p in screening.peaks if p_values[p.effect.name] <= self.alpha]
         peaks = _shortlist(screen_state, worth, screening.peaks)
         rivals = refit_all(fit, peaks, instances, state.keep, self.room)
+        if rivals and not state.as_declared:
+            fit = rescored(state, rivals[0].fit, self.room)
+            rivals = refit_all(fit, peaks, instances, state.keep, self.room)
         named = [r for r in rivals if r.effect.name != LocalBump.name]
         significant = [r for r in named if p_values[r.effect.name] <= self.alpha]
         bump = next((r for r in rivals if r.effect.name == LocalBump.name), None)
@@ -172,7 +175,7 @@ class _Run:
                 fit,
                 bump,
                 p_values[LocalBump.name],
-                _chi2_per_dof(state.fit),
+                chi2_per_dof(state.fit),
                 self.alpha,
                 self.draws,
                 self.seed + number,
@@ -181,9 +184,11 @@ class _Run:
                 self._reject(rival, p_values, "a local error describes the residual better")
             return None
         for rival in significant:
-            after = _at_declared(rival.fit, state, self.room)
+            after = at_declared(rival.fit, state, self.room)
             fall, error, share = improvement(state.fit, after)
-            needed = _PRACTICAL * max(0.0, 1.0 - 1.0 / max(_chi2_per_dof(after), 1e-9))
+            needed = 0.0
+            if state.noise is None or persists(after):
+                needed = _PRACTICAL * max(0.0, 1.0 - 1.0 / max(chi2_per_dof(after), 1e-9))
             if rival.log_bayes <= 0:
                 self._reject(rival, p_values, "its evidence does not pay for its parameters")
             elif fall <= error:
@@ -194,30 +199,48 @@ class _Run:
                 weighed = weigh(fit, rival, named)
                 p = p_values[rival.effect.name]
                 self.progress(f"round {number}: adding {rival.effect.key}")
-                refitted = _fit(rival.fit.model, measurement, after, self.room)
+                refitted = fitted(rival.fit.model, measurement, after, self.room)
                 # Last, so that an interruption leaves no effect without its fit.
-                self.added.append(_Added(rival.effect, weighed, p, share))
+                trials = screening.trials * next(
+                    kind.trials for kind in screening.kinds if kind.kind == rival.effect.name
+                )
+                self.added.append(_Added(rival.effect, weighed, p, share, trials))
                 return refitted
         return None
 
-    def prune(self, state: _State) -> _State:
+    def prune(self, state: State) -> State:
         """Try once to do without each added effect; the evidence decides."""
         for item in list(self.added[:-1]):
-            place = next(i for i, e in enumerate(state.model.effects) if e is item.effect)
-            without = _without(state, place, self.room)
+            less = without(state, _place(state, item), self.room)
             noise = math.sqrt(max(1.0, state.scored.chi2 / state.scored.dof))
-            if without.converged and without.log_evidence(noise) > state.scored.log_evidence(noise):
-                self.added.remove(item)
-                self.rejected.append(
-                    Rejected(
-                        item.effect.name,
-                        item.effect.placement,
-                        item.p_value,
-                        "superfluous after later effects",
-                    )
-                )
-                state = _fit(without.model, without.measurement, without, self.room)
+            if less.converged and less.log_evidence(noise) > state.scored.log_evidence(noise):
+                state = self._drop(item, less, "superfluous after later effects")
         return state
+
+    def prune_correlated(self, state: State) -> tuple[State, Serial | None]:
+        """Do without the added effects that noise correlated in time describes as well, the last
+        one first; and what is correlated at the end.
+
+        Where the noise is correlated, all that changes slowly fits a part of it. An effect stays if
+        its evidence beside such noise pays for the search: were there nothing, a Bayes factor
+        above b has a probability of less than 1/b (Ville's inequality).
+        """
+        for item in reversed(list(self.added)):
+            if serial(state.fit) is None:
+                break
+            gain = gain_beside(state.fit, _columns_of(state.fit, _place(state, item)))
+            if item.trials * math.exp(-min(gain, 700.0)) > self.alpha:
+                less = without(state, _place(state, item), self.room)
+                state = self._drop(item, less, "noise that is correlated in time describes it too")
+        found = serial(state.fit)
+        return state, found if found is not None and found.p_value <= self.alpha else None
+
+    def _drop(self, item: _Added, less: Fit, reason: str) -> State:
+        self.added.remove(item)
+        self.rejected.append(
+            Rejected(item.effect.name, item.effect.placement, item.p_value, reason)
+        )
+        return fitted(less.model, less.measurement, less, self.room)
 
     def _reject(self, rival: Rival, p_values: dict[str, float], reason: str) -> None:
         name, place = rival.effect.name, rival.effect.placement
@@ -250,11 +273,11 @@ class _Run:
 
 
 def _finish(
-    run: _Run, nominal: Fit, before: Fit, state: _State, settings: dict, interrupted: bool
+    run: _Run, nominal: Fit, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
     """The result of a search: the final fit with the noise found, and the errors on the way."""
-    noise = _noise_scale(state.fit)
-    after = _at_noise(state.fit, noise, run.room)
+    noise = noise_scale(state.fit)
+    after = at_noise_found(state, run.room)
     found = [run.finished(item, after) for item in run.added]
     verdict: Verdict | None = None if interrupted else "nothing_missing"
     if run.unexplained is not None:
@@ -282,9 +305,10 @@ def _finish(
         unseen=run.unseen,
         screenings=run.screenings,
         noise_scale=noise,
+        noise_components=() if state.noise is None else state.noise.parts,
         settings=settings,
         interrupted=interrupted,
-        notes=_notes(noise, state),
+        notes=_notes(noise, state, run),
     )
 
 
@@ -315,123 +339,55 @@ def _separation(weighed: Weighed) -> str:
     return f"vary {betrays} independently of what betrays {other}"
 
 
-def _fit(model: Model, measurement: Measurement, start: Fit | None, room: int) -> _State:
-    """Fit, leave out stray readings, and fit again with the covariance of clustered readings."""
-    plan, instrument = measurement.plan, model.instrument
-    folds, apart = instrument.folds(plan)
-    keep = np.where(apart & (folds >= 0), False, True) if apart else np.ones(plan.rows, bool)
-    options: dict = {"keep": keep, "room": room}
-    if start is not None:
-        options |= {"theta": start.theta, "shapes": start.shapes}
-    fit = identify(model, measurement, **options)
-    strays = stray_rows(fit)
-    options |= {"theta": fit.theta, "shapes": fit.shapes}
-    if strays:
-        keep = keep.copy()
-        keep[[s.row for s in strays]] = False
-        options["keep"] = keep
-        fit = identify(model, measurement, **options)
-    scored = fit
-    if instrument.clustered:
-        for _ in range(2):
-            scored = identify(model, measurement, whitener=estimated_whitener(scored), **options)
-    return _State(model, fit, scored, keep, strays)
-
-
-def _at_declared(fit: Fit, state: _State, room: int) -> Fit:
-    """The fit with the declared noise."""
-    if fit.model.instrument.clustered:
-        return identify(
-            fit.model,
-            fit.measurement,
-            theta=fit.theta,
-            shapes=fit.shapes,
-            keep=state.keep,
-            room=room,
-        )
-    return fit
-
-
-def estimated_whitener(fit: Fit) -> np.ndarray:
-    """W of every row from the covariance the readings of one row show in the residuals.
-
-    For instruments whose readings of one row share errors that are not modelled: S = sum r r' /
-    (rows - parameters per reading), not below the declared noise.
-    """
-    used = fit.used
-    rows, m = int(used.sum()), fit.residual.shape[1]
-    r = fit.residual[used]
-    covariance = r.T @ r / max(rows - len(fit.theta) / m, m + 1.0)
-    declared = np.linalg.inv(declared_whitener(fit.model, fit.measurement)[0])
-    covariance = covariance + 0.1 * declared @ declared.T
-    whitener = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    return np.broadcast_to(whitener, (len(used), m, m)).copy()
-
-
 def _nominal(model: Model, measurement: Measurement, room: int) -> Fit:
     nuisances = tuple(e for e in model.effects if e.kind == "nuisance" or e.where == "instrument")
     bare = Model(model.chain, model.instrument, (*nuisances, *model.random))
-    return _fit(bare, measurement, None, room).fit
+    return fitted(bare, measurement, None, room).fit
 
 
-def _without(state: _State, place: int, room: int) -> Fit:
-    fit = state.scored
-    sizes = [len(e.amplitudes) for e in state.model.effects]
-    first = sum(sizes[:place])
-    kept = np.r_[0:first, first + sizes[place] : sum(sizes)].astype(int)
-    shapes = {i - (i > place): shape for i, shape in fit.shapes.items() if i != place}
-    return identify(
-        state.model.without(place),
-        fit.measurement,
-        theta=fit.theta[kept],
-        shapes=shapes,
-        whitener=fit.whitener,
-        keep=state.keep,
-        room=room,
-    )
+def _place(state: State, item: _Added) -> int:
+    return next(i for i, e in enumerate(state.model.effects) if e is item.effect)
 
 
-def _chi2_per_dof(fit: Fit) -> float:
-    """chi2 per degree of freedom against the declared noise."""
-    whitener = declared_whitener(fit.model, fit.measurement)
-    residual = np.einsum("nij,nj->ni", whitener, fit.residual)[fit.used]
-    return float((residual**2).sum() / fit.dof)
-
-
-def _noise_scale(fit: Fit) -> float:
-    """Root of chi2/dof where that is not chance (p < 1e-3), else one."""
-    p = gammaincc(0.5 * fit.dof, 0.5 * fit.chi2)
-    ratio = math.sqrt(fit.chi2 / fit.dof)
-    return ratio if p < 1e-3 or p > 1.0 - 1e-3 else 1.0
-
-
-def _at_noise(fit: Fit, scale: float, room: int) -> Fit:
-    """The fit with the noise that was found instead of the one declared, where it is larger."""
-    if scale <= 1.0:
-        return fit
-    return identify(
-        fit.model,
-        fit.measurement,
-        theta=fit.theta,
-        shapes=fit.shapes,
-        whitener=fit.whitener / scale,
-        room=room,
-    )
+def _columns_of(fit: Fit, place: int) -> list[int]:
+    """Entries of theta that belong to the effect at that position."""
+    effects = fit.model.effects
+    start = sum(len(e.amplitudes) for e in effects[:place])
+    found = list(range(start, start + len(effects[place].amplitudes)))
+    moving = [i for i, e in enumerate(effects) for p in e.shapes if p.moves]
+    return found + [len(fit.model.entries) + k for k, i in enumerate(moving) if i == place]
 
 
 def errors(fit: Fit, check: CheckPoints | None) -> Errors:
     """How wrong a fitted model is, on all the data there are."""
     aligned, raw = (None, None) if check is None else check_rms(fit, check)
-    return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), _chi2_per_dof(fit))
+    return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), chi2_per_dof(fit))
 
 
-def _notes(noise: float, state: _State) -> list[str]:
+def _notes(noise: float, state: State, run: _Run) -> list[str]:
     notes = []
-    if noise != 1.0:
+    if state.noise is not None and state.noise.uneven:
+        each = ", ".join(
+            f"{part.name} {part.factor:.2f}" for part in state.noise.parts if part.u == part.u
+        )
+        notes.append(
+            f"the readings do not scatter alike, in parts of what is declared: {each}; tests and "
+            "uncertainties are with these, or what is declared where that is larger"
+        )
+    elif noise != 1.0:
         notes.append(
             f"the readings scatter {noise:.2f} times as much as declared; uncertainties "
             + ("are scaled accordingly" if noise > 1 else "are left as declared")
         )
+    if state.fit.dof < _MANY:
+        notes.append(
+            f"only {state.fit.dof:.0f} degrees of freedom are left beside what is declared: "
+            "effects that are not large go unseen"
+        )
+    betraying = [name for item in run.added for name in item.effect.betrayed_by]
+    if run.unexplained is not None:
+        betraying += run.unexplained.depends_on[:1]
+    notes += confounded(state.fit.measurement.plan, betraying)
     if not state.fit.converged:
         notes.append("the final fit did not converge: its numbers are not to be relied on")
     return notes

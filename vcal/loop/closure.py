@@ -9,6 +9,7 @@ from ..fit import Fit
 from ..instruments.conditions import file_column
 from ..measurement import CheckPoints
 from .candidates import Untestable
+from .components import Component
 from .heldout import Rms
 from .screen import Screening
 from .stray import Stray
@@ -83,6 +84,8 @@ class Closure:
     screenings: list[Screening] = field(repr=False)
     noise_scale: float
     """Root of chi2 per degree of freedom at the end, where it differs from one significantly."""
+    noise_components: tuple[Component, ...]
+    """Noise found of every kind of reading; empty where the readings of a row are clustered."""
     settings: Mapping[str, Any]
     interrupted: bool = False
     notes: list[str] = field(default_factory=list)

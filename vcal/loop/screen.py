@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.special import gammaincc, gammaln
+from scipy.special import betainc, betaln, gammaincc, gammaln
 
 from ..effects.base import Effect
 from ..fit import Fit
@@ -90,6 +90,22 @@ def minus_log_chi2_tail(x: np.ndarray, dof: np.ndarray | float) -> np.ndarray:
     return np.where(tail > 1e-290, -np.log(np.maximum(tail, 1e-300)), far)
 
 
+def minus_log_beta_tail(
+    share: np.ndarray | float, dof: float, rank: np.ndarray | float
+) -> np.ndarray:
+    """-ln of the probability that a share of the squares of `dof` normal numbers, that which lies
+    in a space of `rank` dimensions, exceeds `share`; without underflow. Zero where there are no
+    more numbers than dimensions.
+    """
+    share, b = np.broadcast_arrays(np.clip(share, 0.0, 1.0 - 1e-12), 0.5 * np.asarray(rank, float))
+    a = np.maximum(0.5 * dof - b, 1e-6)
+    tail = betainc(a, b, 1.0 - share)
+    # Leading term of the series where the tail underflows.
+    far = np.log(a) + betaln(a, b) - a * np.log1p(-share) - (b - 1.0) * np.log(share + 1e-300)
+    found = np.where(tail > 1e-290, -np.log(np.maximum(tail, 1e-300)), far)
+    return np.where(0.5 * dof > b, found, 0.0)
+
+
 class Screen:
     """The fit in the form in which candidates are tested against it."""
 
@@ -108,15 +124,24 @@ class Screen:
         self.whitening_flat = np.linalg.pinv(np.linalg.qr(fit.jacobian[:, self.flat], mode="r"))
         self.dof = fit.dof
         self.chi2 = fit.chi2
+        self.count = float(fit.used.sum() * m - self.flat.sum())
+        self.cost = self._cost(fit.chi2, float(fit.theta**2 @ fit.precision))
         used = np.repeat(fit.used, m)
         rng = np.random.default_rng(seed)
         noise = rng.standard_normal((n * m, draws)) * used[:, None]
         prior = rng.standard_normal((len(fit.theta), draws)) * np.sqrt(fit.precision)[:, None]
         moved = cho_solve(self.factor, fit.jacobian.T @ noise + prior)
         null = noise - fit.jacobian @ moved
-        self.null_chi2 = np.einsum("ij,ij->j", null, null)
+        beside = prior - fit.precision[:, None] * moved
+        self.null_cost = self._cost((null**2).sum(0), (beside**2).sum(0))
         self.null = null.reshape(n, m, draws).astype(np.float32)
         self._contracted: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    def _cost(self, chi2, prior):
+        """What a drop is a share of: squares of readings and of the prior, which counts as much as
+        the noise that was found, if not less than declared.
+        """
+        return chi2 + np.maximum(chi2 / self.dof, 1.0) * prior
 
     def contract(self, port: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residual (n), null residuals (n, draws) and Jacobian (n, k) seen through one port."""
@@ -263,16 +288,16 @@ class Screen:
             weights = root[rows].astype(np.float32)
             projected = np.einsum("gab,agd->bgd", weights, s_null[:, rows], optimize=True)
             largest = np.einsum("bgd,bgd->gd", projected, projected).max(0)
-            score = self.minus_log_p(largest, self.null_chi2, r)
+            score = self.minus_log_p(largest, self.null_cost, r)
             largest_null = np.maximum(largest_null, score)
         return stat, rank, bayes, amplitudes, largest_null
 
-    def minus_log_p(self, stat, chi2, rank) -> np.ndarray:
-        """-ln p of a drop `stat` of a cost `chi2`, studentised: -dof ln(1 - stat/chi2) against
-        chi-square. Noise declared too small or too large then changes nothing.
+    def minus_log_p(self, stat, cost, rank) -> np.ndarray:
+        """-ln p of a drop `stat` of a cost, studentised: of chance, its share is distributed as
+        Beta(rank/2, (n - rank)/2), with n readings less the parameters of flat prior. Noise
+        declared too small or too large then changes nothing.
         """
-        share = np.clip(stat / chi2, 0.0, 1.0 - 1e-12)
-        return minus_log_chi2_tail(-self.dof * np.log1p(-share), rank)
+        return minus_log_beta_tail(stat / cost, self.count, rank)
 
 
 def effect_grids(effect: Effect, fit: Fit) -> Mapping[str, np.ndarray]:
@@ -346,7 +371,7 @@ def screen(state: Screen, effects: Sequence[Effect], *, peaks: int = 5) -> Scree
     for kind, members in groups.items():
         kind_null = np.max([t.null for t in members], axis=0)
         trials = _trials(kind_null)
-        scores = [state.minus_log_p(t.stat, state.chi2, np.maximum(t.rank, 1)) for t in members]
+        scores = [state.minus_log_p(t.stat, state.cost, np.maximum(t.rank, 1)) for t in members]
         seen = zip(members, scores, strict=True)
         best = max(float(np.max(np.where(t.rank > 0, score, 0))) for t, score in seen)
         found = sorted(

@@ -1,17 +1,22 @@
 """Readings that do not belong: single rows far outside what all the others say."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import gammainccinv
+from scipy.stats import hypergeom
 
 from ..fit import Fit
 from .screen import minus_log_chi2_tail
+from .unexplained import bins, covariates
 
 _CHANCE = 1e-3
-"""Probability that any row of a clean measurement is suspected."""
-_MOST = 0.01
+"""Probability that any row of a clean measurement is suspected; that rows at random places gather
+as much as those that are taken for a structure."""
+_FEW = 3
+_MOST = 0.05
 """More suspected rows than this share are a structure, not stray readings."""
 
 
@@ -25,12 +30,25 @@ class Stray:
     p_value: float
 
 
-def stray_rows(fit: Fit) -> list[Stray]:
+def stray_rows(fit: Fit, robust: Callable[[], tuple[Fit, np.ndarray]]) -> list[Stray]:
     """Rows whose own residual has a probability below 1e-3 / rows, given the robust scale of all.
 
-    The residual of a row is taken with the covariance it has in the fit, I - J_i H^-1 J_i'. Returns
-    nothing where more than 1 % of the rows stand out: that is something systematic.
+    Where there are more than three, they are looked for in a fit that they cannot pull away: that
+    and its weights are what `robust` gives (`vcal.robust`). Returns nothing where more than 5 % of
+    the rows stand out, or where those that do are neighbours along anything that is recorded: that
+    is something systematic.
     """
+    found = _outstanding(fit, np.ones(len(fit.used)))
+    if len(found) <= _FEW:
+        return found
+    found = _outstanding(*robust())
+    rows = np.flatnonzero(fit.used)
+    few = len(found) <= max(_FEW, _MOST * len(rows))
+    return found if few and not _gathered(fit, rows, [s.row for s in found]) else []
+
+
+def _outstanding(fit: Fit, weights: np.ndarray) -> list[Stray]:
+    """Rows too far out, by residuals with the covariance I - J_i H^-1 J_i' of the fit."""
     n, m = fit.residual.shape
     jacobian = fit.jacobian.reshape(n, m, -1)
     whitened = fit.whitened.reshape(n, m)
@@ -41,12 +59,24 @@ def stray_rows(fit: Fit) -> list[Stray]:
         "ni,ni->n", whitened[rows], np.linalg.solve(own[rows], whitened[rows, :, None])[:, :, 0]
     )
     median = 2.0 * gammainccinv(0.5 * m, 0.5)
+    distance = distance / weights[rows]
     scaled = distance / max(np.median(distance) / median, 1e-30)
     minus_log_p = minus_log_chi2_tail(scaled, m)
     found = np.flatnonzero(minus_log_p > -np.log(_CHANCE / len(rows)))
-    if len(found) > max(3, _MOST * len(rows)):
-        return []
     return [
         Stray(int(rows[i]), float(np.sqrt(scaled[i])), float(np.exp(-minus_log_p[i])))
         for i in found
     ]
+
+
+def _gathered(fit: Fit, rows: np.ndarray, found: Sequence[int]) -> bool:
+    """Whether more of them share a bin of some covariate than rows at random would."""
+    among = np.isin(rows, found)
+    least, tried = 1.0, 0
+    for x in covariates(fit).values():
+        index = bins(x[rows])
+        size = np.bincount(index)
+        inside = np.bincount(index[among], minlength=len(size))
+        p = hypergeom.sf(inside - 1, len(rows), size, len(found))
+        least, tried = min(least, float(p.min())), tried + len(size)
+    return least * tried < _CHANCE

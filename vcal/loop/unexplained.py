@@ -11,11 +11,16 @@ from scipy.special import gammaincc
 from ..fit import Fit
 from .rivals import Rival
 from .screen import Screen
+from .serial import Serial
 
 _BINS = 10
 _CLEARLY = 1.2
 """What a covariate must describe of the variance, over what a local bump does, to be told first:
 the bump says where."""
+_SPREAD = 25.0
+"""chi2 per degree of freedom, against the declared noise, from which something must be missing even
+if nothing that is recorded tells it; noise that is declared too small is no such thing.
+"""
 _SHOWN = 3
 """Products of two covariates that are told."""
 
@@ -183,7 +188,7 @@ def _by_share(table: np.ndarray) -> list[tuple[int, float]]:
     if not len(table):
         return []
     expected = table[:, 1:].mean(1)
-    corrected = np.maximum((table[:, 0] - expected) / (1.0 - expected), 0.0)
+    corrected = np.maximum((table[:, 0] - expected) / np.maximum(1.0 - expected, 1e-9), 0.0)
     return [(int(i), float(corrected[i])) for i in np.argsort(-corrected)]
 
 
@@ -256,17 +261,25 @@ def _from_bump(fit: Fit, bump: Rival, p_value: float, told: Dependence) -> Unexp
 
 
 def from_structure(
-    fit: Fit, chi2_per_dof: float, alpha: float, draws: int, seed: int
+    fit: Fit,
+    chi2_per_dof: float,
+    alpha: float,
+    draws: int,
+    seed: int,
+    correlated: Serial | None = None,
 ) -> Unexplained | None:
-    """The description where the residual depends on covariates, or is far larger than declared."""
-    return _from_dependence(fit, dependence(fit, draws, seed), chi2_per_dof, alpha)
+    """The description where the residual depends on covariates, is correlated in time, or is far
+    larger than declared.
+    """
+    told = dependence(fit, draws, seed)
+    return _from_dependence(fit, told, chi2_per_dof, alpha, correlated)
 
 
 def _from_dependence(
-    fit: Fit, told: Dependence, chi2_per_dof: float, alpha: float
+    fit: Fit, told: Dependence, chi2_per_dof: float, alpha: float, correlated: Serial | None = None
 ) -> Unexplained | None:
-    spread = chi2_per_dof > 4.0
-    if told.p_value > alpha and not spread:
+    spread = chi2_per_dof > _SPREAD
+    if told.p_value > alpha and not spread and correlated is None:
         return None
     shares = dict(told.single)
     if told.joint:
@@ -274,11 +287,19 @@ def _from_dependence(
         first, second, _ = told.products[0]
         ahead = {name: shares.get(name, 0.0) for name in (first, second)}
         shares = ahead | {name: s for name, s in shares.items() if name not in ahead}
+    if correlated is not None and not shares and fit.measurement.plan.has("t"):
+        shares = {"t": 0.0}
     best = max([*shares.values(), *(share for *_, share in told.products)], default=0.0)
     vectors = displacements(fit)[fit.used]
     excess = max(1.0 - 1.0 / chi2_per_dof, 0.0)
     size = math.sqrt((vectors**2).sum(1).mean() * (excess if spread else best))
-    if spread and best < 0.1:
+    if correlated is not None:
+        reason = (
+            f"readings that follow each other are alike: {100 * correlated.share:.0f} % of the "
+            f"scatter persists over some {correlated.length:.0f} readings, as noise that is "
+            "correlated in time does, or a drift that no effect of the catalogue has"
+        )
+    elif spread and best < 0.1:
         reason = (
             "the residual is far larger than the declared noise, and no single covariate "
             "describes a tenth of it: spread"

@@ -88,6 +88,11 @@ def page(
         information=_information(closure),
         linear=set(study.chain.axes) <= set("XYZ"),
         noise_scale=text.number(closure.noise_scale, 3),
+        noise_components=[
+            {"name": part.name, "factor": text.number(part.factor), "u": text.number(part.u, 2)}
+            for part in closure.noise_components
+            if not math.isnan(part.u)
+        ],
         noise_as_declared=closure.noise_scale == 1.0,
         noise_larger=closure.noise_scale > 1.0,
         clustered=after.model.instrument.clustered,

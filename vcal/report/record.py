@@ -42,6 +42,10 @@ def record(
         "unexplained": _unexplained(closure.unexplained, plan),
         "variance": closure.variance,
         "noise_scale": closure.noise_scale,
+        "noise_components": [
+            {"reading": part.name, "factor": part.factor, "u": part.u}
+            for part in closure.noise_components
+        ],
         "suspected_readings": [
             {"row": stray.row + 1, "distance": stray.distance, "p_value": stray.p_value}
             for stray in closure.suspected

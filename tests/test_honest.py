@@ -1,0 +1,215 @@
+"""What must not fool the loop: noise that is not as declared, stray readings, too few readings."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
+from scipy.stats import f as fisher
+
+from known import Known
+from oracle import make_case, write_study
+from vcal import Measurement, close_loop, load_study
+from vcal.identify import declared_covariances, identify
+from vcal.loop.components import components
+from vcal.loop.confounded import confounded
+from vcal.loop.screen import minus_log_beta_tail
+from vcal.loop.serial import serial
+from vcal.loop.stray import stray_rows
+
+FACTORS = np.array([1.0, 0.7, 2.5])
+
+
+@pytest.fixture(scope="module")
+def tracker(tmp_path_factory) -> Known:
+    return Known("laser_tracker", tmp_path_factory.mktemp("tracker"))
+
+
+def with_noise(it: Known, noise: np.ndarray, *effects) -> Measurement:
+    """What the true machine gives, with noise in parts of what is declared."""
+    sigma = it.instrument.noise(it.plan, it.measurement.readings)
+    return Measurement(it.plan, it.readings(*effects) + noise * sigma)
+
+
+def white(it: Known, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(it.measurement.readings.shape)
+
+
+def persisting(it: Known, seed: int, phi: float) -> np.ndarray:
+    """Noise of variance one that fades by phi from reading to reading."""
+    noise = white(it, seed)
+    for i in range(1, len(noise)):
+        noise[i] = phi * noise[i - 1] + np.sqrt(1.0 - phi**2) * noise[i]
+    return noise
+
+
+def closed(it: Known, measurement: Measurement, **options):
+    return close_loop(it.model, measurement, **({"draws": 200} | options))
+
+
+def dense(fit, covariance: np.ndarray, columns=slice(None)) -> float:
+    """ln p of all readings at once with the covariance (n m, n m), parameters integrated out, but
+    for what is the same for all covariances.
+    """
+    lower = np.linalg.cholesky(covariance)
+    n, m = fit.residual.shape
+    back = np.linalg.inv(fit.whitener)
+    J = np.einsum("nij,njk->nik", back, fit.jacobian.reshape(n, m, -1)).reshape(n * m, -1)
+    y = fit.residual.ravel() + J @ fit.theta
+    J, y = (solve_triangular(lower, x, lower=True) for x in (J[:, columns], y))
+    H = J.T @ J + np.diag(fit.precision[columns])
+    cost = y @ y - (J.T @ y) @ np.linalg.solve(H, J.T @ y)
+    return -np.log(np.diag(lower)).sum() - 0.5 * np.linalg.slogdet(H)[1] - 0.5 * cost
+
+
+# --- variance components ---------------------------------------------------------------------
+
+
+def test_components_maximise_the_likelihood_of_all_readings(tracker):
+    """Against scipy on the dense covariance of all readings together."""
+    fit = identify(tracker.model, with_noise(tracker, FACTORS * white(tracker, 1)))
+    found = components(fit)
+    parts = np.array([v for _, v in declared_covariances(fit.model, fit.measurement)])
+    variances = np.einsum("cnii->cni", parts).reshape(3, -1)
+
+    def cost(log_factors):
+        return -dense(fit, np.diag(np.exp(2.0 * log_factors) @ variances))
+
+    best = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"xatol": 1e-4, "fatol": 1e-6})
+    assert best.success
+    np.testing.assert_allclose([p.factor for p in found.parts], np.exp(best.x), rtol=2e-3)
+
+
+def test_components_are_told_with_their_uncertainty(tracker):
+    even = uneven = 0
+    pulls = []
+    for seed in range(12):
+        noise = white(tracker, 100 + seed)
+        found = components(identify(tracker.model, with_noise(tracker, FACTORS * noise)))
+        pulls += [(p.factor - f) / p.u for p, f in zip(found.parts, FACTORS, strict=True)]
+        uneven += found.uneven
+        even += not components(identify(tracker.model, with_noise(tracker, 1.5 * noise))).uneven
+    assert (uneven, even) == (12, 12)
+    assert 0.6 < np.std(pulls) < 1.4 and abs(np.mean(pulls)) < 0.5
+
+
+def test_one_kind_of_reading_noisier_than_declared(tracker):
+    """Nothing is named, the kind is told, and the estimate gains from knowing it."""
+    measurement = with_noise(tracker, np.array([1.0, 1.0, 5.0]) * white(tracker, 7))
+    closure = closed(tracker, measurement, check=tracker.study.check)
+    assert (closure.verdict, closure.effects) == ("nothing_missing", [])
+    factors = {part.name: part.factor for part in closure.noise_components}
+    assert factors["elevation"] == pytest.approx(5.0, rel=0.2)
+    assert factors["range"] == pytest.approx(1.0, rel=0.2)
+    assert any("elevation" in note for note in closure.notes)
+    assert closure.errors["after"].check.value < closure.errors["before"].check.value
+
+
+# --- readings that follow each other -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("phi", [0.6, 0.95])
+def test_correlated_noise_is_measured(tracker, phi):
+    """Against the dense likelihood: no point beside the one found is clearly better."""
+    noise = (white(tracker, 3) + persisting(tracker, 4, phi)) / np.sqrt(2.0)
+    fit = identify(tracker.model, with_noise(tracker, noise))
+    found = serial(fit)
+    assert found is not None and found.p_value < 1e-6
+    assert found.share > 0.2
+    n, m = fit.residual.shape
+    sigma = 1.0 / np.einsum("nii->ni", fit.whitener).ravel()
+    steps = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+
+    def likelihood(phi, share):
+        rows = share * phi**steps + (1.0 - share) * np.eye(n)
+        unit = np.kron(rows, np.eye(m)) * np.outer(sigma, sigma)
+        return max(dense(fit, s * unit) for s in np.geomspace(0.5, 20.0, 40))
+
+    here, whiteness = likelihood(found.phi, found.share), likelihood(0.5, 0.0)
+    assert here - whiteness == pytest.approx(found.log_bayes + np.log(63), abs=4.0)
+    assert here > likelihood(0.99, 0.2) and here > likelihood(0.3, 0.9)
+
+
+def test_white_noise_is_not_correlated(tracker):
+    measured = [with_noise(tracker, white(tracker, 50 + seed)) for seed in range(10)]
+    assert sum(serial(identify(tracker.model, m)) is not None for m in measured) <= 1
+
+
+def test_correlated_noise_gets_no_name(tracker):
+    """Half of the noise drifts: nothing is named; what is there is found beside it."""
+    noise = white(tracker, 8) + 1.5 * persisting(tracker, 9, 0.9)
+    closure = closed(tracker, with_noise(tracker, noise))
+    assert (closure.verdict, closure.effects) == ("unexplained", [])
+    assert "follow each other" in closure.unexplained.reason
+    beside = closed(tracker, with_noise(tracker, noise, tracker.effect("backlash:Y:size_um=25")))
+    assert [e.effect.key for e in beside.effects] == ["backlash Y"]
+    assert "follow each other" in beside.unexplained.reason
+
+
+# --- stray readings ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [0, 25])
+def test_two_percent_of_stray_readings(tracker, size):
+    rng = np.random.default_rng(size)
+    noise = white(tracker, 11)
+    n, m = noise.shape
+    rows = np.sort(rng.choice(n, max(4, round(0.02 * n)), replace=False))
+    noise[rows, rng.integers(m, size=len(rows))] += rng.choice([-1, 1], len(rows)) * rng.uniform(
+        10, 40, len(rows)
+    )
+    effects = [tracker.effect(f"backlash:Y:size_um={size}")] if size else []
+    closure = closed(tracker, with_noise(tracker, noise, *effects))
+    assert [e.effect.key for e in closure.effects] == (["backlash Y"] if size else [])
+    assert closure.verdict == ("named" if size else "nothing_missing")
+    assert set(rows) <= {stray.row for stray in closure.suspected}
+    assert len(closure.suspected) <= len(rows) + 1
+
+
+def test_a_local_error_is_no_stray_reading(tracker):
+    """Rows that stand out and are neighbours along an axis stay in."""
+    x, y = tracker.plan.x("X"), tracker.plan.x("Y")
+    near = np.flatnonzero((x > np.quantile(x, 0.7)) & (y > np.quantile(y, 0.7)))
+    assert 4 < len(near) < 12
+    noise = white(tracker, 12)
+    noise[near, 2] += 25.0
+    fit = identify(tracker.model, with_noise(tracker, noise))
+    assert set(near) & {s.row for s in stray_rows(fit, lambda: (fit, np.ones(len(x))))} == set()
+
+
+# --- few readings, and covariates that went together ---------------------------------------------
+
+
+def test_a_share_of_few_squares_against_f():
+    """Share s of a space of r among n dimensions: s / r over (1 - s) / (n - r) is F."""
+    for n, r, s in ((7.0, 2, 0.9), (20, 3, 0.5), (1800, 6, 0.33), (1800, 1, 0.3)):
+        expected = -fisher.logsf(s / r / ((1 - s) / (n - r)), r, n - r)
+        assert float(minus_log_beta_tail(s, n, r)) == pytest.approx(expected, rel=1e-10)
+    # Across the point where the probability underflows.
+    steps = np.diff(minus_log_beta_tail(np.linspace(0.5, 0.55, 40), 1800, 2))
+    assert steps.min() > 0.0 and np.ptp(steps) < 0.2 * steps.mean()
+    assert float(minus_log_beta_tail(0.9, 2.0, 3)) == 0.0
+
+
+@pytest.mark.parametrize("shape", [(2, 2, 1), (2, 2, 2)])
+def test_too_few_readings(shape, tmp_path):
+    true = {"effect": "backlash", "axis": "Y", "size_um": 20}
+    plan = {"shape": shape, "passes": 1}
+    folder = write_study(tmp_path, make_case("laser_tracker", seed=2, effects=[true], plan=plan))
+    study = load_study(folder / "setup.toml")
+    closure = close_loop(study.model, study.measurement, draws=200)
+    assert closure.effects == []
+    assert any("degrees of freedom" in note for note in closure.notes)
+
+
+def test_conditions_that_went_together(tracker):
+    plan = tracker.plan
+    t = np.asarray(plan.covariate("t"))
+    drifting = dataclasses.replace(plan, covariates={**plan.covariates, "T_Y": 20.0 + 1e-3 * t})
+    (said,) = confounded(drifting, ["T_Y", "t"])
+    assert "T_y_degC" in said and "t_s" in said and "vary" in said
+    swinging = {**plan.covariates, **{n: 20.0 + np.sin(t / t.max() * 20.0 + k)
+                                      for k, n in enumerate(("T_X", "T_Y", "T_Z"))}}  # fmt: skip
+    assert confounded(dataclasses.replace(plan, covariates=swinging), ["T_Y"]) == []
+    assert confounded(plan, ["dir_Y"]) == []

@@ -1,0 +1,45 @@
+"""Covariates that went together, so that no reading tells which of them mattered."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..instruments.conditions import file_column
+from ..plan import Plan
+
+_TOGETHER = 0.95
+"""Least correlation of covariates that count as one."""
+
+
+def confounded(plan: Plan, names: Iterable[str]) -> list[str]:
+    """Sentences on what went together with any of `names`: time, temperatures, sequence."""
+    conditions = {
+        name: np.asarray(x, float)
+        for name, x in plan.covariates.items()
+        if name == "t" or name.startswith("T_")
+    }
+    conditions |= {
+        name: np.asarray(plan.groups[name], float)
+        for name in ("run", "pose")
+        if name in plan.groups
+    }
+    conditions = {n: x for n, x in conditions.items() if np.isfinite(x).all() and np.ptp(x) > 0.0}
+    found, told = [], set()
+    for name in names:
+        if name not in conditions or name in told:
+            continue
+        linked = {
+            other: abs(float(np.corrcoef(conditions[name], x)[0, 1]))
+            for other, x in conditions.items()
+            if other != name
+        }
+        linked = {other: r for other, r in linked.items() if r >= _TOGETHER}
+        told |= {name, *linked}
+        if linked:
+            columns = [file_column(n, plan.axes)[0] for n in (name, *linked)]
+            found.append(
+                f"{', '.join(columns[:-1])} and {columns[-1]} went together (correlation "
+                f"{min(linked.values()):.2f} or more): what depends on one of them looks as if it "
+                "depended on the others; vary them independently to tell"
+            )
+    return found

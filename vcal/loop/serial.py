@@ -1,0 +1,166 @@
+"""Readings that follow each other and are alike: noise that is correlated in time.
+
+A part s of the noise's variance persists, with the correlation phi from one row to the next; the
+rest is white. Both together are an ARMA(1, 1) process,
+
+    y_i - phi y_(i-1) = e_i - psi e_(i-1),
+
+psi / (1 + psi^2) = phi (1 - s) / (s (1 - phi^2) + (1 - s) (1 + phi^2)), var e = phi (1 - s) / psi,
+
+whose filter makes it white (Box, Jenkins, Reinsel 2008, ch. 3). The linearised fit is done again
+with the filtered readings; phi and s by its marginal likelihood over a grid.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.signal import lfilter
+from scipy.special import gammaincc
+
+from ..fit import Fit
+
+_PHI = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
+_SHARE = (0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 0.97)
+_COARSE = tuple((phi, s) for phi in (0.5, 0.8, 0.95, 0.99) for s in (0.2, 0.5, 0.9))
+_SUSPICIOUS = 3.0
+"""Lag-one correlation, in its standard deviations by chance, from which the grid is looked at."""
+_BREAKS = ("run", "pose")
+"""Groups between which nothing persists."""
+
+
+@dataclass(frozen=True)
+class Serial:
+    """Correlated noise."""
+
+    phi: float
+    """Correlation from row to row of what persists."""
+    share: float
+    """Of the variance that persists."""
+    p_value: float
+    """Of a gain as large as this by chance."""
+    log_bayes: float
+    """Gain in log evidence over white noise."""
+
+    @property
+    def length(self) -> float:
+        """Rows after which the correlation has fallen by e."""
+        return float(-1.0 / np.log(self.phi))
+
+
+def serial(fit: Fit) -> Serial | None:
+    """The correlated noise that describes the residual best; None where it does not look so."""
+    if not persists(fit):
+        return None
+    data = _Sequence.of(fit)
+    white, every = data.likelihood(), np.ones(len(fit.theta), bool)
+    found = [(data.likelihood(every, phi, s), phi, s) for phi in _PHI for s in _SHARE]
+    best, phi, share = max(found)
+    gain = best - white
+    p_value = float(gammaincc(1.0, max(gain, 0.0)))
+    return Serial(phi, share, p_value, float(gain - np.log(len(found))))
+
+
+def persists(fit: Fit) -> bool:
+    """Whether readings that follow each other are alike, at first sight."""
+    return _Sequence.of(fit).suspicion >= _SUSPICIOUS
+
+
+def gain_beside(fit: Fit, columns: Sequence[int]) -> float:
+    """What some parameters are worth where the noise may be correlated: gain in log evidence of the
+    fit with them over that without, both with the noise that suits them best, white or not.
+    """
+    data = _Sequence.of(fit)
+    every = np.ones(len(fit.theta), bool)
+    left = every.copy()
+    left[list(columns)] = False
+    best = [
+        max(data.likelihood(kept, *point) for point in ((0.0, 0.0), *_COARSE))
+        for kept in (every, left)
+    ]
+    return best[0] - best[1]
+
+
+@dataclass(frozen=True)
+class _Sequence:
+    """The linearised fit in the order of the readings, in pieces between which nothing persists."""
+
+    pieces: list[slice]
+    residual: np.ndarray
+    """Whitened (n, m), of the rows that were used."""
+    jacobian: np.ndarray
+    """(n, m, k)."""
+    theta: np.ndarray
+    precision: np.ndarray
+
+    @classmethod
+    def of(cls, fit: Fit) -> "_Sequence":
+        used = fit.used
+        n, m = fit.residual.shape
+        groups = fit.measurement.plan.groups
+        marks = [np.asarray(groups[name])[used] for name in _BREAKS if name in groups]
+        breaks = np.zeros(int(used.sum()) - 1, bool)
+        for mark in marks:
+            breaks |= np.diff(mark) != 0
+        ends = [0, *(np.flatnonzero(breaks) + 1), int(used.sum())]
+        return cls(
+            [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)],
+            fit.whitened.reshape(n, m)[used],
+            fit.jacobian.reshape(n, m, -1)[used],
+            fit.theta,
+            fit.precision,
+        )
+
+    @property
+    def suspicion(self) -> float:
+        """Lag-one correlation over its standard deviation by chance."""
+        products = [self.residual[p][1:] * self.residual[p][:-1] for p in self.pieces]
+        count = sum(part.size for part in products)
+        if not count:
+            return 0.0
+        return float(sum(part.sum() for part in products) / count**0.5 / np.mean(self.residual**2))
+
+    def likelihood(
+        self, kept: np.ndarray | None = None, phi: float = 0.0, share: float = 0.0
+    ) -> float:
+        """ln p(readings) with the noise's scale at its best, up to a constant."""
+        kept = np.ones(len(self.theta), bool) if kept is None else kept
+        # What is left out is taken out of the residual too.
+        residual = self.residual + self.jacobian[:, :, ~kept] @ self.theta[~kept]
+        both = np.concatenate([residual[:, :, None], self.jacobian[:, :, kept]], axis=2)
+        spread = 1.0
+        if share > 0.0:
+            q = (share * (1.0 - phi**2) + (1.0 - share) * (1.0 + phi**2)) / (phi * (1.0 - share))
+            psi = 0.5 * (q - np.sqrt(q * q - 4.0))
+            spread = phi * (1.0 - share) / psi
+            parts = []
+            for piece in self.pieces:
+                part = np.array(lfilter([1.0, -phi], [1.0, -psi], both[piece], axis=0))
+                # The first of a piece has no past: all of its variance is its own.
+                part[0] = both[piece.start] * np.sqrt(spread)
+                parts.append(part)
+            both = np.concatenate(parts)
+        flat = both.reshape(-1, both.shape[2])
+        r, jacobian = flat[:, 0], flat[:, 1:]
+        theta, precision = self.theta[kept], self.precision[kept]
+        square, cross, own = jacobian.T @ jacobian, jacobian.T @ r, float(r @ r)
+        n = len(r)
+        scale = spread
+        for _ in range(3):
+            factor = cho_factor(square / scale + np.diag(precision))
+            pull = cross / scale - precision * theta
+            delta = cho_solve(factor, pull)
+            rest = own - 2.0 * cross @ delta + delta @ square @ delta
+            inverse = cho_solve(factor, square / scale)
+            scale = max(rest, 1e-300) / max(n - np.trace(inverse), 1.0)
+        factor = cho_factor(square / scale + np.diag(precision))
+        delta = cho_solve(factor, cross / scale - precision * theta)
+        rest = own - 2.0 * cross @ delta + delta @ square @ delta
+        proper = precision > 0
+        return float(
+            -0.5 * (rest / scale + (theta + delta) ** 2 @ precision)
+            - 0.5 * n * np.log(scale)
+            - np.log(np.diag(factor[0])).sum()
+            + 0.5 * np.log(precision[proper]).sum()
+        )

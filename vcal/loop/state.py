@@ -1,0 +1,170 @@
+"""How far the loop has come: the model, its fits, and what they say of the noise."""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.special import gammaincc
+
+from ..fit import Fit
+from ..identify import declared_whitener, identify
+from ..measurement import Measurement
+from ..model import Model
+from ..robust import identify_robust
+from .components import Components, components
+from .stray import Stray, stray_rows
+
+_SEARCHES = 4
+"""Stray readings hide others: how often they are looked for anew without those found."""
+
+
+@dataclass(frozen=True)
+class State:
+    """The model as far as the loop has come."""
+
+    model: Model
+    fit: Fit
+    """With the declared noise."""
+    scored: Fit
+    """With the noise that the readings show, for tests and evidence, where it differs from the
+    declared one in more than its size: the covariance of clustered readings, variance components
+    that are not alike; else the same."""
+    keep: np.ndarray
+    strays: list[Stray]
+    noise: Components | None
+    """None for clustered readings."""
+
+    @property
+    def as_declared(self) -> bool:
+        """Whether tests and evidence are with the declared noise."""
+        return self.scored is self.fit
+
+
+def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int) -> State:
+    """Fit, leave out stray readings, and fit again with the noise that the readings show."""
+    plan, instrument = measurement.plan, model.instrument
+    folds, apart = instrument.folds(plan)
+    keep = np.where(apart & (folds >= 0), False, True) if apart else np.ones(plan.rows, bool)
+    options: dict = {"keep": keep, "room": room}
+    if start is not None:
+        options |= {"theta": start.theta, "shapes": start.shapes}
+    fit = identify(model, measurement, **options)
+    strays: list[Stray] = []
+    for _ in range(_SEARCHES):
+        options |= {"theta": fit.theta, "shapes": fit.shapes}
+        found = stray_rows(fit, partial(identify_robust, model, measurement, **options))
+        if not found:
+            break
+        strays += found
+        options["keep"] = keep = keep.copy()
+        keep[[s.row for s in found]] = False
+        fit = identify(model, measurement, **options)
+    scored, noise = fit, None
+    if instrument.clustered:
+        for _ in range(2):
+            scored = identify(model, measurement, whitener=_clustered_whitener(scored), **options)
+    else:
+        noise = components(fit)
+        if noise.uneven:
+            scored = identify(model, measurement, whitener=noise.whitener, **options)
+    return State(model, fit, scored, keep, sorted(strays, key=lambda s: s.row), noise)
+
+
+def at_declared(fit: Fit, state: State, room: int) -> Fit:
+    """A fit of tests and evidence, with the declared noise."""
+    if state.as_declared:
+        return fit
+    return identify(
+        fit.model,
+        fit.measurement,
+        theta=fit.theta,
+        shapes=fit.shapes,
+        keep=state.keep,
+        room=room,
+    )
+
+
+def rescored(state: State, best: Fit, room: int) -> Fit:
+    """The state's fit for tests and evidence, with the noise that a better model leaves: what is
+    missing makes components uneven, and must not count as noise where rivals are weighed.
+    """
+    if state.as_declared or state.noise is None:
+        return state.scored
+    return identify(
+        state.model,
+        best.measurement,
+        theta=state.scored.theta,
+        shapes=state.scored.shapes,
+        whitener=components(best).whitener,
+        keep=state.keep,
+        room=room,
+    )
+
+
+def without(state: State, place: int, room: int) -> Fit:
+    """The fit for tests and evidence without the effect at that position."""
+    fit = state.scored
+    sizes = [len(e.amplitudes) for e in state.model.effects]
+    first = sum(sizes[:place])
+    kept = np.r_[0:first, first + sizes[place] : sum(sizes)].astype(int)
+    shapes = {i - (i > place): shape for i, shape in fit.shapes.items() if i != place}
+    return identify(
+        state.model.without(place),
+        fit.measurement,
+        theta=fit.theta[kept],
+        shapes=shapes,
+        whitener=fit.whitener,
+        keep=state.keep,
+        room=room,
+    )
+
+
+def _clustered_whitener(fit: Fit) -> np.ndarray:
+    """W of every row from the covariance the readings of one row show in the residuals.
+
+    For instruments whose readings of one row share errors that are not modelled: S = sum r r' /
+    (rows - parameters per reading), not below the declared noise.
+    """
+    used = fit.used
+    rows, m = int(used.sum()), fit.residual.shape[1]
+    r = fit.residual[used]
+    covariance = r.T @ r / max(rows - len(fit.theta) / m, m + 1.0)
+    declared = np.linalg.inv(declared_whitener(fit.model, fit.measurement)[0])
+    covariance = covariance + 0.1 * declared @ declared.T
+    whitener = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    return np.broadcast_to(whitener, (len(used), m, m)).copy()
+
+
+def chi2_per_dof(fit: Fit) -> float:
+    """chi2 per degree of freedom against the declared noise."""
+    whitener = declared_whitener(fit.model, fit.measurement)
+    residual = np.einsum("nij,nj->ni", whitener, fit.residual)[fit.used]
+    return float((residual**2).sum() / fit.dof)
+
+
+def noise_scale(fit: Fit) -> float:
+    """Root of chi2/dof where that is not chance (p < 1e-3), else one."""
+    p = gammaincc(0.5 * fit.dof, 0.5 * fit.chi2)
+    ratio = math.sqrt(fit.chi2 / fit.dof)
+    return ratio if p < 1e-3 or p > 1.0 - 1e-3 else 1.0
+
+
+def at_noise_found(state: State, room: int) -> Fit:
+    """The fit with the noise that was found instead of the one declared, where it is larger."""
+    fit, scale = state.fit, noise_scale(state.fit)
+    if state.noise is not None and state.noise.uneven:
+        whitener = state.noise.whitener_at_least_declared
+    elif scale > 1.0:
+        whitener = fit.whitener / scale
+    else:
+        return fit
+    return identify(
+        fit.model,
+        fit.measurement,
+        theta=fit.theta,
+        shapes=fit.shapes,
+        whitener=whitener,
+        keep=state.keep,
+        room=room,
+    )
