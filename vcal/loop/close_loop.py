@@ -107,7 +107,7 @@ def close_loop(
                 state = fitted(learned, measurement, state.fit, room)
             progress("describing what remains")
             run.unexplained = from_structure(
-                state.fit, chi2_per_dof(state.fit), alpha, draws, seed + 1, correlated
+                state.remaining, chi2_per_dof(state.fit), alpha, draws, seed + 1, correlated
             )
     except KeyboardInterrupt:
         interrupted = True
@@ -226,13 +226,14 @@ class _Run:
         above b has a probability of less than 1/b (Ville's inequality).
         """
         for item in reversed(list(self.added)):
-            if serial(state.fit) is None:
+            fit = state.remaining
+            if serial(fit) is None:
                 break
-            gain = gain_beside(state.fit, _columns_of(state.fit, _place(state, item)))
+            gain = gain_beside(fit, _columns_of(fit, _place(state, item)))
             if item.trials * math.exp(-min(gain, 700.0)) > self.alpha:
                 less = without(state, _place(state, item), self.room)
                 state = self._drop(item, less, "noise that is correlated in time describes it too")
-        found = serial(state.fit)
+        found = serial(state.remaining)
         return state, found if found is not None and found.p_value <= self.alpha else None
 
     def _drop(self, item: _Added, less: Fit, reason: str) -> State:

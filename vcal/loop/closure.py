@@ -96,6 +96,7 @@ class Closure:
         take of it, what the empirical description would, the declared noise, and the rest.
         """
         before, after = (self.errors[name].chi2_per_dof for name in ("before", "after"))
+        before = max(before, after)  # with other weights, the declared chi2 is not at its minimum
         noise = min(1.0, after)
         what, described = self.unexplained, 0.0
         if what is not None and what.bump is not None:

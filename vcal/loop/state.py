@@ -40,6 +40,13 @@ class State:
         """Whether tests and evidence are with the declared noise."""
         return self.scored is self.fit
 
+    @property
+    def remaining(self) -> Fit:
+        """The fit whose residual is looked at for what has no name: that of `scored`, but for
+        clustered readings, where every reading of a row is looked at by itself.
+        """
+        return self.fit if self.noise is None else self.scored
+
 
 def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int) -> State:
     """Fit, leave out stray readings, and fit again with the noise that the readings show."""
