@@ -208,6 +208,8 @@ def declared_whitener(model: Model, measurement: Measurement) -> np.ndarray:
     """
     plan, instrument = measurement.plan, model.instrument
     sigma = instrument.noise(plan, measurement.readings)
+    # A reading that is not there is no number with noise: one keeps W invertible, and says nothing.
+    sigma = np.where(instrument.present(plan), sigma, 1.0)
     covariance = np.einsum("ni,ij->nij", sigma**2, np.eye(sigma.shape[1]))
     if model.random:
         ports = np.zeros((plan.rows, len(model.layout)))

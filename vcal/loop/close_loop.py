@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_solve
 from scipy.special import gammaincc
 from threadpoolctl import threadpool_limits
 
@@ -16,7 +17,7 @@ from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from .candidates import LocalBump, Untestable, candidates
-from .closure import Closure, Errors, FoundEffect, Rejected, Verdict
+from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .heldout import check_rms, fit_rms, heldout_rms, improvement
 from .rivals import Rival, Weighed, refit_all, weigh
 from .screen import Peak, Screen, Screening, screen
@@ -319,7 +320,7 @@ def _fit(model: Model, measurement: Measurement, start: Fit | None, room: int) -
     """Fit, leave out stray readings, and fit again with the covariance of clustered readings."""
     plan, instrument = measurement.plan, model.instrument
     folds, apart = instrument.folds(plan)
-    keep = np.where(apart & (folds >= 0), False, True) if apart else np.ones(plan.rows, bool)
+    keep = ~(np.broadcast_to(apart, plan.rows) & (folds >= 0))
     options: dict = {"keep": keep, "room": room}
     if start is not None:
         options |= {"theta": start.theta, "shapes": start.shapes}
@@ -332,7 +333,7 @@ def _fit(model: Model, measurement: Measurement, start: Fit | None, room: int) -
         options["keep"] = keep
         fit = identify(model, measurement, **options)
     scored = fit
-    if instrument.clustered:
+    if (fit.clusters >= 0).any():
         for _ in range(2):
             scored = identify(model, measurement, whitener=estimated_whitener(scored), **options)
     return _State(model, fit, scored, keep, strays)
@@ -340,7 +341,7 @@ def _fit(model: Model, measurement: Measurement, start: Fit | None, room: int) -
 
 def _at_declared(fit: Fit, state: _State, room: int) -> Fit:
     """The fit with the declared noise."""
-    if fit.model.instrument.clustered:
+    if (fit.clusters >= 0).any():
         return identify(
             fit.model,
             fit.measurement,
@@ -355,17 +356,29 @@ def _at_declared(fit: Fit, state: _State, room: int) -> Fit:
 def estimated_whitener(fit: Fit) -> np.ndarray:
     """W of every row from the covariance the readings of one row show in the residuals.
 
-    For instruments whose readings of one row share errors that are not modelled: S = sum r r' /
-    (rows - parameters per reading), not below the declared noise.
+    For rows whose readings share errors that are not modelled (`Instrument.clusters`): S = sum r r'
+    / (rows - parameters per reading), not below the declared noise. The parameters are shared out
+    evenly over all rows.
     """
-    used = fit.used
-    rows, m = int(used.sum()), fit.residual.shape[1]
-    r = fit.residual[used]
-    covariance = r.T @ r / max(rows - len(fit.theta) / m, m + 1.0)
-    declared = np.linalg.inv(declared_whitener(fit.model, fit.measurement)[0])
-    covariance = covariance + 0.1 * declared @ declared.T
-    whitener = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    return np.broadcast_to(whitener, (len(used), m, m)).copy()
+    used, clusters = fit.used, fit.clusters
+    found = declared_whitener(fit.model, fit.measurement)
+    for k in np.unique(clusters[clusters >= 0]):
+        mine = clusters == k
+        here = np.flatnonzero(mine & used)
+        if not len(here):
+            continue
+        present = np.flatnonzero(fit.counted[here[0]])
+        rows, m = len(here), len(present)
+        r = fit.residual[np.ix_(here, present)]
+        taken = len(fit.theta) * (rows / used.sum())
+        covariance = r.T @ r / max(rows - taken / m, m + 1.0)
+        block = np.ix_(present, present)
+        declared = np.linalg.inv(found[np.flatnonzero(mine)[0]][block])
+        covariance = covariance + 0.1 * declared @ declared.T
+        whitener = np.eye(fit.residual.shape[1])
+        whitener[block] = np.linalg.cholesky(np.linalg.inv(covariance)).T
+        found[mine] = whitener
+    return found
 
 
 def _nominal(model: Model, measurement: Measurement, room: int) -> Fit:
@@ -398,6 +411,27 @@ def _chi2_per_dof(fit: Fit) -> float:
     return float((residual**2).sum() / fit.dof)
 
 
+def _by_set(fit: Fit) -> dict[str, SetErrors]:
+    """Errors of every data set, where there are several; the degrees of freedom of one are its
+    readings less its own part of tr(J H^-1 J').
+    """
+    plan = fit.measurement.plan
+    if not plan.sets:
+        return {}
+    n, m = fit.residual.shape
+    solved = cho_solve(fit.factor, fit.jacobian.T)
+    leverage = np.einsum("ik,ki->i", fit.jacobian, solved).reshape(n, m).sum(1)
+    whitener = declared_whitener(fit.model, fit.measurement)
+    squares = (np.einsum("nij,nj->ni", whitener, fit.residual) ** 2).sum(1)
+    found = {}
+    for name, inside in plan.parts.items():
+        mine = inside & fit.used
+        dof = float(fit.counted[mine].sum() - leverage[mine].sum())
+        ratio = float(squares[mine].sum() / dof) if dof > 0.0 else math.nan
+        found[name] = SetErrors(heldout_rms(fit, inside), fit_rms(fit, inside), ratio)
+    return found
+
+
 def _noise_scale(fit: Fit) -> float:
     """Root of chi2/dof where that is not chance (p < 1e-3), else one."""
     p = gammaincc(0.5 * fit.dof, 0.5 * fit.chi2)
@@ -422,7 +456,7 @@ def _at_noise(fit: Fit, scale: float, room: int) -> Fit:
 def errors(fit: Fit, check: CheckPoints | None) -> Errors:
     """How wrong a fitted model is, on all the data there are."""
     aligned, raw = (None, None) if check is None else check_rms(fit, check)
-    return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), _chi2_per_dof(fit))
+    return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), _chi2_per_dof(fit), _by_set(fit))
 
 
 def _notes(noise: float, state: _State) -> list[str]:

@@ -18,6 +18,16 @@ Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
 
 
 @dataclass(frozen=True)
+class SetErrors:
+    """How wrong a model is on the readings of one data set of several."""
+
+    heldout: Rms
+    fit: Rms
+    chi2_per_dof: float
+    """Against the declared noise."""
+
+
+@dataclass(frozen=True)
 class Errors:
     """How wrong a model is."""
 
@@ -28,6 +38,8 @@ class Errors:
     fit: Rms
     chi2_per_dof: float
     """Against the declared noise."""
+    sets: Mapping[str, SetErrors] = field(default_factory=dict)
+    """The same by data set, where there are several."""
 
 
 @dataclass(frozen=True)

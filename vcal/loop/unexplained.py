@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from ..fit import Fit
+from ..plan import DATA_SET, of_set
 from .rivals import Rival
 from .screen import Screen
 
@@ -16,6 +17,8 @@ _BINS = 10
 _CLEARLY = 1.2
 """What a covariate must describe of the variance, over what a local bump does, to be told first:
 the bump says where."""
+_ROUNDING = 1e-9
+"""Share of the variance, on average over null draws, that is nothing but rounding."""
 _SHOWN = 3
 """Products of two covariates that are told."""
 
@@ -67,20 +70,31 @@ def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
 def covariates(fit: Fit) -> dict[str, np.ndarray]:
     """Everything the residual may depend on, by its name inside vcal; of columns that are the same
     but for scale and offset only the first.
+
+    What only the rows of one data set have is nan in the others; the axes are there for all rows
+    and for those of every data set.
     """
     plan = fit.measurement.plan
-    found = {axis: np.asarray(plan.x(axis)) for axis in plan.axes}
-    found |= {name: np.asarray(values) for name, values in plan.covariates.items()}
-    found |= {
-        name: np.asarray(values, float) for name, values in plan.groups.items() if name != "point"
-    }
+    tables = [plan.axes, plan.covariates, plan.groups]
+    names = [name for table in tables for name in table]
+    names += [of_set(one, axis) for one in plan.sets for axis in plan.axes]
     distinct: dict[str, np.ndarray] = {}
-    for name, x in found.items():
-        if not np.isfinite(x).all() or np.ptp(x) == 0:
+    for name in names:
+        x = plan.values(name)
+        there = np.isfinite(x)
+        if name.rpartition(":")[2] == "point" or not there.any() or np.ptp(x[there]) == 0:
             continue
-        if all(abs(np.corrcoef(x, other)[0, 1]) < 0.9999 for other in distinct.values()):
+        if not any(_same(x, other) for other in distinct.values()):
             distinct[name] = x
     return distinct
+
+
+def _same(x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether two columns are there for the same rows and the same but for scale and offset."""
+    there = np.isfinite(x)
+    if not np.array_equal(there, np.isfinite(y)):
+        return False
+    return bool(abs(np.corrcoef(x[there], y[there])[0, 1]) >= 0.9999)
 
 
 def bins(x: np.ndarray) -> np.ndarray:
@@ -121,17 +135,25 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     names, shares = [], []
     known = {name: x[used] for name, x in covariates(fit).items()}
     for name, x in known.items():
-        index = bins(x)
+        there = np.isfinite(x)
+        if not there.any():
+            continue
+        index = bins(x[there])
         counts = np.bincount(index)
         sums = np.zeros((len(counts), *both.shape[1:]))
-        np.add.at(sums, index, both)
+        np.add.at(sums, index, both[there])
         described = (sums**2 / np.maximum(counts, 1)[:, None, None]).sum((0, 1)) / total
+        if not there.all() and described[1:].mean() < _ROUNDING:
+            continue  # of one data set, whose own nuisances take all of it: a tilt of every pose
         names.append(name)
         shares.append(described)
     singles = np.array(shares)
-    pairs, columns = _products(
-        {n: x for n, x in known.items() if n not in fit.measurement.plan.groups}
-    )
+    plan = fit.measurement.plan
+    # A group index is no quantity to multiply by, unless there are only two of a kind.
+    multiplied = {n for n in known if n not in plan.groups and np.isfinite(known[n]).all()}
+    if len(plan.sets) == 2:
+        multiplied.add(DATA_SET)
+    pairs, columns = _products({n: x for n, x in known.items() if n in multiplied})
     moved = np.tensordot(columns, both, 1) if pairs else np.zeros((0, *both.shape[1:]))
     products = (moved**2).sum(1) / total
     rare = np.concatenate([_rarity(singles), _rarity(products)])

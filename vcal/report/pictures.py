@@ -110,7 +110,7 @@ def _errors(closure: Closure) -> Iterator[Picture]:
             caption += f" Bottom: what closing the loop changed, at most {number(largest)} µm."
         yield Picture("error_field", "volumetric", caption, plots.png(figure))
     folds, apart = closure.after.model.instrument.folds(closure.after.measurement.plan)
-    if apart:
+    if np.any(apart):
         figure = plots.error_over_time({"before": closure.before, "after": closure.after})
         share = percent((folds >= 0).mean())
         caption = (
