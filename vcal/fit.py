@@ -117,6 +117,17 @@ class Fit:
         hat = np.trace(cho_solve(self.factor, self.jacobian.T @ self.jacobian))
         return float(self.counted.sum() - hat)
 
+    def chi2_and_dof(self, rows: np.ndarray) -> tuple[float, float]:
+        """The same two of some rows (n,): their squared residuals, and their readings less their
+        part of tr(J H^-1 J').
+        """
+        n, m = self.residual.shape
+        mine = self.used & rows
+        jacobian = self.jacobian.reshape(n, m, -1)[mine].reshape(-1, self.jacobian.shape[1])
+        hat = np.einsum("ik,ki->", jacobian, cho_solve(self.factor, jacobian.T))
+        squares = (self.whitened.reshape(n, m)[mine] ** 2).sum()
+        return float(squares), float(self.counted[mine].sum() - hat)
+
     @property
     def entries(self) -> tuple[tuple[str, Parameter], ...]:
         """(effect with placement, parameter) for every entry of `theta`: amplitudes, then the

@@ -1,11 +1,10 @@
 """Close the loop: find what a measurement says is missing, name it, add it, report the gain."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve
 from scipy.special import gammaincc
 from threadpoolctl import threadpool_limits
 
@@ -33,6 +32,8 @@ _MARGIN = 30.0
 _CLOSE = 8.0
 """Candidates whose linear log evidence is further behind the best than `_MARGIN` are not refined,
 further than `_CLOSE` after that not refitted: their weight is below one in a thousand."""
+_SHOWN = 1e-2
+"""Probability below which the noise that a data set shows is not the one declared, for tests."""
 _REFITS = 10
 _ROOM = 16
 """Parameters that added effects may have before the solver must be compiled anew."""
@@ -47,6 +48,8 @@ class _State:
     """With the declared noise."""
     scored: Fit
     """With the covariance that clustered readings show, for tests and evidence; else the same."""
+    screened: Fit
+    """With the noise that every data set shows, for tests, where they differ; else the same."""
     keep: np.ndarray
     strays: list[Stray]
 
@@ -109,8 +112,10 @@ def close_loop(
                 learned = with_sizes(state.model, learned_sizes(state.fit))
                 state = _fit(learned, measurement, state.fit, room)
             progress("describing what remains")
+            # Tests go by the noise that every data set shows, sizes by what was declared.
+            tested = state.screened if measurement.plan.sets else state.fit
             run.unexplained = from_structure(
-                state.fit, _chi2_per_dof(state.fit), alpha, draws, seed + 1
+                tested, _chi2_per_dof(state.fit), alpha, draws, seed + 1
             )
     except KeyboardInterrupt:
         interrupted = True
@@ -149,7 +154,7 @@ class _Run:
         self.progress(f"round {number}: screening")
         tried, self.untestable = candidates(state.model, measurement, self.classes)
         bumps, _ = candidates(state.model, measurement, [LocalBump])
-        screen_state = Screen(fit, self.draws, self.seed + number)
+        screen_state = Screen(state.screened, self.draws, self.seed + number)
         screening = screen(screen_state, [*tried, *bumps])
         self.screenings.append(screening)
         self.unseen = [effect.key for effect in screening.unseen]
@@ -171,6 +176,7 @@ class _Run:
         ):
             self.unexplained = described(
                 fit,
+                state.screened,
                 bump,
                 p_values[LocalBump.name],
                 _chi2_per_dof(state.fit),
@@ -254,8 +260,9 @@ def _finish(
     run: _Run, nominal: Fit, before: Fit, state: _State, settings: dict, interrupted: bool
 ) -> Closure:
     """The result of a search: the final fit with the noise found, and the errors on the way."""
-    noise = _noise_scale(state.fit)
-    after = _at_noise(state.fit, noise, run.room)
+    noise = _noise_scale(state.fit, np.ones(state.fit.measurement.rows, bool))
+    scales = {name: _noise_scale(state.fit, rows) for name, rows in _parts(state.fit).items()}
+    after = _at_noise(state.fit, scales, run.room)
     found = [run.finished(item, after) for item in run.added]
     verdict: Verdict | None = None if interrupted else "nothing_missing"
     if run.unexplained is not None:
@@ -283,9 +290,10 @@ def _finish(
         unseen=run.unseen,
         screenings=run.screenings,
         noise_scale=noise,
+        noise_scales=scales,
         settings=settings,
         interrupted=interrupted,
-        notes=_notes(noise, state),
+        notes=_notes(scales, state),
     )
 
 
@@ -336,7 +344,33 @@ def _fit(model: Model, measurement: Measurement, start: Fit | None, room: int) -
     if (fit.clusters >= 0).any():
         for _ in range(2):
             scored = identify(model, measurement, whitener=estimated_whitener(scored), **options)
-    return _State(model, fit, scored, keep, strays)
+    return _State(model, fit, scored, _screened(scored, options), keep, strays)
+
+
+def _screened(fit: Fit, options: dict) -> Fit:
+    """The fit with the noise that every data set shows, where that is not chance (p < 1e-2).
+
+    One factor for all is taken care of where a test is studentised; data sets whose noise was
+    declared well and badly are not.
+    """
+    parts = _parts(fit)
+    scales = {name: _noise_scale(fit, rows, _SHOWN) for name, rows in parts.items()}
+    if len(parts) == 1 or set(scales.values()) == {1.0}:
+        return fit
+    whitener = _scaled(fit.whitener, fit, scales)
+    return identify(fit.model, fit.measurement, whitener=whitener, **options)
+
+
+def _parts(fit: Fit) -> dict[str, np.ndarray]:
+    return fit.measurement.plan.parts
+
+
+def _scaled(whitener: np.ndarray, fit: Fit, scales: Mapping[str, float]) -> np.ndarray:
+    """W for a noise that is larger by a factor of each data set."""
+    scale = np.ones(len(whitener))
+    for name, rows in _parts(fit).items():
+        scale[rows] = scales[name]
+    return whitener / scale[:, None, None]
 
 
 def _at_declared(fit: Fit, state: _State, room: int) -> Fit:
@@ -418,37 +452,37 @@ def _by_set(fit: Fit) -> dict[str, SetErrors]:
     plan = fit.measurement.plan
     if not plan.sets:
         return {}
-    n, m = fit.residual.shape
-    solved = cho_solve(fit.factor, fit.jacobian.T)
-    leverage = np.einsum("ik,ki->i", fit.jacobian, solved).reshape(n, m).sum(1)
     whitener = declared_whitener(fit.model, fit.measurement)
     squares = (np.einsum("nij,nj->ni", whitener, fit.residual) ** 2).sum(1)
     found = {}
     for name, inside in plan.parts.items():
-        mine = inside & fit.used
-        dof = float(fit.counted[mine].sum() - leverage[mine].sum())
-        ratio = float(squares[mine].sum() / dof) if dof > 0.0 else math.nan
+        _, dof = fit.chi2_and_dof(inside)
+        ratio = float(squares[inside & fit.used].sum() / dof) if dof > 0.0 else math.nan
         found[name] = SetErrors(heldout_rms(fit, inside), fit_rms(fit, inside), ratio)
     return found
 
 
-def _noise_scale(fit: Fit) -> float:
-    """Root of chi2/dof where that is not chance (p < 1e-3), else one."""
-    p = gammaincc(0.5 * fit.dof, 0.5 * fit.chi2)
-    ratio = math.sqrt(fit.chi2 / fit.dof)
-    return ratio if p < 1e-3 or p > 1.0 - 1e-3 else 1.0
+def _noise_scale(fit: Fit, rows: np.ndarray, chance: float = 1e-3) -> float:
+    """Root of chi2/dof of these rows where that is not chance, else one."""
+    chi2, dof = (fit.chi2, fit.dof) if rows.all() else fit.chi2_and_dof(rows)
+    if dof <= 0.0:
+        return 1.0
+    p = gammaincc(0.5 * dof, 0.5 * chi2)
+    ratio = math.sqrt(chi2 / dof)
+    return ratio if p < chance or p > 1.0 - chance else 1.0
 
 
-def _at_noise(fit: Fit, scale: float, room: int) -> Fit:
+def _at_noise(fit: Fit, scales: Mapping[str, float], room: int) -> Fit:
     """The fit with the noise that was found instead of the one declared, where it is larger."""
-    if scale <= 1.0:
+    larger = {name: max(scale, 1.0) for name, scale in scales.items()}
+    if set(larger.values()) == {1.0}:
         return fit
     return identify(
         fit.model,
         fit.measurement,
         theta=fit.theta,
         shapes=fit.shapes,
-        whitener=fit.whitener / scale,
+        whitener=_scaled(fit.whitener, fit, larger),
         room=room,
     )
 
@@ -459,13 +493,15 @@ def errors(fit: Fit, check: CheckPoints | None) -> Errors:
     return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), _chi2_per_dof(fit), _by_set(fit))
 
 
-def _notes(noise: float, state: _State) -> list[str]:
+def _notes(scales: Mapping[str, float], state: _State) -> list[str]:
     notes = []
-    if noise != 1.0:
-        notes.append(
-            f"the readings scatter {noise:.2f} times as much as declared; uncertainties "
-            + ("are scaled accordingly" if noise > 1 else "are left as declared")
-        )
+    for name, noise in scales.items():
+        if noise != 1.0:
+            notes.append(
+                f"the readings{f' of {name}' if name else ''} scatter {noise:.2f} times as much as "
+                "declared; uncertainties "
+                + ("are scaled accordingly" if noise > 1 else "are left as declared")
+            )
     if not state.fit.converged:
         notes.append("the final fit did not converge: its numbers are not to be relied on")
     return notes

@@ -96,6 +96,8 @@ class Closure:
     noise_scale: float
     """Root of chi2 per degree of freedom at the end, where it differs from one significantly."""
     settings: Mapping[str, Any]
+    noise_scales: Mapping[str, float] = field(default_factory=dict)
+    """The same of every data set by its name, one or several."""
     interrupted: bool = False
     notes: list[str] = field(default_factory=list)
 

@@ -220,6 +220,7 @@ def main_direction(vectors: np.ndarray) -> str:
 
 def described(
     fit: Fit,
+    tested: Fit,
     bump: Rival,
     p_value: float,
     chi2_per_dof: float,
@@ -228,9 +229,10 @@ def described(
     seed: int,
 ) -> Unexplained:
     """The description where a local bump explains more than every effect of the catalogue: by the
-    bump or, where that describes clearly more, by a covariate or a product of two.
+    bump or, where that describes clearly more, by a covariate or a product of two. `tested` is the
+    fit with the noise to test by.
     """
-    told = dependence(fit, draws, seed)
+    told = dependence(tested, draws, seed)
     local = _from_bump(fit, bump, p_value, told)
     spread = _from_dependence(fit, told, chi2_per_dof, alpha)
     if spread is None:

@@ -1,5 +1,7 @@
 """Residuals against what betrays them: before and after, what stays unexplained, their spread."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -171,23 +173,25 @@ def studentised(fit: Fit, rows: np.ndarray | bool = True) -> np.ndarray:
     return np.sort(fit.whitened[used] / np.sqrt(np.clip(1.0 - leverage[used], 0.02, 1.0)))
 
 
-def normal_plot(before: Fit, after: Fit, noise_scale: float = 1.0) -> Figure:
+def normal_plot(before: Fit, after: Fit, noise_scales: Mapping[str, float]) -> Figure:
     """Normal probability plot of the studentised residuals: on the line is as declared.
 
-    One panel for every data set. `noise_scale` is the factor by which the fit after closing the
-    loop enlarged the declared noise.
+    One panel for every data set. `noise_scales` are the factors, by data set, by which the fit
+    after closing the loop enlarged the declared noise.
     """
     parts = before.measurement.plan.parts
     if len(parts) == 1:
         drawn = figure(5.6, 3.9)
-        _normal(_panels(drawn, 1)[0], before, after, noise_scale, True, "")
+        ((name, inside),) = parts.items()
+        title = f"{name}: " if name else ""
+        _normal(_panels(drawn, 1)[0], before, after, noise_scales[name], inside, title)
         return drawn
     rows = -(-len(parts) // 2)
     drawn = figure(9.6, 3.9 * rows)
     margins = {"left": 0.75, "right": 0.2, "top": 0.45, "bottom": 0.6, "wspace": 0.8, "hspace": 1.1}
     table = grid(drawn, rows, 2, margins).reshape(-1)
     for ax, (name, inside) in zip(table, parts.items(), strict=False):
-        _normal(ax, before, after, noise_scale, inside, f"{name}: ")
+        _normal(ax, before, after, noise_scales[name], inside, f"{name}: ")
     for ax in table[len(parts) :]:
         ax.set_axis_off()
     return drawn

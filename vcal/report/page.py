@@ -91,6 +91,11 @@ def page(
         noise_scale=text.number(closure.noise_scale, 3),
         noise_as_declared=closure.noise_scale == 1.0,
         noise_larger=closure.noise_scale > 1.0,
+        noise_by_set=[
+            f"{name} {text.number(scale, 3)}"
+            for name, scale in closure.noise_scales.items()
+            if name
+        ],
         clustered=bool((after.clusters >= 0).any()),
         files=sorted(study.hashes.items()),
         settings={k: v for k, v in plain(closure.settings).items() if k != "effects"},

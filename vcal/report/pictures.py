@@ -43,7 +43,9 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
             "mimicked falls below the limit in the next round."
         )
         yield Picture("search", "tried", caption, plots.png(figure))
-    figure = plots.normal_plot(closure.before, closure.after, max(closure.noise_scale, 1.0))
+    figure = plots.normal_plot(
+        closure.before, closure.after, {k: max(v, 1.0) for k, v in closure.noise_scales.items()}
+    )
     caption = (
         "Residuals of all fitted readings over the standard deviations they should have, against "
         "those of normal noise. On the line: noise as declared; steeper: larger than declared; "

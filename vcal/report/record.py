@@ -43,6 +43,7 @@ def record(
         "unexplained": _unexplained(closure.unexplained, plan),
         "variance": closure.variance,
         "noise_scale": closure.noise_scale,
+        "noise_scales": {name: v for name, v in closure.noise_scales.items() if name},
         "suspected_readings": [
             {**_place(stray.row, plan), "distance": stray.distance, "p_value": stray.p_value}
             for stray in closure.suspected
