@@ -130,15 +130,16 @@ def described(x: np.ndarray, y: np.ndarray) -> float:
     return float((sums**2 / counts).sum() / max((centred**2).sum(), 1e-300))
 
 
-def effect_view(fit: Fit, effect: Effect) -> View:
-    """Where the residual shows an effect of the fit.
+def effect_view(fit: Fit, effect: Effect, rows: np.ndarray | bool = True) -> View:
+    """Where the residual of some rows (n,) shows an effect of the fit.
 
     Direction: that in which its one port moves the tool point, row by row; of effects with several
     ports the main direction of what they displace. Abscissa: of the covariates that betray it the
     one that describes best what is visible of it; where none does, that visible part itself.
     """
     place = place_of(fit, effect)
-    used, shape = fit.used & effect.rows(fit.measurement.plan), fit.shapes.get(place, {})
+    used = fit.used & effect.rows(fit.measurement.plan) & rows
+    shape = fit.shapes.get(place, {})
     direction, along = _direction(fit, effect, shape, contribution(fit, place), used)
     without, with_ = (
         (displacements(fit, residual) * direction).sum(1)[used] * 1e6

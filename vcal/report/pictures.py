@@ -55,9 +55,16 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
 
 
 def _effects(closure: Closure) -> Iterator[Picture]:
-    for i, found in enumerate(closure.effects, start=1):
+    plan = closure.after.measurement.plan
+    shown = [
+        (i, found, name, rows)
+        for i, found in enumerate(closure.effects, start=1)
+        for name, rows in plan.parts.items()
+        if (found.effect.rows(plan) & closure.after.used & rows).any()
+    ]
+    for i, found, data_set, rows in shown:
         key = found.effect.key
-        view = plots.effect_view(closure.after, found.effect)
+        view = plots.effect_view(closure.after, found.effect, rows)
         others = " (with the other effects that were found)" if len(closure.effects) > 1 else ""
         caption = (
             f"Residual of the tool point {view.along}, without {key} on the left{others} and with "
@@ -72,6 +79,8 @@ def _effects(closure: Closure) -> Iterator[Picture]:
         else:
             caption += f"Line: what station, poses and all other parameters leave of {key}."
         name = f"effect_{i}_{key.replace(' ', '_')}"
+        if data_set:
+            name, caption = f"{name}_in_{data_set}", f"Data set {data_set}. {caption}"
         yield Picture(name, f"effect {i}", caption, plots.png(plots.before_after(view, key)))
 
 
