@@ -314,15 +314,16 @@ def test_the_page_tells_the_data_sets_apart(backlash):
 
 
 def test_an_effect_of_an_instrument_is_named_for_its_data_set(tmp_path):
-    true = [{"effect": "encoder_eccentricity", "amplitude_urad": 9, "phase_deg": 40}]
+    true = [{"effect": "encoder_eccentricity", "amplitude_urad": 20, "phase_deg": 40}]
     cases = {"tracker": tracker_case(8, true), "balls": ball_case(8)}
     study = load_study(write_joint(tmp_path / "one", cases))
     closure = closed(study)
     (found,) = closure.effects
     assert closure.verdict == "named"
     assert found.effect.key == "encoder_eccentricity tracker azimuth"
-    sine, cosine = (value for _, value, _, _ in found.parameters)
-    assert np.hypot(sine, cosine) == pytest.approx(9.0, abs=1.0)
+    expected = 20.0 * np.array([np.cos(np.deg2rad(40)), np.sin(np.deg2rad(40))])
+    for (_, value, unit, u), true_value in zip(found.parameters, expected, strict=True):
+        assert unit == "urad" and abs(value - true_value) < 3.0 * u
     write_report(closure, study, tmp_path / "report")  # the picture shows the rows of one set
 
 
@@ -404,7 +405,7 @@ def test_what_is_left_may_depend_on_the_data_set(clean):
     balls = plan.in_set("balls")
     readings = study.measurement.readings.copy()
     u = (plan.values("X") - 1.0) / 1.0
-    readings[:, 2] += np.where(balls, 12e-6 * np.sin(9.0 * u), 0.0)
+    readings[:, 2] += np.where(balls, 20e-6 * np.sin(9.0 * u), 0.0)
     fit = identify(study.model, Measurement(plan, readings), room=ROOM)
     told = dependence(fit, 200, 0)
     assert told.p_value < 0.01 and "balls:X" in [name for name, _ in told.single[:4]]
@@ -413,15 +414,15 @@ def test_what_is_left_may_depend_on_the_data_set(clean):
 
 
 def test_a_tool_of_its_own(tmp_path):
-    """The ball array is probed with a tool 80 mm longer than the one with the reflector."""
-    longer = (0.0, 0.0, -0.23)
+    """The balls are probed with a stylus far from where the reflector was."""
+    longer = (0.3, -0.4, -0.6)
     cases = {"tracker": tracker_case(5), "balls": ball_case(5, tool_offset=longer)}
     folder = write_joint(tmp_path / "tools", cases)
-    study = load_study(folder, {"data.1.tool_offset_mm": [0, 0, -230]})
+    study = load_study(folder, {"data.1.tool_offset_mm": [300, -400, -600]})
     fit = identify(study.model, study.measurement, room=ROOM)
     assert abs(fit.chi2 / fit.dof - 1.0) < 4.0 * np.sqrt(2.0 / fit.dof)
     wrong = load_study(folder)
-    assert identify(wrong.model, wrong.measurement, room=ROOM).chi2 > 1.5 * fit.chi2
+    assert identify(wrong.model, wrong.measurement, room=ROOM).chi2 > 1.2 * fit.chi2
 
 
 def test_effects_can_be_declared_for_one_data_set(clean):

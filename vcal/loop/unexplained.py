@@ -131,6 +131,10 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     data = np.einsum("npi,ni->np", inverse, state.residual[used])
     null = np.einsum("npi,nid->npd", inverse.astype(np.float32), state.null[used])
     both = np.concatenate([data[:, :, None], null], axis=2)
+    for rows in fit.measurement.plan.parts.values() if fit.measurement.plan.sets else ():
+        # In units of its own scatter: a precise data set would be lost beside a coarse one.
+        mine = rows[used]
+        both[mine] /= np.sqrt(np.mean(both[mine][:, :, 1:] ** 2)) if mine.any() else 1.0
     total = (both**2).sum((0, 1))
     names, shares = [], []
     known = {name: x[used] for name, x in covariates(fit).items()}
