@@ -72,22 +72,39 @@ class Fit:
         """Posterior covariance H^-1 in solver units.
 
         Where the readings of a row share errors that the noise does not declare
-        (`Instrument.clustered`): H^-1 (sum_i g_i g_i' + L) H^-1 with g_i = J_i'r_i, which needs no
-        model of what they share.
+        (`Instrument.clusters`): H^-1 (sum_i g_i g_i' + L) H^-1 with g_i = J_i'r_i, which needs no
+        model of what they share; other rows have J_i'J_i in place of g_i g_i'.
         """
         inverse = cho_solve(self.factor, np.eye(len(self.theta)))
-        if not self.model.instrument.clustered:
+        shared = self.clusters >= 0
+        if not shared.any():
             return inverse
         n, m = self.residual.shape
-        scores = np.einsum(
-            "nik,ni->nk", self.jacobian.reshape(n, m, -1), self.whitened.reshape(n, m)
-        )
-        return inverse @ (scores.T @ scores + np.diag(self.precision)) @ inverse
+        jacobian = self.jacobian.reshape(n, m, -1)
+        scores = np.einsum("nik,ni->nk", jacobian[shared], self.whitened.reshape(n, m)[shared])
+        middle = scores.T @ scores + np.diag(self.precision)
+        if not shared.all():
+            others = jacobian[~shared].reshape(-1, jacobian.shape[2])
+            middle += others.T @ others
+        return inverse @ middle @ inverse
+
+    @property
+    def clusters(self) -> np.ndarray:
+        """Index per row of those whose covariance is estimated together, or -1
+        (`Instrument.clusters`).
+        """
+        return self.model.instrument.clusters(self.measurement.plan)
 
     @property
     def used(self) -> np.ndarray:
         """Rows that took part in the fit (n,)."""
         return np.abs(self.whitener).sum((1, 2)) > 0
+
+    @cached_property
+    def counted(self) -> np.ndarray:
+        """Readings that took part in the fit (n, m): of used rows, those that there are."""
+        present = self.model.instrument.present(self.measurement.plan)
+        return self.used[:, None] & present
 
     @property
     def chi2(self) -> float:
@@ -98,7 +115,18 @@ class Fit:
     def dof(self) -> float:
         """Effective degrees of freedom: readings less tr(J H^-1 J')."""
         hat = np.trace(cho_solve(self.factor, self.jacobian.T @ self.jacobian))
-        return float(self.used.sum() * self.residual.shape[1] - hat)
+        return float(self.counted.sum() - hat)
+
+    def chi2_and_dof(self, rows: np.ndarray) -> tuple[float, float]:
+        """The same two of some rows (n,): their squared residuals, and their readings less their
+        part of tr(J H^-1 J').
+        """
+        n, m = self.residual.shape
+        mine = self.used & rows
+        jacobian = self.jacobian.reshape(n, m, -1)[mine].reshape(-1, self.jacobian.shape[1])
+        hat = np.einsum("ik,ki->", jacobian, cho_solve(self.factor, jacobian.T))
+        squares = (self.whitened.reshape(n, m)[mine] ** 2).sum()
+        return float(squares), float(self.counted[mine].sum() - hat)
 
     @property
     def entries(self) -> tuple[tuple[str, Parameter], ...]:
@@ -129,7 +157,10 @@ class Fit:
         log_h = np.linalg.slogdet(h)[1]
         prior = self.theta[proper] ** 2 @ self.precision[proper]
         noise = np.linalg.slogdet(self.whitener[self.used])[1].sum()
-        readings = self.used.sum() * self.residual.shape[1]
+        # What a row lacks to the widest one has a place of its own in W, which says nothing.
+        diagonal = np.einsum("nii->ni", self.whitener)
+        noise -= np.log(diagonal[self.used[:, None] & ~self.counted]).sum()
+        readings = self.counted.sum()
         shapes = 0.0
         for effect in self.model.effects:
             grids = effect.scan(self.measurement.plan)

@@ -207,22 +207,35 @@ def declared_whitener(model: Model, measurement: Measurement) -> np.ndarray:
     adds sigma^2 c c' to the covariance of each row.
     """
     covariance = np.sum([part for _, part in declared_covariances(model, measurement)], axis=0)
+    return whitener_of(covariance + absent(model, measurement.plan))
+
+
+def whitener_of(covariance: Float[np.ndarray, "n m m"]) -> Float[np.ndarray, "n m m"]:
+    """W of every row, with W'W the inverse of its covariance."""
     return np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
+
+
+def absent(model: Model, plan: Plan) -> Float[np.ndarray, "n m m"]:
+    """What keeps the covariance of a row invertible that has fewer readings than others: one, in
+    the place of what it has not.
+    """
+    missing = ~model.instrument.present(plan)
+    return np.einsum("ni,ij->nij", missing.astype(float), np.eye(missing.shape[1]))
 
 
 def declared_covariances(model: Model, measurement: Measurement) -> list[tuple[str, np.ndarray]]:
     """What the covariance of every row is made of, each with its name and (n, m, m), SI: the noise
-    of every component of a reading, and the random effects.
+    of every component of a reading, of every data set, and the random effects.
     """
     plan, instrument = measurement.plan, model.instrument
-    sigma = instrument.noise(plan, measurement.readings)
+    sigma = instrument.noise(plan, measurement.readings) * instrument.present(plan)
     m = sigma.shape[1]
-    names = instrument.readings if len(instrument.readings) == m else map(str, range(1, m + 1))
     found = []
-    for k, name in enumerate(names):
-        part = np.zeros((len(sigma), m, m))
-        part[:, k, k] = sigma[:, k] ** 2
-        found.append((name, part))
+    for one, inside in plan.parts.items():
+        for k, name in enumerate(instrument.members.get(one, instrument).readings[:m]):
+            part = np.zeros((len(sigma), m, m))
+            part[inside, k, k] = sigma[inside, k] ** 2
+            found.append((f"{one} {name}".strip(), part))
     if model.random:
         ports = np.zeros((plan.rows, len(model.layout)))
         _, by_port = observe_with_jacobian(

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from .arrays import Array
 from .chain import Chain
-from .effects.base import Effect
+from .effects.base import Effect, Setup
 from .instruments.base import Instrument
 from .parameters import Parameter
 from .plan import Plan
@@ -73,6 +73,20 @@ class Model(eqx.Module):
     def layout(self) -> PortLayout:
         """Names and places of the ports of one observation."""
         return PortLayout.of(self.chain.axes, self.instrument.ports)
+
+    def setup(self, plan: Plan) -> Setup:
+        """What effects may look at to say where they could be."""
+
+        def of(instrument: Instrument, layout: PortLayout, plan: Plan, **more: Any) -> Setup:
+            artefact = instrument.artefact
+            return Setup(self.chain, layout, plan, self.effects, artefact, **more)
+
+        members = self.instrument.members
+        parts = [
+            of(m, PortLayout.of(self.chain.axes, m.ports), plan.part(name), data_set=name)
+            for name, m in members.items()
+        ]
+        return of(self.instrument, self.layout, plan, parts=tuple(parts))
 
     def with_effects(self, *effects: Effect) -> "Model":
         """The same model with further effects: all that closing the loop changes."""

@@ -1,12 +1,21 @@
 """What was commanded, and under which conditions: one row per observation."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Float, Int
+import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from .arrays import Array
+
+DATA_SET = "data_set"
+"""Group with the place of every row's data set in `Plan.sets`."""
+
+
+def of_set(name: str, what: str) -> str:
+    """What belongs to one data set only, by its name there: ``"tracker:azimuth"``."""
+    return f"{name}:{what}"
 
 
 class Plan(eqx.Module):
@@ -25,6 +34,13 @@ class Plan(eqx.Module):
     ``"T_X"``, ``"T_air"`` (degC), ``"commanded_J1"``, ``"read_J1"`` (rad), ..."""
     groups: Mapping[str, Int[Array, " n"]] = eqx.field(default_factory=dict)
     """Group indices by name: ``"pose"``, ``"ball"``, ``"run"``, ``"segment"``."""
+    sets: tuple[str, ...] = eqx.field(static=True, default=())
+    """Names of the data sets whose rows stand one after the other; none where there is only one.
+
+    What all of them share goes by its own name. What only some of them have, or what only means
+    something to the instrument of one, goes by `of_set`, and is nan in the rows of the others
+    (group indices: -1).
+    """
 
     @property
     def rows(self) -> int:
@@ -39,16 +55,123 @@ class Plan(eqx.Module):
         """A recorded covariate by name; `KeyError` where it was not recorded."""
         return self.covariates[name]
 
+    def values(self, name: str) -> Float[np.ndarray, " n"]:
+        """Values of an axis, covariate or group index, nan in rows of data sets without it.
+
+        By the name of one data set (`of_set`) also what all share, in the rows of that one only.
+        Raises `KeyError` where it was not recorded.
+        """
+        key = self._key(name)
+        if key in self.axes:
+            found = np.asarray(self.x(key), float)
+        elif key in self.covariates:
+            found = np.asarray(self.covariates[key], float)
+        else:
+            found = np.asarray(self.groups[key], float)
+        owner = name.partition(":")[0]
+        return np.where(self.in_set(owner), found, np.nan) if owner in self.sets else found
+
     def has(self, *names: str) -> bool:
-        """Whether all of these covariates, groups or axes were recorded."""
+        """Whether all of these covariates, groups or axes were recorded, in all rows or, by a name
+        of `of_set`, in those of one data set.
+        """
         known = {*self.covariates, *self.groups, *self.axes}
-        return all(name in known for name in names)
+        return all(self._key(name) in known for name in names)
+
+    def _key(self, name: str) -> str:
+        """The name under which something stands that is asked for as one data set's own."""
+        owner, _, plain = name.partition(":")
+        if owner in self.sets and name not in self.covariates and name not in self.groups:
+            return plain
+        return name
 
     def with_position(self, position: Float[Array, "n axes"]) -> "Plan":
         """The same plan at other axis positions."""
-        return Plan(self.axes, position, self.covariates, self.groups)
+        return Plan(self.axes, position, self.covariates, self.groups, self.sets)
 
     def take(self, rows) -> "Plan":
         """The given rows only."""
         pick = lambda table: {k: jnp.asarray(v)[rows] for k, v in table.items()}  # noqa: E731
-        return Plan(self.axes, self.position[rows], pick(self.covariates), pick(self.groups))
+        return Plan(
+            self.axes, self.position[rows], pick(self.covariates), pick(self.groups), self.sets
+        )
+
+    # --- several data sets ----------------------------------------------------------------------
+    def in_set(self, name: str) -> Bool[np.ndarray, " n"]:
+        """The rows of one data set."""
+        return np.asarray(self.groups[DATA_SET]) == self.sets.index(name)
+
+    @property
+    def parts(self) -> dict[str, Bool[np.ndarray, " n"]]:
+        """The rows of every data set by its name; all under no name where there is one only."""
+        if not self.sets:
+            return {"": np.ones(self.rows, bool)}
+        return {name: self.in_set(name) for name in self.sets}
+
+    def place(self, row: int) -> tuple[str, int]:
+        """The data set of a row and its number in it, from 0; no name where there is only one."""
+        for name, inside in self.parts.items():
+            if inside[row]:
+                return name, int(inside[:row].sum())
+        raise IndexError(f"found row {row}, expected one of {self.rows}")
+
+    def of(self, name: str) -> "Plan":
+        """All rows under the names that one data set uses; zero in the rows of others.
+
+        What only others have is left out.
+        """
+        here = jnp.asarray(self.groups[DATA_SET]) == self.sets.index(name)
+        prefix, tables = of_set(name, ""), []
+        owned = (DATA_SET, *(of_set(s, "") for s in self.sets))
+        for table in (self.covariates, self.groups):
+            own = {k: v for k, v in table.items() if not k.startswith(owned)}
+            for key, values in table.items():
+                if key.startswith(prefix):
+                    own[key.removeprefix(prefix)] = jnp.where(here, jnp.asarray(values), 0)
+            tables.append(own)
+        return Plan(self.axes, self.position, *tables)
+
+    def part(self, name: str) -> "Plan":
+        """The rows of one data set, as if there were no others."""
+        return self.of(name).take(np.flatnonzero(self.in_set(name)))
+
+    def lacking(self, name: str) -> tuple[str, ...]:
+        """The data sets that have no such covariate, group or axis."""
+        return tuple(s for s in self.sets if not self.has(of_set(s, name)))
+
+
+def joined(plans: Mapping[str, Plan], own: Mapping[str, Collection[str]]) -> Plan:
+    """One plan of the rows of several data sets, one after the other, by their names.
+
+    `own` names, per data set, the covariates that mean something to its own instrument only. Group
+    indices always do: they count within one table. Raises `ValueError` where there are no plans, or
+    their axes differ.
+    """
+    if not plans:
+        raise ValueError("found no data set, expected at least one")
+    axes = {plan.axes for plan in plans.values()}
+    if len(axes) > 1:
+        raise ValueError(f"data sets of machines with the axes {axes}, expected the same axes")
+    names = tuple(plans)
+    shared = set.intersection(
+        *({*plan.covariates} - {*own.get(name, ())} for name, plan in plans.items())
+    )
+    sizes = [plan.rows for plan in plans.values()]
+    ends = np.cumsum(sizes)
+    first = next(iter(plans.values()))
+    covariates = {
+        key: np.concatenate([np.asarray(plan.covariates[key], float) for plan in plans.values()])
+        for key in first.covariates
+        if key in shared
+    }
+    groups = {DATA_SET: np.repeat(np.arange(len(names)), sizes)}
+    for (name, plan), size, end in zip(plans.items(), sizes, ends, strict=True):
+        for key, values in plan.covariates.items():
+            if key not in shared:
+                column = covariates[of_set(name, key)] = np.full(ends[-1], np.nan)
+                column[end - size : end] = values
+        for key, values in plan.groups.items():
+            column = groups[of_set(name, key)] = np.full(ends[-1], -1)
+            column[end - size : end] = values
+    position = np.concatenate([np.asarray(plan.position) for plan in plans.values()])
+    return Plan(first.axes, position, covariates, groups, names)

@@ -44,6 +44,12 @@ class PortLayout:
                 f"no port named {name!r}; this model has {', '.join(self.names)}"
             ) from None
 
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Names of the groups, those of an instrument without the name of its data set."""
+        named = (name.rpartition(":")[2].partition(".") for name in self.names)
+        return tuple(dict.fromkeys(head for head, dot, _ in named if dot))
+
     def slice(self, group: str) -> slice:
         """The contiguous ports named ``group.*``."""
         inside = [i for i, name in enumerate(self.names) if name.startswith(group + ".")]

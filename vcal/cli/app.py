@@ -128,8 +128,8 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
         study = load_study(setup, overrides)
         if study.measurement is None:
             raise StudyError(
-                f"{study.settings.data.data}, header: found no column of readings, that is, a "
-                f"plan; expected the readings of a {study.settings.instrument.kind}; add them, or "
+                f"{study.sets[0].file}, header: found no column of readings, that is, a "
+                f"plan; expected the readings of a {study.sets[0].settings.kind}; add them, or "
                 "make some with `vcal simulate`"
             )
         closure = close_study(study, study.measurement, progress)
@@ -179,16 +179,11 @@ def simulate(
     """Make data as of a machine drawn from its priors, at the positions of a study."""
     start()
     from .. import load_study
-    from ..effects.base import Setup as Place
     from ..io.simulated import parse_with, write_simulated
 
     with working("simulating"):
         study = load_study(setup)
-        model = study.model
-        place = Place(
-            study.chain, model.layout, study.plan, model.effects, study.instrument.artefact
-        )
-        data = study.settings.data.data
+        place, data = study.model.setup(study.plan), study.one.file
         effects = [parse_with(text, study.catalogue, place, data) for text in with_ or []]
         result = write_simulated(study, out, effects=effects, seed=seed, noise_factor=noise_factor)
     typer.echo(f"Wrote {out}: {result.measurement.rows} rows of a machine drawn with seed {seed}.")

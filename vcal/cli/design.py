@@ -55,7 +55,7 @@ def run_design(
     if following:
         return _next(study, out, separate, seed, command, began, progress)
     task = design_task(study)
-    settings = study.settings.design
+    settings = study.single.design
     done = optimise(
         task, seed=seed, starts=settings.starts, steps=settings.steps, progress=progress
     )
@@ -84,7 +84,7 @@ def _next(
     began: float,
     progress: Callable[[str], None],
 ) -> Done:
-    settings = study.settings.design
+    settings = study.single.design
     task = design_task(study)
     wanted, why = _wanted(study, separate, progress)
     separation = None

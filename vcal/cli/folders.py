@@ -76,8 +76,7 @@ def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
 @functools.cache
 def _setup(instrument: str) -> Setup:
     study = load_study(_STARTS / instrument)
-    artefact = study.instrument.artefact
-    return Setup(study.chain, study.model.layout, study.plan, study.model.effects, artefact)
+    return study.model.setup(study.plan)
 
 
 def _with_columns(plan: Plan, needs: Sequence[str]) -> Plan:

@@ -12,6 +12,7 @@ from rich.text import Text
 from ..effects.base import Effect, Setup
 from ..instruments.conditions import file_name
 from ..io import Study, read_header
+from ..io.study import DataSet
 from ..loop.candidates import candidates
 from ..loop.closure import Closure, Errors
 from ..loop.heldout import Rms
@@ -41,7 +42,8 @@ def show_closure(closure: Closure) -> None:
             console.print(Text(f"    to be certain: {found.separation}"))
     console.print(_errors_table(closure.errors))
     if closure.suspected:
-        rows = ", ".join(str(stray.row + 1) for stray in closure.suspected[:_MOST])
+        places = (closure.after.measurement.plan.place(s.row) for s in closure.suspected[:_MOST])
+        rows = ", ".join(f"{i + 1} of {name}" if name else str(i + 1) for name, i in places)
         more = ", ..." if len(closure.suspected) > _MOST else ""
         console.print(Text(f"Suspected readings, left out: rows {rows}{more}."))
     for note in closure.notes:
@@ -63,6 +65,9 @@ def _errors_table(errors: Mapping[Any, Errors]) -> Table:
     row("held-out readings", (_rms(e.heldout) for e in every))
     row("fitted readings", (f"{e.fit.value:.3g}" for e in every))
     row("chi² per degree of freedom", (f"{e.chi2_per_dof:.3g}" for e in every))
+    for name in every[0].sets:
+        row(f"held-out readings of {name}", (_rms(e.sets[name].heldout) for e in every))
+        row(f"chi² per dof of {name}", (f"{e.sets[name].chi2_per_dof:.3g}" for e in every))
     return table
 
 
@@ -84,14 +89,7 @@ def show_study(study: Study) -> None:
     found, missing = candidates(study.model, measurement, study.tried)
     rows = [
         ("machine", f"{chain.text}; {travels}" if linear and travels else chain.text),
-        ("instrument", study.settings.instrument.kind),
-        (
-            "data",
-            f"{plan.rows} rows of {readings} readings"
-            if study.measurement
-            else f"{plan.rows} rows without readings: a plan",
-        ),
-        ("columns", ", ".join(read_header(study.folder / study.settings.data.data))),
+        *(line for one in study.sets for line in _data_set(study, one)),
         ("check points", str(study.check.plan.rows) if study.check else "none"),
         (
             "declared",
@@ -114,6 +112,21 @@ def show_study(study: Study) -> None:
     for label, value in rows:
         table.add_row(Text(label), Text(value))
     console.print(table)
+
+
+def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
+    """Instrument and table of a data set, which is named where there are several."""
+    rows, of = one.plan.rows, f" of {one.name}" if one.name else ""
+    return [
+        (f"instrument{of}", one.settings.kind),
+        (
+            f"data{of}",
+            f"{rows} rows of {len(one.instrument.readings)} readings"
+            if one.readings is not None
+            else f"{rows} rows without readings: a plan",
+        ),
+        (f"columns{of}", ", ".join(read_header(study.folder / one.file))),
+    ]
 
 
 def _size(effect: Effect) -> str:

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from ..effects.base import Setup
 from ..errors import StudyError
 from ..io import Study, load_study
 from ..io.messages import refusal
@@ -108,10 +107,10 @@ def parse_draws(text: str) -> int | Literal["adaptive"]:
 def _truth(study: Study, effects: Sequence[str]) -> Model:
     """The declared model with the effects that are there but not fitted."""
     model = study.model
-    place = Setup(study.chain, model.layout, study.plan, model.effects, study.instrument.artefact)
+    place = model.setup(study.plan)
     found = []
     for text in effects:
-        effect = parse_with(text, study.catalogue, place, study.settings.data.data)
+        effect = parse_with(text, study.catalogue, place, study.one.file)
         found.append(effect)
         try:
             check_keys(model.with_effects(*found))

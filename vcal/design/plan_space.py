@@ -13,7 +13,7 @@ from ..arrays import Array
 from ..catalogue import Catalogue
 from ..chain import Chain
 from ..errors import StudyError
-from ..instruments.base import Instrument
+from ..instruments.base import TableInstrument
 from ..model import Model
 from ..plan import Plan
 
@@ -54,7 +54,7 @@ class Subject(NamedTuple):
     """A measurement as it stands: where a space begins."""
 
     chain: Chain
-    instrument: Instrument
+    instrument: TableInstrument
     plan: Plan
     file: str
     """What messages call the study file."""
@@ -176,7 +176,7 @@ class PlanSpace(abc.ABC):
 
     # --- edges ----------------------------------------------------------------------------------
     @abc.abstractmethod
-    def instrument(self, placed: Any) -> Instrument:
+    def instrument(self, placed: Any) -> TableInstrument:
         """The instrument that measures it."""
 
     @abc.abstractmethod

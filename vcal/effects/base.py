@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..arrays import Array
 from ..chain import Chain
@@ -46,6 +46,10 @@ class Setup:
     plan: Plan
     declared: tuple["Effect", ...] = ()
     artefact: Artefact | None = None
+    data_set: str = ""
+    """Name of the data set, where this is one of `parts`."""
+    parts: tuple["Setup", ...] = ()
+    """The same for every data set with its own instrument, where there are several."""
 
 
 class Effect(eqx.Module):
@@ -62,6 +66,11 @@ class Effect(eqx.Module):
     kind: ClassVar[Kind] = "systematic"
     where: ClassVar[Literal["machine", "instrument"]] = "machine"
     """Whether it moves the tool point, or only what the instrument sees."""
+
+    @property
+    def on_instrument(self) -> bool:
+        """Whether this one belongs to an instrument; a class may have some that do not."""
+        return self.where == "instrument"
 
     odds: ClassVar[float] = 1.0
     """Prior odds of this kind of effect against the others, where data cannot decide."""
@@ -107,6 +116,10 @@ class Effect(eqx.Module):
     def betrayed_by(self) -> tuple[str, ...]:
         """Covariates against which its residual shows, most telling first (for pictures)."""
         return self.needs
+
+    def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
+        """The rows that it can disturb."""
+        return np.ones(plan.rows, bool)
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         """Grid of each shape parameter (SI), dense enough that no peak is missed."""

@@ -127,5 +127,5 @@ class ToolOffset(Effect):
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         # Where the instrument finds the points on the tool itself, this is already free.
-        if not any(name.startswith("point") for name in setup.layout.names):
+        if not any(group.startswith("point") for group in setup.layout.groups):
             yield cls()

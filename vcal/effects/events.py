@@ -34,6 +34,10 @@ class Jump(Effect):
         return (*sizes, Parameter("at", "s", shape=True, smooth=False))
 
     @property
+    def on_instrument(self) -> bool:
+        return self.placement == "frame"
+
+    @property
     def needs(self) -> tuple[str, ...]:
         return ("t",)
 

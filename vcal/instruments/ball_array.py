@@ -16,7 +16,7 @@ from ..plan import Plan
 from ..ports import COMPONENTS, group
 from ..rigid import Rotation, Scalar, Vector
 from ..spatial import best_rigid
-from .base import Column, Instrument, InstrumentSettings, Loader, Ports, register
+from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
 from .conditions import linear_plan, linear_plan_table
 from .frame import displaced, pose_parameters
 
@@ -92,7 +92,7 @@ class BallCalibration(Effect):
 
 
 @register
-class BallArray(Instrument):
+class BallArray(TableInstrument):
     """The residual is tool point(position found) - ball centre, in the workpiece frame.
 
     The ball centre is t + R (b + d): artefact pose (R, t), calibrated centre b, its error d. The
@@ -103,6 +103,7 @@ class BallArray(Instrument):
 
     kind = "ball_array"
     Settings = BallArraySettings
+    derived = _DERIVED
 
     centres: np.ndarray
     """Calibrated ball centres (balls, 3), m, by ball number."""

@@ -46,24 +46,11 @@ class InstrumentSettings(BaseModel):
 
 
 class Instrument(eqx.Module):
-    """Base class of all instruments; subclasses are final.
+    """Base class of all instruments.
 
     An instrument is the geometry between the tool point and a reading, for one observation
-    (`observe`), plus what it declares: its ports, its noise, its nuisances, its columns.
+    (`observe`), plus what it declares: its ports, its noise, its nuisances.
     """
-
-    kind: ClassVar[str]
-    """Name in study files."""
-    dimension: ClassVar[int] = 3
-    """How many readings make one point, for root mean squares of points."""
-    machine: ClassVar[str | None] = None
-    """Chain of a study without a ``[machine]``; without one the study has to have it."""
-    positioned: ClassVar[bool] = False
-    """Whether the axis positions are in columns of its own."""
-    labels: ClassVar[tuple[str, ...]] = ()
-    """Columns of text in its data table."""
-    Settings: ClassVar[type[InstrumentSettings]]
-    """Keys of the ``[instrument]`` table, validated."""
 
     @property
     @abc.abstractmethod
@@ -74,34 +61,6 @@ class Instrument(eqx.Module):
     @abc.abstractmethod
     def readings(self) -> tuple[str, ...]:
         """Names of the components of one reading."""
-
-    # --- edges: from and to files -------------------------------------------------------------
-    @classmethod
-    @abc.abstractmethod
-    def columns(cls, settings: Any, axes: Sequence[str], readings: bool) -> list[Column]:
-        """Columns of its data table besides the conditions; without readings for a plan."""
-
-    @classmethod
-    @abc.abstractmethod
-    def build(
-        cls, settings: Any, chain: Chain, table: Mapping[str, np.ndarray], load: Loader
-    ) -> Self:
-        """From validated settings and data; `load` reads a further table beside the study file.
-
-        Raises `StudyError` where the data and the further tables do not fit together.
-        """
-
-    @abc.abstractmethod
-    def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
-        """The command step: what the axes did, with every covariate that can be derived."""
-
-    @abc.abstractmethod
-    def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Readings (n, m) in SI from the columns of the table."""
-
-    @abc.abstractmethod
-    def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
-        """The inverse of `plan` and `measured`: columns in file units."""
 
     # --- the path of one observation ------------------------------------------------------------
     def rows(self, plan: Plan) -> Any:
@@ -155,10 +114,25 @@ class Instrument(eqx.Module):
         """Its nuisances, and effects with a prior such as uncertain calibrated positions."""
 
     @abc.abstractmethod
-    def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
+    def folds(self, plan: Plan) -> tuple[np.ndarray, bool | np.ndarray]:
         """How readings are held out: fold index per row (-1: never held out), and whether held-out
-        rows are kept out of every fit (True) or rotated (False).
+        rows are kept out of every fit (True) or rotated (False), for all rows or for each.
         """
+
+    @abc.abstractmethod
+    def dimensions(self, plan: Plan) -> np.ndarray:
+        """How many readings of each row make one point (n,), for root mean squares of points."""
+
+    def present(self, plan: Plan) -> np.ndarray:
+        """Which readings there are (n, m); the others are zero, and nothing makes them differ."""
+        return np.ones((plan.rows, len(self.readings)), bool)
+
+    def clusters(self, plan: Plan) -> np.ndarray:
+        """Index per row (n,) of the rows whose readings share errors of the machine that are not
+        modelled, so that the covariance of a row is to be estimated from all of them; -1 where the
+        noise is as declared.
+        """
+        return np.full(plan.rows, -1)
 
     @property
     def artefact(self) -> Artefact | None:
@@ -166,14 +140,65 @@ class Instrument(eqx.Module):
         return None
 
     @property
-    def clustered(self) -> bool:
-        """Whether the readings of one row share errors of the machine that are not modelled, so
-        that their covariance is to be estimated instead of taken from the declared noise.
+    def members(self) -> Mapping[str, "Instrument"]:
+        """The instruments of several data sets by their names; none where it is only one."""
+        return {}
+
+
+class TableInstrument(Instrument):
+    """An instrument whose readings a study file names as one table; subclasses are final."""
+
+    kind: ClassVar[str]
+    """Name in study files."""
+    dimension: ClassVar[int] = 3
+    """How many readings make one point, for root mean squares of points."""
+    machine: ClassVar[str | None] = None
+    """Chain of a study without a ``[machine]``; without one the study has to have it."""
+    positioned: ClassVar[bool] = False
+    """Whether the axis positions are in columns of its own."""
+    labels: ClassVar[tuple[str, ...]] = ()
+    """Columns of text in its data table."""
+    Settings: ClassVar[type[InstrumentSettings]]
+    """Keys of the ``[instrument]`` table, validated."""
+
+    derived: ClassVar[tuple[str, ...]] = ()
+    """Covariates that it derives, and that mean something to this very instrument only: angles as
+    its station sees them, say.
+    """
+
+    # --- edges: from and to files -------------------------------------------------------------
+    @classmethod
+    @abc.abstractmethod
+    def columns(cls, settings: Any, axes: Sequence[str], readings: bool) -> list[Column]:
+        """Columns of its data table besides the conditions; without readings for a plan."""
+
+    @classmethod
+    @abc.abstractmethod
+    def build(
+        cls, settings: Any, chain: Chain, table: Mapping[str, np.ndarray], load: Loader
+    ) -> Self:
+        """From validated settings and data; `load` reads a further table beside the study file.
+
+        Raises `StudyError` where the data and the further tables do not fit together.
         """
-        return False
+
+    @abc.abstractmethod
+    def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
+        """The command step: what the axes did, with every covariate that can be derived."""
+
+    @abc.abstractmethod
+    def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Readings (n, m) in SI from the columns of the table."""
+
+    @abc.abstractmethod
+    def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
+        """The inverse of `plan` and `measured`: columns in file units."""
+
+    def dimensions(self, plan: Plan) -> np.ndarray:
+        return np.full(plan.rows, self.dimension)
 
 
-INSTRUMENTS: Catalogue[type[Instrument]] = Catalogue("instrument", "kind")
+INSTRUMENTS: Catalogue[type[TableInstrument]] = Catalogue("instrument", "kind")
 """Every instrument a study file may name, by kind."""
 
 register = INSTRUMENTS.register

@@ -21,7 +21,7 @@ from ..errors import StudyError
 from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
-from .base import Column, Instrument, InstrumentSettings, Loader, Ports, register
+from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
 from .conditions import linear_plan, linear_plan_table
 from .frame import Station, displaced
 from .psd_map import PsdMap
@@ -167,7 +167,7 @@ class LaserFrameSettings(InstrumentSettings):
 
 
 @register
-class LaserFrame(Instrument):
+class LaserFrame(TableInstrument):
     """Change of the tool point across the beam, in the two directions of x, y, z it does not run.
 
     (u, v) = e . (R_f' (p - s) - p0), where p is the sensitive point of the diode in the workpiece
@@ -181,6 +181,7 @@ class LaserFrame(Instrument):
     kind = "laser_frame"
     dimension = 2
     Settings = LaserFrameSettings
+    derived = ("path_mm", *_PSD)
 
     segments: tuple[Segment, ...] = eqx.field(static=True)
     centre: np.ndarray

@@ -14,7 +14,7 @@ from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
 from ..spatial import euler_xyz
-from .base import Column, Instrument, InstrumentSettings, Loader, Ports, register
+from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
 from .conditions import linear_plan, linear_plan_table
 from .frame import Station, displaced
 
@@ -33,7 +33,7 @@ class LaserTrackerSettings(InstrumentSettings):
 
 
 @register
-class LaserTracker(Instrument):
+class LaserTracker(TableInstrument):
     """Range |v|, azimuth atan2(v_y, v_x), elevation asin(v_z / |v|) with v = R'(p - station).
 
     Noise: range sigma a + b r (added linearly), one angle sigma for both angles. The station's pose
@@ -42,6 +42,7 @@ class LaserTracker(Instrument):
 
     kind = "laser_tracker"
     Settings = LaserTrackerSettings
+    derived = _READ
 
     station: np.ndarray
     orientation: np.ndarray

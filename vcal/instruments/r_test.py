@@ -24,7 +24,7 @@ from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
-from .base import Column, Instrument, InstrumentSettings, Loader, Ports, register
+from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
 from .conditions import linear_plan, linear_plan_table
 
 _XYZ = "XYZ"
@@ -122,7 +122,7 @@ class ProbeMatrix(Effect):
 
 
 @register
-class RTest(Instrument):
+class RTest(TableInstrument):
     """Sphere centre seen by the probes, p = tool point + offset of the run, x, y, z of the machine.
 
     The axis positions are those read by the machine's scales, so that the tool point differs from
@@ -142,6 +142,7 @@ class RTest(Instrument):
     machine: ClassVar[str | None] = "w b X Y Z t"
     labels: ClassVar[tuple[str, ...]] = ("plane",)
     positioned: ClassVar[bool] = True
+    derived: ClassVar[tuple[str, ...]] = ("t_run",)
     Settings = RTestSettings
 
     radius: float

@@ -18,7 +18,7 @@ from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
 from ..spatial import best_rigid
-from .base import Column, Instrument, InstrumentSettings, Loader, Ports, register
+from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
 from .conditions import inside_name
 from .frame import Station, displaced
 
@@ -55,7 +55,7 @@ class ToolPoints(Effect):
 
 
 @register
-class Reflectors(Instrument):
+class Reflectors(TableInstrument):
     """Coordinates v_k = R'(p + R_tool r_k - s) of the tool's reflectors, in the frame of the base.
 
     Where reflectors on the base were measured with every pose, the readings are reduced first: each
@@ -213,9 +213,8 @@ class Reflectors(Instrument):
         held = np.arange(plan.rows) >= plan.rows - plan.rows // 5
         return np.where(held, 0, -1), True
 
-    @property
-    def clustered(self) -> bool:
-        return True
+    def clusters(self, plan: Plan) -> np.ndarray:
+        return np.zeros(plan.rows, int)
 
 
 def _on_a_circle(count: int) -> np.ndarray:

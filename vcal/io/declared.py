@@ -11,6 +11,7 @@ from ..catalogue import nearest
 from ..distributions import CATALOGUE as DISTRIBUTIONS
 from ..distributions import Univariate, distribution
 from ..effects.base import Effect, Setup
+from ..effects.data_set import OfDataSet
 from ..effects.registry import CATALOGUE, load_effects
 from ..errors import StudyError
 from ..instruments.conditions import file_name
@@ -68,24 +69,81 @@ def unknown_effect(name: str, catalogue: Catalogue, file: str, key: str) -> Stud
 
 
 def declared_effects(
-    rows: Sequence[EffectSettings], catalogue: Catalogue, setup: Setup, file: str, data: str
+    rows: Sequence[EffectSettings],
+    catalogue: Catalogue,
+    setup: Setup,
+    file: str,
+    data: Mapping[str, str],
 ) -> tuple[Effect, ...]:
     """The effects of the ``[[model.effect]]`` rows, placed on the machine of `setup`.
 
     A parameter with a value is known; with a ``*_sigma`` as well, or alone (mean zero), that is its
     prior; one with a table, such as ``{distribution = "uniform", low = 8, high = 12}``, has that
-    distribution; a parameter that is not given keeps the catalogue's prior. `file` and `data` are
-    what messages call the study file and the data. Raises `StudyError`.
+    distribution; a parameter that is not given keeps the catalogue's prior. `file` is what messages
+    call the study file, `data` what they call the table of every data set, by its name. Raises
+    `StudyError`.
     """
     found = []
     for i, row in enumerate(rows):
         where = _Where(file, f"model.effect.{i}", row.name)
         if row.name not in catalogue:
             raise unknown_effect(row.name, catalogue, file, f"{where.key}.name")
-        effect = _declared(row, catalogue[row.name], setup, where)
-        _check_covariates(effect, setup, where, data)
-        found.append(effect)
+        own = _setup_of(row, catalogue[row.name], setup, where)
+        effect = _declared(row, catalogue[row.name], own, where)
+        _check_covariates(effect, own, where, data)
+        if own.data_set and not effect.on_instrument:
+            raise where.refusal(
+                "data_set",
+                repr(own.data_set),
+                "no such key, as this effect belongs to the machine",
+                "remove it",
+            )
+        found.append(OfDataSet.of(effect, own.data_set) if own.data_set else effect)
     return tuple(found)
+
+
+def _setup_of(row: EffectSettings, cls: type[Effect], setup: Setup, where: "_Where") -> Setup:
+    """Where a declared effect is to be placed: on the machine, or on the instrument of one of
+    several data sets.
+    """
+    names = [part.data_set for part in setup.parts]
+    if row.data_set is not None:
+        if row.data_set not in names:
+            raise where.refusal(
+                "data_set",
+                f"{row.data_set!r}{nearest(row.data_set, names)}",
+                f"one of {listed(names)}" if names else "no such key, as there is one data set",
+                "correct the name" if names else "remove the key",
+            )
+        return setup.parts[names.index(row.data_set)]
+    fitting = [p for p in setup.parts if any(e.on_instrument for e in _tried(cls, p, where))]
+    if not fitting or any(not e.on_instrument for e in _tried(cls, setup, where)):
+        return setup
+    if len(fitting) > 1:
+        raise where.refusal(
+            "data_set",
+            "nothing",
+            f"one of {listed(part.data_set for part in fitting)}, to whose instrument it belongs",
+            "add the name of the data set",
+        )
+    return fitting[0]
+
+
+def _tried(cls: type[Effect], setup: Setup, where: "_Where") -> list[Effect]:
+    """The instances of a class in a setup; raises `StudyError` where its own code fails."""
+    try:
+        return list(cls.candidates(setup))
+    except Exception as error:
+        raise _unplaced(cls, error, where) from error
+
+
+def _unplaced(cls: type[Effect], error: Exception, where: "_Where") -> StudyError:
+    return where.refusal(
+        "",
+        f"{type(error).__name__}: {error}, while it was placed",
+        "a class that says where it can be",
+        f"mend `candidates` of {cls.__name__}",
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,18 +202,13 @@ def _declared(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Wher
 
 def _placed(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Where) -> list[Effect]:
     """The instances of a class at the declared placement."""
-    try:
-        options = list(cls.candidates(setup))
-        own = cls.candidates.__func__ is Effect.candidates.__func__  # type: ignore[attr-defined]
-        if not options and own:
+    options = _tried(cls, setup, where)
+    own = cls.candidates.__func__ is Effect.candidates.__func__  # type: ignore[attr-defined]
+    if not options and own:
+        try:
             options = [cls(placement=row.placement)]
-    except Exception as error:
-        raise where.refusal(
-            "",
-            f"{type(error).__name__}: {error}, while it was placed",
-            "a class that says where it can be",
-            f"mend `candidates` of {cls.__name__}",
-        ) from error
+        except Exception as error:
+            raise _unplaced(cls, error, where) from error
     if not options:
         raise where.refusal(
             "name",
@@ -345,16 +398,19 @@ def _priors(
     return tuple(found)
 
 
-def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: str) -> None:
+def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: Mapping[str, str]) -> None:
     """An effect that is declared must be computable: its covariates recorded, its ports there."""
     plan = setup.plan
     missing = [name for name in effect.needs if not plan.has(name)]
     if missing:
         column = file_name(missing[0], plan.axes)
+        lacking = [data[name] for name in plan.lacking(missing[0])]
+        shared = not plan.sets or bool(lacking)
+        found = "no such column" if shared else "one in each that is not that of the others"
         raise refusal(
-            data,
+            data[setup.data_set] if setup.data_set in data else listed(lacking or data.values()),
             f"column {column}",
-            f"no such column, but the declared effect {effect.key!r} ({where.key} of "
+            f"{found}, but the declared effect {effect.key!r} ({where.key} of "
             f"{where.file}) depends on it",
             f"the columns {listed(file_name(name, plan.axes) for name in effect.needs)}",
             "add the column or remove the effect",

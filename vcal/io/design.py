@@ -29,7 +29,7 @@ def design_task(
     `StudyError` for an instrument without a space, errors that are not declared, families of
     another machine, and bounds that nothing satisfies.
     """
-    kind, file, settings = study.settings.instrument.kind, study.path.name, study.settings.design
+    kind, file, settings = study.one.settings.kind, study.path.name, study.single.design
     if kind not in SPACES:
         raise refusal(
             file,
@@ -70,7 +70,7 @@ def design_task(
             "errors of the machine",
             "declare some",
         )
-    subject = Subject(study.chain, study.instrument, study.plan, file)
+    subject = Subject(study.chain, study.one.instrument, study.plan, file)
     # Messages of a space tell one mistake, those of pydantic had their turn.
     space = SPACES[kind].of(subject, model, settings)
     return Task(space, families, CRITERIA[settings.goal]())
@@ -87,7 +87,7 @@ def judged_model(study: Study, leave_out: Sequence[Effect] = ()) -> Model:
 def check_designed(study: Study, space: PlanSpace, placed: Any) -> None:
     """Raise `StudyError` where a plan does not see what ``[design] must_see`` asks for."""
     check_seen(
-        study.settings.design.must_see,
+        study.single.design.must_see,
         study.chain,
         space.instrument(placed),
         space.plan(placed),
@@ -127,5 +127,5 @@ def _family(study: Study, model: Model, name: str) -> Judged:
     family = geometric_errors(settings.model.geometric, study.chain, Folder(path.parent), name)
     others = [e for e in (*model.effects, *model.random) if e.name != GeometricErrors.name]
     varied = Model(study.chain, study.instrument, (family, *others))
-    settings = study.settings.design
+    settings = study.single.design
     return judge(varied, study.plan, settings.grid, settings.errors)

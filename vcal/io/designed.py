@@ -20,7 +20,7 @@ PLAN, ARTEFACT, SETUP = "plan.csv", "artefact.csv", "setup.toml"
 def plan_table(study: Study, space: PlanSpace, placed: Any) -> dict[str, np.ndarray]:
     """A plan as the columns of a data table, without those of readings."""
     instrument, plan = space.instrument(placed), space.plan(placed)
-    kind, axes = study.settings.instrument, study.chain.axes
+    kind, axes = study.one.settings, study.chain.axes
     plain, full = (
         {c.name for c in instrument.columns(kind, axes, readings=readings)}
         for readings in (False, True)
@@ -54,7 +54,7 @@ def write_designed(
     raw, _ = read_setup(study.path, overrides)
     artefact = space.artefact(placed)
     data = raw.setdefault("data", {})
-    replaced = {study.path.name, study.settings.data.data, study.settings.data.check or "check.csv"}
+    replaced = {study.path.name, study.one.file, study.single.data.check or "check.csv"}
     if artefact is not None:
         replaced.add(str(raw["instrument"]["artefact"]))
         raw["instrument"]["artefact"] = ARTEFACT

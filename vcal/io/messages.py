@@ -133,21 +133,26 @@ def _line(
 
 def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
     """Keys of the table at `loc`."""
-    for part in loc:
+    for i, part in enumerate(loc):
         if isinstance(part, int):
             continue  # a row of an array of tables: its model was found with the array
         field = model.model_fields.get(part)
-        inner = _model_in(field.annotation) if field else None
+        row = loc[i + 1] if i + 1 < len(loc) else None
+        inner = _model_in(field.annotation, row) if field else None
         if inner is None:
             return []
         model = inner
     return list(model.model_fields)
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
+def _model_in(annotation: Any, row: str | int | None = None) -> type[BaseModel] | None:
+    """The table in a type; of rows that differ, that of `row`."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    for argument in get_args(annotation):
+    arguments = get_args(annotation)
+    if isinstance(row, int) and row < len(arguments) and Ellipsis not in arguments:
+        arguments = arguments[row:]
+    for argument in arguments:
         if found := _model_in(argument):
             return found
     return None

@@ -38,7 +38,7 @@ def parse_rivals(texts: Sequence[str], study: Study) -> Wanted:
             f"--separate: found {len(texts)} effect{'s' * (len(texts) != 1)}, expected two; give "
             "the option twice, such as --separate backlash:Y --separate scale_growth:Y"
         )
-    place, data = _setup(study), study.settings.data.data
+    place, data = _setup(study), study.one.file
     rivals = []
     for text in texts:
         try:
@@ -113,5 +113,4 @@ def _declared(study: Study, rivals: Sequence[Rival]) -> tuple[Effect, ...]:
 
 
 def _setup(study: Study) -> Setup:
-    model = study.model
-    return Setup(study.chain, model.layout, study.plan, model.effects, study.instrument.artefact)
+    return study.model.setup(study.plan)

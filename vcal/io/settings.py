@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -152,6 +153,8 @@ class EffectSettings(BaseModel):
     __pydantic_extra__: dict[str, Any] = Field(init=False)
     name: str
     """Identifier of the catalogue, or of an effect in `effects_file`."""
+    data_set: str | None = None
+    """Data set whose instrument it belongs to, where there are several."""
     placement: str = ""
     """Axis or joint where it sits."""
     component: str | None = None
@@ -178,6 +181,22 @@ class DataSettings(Table):
     an error motion (``EYX = 4``; a straightness counts from the second degree, as its slope is a
     squareness), or zero for a squareness (``EC0Y = 0``).
     """
+
+
+class DataSetSettings(Table):
+    """A row of ``[[data]]``: one of several data sets of the machine, with its instrument."""
+
+    name: str
+    """What reports call it: letters, digits, ``-`` and ``_``."""
+    file: str
+    """Its table beside the study file."""
+    instrument: InstrumentSettings
+    tool_offset_mm: Triple | None = None
+    """From the last axis's frame to the tool point, where it is not that of the machine."""
+    start_s: float = 0.0
+    """When its ``t_s`` was zero, on the clock of the study."""
+    must_see: dict[str, int] = {}
+    """What its points have to tell apart by themselves, as in ``[data]``."""
 
 
 class LoopSettings(Table):
@@ -208,6 +227,22 @@ class StudySettings(Table):
     data: DataSettings = DataSettings()
     loop: LoopSettings = LoopSettings()
     design: DesignSettings = DesignSettings()
+
+
+class SeveralSettings(Table):
+    """setup.toml of several data sets, each row of `data` refined by its instrument."""
+
+    name: str = ""
+    machine: MachineSettings
+    data: tuple[DataSetSettings, ...]
+    check: str | None = None
+    """Independent check points; by default ``check.csv`` where that exists."""
+    model: ModelSettings = ModelSettings()
+    loop: LoopSettings = LoopSettings()
+
+
+AnySettings = StudySettings | SeveralSettings
+"""What a study file may say as a whole."""
 
 
 def read_setup(
@@ -249,7 +284,7 @@ def read_setup(
     return raw, given
 
 
-def validate(raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]) -> StudySettings:
+def validate(raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]) -> AnySettings:
     """The settings in a raw tree; raises `StudyError` that lists every mistake in it."""
     for key, value in _numbers(raw):
         spread = key.startswith("model.effect.") and key.endswith("_sigma") and value == math.inf
@@ -261,7 +296,7 @@ def validate(raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]) ->
                 "a finite number",
                 "correct the value",
             )
-    model = _refined(raw, file, overrides)
+    model = (_several if isinstance(raw.get("data"), list) else _refined)(raw, file, overrides)
     try:
         # As JSON, in which a list is a tuple, so that validation can be strict about the rest:
         # "3", 3.0 and true are not taken for 3.
@@ -274,17 +309,112 @@ def _refined(
     raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]
 ) -> type[StudySettings]:
     """The settings class with the named instrument's and family's own keys."""
-    kind = at(raw, ("instrument", "kind"))
+    kind = _kind(raw, ("instrument",), file, overrides)
+    instrument = INSTRUMENTS[kind].Settings if kind is not None else InstrumentSettings
+    design = settings_of(kind) if kind is not None else DesignSettings
+    model = _model(raw)
+    return create_model(
+        "StudySettings",
+        __base__=StudySettings,
+        machine=(MachineSettings, _machine([kind])),
+        instrument=(instrument, ...),
+        model=(model, model()),
+        design=(design, design()),
+    )
+
+
+def _several(
+    raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]
+) -> type[SeveralSettings]:
+    """The same for several data sets: every row has the keys of its own instrument.
+
+    Raises `StudyError` for a second way to name an instrument, and for names of data sets that are
+    not to be told from each other or from an axis.
+    """
+    if "instrument" in raw:
+        raise refusal(
+            source(file, "instrument", overrides),
+            "key instrument",
+            "an [instrument] beside [[data]] rows",
+            "one or the other: a row has its own [data.instrument]",
+            "move it below the row of its data, or write [data] for a single data set",
+        )
+    rows = raw["data"]
+    if not rows:
+        raise refusal(file, "key data", "no row", "at least one [[data]]", "add one")
+    kinds, types = [], []
+    for i in range(len(rows)):
+        _check_name(rows, i, file, overrides)
+        kind = _kind(raw, ("data", i, "instrument"), file, overrides)
+        instrument: Any = INSTRUMENTS[kind].Settings if kind is not None else InstrumentSettings
+        kinds.append(kind)
+        types.append(
+            create_model("DataSetSettings", __base__=DataSetSettings, instrument=(instrument, ...))
+        )
+    model = _model(raw)
+    sets: Any = tuple[tuple(types)]
+    return create_model(
+        "SeveralSettings",
+        __base__=SeveralSettings,
+        machine=(MachineSettings, _machine(kinds)),
+        data=(sets, ...),
+        model=(model, model()),
+    )
+
+
+def _check_name(rows: Sequence[Any], i: int, file: str, overrides: Mapping[str, str]) -> None:
+    name = at(rows, (i, "name"))
+    if not isinstance(name, str):
+        return  # the validation says so
+    place, key = source(file, f"data.{i}.name", overrides), f"key data.{i}.name"
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
+        raise refusal(
+            place,
+            key,
+            shown(name),
+            "letters, digits, - and _, beginning with a letter or a digit",
+            "correct the name",
+        )
+    earlier = [at(rows, (k, "name")) for k in range(i)]
+    if name in earlier:
+        raise refusal(
+            place,
+            key,
+            f"{name!r} again, first in data.{earlier.index(name)}.name",
+            "every name once",
+            "rename one of the data sets",
+        )
+
+
+def _kind(
+    raw: Mapping[str, Any],
+    key: Sequence[str | int],
+    file: str,
+    overrides: Mapping[str, str],
+) -> str | None:
+    """The kind of the instrument in a table, None where there is none to be read."""
+    kind = at(raw, (*key, "kind"))
+    where = ".".join(str(part) for part in (*key, "kind"))
     if isinstance(kind, str) and kind not in INSTRUMENTS:
         raise refusal(
-            source(file, "instrument.kind", overrides),
-            "key instrument.kind",
+            source(file, where, overrides),
+            f"key {where}",
             f"the unknown instrument {kind!r}{nearest(kind, INSTRUMENTS)}",
             f"one of {listed(INSTRUMENTS)}",
             "correct the kind",
         )
-    instrument = INSTRUMENTS[kind].Settings if isinstance(kind, str) else InstrumentSettings
-    design = settings_of(kind) if isinstance(kind, str) else DesignSettings
+    return kind if isinstance(kind, str) else None
+
+
+def _machine(kinds: Sequence[str | None]) -> Any:
+    """The machine where the study has none: what its instruments, if they agree, go by."""
+    usual = {None if kind is None else INSTRUMENTS[kind].machine for kind in kinds}
+    chain = usual.pop() if len(usual) == 1 else None
+    return ... if chain is None else MachineSettings(chain=chain)
+
+
+def _model(raw: Mapping[str, Any]) -> Any:
+    """``[model]`` with the keys of the named family."""
     family = at(raw, ("model", "geometric", "family"))
     geometric: type[Table]
     if at(raw, ("machine", "joint")) and not at(raw, ("machine", "chain")):
@@ -294,17 +424,7 @@ def _refined(
         geometric = families.get(family if isinstance(family, str) else "", AnyFamilySettings)
     # pydantic reads these at run time, which a type checker cannot follow.
     optional: Any = geometric | None
-    model: Any = create_model("ModelSettings", __base__=ModelSettings, geometric=(optional, None))
-    usual = INSTRUMENTS[kind].machine if isinstance(kind, str) else None
-    machine: Any = ... if usual is None else MachineSettings(chain=usual)
-    return create_model(
-        "StudySettings",
-        __base__=StudySettings,
-        machine=(MachineSettings, machine),
-        instrument=(instrument, ...),
-        model=(model, model()),
-        design=(design, design()),
-    )
+    return create_model("ModelSettings", __base__=ModelSettings, geometric=(optional, None))
 
 
 def _pairs(overrides: Mapping[str, Any] | Sequence[str]) -> Iterator[tuple[str, Any]]:

@@ -59,7 +59,7 @@ def parse_with(text: str, catalogue: Catalogue, setup: Setup, data: str = "data.
         key = ".".join(str(k) for k in error.errors()[0]["loc"])
         raise refusal(file, f"key {key}", repr(row[key]), "text", "correct the value") from error
     try:
-        (effect,) = declared_effects([settings], catalogue, setup, file, data)
+        (effect,) = declared_effects([settings], catalogue, setup, file, {"": data})
     except StudyError as error:
         # The messages are made for a row of the study file, which this is not.
         message = str(error).replace("key model.effect.0.", "key ")
@@ -94,16 +94,17 @@ def write_simulated(
     positions over the travel, and ``truth.json`` says what was put in: `effects` beside the
     declared model, which no other file tells. The result depends on `seed` alone.
 
-    Raises `StudyError` where `out` is there and not empty, a table lies outside the folder of the
-    study, the factor is not a number of at least 0, or a position found lies outside the travel.
+    Raises `StudyError` where `out` is there and not empty, there are several data sets, a table
+    lies outside the folder of the study, the factor is not a number of at least 0, or a position
+    found lies outside the travel.
     """
-    out = Path(out)
+    out, settings = Path(out), study.single
     require_empty(out)
     if not 0.0 <= noise_factor < math.inf:
         raise refusal(
             "--noise-factor", "value", f"{noise_factor:g}", "a number of at least 0", "correct it"
         )
-    data, check = study.settings.data.data, study.settings.data.check or "check.csv"
+    data, check = settings.data.data, settings.data.check or "check.csv"
     for name in {*study.hashes, data, check}:
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise refusal(
@@ -170,9 +171,10 @@ def publish(work: Path, out: Path) -> None:
 
 def _data(study: Study, result: Simulated) -> dict[str, np.ndarray]:
     """The study's own columns, with the positions and readings of the simulation."""
-    own = read_table(study.folder / study.settings.data.data, [])
+    own = read_table(study.folder / study.one.file, [])
     measurement = result.measurement
-    made = result.model.instrument.to_table(measurement.plan, measurement.readings)
+    # The model is that of the study, whose instrument this is.
+    made = study.one.instrument.to_table(measurement.plan, measurement.readings)
     return {**own, **made}
 
 
@@ -182,15 +184,14 @@ def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndar
     None for an arm: where its tool point is, is for its instrument to find. None where an
     instrument has columns of its own for positions: it measures at one place.
     """
-    chain = study.chain
-    if study.instrument.positioned or any(joint.kind != "prismatic" for joint in chain.joints):
+    chain, one = study.chain, study.one
+    if one.instrument.positioned or any(joint.kind != "prismatic" for joint in chain.joints):
         return None
-    data, kind = study.settings.data.data, study.instrument
     plain, full = (
-        {c.name for c in kind.columns(study.settings.instrument, chain.axes, readings=readings)}
+        {c.name for c in one.instrument.columns(one.settings, chain.axes, readings=readings)}
         for readings in (False, True)
     )
-    kept = set(read_header(study.folder / data)) - (full - plain)
+    kept = set(read_header(study.folder / one.file)) - (full - plain)
     table = linear_plan_table(scattered(chain, study.plan, key, _CHECK_ROWS))
     table = {name: values for name, values in table.items() if name in kept}
     points = result.tool_points(linear_plan(chain, table))

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,13 @@ import numpy as np
 
 from ..catalogue import nearest
 from ..chain import Chain, chain_from_dh, chain_from_string
-from ..effects.base import Effect, Setup
+from ..effects.base import Effect
+from ..errors import StudyError
 from ..instruments import INSTRUMENTS
-from ..instruments.base import Column, Instrument
+from ..instruments.base import Column, Instrument, InstrumentSettings, TableInstrument
 from ..instruments.conditions import GROUPS, linear_plan
+from ..instruments.several import DataSet as Member
+from ..instruments.several import several, with_tool
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from ..plan import Plan
@@ -24,11 +27,43 @@ from .family import geometric_errors
 from .folder import Folder
 from .messages import listed, refusal
 from .must_see import check_seen
-from .settings import LoopSettings, MachineSettings, StudySettings, read_setup, validate
+from .settings import (
+    AnySettings,
+    LoopSettings,
+    MachineSettings,
+    StudySettings,
+    read_setup,
+    validate,
+)
 from .table import Table
 
 _FEWEST_ROWS = 3
 _JOINT_COLUMN = re.compile(r"q(\d+)_(?:cmd|read)_deg")
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A table of a study, and the instrument that it comes from."""
+
+    name: str
+    """Empty where the study has no other."""
+    file: str
+    """The table, beside the study file."""
+    settings: InstrumentSettings
+    """Its ``[instrument]``."""
+    instrument: TableInstrument
+    """Started from the readings, where there are any."""
+    chain: Chain
+    """The machine with the tool of this data set."""
+    plan: Plan
+    readings: np.ndarray | None
+    """(n, m), SI; None for a table without reading columns."""
+
+    @property
+    def label(self) -> str:
+        """The instrument in words, after the name where there is one."""
+        kind = self.settings.kind.replace("_", " ")
+        return f"{self.name}: {kind}" if self.name else kind
 
 
 @dataclass(frozen=True)
@@ -38,11 +73,13 @@ class Study:
     name: str
     path: Path
     """The study file."""
-    settings: StudySettings
+    settings: AnySettings
     """What the study file says, overrides and defaults included."""
     chain: Chain
+    sets: tuple[DataSet, ...]
+    """Its data sets: one, or those of the ``[[data]]`` rows."""
     instrument: Instrument
-    """Started from the readings, where there are any."""
+    """Started from the readings, where there are any; that of all data sets together."""
     model: Model
     """The declared model: geometric errors, the instrument's own, declared effects."""
     plan: Plan
@@ -54,6 +91,28 @@ class Study:
     """Effects by name that the loop may try, the user's own included."""
     hashes: Mapping[str, str]
     """SHA-256 of every input file by name."""
+
+    @property
+    def single(self) -> StudySettings:
+        """The settings of a study of one data set.
+
+        Raises `StudyError` where there are several: what asks for this cannot deal with them.
+        """
+        if isinstance(self.settings, StudySettings):
+            return self.settings
+        raise refusal(
+            self.path.name,
+            "key data",
+            f"{len(self.sets)} [[data]] rows ({listed(one.name for one in self.sets)})",
+            "a single data set, as only `vcal check` and `vcal loop` take several",
+            "write a study of one of them, with its [instrument]",
+        )
+
+    @property
+    def one(self) -> DataSet:
+        """The data set of a study that has one only; raises `StudyError` as `single` does."""
+        assert self.single
+        return self.sets[0]
 
     @property
     def folder(self) -> Path:
@@ -101,35 +160,32 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         if name not in catalogue:
             raise unknown_effect(name, catalogue, file, f"loop.effects.{i}")
     chain = build_chain(settings.machine, file)
-    table, measured = _data(settings, chain, folder, file)
-    kind = INSTRUMENTS[settings.instrument.kind]
-    instrument = kind.build(settings.instrument, chain, table, folder.table)
-    plan = instrument.plan(chain, table)
+    sets = _data_sets(settings, chain, folder, file)
+    instrument, plan, readings = _together(sets, chain)
     measurement = None
-    if measured:
-        readings = instrument.measured(table)
-        instrument = instrument.start(chain, plan, readings)
+    if readings is not None:
         measurement = Measurement(plan, readings, settings.name or path.parent.name)
     model = Model(chain, instrument)
     if settings.model.geometric is not None:
         model = model.with_effects(geometric_errors(settings.model.geometric, chain, folder, file))
     model = model.with_effects(*instrument.effects(plan))
-    setup = Setup(chain, model.layout, plan, model.effects, instrument.artefact)
+    files = {one.name: one.file for one in sets}
     model = model.with_effects(
-        *declared_effects(settings.model.effect, catalogue, setup, file, settings.data.data)
+        *declared_effects(settings.model.effect, catalogue, model.setup(plan), file, files)
     )
-    _check_size(model, plan, settings.data.data)
-    check_seen(settings.data.must_see, chain, instrument, plan, file)
+    _check_size(model, plan, listed(files.values()))
+    _check_seen(settings, sets, file)
     return Study(
         name=settings.name or path.resolve().parent.name,
         path=path,
         settings=settings,
         chain=chain,
+        sets=sets,
         instrument=instrument,
         model=model,
         plan=plan,
         measurement=measurement,
-        check=_check_points(settings, chain, instrument, folder, file),
+        check=_check_points(settings, chain, sets, folder),
         catalogue=catalogue,
         hashes=folder.hashes,
     )
@@ -187,15 +243,111 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
     return chain
 
 
-def _data(settings: StudySettings, chain: Chain, folder: Folder, file: str) -> tuple[Table, bool]:
+def _data_sets(
+    settings: AnySettings, chain: Chain, folder: Folder, file: str
+) -> tuple[DataSet, ...]:
+    """The data sets with their tables read and their instruments built."""
+    if isinstance(settings, StudySettings):
+        return (_data_set("", settings.data.data, settings.instrument, chain, folder, file),)
+    found = []
+    for i, row in enumerate(settings.data):
+        if row.name in chain.axes:
+            raise refusal(
+                file,
+                f"key data.{i}.name",
+                f"{row.name!r}, the name of an axis",
+                f"another name than {listed(chain.axes)}",
+                "rename the data set",
+            )
+        own = chain
+        if row.tool_offset_mm is not None:
+            offset = np.array(row.tool_offset_mm) * 1e-3
+            own = with_tool(chain, offset - np.asarray(chain.tool_offset))
+        key = f"data.{i}."
+        try:
+            one = _data_set(row.name, row.file, row.instrument, own, folder, file, key)
+        except StudyError as error:
+            # Instruments call the table as a study of one data set does by default.
+            raise StudyError(str(error).replace("data.csv, ", f"{row.file}, ")) from error
+        if "t" in one.plan.covariates:
+            later = {"t": np.asarray(one.plan.covariates["t"]) + row.start_s}
+            one = replace(one, plan=replace(one.plan, covariates={**one.plan.covariates, **later}))
+        found.append(one)
+    without = [one for one in found if one.readings is None]
+    if without and len(without) < len(found):
+        raise refusal(
+            without[0].file,
+            "header",
+            "no column of readings",
+            f"the readings of a {without[0].settings.kind}, as the other data sets have theirs",
+            "add them, or leave this data set out",
+        )
+    return tuple(found)
+
+
+def _data_set(
+    name: str,
+    table_name: str,
+    settings: InstrumentSettings,
+    chain: Chain,
+    folder: Folder,
+    file: str,
+    key: str = "",
+) -> DataSet:
+    """One data set; `key` is where the study file has it."""
+    table, measured = _data(table_name, settings, chain, folder, file, key)
+    instrument = INSTRUMENTS[settings.kind].build(settings, chain, table, folder.table)
+    plan = instrument.plan(chain, table)
+    readings = None
+    if measured:
+        readings = instrument.measured(table)
+        instrument = instrument.start(chain, plan, readings)
+    return DataSet(name, table_name, settings, instrument, chain, plan, readings)
+
+
+def _together(sets: Sequence[DataSet], chain: Chain) -> tuple[Instrument, Plan, np.ndarray | None]:
+    """Instrument, plan and readings of all data sets."""
+    if not sets[0].name:
+        return sets[0].instrument, sets[0].plan, sets[0].readings
+    members = {
+        one.name: Member(
+            one.instrument,
+            one.plan,
+            tuple(np.asarray(one.chain.tool_offset) - np.asarray(chain.tool_offset)),
+        )
+        for one in sets
+    }
+    instrument, plan = several(members)
+    tables = [one.readings for one in sets if one.readings is not None]
+    return instrument, plan, instrument.padded(tables) if tables else None
+
+
+def _check_seen(settings: AnySettings, sets: Sequence[DataSet], file: str) -> None:
+    """Every table must see by itself what it is asked to."""
+    if isinstance(settings, StudySettings):
+        wanted = {"data.must_see": settings.data.must_see}
+    else:
+        wanted = {f"data.{i}.must_see": row.must_see for i, row in enumerate(settings.data)}
+    for (key, errors), one in zip(wanted.items(), sets, strict=True):
+        check_seen(errors, one.chain, one.instrument, one.plan, file, key)
+
+
+def _data(
+    name: str,
+    settings: InstrumentSettings,
+    chain: Chain,
+    folder: Folder,
+    file: str,
+    key: str,
+) -> tuple[Table, bool]:
     """The checked data table, and whether it holds readings."""
-    name, kind = settings.data.data, INSTRUMENTS[settings.instrument.kind]
+    kind = INSTRUMENTS[settings.kind]
     header = folder.header(name)
-    plain = kind.columns(settings.instrument, chain.axes, readings=False)
-    full = kind.columns(settings.instrument, chain.axes, readings=True)
+    plain = kind.columns(settings, chain.axes, readings=False)
+    full = kind.columns(settings, chain.axes, readings=True)
     reading_names = {c.name for c in full} - {c.name for c in plain}
     measured = not reading_names or any(column in reading_names for column in header)
-    _check_machine(settings, chain, plain, file)
+    _check_machine(settings.kind, chain, plain, file, f"{key}instrument.kind")
     places = [] if kind.positioned else _positions(chain, plain)
     columns = [*places, *(full if measured else plain)]
     table = folder.table(name, columns, _condition, labels=kind.labels)
@@ -212,12 +364,14 @@ def _data(settings: StudySettings, chain: Chain, folder: Folder, file: str) -> t
 
 
 def _check_points(
-    settings: StudySettings, chain: Chain, instrument: Instrument, folder: Folder, file: str
+    settings: AnySettings, chain: Chain, sets: Sequence[DataSet], folder: Folder
 ) -> CheckPoints | None:
-    name = settings.data.check or "check.csv"
-    if settings.data.check is None and not folder.has(name):
+    given = settings.data.check if isinstance(settings, StudySettings) else settings.check
+    name = given or "check.csv"
+    if given is None and not folder.has(name):
         return None
-    own = instrument.columns(settings.instrument, chain.axes, readings=False)
+    instrument = sets[0].instrument
+    own = instrument.columns(sets[0].settings, chain.axes, readings=False)
     linear = _is_linear(chain)
     columns = _positions(chain, own) if linear else list(own)
     columns += [Column(name=f"tcp_{c}_mm", low=-1e6, high=1e6) for c in "xyz"]
@@ -240,7 +394,7 @@ def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
     return [Column(name=name, low=-1e6, high=1e6) for name in linear if name not in names]
 
 
-def _check_machine(settings: StudySettings, chain: Chain, own: Sequence[Column], file: str) -> None:
+def _check_machine(kind: str, chain: Chain, own: Sequence[Column], file: str, key: str) -> None:
     """An instrument that reads joint angles needs an arm, any other one the axes X, Y and Z."""
     joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
     if joints:
@@ -252,8 +406,8 @@ def _check_machine(settings: StudySettings, chain: Chain, own: Sequence[Column],
     if not fits:
         raise refusal(
             file,
-            "key instrument.kind",
-            f"{settings.instrument.kind!r} on a machine with {chain.text!r}",
+            f"key {key}",
+            f"{kind!r} on a machine with {chain.text!r}",
             f"{expected} for this instrument",
             "change the instrument or the machine",
         )

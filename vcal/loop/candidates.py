@@ -9,6 +9,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..effects.base import Effect, Response, Setup
+from ..effects.data_set import in_setup
 from ..measurement import Measurement
 from ..model import Model
 from ..parameters import Parameter
@@ -22,34 +23,59 @@ class Untestable:
     effect: str
     placement: str
     reason: str
+    missing: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Covariates that it needs and the data sets that lack each: none of these where there is only
+    one data set, or where all have it and do not share it.
+    """
 
 
 def candidates(
     model: Model, measurement: Measurement, classes: Iterable[type[Effect]]
 ) -> tuple[list[Effect], list[Untestable]]:
     """Instances the data can speak about, and those it cannot for want of a covariate."""
-    setup = Setup(
-        chain=model.chain,
-        layout=model.layout,
-        plan=measurement.plan,
-        declared=model.effects,
-        artefact=model.instrument.artefact,
-    )
+    setup, plan = model.setup(measurement.plan), measurement.plan
     present = {_identity(effect) for effect in model.effects}
     found, missing = [], {}
     for cls in classes:
         if cls.kind != "systematic":
             continue
-        for effect in cls.candidates(setup):
+        for effect in in_setup(cls, setup):
             if _identity(effect) in present:
                 continue
-            absent = [name for name in effect.needs if not measurement.plan.has(name)]
+            absent = [name for name in effect.needs if not plan.has(name)]
             if absent:
-                reason = "the data have no " + ", ".join(absent)
-                missing[effect.name, effect.placement] = reason
+                missing[effect.name, effect.placement] = [_wanting(plan, name) for name in absent]
             else:
                 found.append(effect)
-    return found, [Untestable(name, place, why) for (name, place), why in missing.items()]
+    return found, [
+        Untestable(name, place, "; ".join(_reasons(wanted, plan.sets)), tuple(wanted))
+        for (name, place), wanted in missing.items()
+    ]
+
+
+def _wanting(plan: Plan, name: str) -> tuple[str, tuple[str, ...]]:
+    """A covariate that is not there, and the data sets that lack it."""
+    owner, _, plain = name.partition(":")
+    return (plain, (owner,)) if owner in plan.sets else (name, plan.lacking(name))
+
+
+def _reasons(wanted: list[tuple[str, tuple[str, ...]]], sets: tuple[str, ...]) -> list[str]:
+    """Why covariates are not there, in words: one reason for those that the same data sets lack."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for name, lacking in wanted:
+        alike.setdefault(lacking, []).append(name)
+    reasons = []
+    for lacking, names in alike.items():
+        listed = ", ".join(names)
+        if not sets or lacking == sets:
+            reasons.append(f"the data have no {listed}")
+        elif not lacking:
+            reasons.append(f"the data sets do not share their {listed}")
+        else:
+            reasons.append(
+                f"{' and '.join(lacking)} {'have' if lacking[1:] else 'has'} no {listed}"
+            )
+    return reasons
 
 
 def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:

@@ -1,19 +1,21 @@
 """Close the loop: find what a measurement says is missing, name it, add it, report the gain."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
 from ..fit import Fit
+from ..identify import declared_whitener
 from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from .candidates import LocalBump, Untestable, candidates
-from .closure import Closure, Errors, FoundEffect, Rejected, Verdict
+from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .confounded import confounded
 from .heldout import check_rms, fit_rms, heldout_rms, improvement
 from .rivals import Rival, Weighed, refit_all, weigh
@@ -26,6 +28,7 @@ from .state import (
     chi2_per_dof,
     fitted,
     noise_scale,
+    noise_scales,
     rescored,
     without,
 )
@@ -173,6 +176,7 @@ class _Run:
         ):
             self.unexplained = described(
                 fit,
+                state.scored,
                 bump,
                 p_values[LocalBump.name],
                 chi2_per_dof(state.fit),
@@ -277,7 +281,8 @@ def _finish(
     run: _Run, nominal: Fit, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
     """The result of a search: the final fit with the noise found, and the errors on the way."""
-    noise = noise_scale(state.fit)
+    noise = noise_scale(state.fit, np.ones(state.fit.measurement.rows, bool))
+    scales = noise_scales(state.fit)
     after = at_noise_found(state, run.room)
     found = [run.finished(item, after) for item in run.added]
     verdict: Verdict | None = None if interrupted else "nothing_missing"
@@ -307,9 +312,10 @@ def _finish(
         screenings=run.screenings,
         noise_scale=noise,
         noise_components=() if state.noise is None else state.noise.parts,
+        noise_scales=scales,
         settings=settings,
         interrupted=interrupted,
-        notes=_notes(noise, state, run),
+        notes=_notes(scales, state, run),
     )
 
 
@@ -362,10 +368,27 @@ def _columns_of(fit: Fit, place: int) -> list[int]:
 def errors(fit: Fit, check: CheckPoints | None) -> Errors:
     """How wrong a fitted model is, on all the data there are."""
     aligned, raw = (None, None) if check is None else check_rms(fit, check)
-    return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), chi2_per_dof(fit))
+    return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), chi2_per_dof(fit), _by_set(fit))
 
 
-def _notes(noise: float, state: State, run: _Run) -> list[str]:
+def _by_set(fit: Fit) -> dict[str, SetErrors]:
+    """Errors of every data set, where there are several; the degrees of freedom of one are its
+    readings less its own part of tr(J H^-1 J').
+    """
+    plan = fit.measurement.plan
+    if not plan.sets:
+        return {}
+    whitener = declared_whitener(fit.model, fit.measurement)
+    squares = (np.einsum("nij,nj->ni", whitener, fit.residual) ** 2).sum(1)
+    found = {}
+    for name, inside in plan.parts.items():
+        _, dof = fit.chi2_and_dof(inside)
+        ratio = float(squares[inside & fit.used].sum() / dof) if dof > 0.0 else math.nan
+        found[name] = SetErrors(heldout_rms(fit, inside), fit_rms(fit, inside), ratio)
+    return found
+
+
+def _notes(scales: Mapping[str, float], state: State, run: _Run) -> list[str]:
     notes = []
     if state.noise is not None and state.noise.uneven:
         each = ", ".join(
@@ -375,11 +398,14 @@ def _notes(noise: float, state: State, run: _Run) -> list[str]:
             f"the readings do not scatter alike, in parts of what is declared: {each}; tests and "
             "uncertainties are with these, or what is declared where that is larger"
         )
-    elif noise != 1.0:
-        notes.append(
-            f"the readings scatter {noise:.2f} times as much as declared; uncertainties "
+    else:
+        notes += [
+            f"the readings{f' of {name}' if name else ''} scatter {noise:.2f} times as much as "
+            "declared; uncertainties "
             + ("are scaled accordingly" if noise > 1 else "are left as declared")
-        )
+            for name, noise in scales.items()
+            if noise != 1.0
+        ]
     if state.fit.dof < _MANY:
         notes.append(
             f"only {state.fit.dof:.0f} degrees of freedom are left beside what is declared: "

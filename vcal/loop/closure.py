@@ -19,6 +19,16 @@ Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
 
 
 @dataclass(frozen=True)
+class SetErrors:
+    """How wrong a model is on the readings of one data set of several."""
+
+    heldout: Rms
+    fit: Rms
+    chi2_per_dof: float
+    """Against the declared noise."""
+
+
+@dataclass(frozen=True)
 class Errors:
     """How wrong a model is."""
 
@@ -29,6 +39,8 @@ class Errors:
     fit: Rms
     chi2_per_dof: float
     """Against the declared noise."""
+    sets: Mapping[str, SetErrors] = field(default_factory=dict)
+    """The same by data set, where there are several."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +99,8 @@ class Closure:
     noise_components: tuple[Component, ...]
     """Noise found of every kind of reading; empty where the readings of a row are clustered."""
     settings: Mapping[str, Any]
+    noise_scales: Mapping[str, float] = field(default_factory=dict)
+    """The same of every data set by its name, one or several."""
     interrupted: bool = False
     notes: list[str] = field(default_factory=list)
 

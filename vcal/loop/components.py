@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.special import gammaincc
 
 from ..fit import Fit
-from ..identify import declared_covariances
+from ..identify import absent, declared_covariances, whitener_of
 
 _ROUNDS = 100
 _SETTLED = 1e-3
@@ -47,6 +47,8 @@ class Components:
     """Of factors as different as these, were they all one."""
     declared: np.ndarray
     """What each declares of every row (c, n, m, m), SI."""
+    absent: np.ndarray
+    """In the place of what a row lacks (n, m, m)."""
 
     @property
     def uneven(self) -> bool:
@@ -64,8 +66,7 @@ class Components:
         return self._whitener(np.array([max(part.factor, 1.0) for part in self.parts]))
 
     def _whitener(self, factors: np.ndarray) -> np.ndarray:
-        covariance = np.einsum("c,cnij->nij", factors**2, self.declared)
-        return np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
+        return whitener_of(np.einsum("c,cnij->nij", factors**2, self.declared) + self.absent)
 
 
 def components(fit: Fit) -> Components:
@@ -76,7 +77,8 @@ def components(fit: Fit) -> Components:
     n, m = fit.residual.shape
     back = np.linalg.inv(fit.whitener[used])
     jacobian = back @ fit.jacobian.reshape(n, m, -1)[used]
-    problem = _Problem(fit.residual[used], jacobian, fit.theta, fit.precision)
+    missing = absent(fit.model, fit.measurement.plan)
+    problem = _Problem(fit.residual[used], jacobian, fit.theta, fit.precision, missing[used])
     whole, dof, level = problem.estimate(each.sum(0)[None], np.ones(1, bool))
     factors = np.full(len(each), whole[0])
     told = problem.seen(each, factors) > _TOLD
@@ -89,7 +91,7 @@ def components(fit: Fit) -> Components:
         Component(name, float(f), float(f / np.sqrt(2.0 * d)) if seen else float("nan"))
         for (name, _), f, d, seen in zip(parts, factors, dof, told, strict=True)
     ]
-    return Components(tuple(known), p_value, np.array([v for _, v in parts]))
+    return Components(tuple(known), p_value, np.array([v for _, v in parts]), missing)
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,7 @@ class _Problem:
     jacobian: np.ndarray
     theta: np.ndarray
     precision: np.ndarray
+    absent: np.ndarray
 
     def _solved(self, covariance: np.ndarray):
         inverse = np.linalg.inv(covariance)
@@ -114,7 +117,7 @@ class _Problem:
 
     def _shares(self, each: np.ndarray, factors: np.ndarray):
         """Squares that every component explains, its trace, and the log likelihood."""
-        covariance = np.einsum("c,cnij->nij", factors**2, each)
+        covariance = np.einsum("c,cnij->nij", factors**2, each) + self.absent
         inverse, weighted, factor, error, theta = self._solved(covariance)
         turned = (inverse @ error[:, :, None])[:, :, 0]
         rows = weighted.reshape(-1, len(theta))

@@ -32,13 +32,12 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
     folds, apart = instrument.folds(plan)
     n, m = fit.residual.shape
     found = np.full((n, m), np.nan)
-    if apart:
-        found[folds >= 0] = fit.residual[folds >= 0]
-        return found
+    apart = np.broadcast_to(apart, n) & (folds >= 0)
+    found[apart] = fit.residual[apart]
     jacobian = fit.jacobian.reshape(n, m, -1)
     whitened = fit.whitened.reshape(n, m)
     total = fit.jacobian.T @ fit.jacobian
-    for fold in np.unique(folds[folds >= 0]):
+    for fold in np.unique(folds[(folds >= 0) & ~apart]):
         rows = np.flatnonzero((folds == fold) & fit.used)
         if not len(rows):
             continue
@@ -63,10 +62,11 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
 
 def squared_errors(fit: Fit, residuals: np.ndarray) -> np.ndarray:
     """Mean squared length of the points of every row, m^2; nan rows are left out."""
-    lengths = fit.model.instrument.lengths(fit.measurement.plan, fit.measurement.readings)
-    squares = (residuals * lengths) ** 2
-    squares = squares[np.isfinite(squares).all(1)]
-    return squares.sum(1) * fit.model.instrument.dimension / squares.shape[1]
+    instrument, plan = fit.model.instrument, fit.measurement.plan
+    squares = (residuals * instrument.lengths(plan, fit.measurement.readings)) ** 2
+    told = np.isfinite(squares).all(1)
+    readings = instrument.present(plan)[told].sum(1)
+    return squares[told].sum(1) * instrument.dimensions(plan)[told] / readings
 
 
 def rms(squares: np.ndarray) -> Rms:
@@ -78,14 +78,15 @@ def rms(squares: np.ndarray) -> Rms:
     return Rms(value * 1e6, u * 1e6)
 
 
-def fit_rms(fit: Fit) -> Rms:
-    """3-D rms of the residuals of the rows that were fitted, um."""
-    return rms(squared_errors(fit, np.where(fit.used[:, None], fit.residual, np.nan)))
+def fit_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
+    """3-D rms of the residuals of the rows that were fitted, um; of `rows` (n,) only."""
+    return rms(squared_errors(fit, np.where((fit.used & rows)[:, None], fit.residual, np.nan)))
 
 
-def heldout_rms(fit: Fit) -> Rms:
-    """3-D rms of the held-out residuals, um."""
-    return rms(squared_errors(fit, heldout_residuals(fit)))
+def heldout_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
+    """3-D rms of the held-out residuals, um; of `rows` (n,) only."""
+    kept = np.broadcast_to(rows, fit.used.shape)[:, None]
+    return rms(squared_errors(fit, np.where(kept, heldout_residuals(fit), np.nan)))
 
 
 def machine_terms(fit: Fit, plan) -> tuple[Terms, np.ndarray]:
@@ -158,17 +159,24 @@ def improvement(before: Fit, after: Fit) -> tuple[float, float, float]:
     plan = before.measurement.plan
     whitener = before.whitener
     folds, apart = before.model.instrument.folds(plan)
-    if apart:
-        # Rows that were never fitted have no weight of their own: use that of the fitted ones.
-        typical = np.median(whitener[before.used], axis=0)
-        whitener = np.where(before.used[:, None, None], whitener, typical)
+    apart = np.broadcast_to(apart, plan.rows)
+    for inside in plan.parts.values():
+        if apart[inside].any():
+            # Rows that were never fitted have no weight of their own: use that of the fitted ones.
+            typical = np.median(whitener[before.used & inside], axis=0)
+            unused = (inside & ~before.used)[:, None, None]
+            whitener = np.where(unused, typical, whitener)
     a, b = heldout_residuals(before), heldout_residuals(after)
     rows = np.isfinite(a).all(1) & np.isfinite(b).all(1)
     squares = [
         (np.einsum("nij,nj->ni", whitener[rows], residual[rows]) ** 2).sum(1) for residual in (a, b)
     ]
     fall = squares[0] - squares[1]
-    groups = folds[rows] if len(np.unique(folds[rows])) >= 12 else np.arange(rows.sum())
+    groups = folds[rows]
+    for inside in plan.parts.values():
+        mine = inside[rows]
+        if len(np.unique(groups[mine])) < 12:
+            groups = np.where(mine, plan.rows + np.arange(len(groups)), groups)
     sums = np.array([fall[groups == g].sum() for g in np.unique(groups)])
     error = math.sqrt(len(sums)) * sums.std(ddof=1) if len(sums) > 1 else math.inf
     share = 1.0 - rms(squared_errors(after, b)).value / rms(squared_errors(before, a)).value

@@ -124,9 +124,9 @@ class Screen:
         self.whitening_flat = np.linalg.pinv(np.linalg.qr(fit.jacobian[:, self.flat], mode="r"))
         self.dof = fit.dof
         self.chi2 = fit.chi2
-        self.count = float(fit.used.sum() * m - self.flat.sum())
+        self.count = float(fit.counted.sum() - self.flat.sum())
         self.cost = self._cost(fit.chi2, float(fit.theta**2 @ fit.precision))
-        used = np.repeat(fit.used, m)
+        used = fit.counted.reshape(-1)
         rng = np.random.default_rng(seed)
         noise = rng.standard_normal((n * m, draws)) * used[:, None]
         prior = rng.standard_normal((len(fit.theta), draws)) * np.sqrt(fit.precision)[:, None]

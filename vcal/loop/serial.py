@@ -20,14 +20,15 @@ from scipy.signal import lfilter
 from scipy.special import gammaincc
 
 from ..fit import Fit
+from ..plan import DATA_SET
 
 _PHI = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
 _SHARE = (0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 0.97)
 _COARSE = tuple((phi, s) for phi in (0.5, 0.8, 0.95, 0.99) for s in (0.2, 0.5, 0.9))
 _SUSPICIOUS = 3.0
 """Lag-one correlation, in its standard deviations by chance, from which the grid is looked at."""
-_BREAKS = ("run", "pose")
-"""Groups between which nothing persists."""
+_BREAKS = ("run", "pose", DATA_SET)
+"""Groups between which nothing persists, of every data set."""
 
 
 @dataclass(frozen=True)
@@ -93,13 +94,19 @@ class _Sequence:
     """(n, m, k)."""
     theta: np.ndarray
     precision: np.ndarray
+    counted: np.ndarray
+    """Which readings there are (n, m)."""
 
     @classmethod
     def of(cls, fit: Fit) -> "_Sequence":
         used = fit.used
         n, m = fit.residual.shape
         groups = fit.measurement.plan.groups
-        marks = [np.asarray(groups[name])[used] for name in _BREAKS if name in groups]
+        marks = [
+            np.asarray(index)[used]
+            for name, index in groups.items()
+            if name.rpartition(":")[2] in _BREAKS
+        ]
         breaks = np.zeros(int(used.sum()) - 1, bool)
         for mark in marks:
             breaks |= np.diff(mark) != 0
@@ -110,16 +117,18 @@ class _Sequence:
             fit.jacobian.reshape(n, m, -1)[used],
             fit.theta,
             fit.precision,
+            fit.counted[used],
         )
 
     @property
     def suspicion(self) -> float:
         """Lag-one correlation over its standard deviation by chance."""
-        products = [self.residual[p][1:] * self.residual[p][:-1] for p in self.pieces]
-        count = sum(part.size for part in products)
-        if not count:
-            return 0.0
-        return float(sum(part.sum() for part in products) / count**0.5 / np.mean(self.residual**2))
+        total, count = 0.0, 0
+        for p in self.pieces:
+            total += float((self.residual[p][1:] * self.residual[p][:-1]).sum())
+            count += int(self.counted[p][1:].sum())
+        mean = float((self.residual**2).sum()) / self.counted.sum()
+        return total / count**0.5 / mean if count else 0.0
 
     def likelihood(
         self, kept: np.ndarray | None = None, phi: float = 0.0, share: float = 0.0
@@ -145,7 +154,7 @@ class _Sequence:
         r, jacobian = flat[:, 0], flat[:, 1:]
         theta, precision = self.theta[kept], self.precision[kept]
         square, cross, own = jacobian.T @ jacobian, jacobian.T @ r, float(r @ r)
-        n = len(r)
+        n = int(self.counted.sum())
         scale = spread
         for _ in range(3):
             factor = cho_factor(square / scale + np.diag(precision))

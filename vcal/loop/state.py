@@ -52,7 +52,7 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     """Fit, leave out stray readings, and fit again with the noise that the readings show."""
     plan, instrument = measurement.plan, model.instrument
     folds, apart = instrument.folds(plan)
-    keep = np.where(apart & (folds >= 0), False, True) if apart else np.ones(plan.rows, bool)
+    keep = ~(np.broadcast_to(apart, plan.rows) & (folds >= 0))
     options: dict = {"keep": keep, "room": room}
     if start is not None:
         options |= {"theta": start.theta, "shapes": start.shapes}
@@ -68,7 +68,7 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
         keep[[s.row for s in found]] = False
         fit = identify(model, measurement, **options)
     scored, noise = fit, None
-    if instrument.clustered:
+    if (fit.clusters >= 0).any():
         for _ in range(2):
             scored = identify(model, measurement, whitener=_clustered_whitener(scored), **options)
     else:
@@ -130,17 +130,29 @@ def without(state: State, place: int, room: int) -> Fit:
 def _clustered_whitener(fit: Fit) -> np.ndarray:
     """W of every row from the covariance the readings of one row show in the residuals.
 
-    For instruments whose readings of one row share errors that are not modelled: S = sum r r' /
-    (rows - parameters per reading), not below the declared noise.
+    For rows whose readings share errors that are not modelled (`Instrument.clusters`): S = sum r r'
+    / (rows - parameters per reading), not below the declared noise. The parameters are shared out
+    evenly over all rows.
     """
-    used = fit.used
-    rows, m = int(used.sum()), fit.residual.shape[1]
-    r = fit.residual[used]
-    covariance = r.T @ r / max(rows - len(fit.theta) / m, m + 1.0)
-    declared = np.linalg.inv(declared_whitener(fit.model, fit.measurement)[0])
-    covariance = covariance + 0.1 * declared @ declared.T
-    whitener = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    return np.broadcast_to(whitener, (len(used), m, m)).copy()
+    used, clusters = fit.used, fit.clusters
+    found = declared_whitener(fit.model, fit.measurement)
+    for k in np.unique(clusters[clusters >= 0]):
+        mine = clusters == k
+        here = np.flatnonzero(mine & used)
+        if not len(here):
+            continue
+        present = np.flatnonzero(fit.counted[here[0]])
+        rows, m = len(here), len(present)
+        r = fit.residual[np.ix_(here, present)]
+        taken = len(fit.theta) * (rows / used.sum())
+        covariance = r.T @ r / max(rows - taken / m, m + 1.0)
+        block = np.ix_(present, present)
+        declared = np.linalg.inv(found[np.flatnonzero(mine)[0]][block])
+        covariance = covariance + 0.1 * declared @ declared.T
+        whitener = np.eye(fit.residual.shape[1])
+        whitener[block] = np.linalg.cholesky(np.linalg.inv(covariance)).T
+        found[mine] = whitener
+    return found
 
 
 def chi2_per_dof(fit: Fit) -> float:
@@ -150,22 +162,33 @@ def chi2_per_dof(fit: Fit) -> float:
     return float((residual**2).sum() / fit.dof)
 
 
-def noise_scale(fit: Fit) -> float:
-    """Root of chi2/dof where that is not chance (p < 1e-3), else one."""
-    p = gammaincc(0.5 * fit.dof, 0.5 * fit.chi2)
-    ratio = math.sqrt(fit.chi2 / fit.dof)
+def noise_scale(fit: Fit, rows: np.ndarray) -> float:
+    """Root of chi2/dof of these rows where that is not chance (p < 1e-3), else one."""
+    chi2, dof = (fit.chi2, fit.dof) if rows.all() else fit.chi2_and_dof(rows)
+    if dof <= 0.0:
+        return 1.0
+    p = gammaincc(0.5 * dof, 0.5 * chi2)
+    ratio = math.sqrt(chi2 / dof)
     return ratio if p < 1e-3 or p > 1.0 - 1e-3 else 1.0
+
+
+def noise_scales(fit: Fit) -> dict[str, float]:
+    """That of every data set by its name, one or several."""
+    return {name: noise_scale(fit, rows) for name, rows in fit.measurement.plan.parts.items()}
 
 
 def at_noise_found(state: State, room: int) -> Fit:
     """The fit with the noise that was found instead of the one declared, where it is larger."""
-    fit, scale = state.fit, noise_scale(state.fit)
+    fit = state.fit
     if state.noise is not None and state.noise.uneven:
         whitener = state.noise.whitener_at_least_declared
-    elif scale > 1.0:
-        whitener = fit.whitener / scale
     else:
-        return fit
+        scale = np.ones(len(fit.whitener))
+        for name, found in noise_scales(fit).items():
+            scale[fit.measurement.plan.parts[name]] = max(found, 1.0)
+        if (scale == 1.0).all():
+            return fit
+        whitener = fit.whitener / scale[:, None, None]
     return identify(
         fit.model,
         fit.measurement,

@@ -48,25 +48,33 @@ def stray_rows(fit: Fit, robust: Callable[[], tuple[Fit, np.ndarray]]) -> list[S
 
 
 def _outstanding(fit: Fit, weights: np.ndarray) -> list[Stray]:
-    """Rows too far out, by residuals with the covariance I - J_i H^-1 J_i' of the fit."""
+    """Rows too far out, by residuals with the covariance I - J_i H^-1 J_i' of the fit, and by the
+    scale of their data set.
+    """
     n, m = fit.residual.shape
     jacobian = fit.jacobian.reshape(n, m, -1)
     whitened = fit.whitened.reshape(n, m)
     solved = cho_solve(fit.factor, fit.jacobian.T).T.reshape(n, m, -1)
     own = np.eye(m) - np.einsum("nik,njk->nij", jacobian, solved)
-    rows = np.flatnonzero(fit.used)
-    distance = np.einsum(
-        "ni,ni->n", whitened[rows], np.linalg.solve(own[rows], whitened[rows, :, None])[:, :, 0]
-    )
-    median = 2.0 * gammainccinv(0.5 * m, 0.5)
-    distance = distance / weights[rows]
-    scaled = distance / max(np.median(distance) / median, 1e-30)
-    minus_log_p = minus_log_chi2_tail(scaled, m)
-    found = np.flatnonzero(minus_log_p > -np.log(_CHANCE / len(rows)))
-    return [
-        Stray(int(rows[i]), float(np.sqrt(scaled[i])), float(np.exp(-minus_log_p[i])))
-        for i in found
-    ]
+    strays = []
+    for inside in fit.measurement.plan.parts.values():
+        rows = np.flatnonzero(fit.used & inside)
+        if not len(rows):
+            continue
+        readings = fit.counted[rows[0]].sum()
+        distance = np.einsum(
+            "ni,ni->n", whitened[rows], np.linalg.solve(own[rows], whitened[rows, :, None])[:, :, 0]
+        )
+        distance = distance / weights[rows]
+        median = 2.0 * gammainccinv(0.5 * readings, 0.5)
+        scaled = distance / max(np.median(distance) / median, 1e-30)
+        minus_log_p = minus_log_chi2_tail(scaled, readings)
+        found = np.flatnonzero(minus_log_p > -np.log(_CHANCE / fit.used.sum()))
+        strays += [
+            Stray(int(rows[i]), float(np.sqrt(scaled[i])), float(np.exp(-minus_log_p[i])))
+            for i in found
+        ]
+    return strays
 
 
 def _gathered(fit: Fit, rows: np.ndarray, found: Sequence[int]) -> bool:
@@ -74,9 +82,10 @@ def _gathered(fit: Fit, rows: np.ndarray, found: Sequence[int]) -> bool:
     among = np.isin(rows, found)
     least, tried = 1.0, 0
     for x in covariates(fit).values():
-        index = bins(x[rows])
+        there = np.isfinite(x[rows])
+        index = bins(x[rows][there])
         size = np.bincount(index)
-        inside = np.bincount(index[among], minlength=len(size))
+        inside = np.bincount(index[among[there]], minlength=len(size))
         p = hypergeom.sf(inside - 1, len(rows), size, len(found))
         least, tried = min(least, float(p.min())), tried + len(size)
     return least * tried < _CHANCE

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from ..fit import Fit
+from ..plan import DATA_SET, of_set
 from .rivals import Rival
 from .screen import Screen
 from .serial import Serial
@@ -21,6 +22,8 @@ _SPREAD = 25.0
 """chi2 per degree of freedom, against the declared noise, from which something must be missing even
 if nothing that is recorded tells it; noise that is declared too small is no such thing.
 """
+_ROUNDING = 1e-9
+"""Share of the variance, on average over null draws, that is nothing but rounding."""
 _SHOWN = 3
 """Products of two covariates that are told."""
 
@@ -72,20 +75,31 @@ def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
 def covariates(fit: Fit) -> dict[str, np.ndarray]:
     """Everything the residual may depend on, by its name inside vcal; of columns that are the same
     but for scale and offset only the first.
+
+    What only the rows of one data set have is nan in the others; the axes are there for all rows
+    and for those of every data set.
     """
     plan = fit.measurement.plan
-    found = {axis: np.asarray(plan.x(axis)) for axis in plan.axes}
-    found |= {name: np.asarray(values) for name, values in plan.covariates.items()}
-    found |= {
-        name: np.asarray(values, float) for name, values in plan.groups.items() if name != "point"
-    }
+    tables = [plan.axes, plan.covariates, plan.groups]
+    names = [name for table in tables for name in table]
+    names += [of_set(one, axis) for one in plan.sets for axis in plan.axes]
     distinct: dict[str, np.ndarray] = {}
-    for name, x in found.items():
-        if not np.isfinite(x).all() or np.ptp(x) == 0:
+    for name in names:
+        x = plan.values(name)
+        there = np.isfinite(x)
+        if name.rpartition(":")[2] == "point" or not there.any() or np.ptp(x[there]) == 0:
             continue
-        if all(abs(np.corrcoef(x, other)[0, 1]) < 0.9999 for other in distinct.values()):
+        if not any(_same(x, other) for other in distinct.values()):
             distinct[name] = x
     return distinct
+
+
+def _same(x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether two columns are there for the same rows and the same but for scale and offset."""
+    there = np.isfinite(x)
+    if not np.array_equal(there, np.isfinite(y)):
+        return False
+    return bool(abs(np.corrcoef(x[there], y[there])[0, 1]) >= 0.9999)
 
 
 def bins(x: np.ndarray) -> np.ndarray:
@@ -122,21 +136,33 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     data = np.einsum("npi,ni->np", inverse, state.residual[used])
     null = np.einsum("npi,nid->npd", inverse.astype(np.float32), state.null[used])
     both = np.concatenate([data[:, :, None], null], axis=2)
+    for rows in fit.measurement.plan.parts.values() if fit.measurement.plan.sets else ():
+        # In units of its own scatter: a precise data set would be lost beside a coarse one.
+        mine = rows[used]
+        both[mine] /= np.sqrt(np.mean(both[mine][:, :, 1:] ** 2)) if mine.any() else 1.0
     total = (both**2).sum((0, 1))
     names, shares = [], []
     known = {name: x[used] for name, x in covariates(fit).items()}
     for name, x in known.items():
-        index = bins(x)
+        there = np.isfinite(x)
+        if not there.any():
+            continue
+        index = bins(x[there])
         counts = np.bincount(index)
         sums = np.zeros((len(counts), *both.shape[1:]))
-        np.add.at(sums, index, both)
+        np.add.at(sums, index, both[there])
         described = (sums**2 / np.maximum(counts, 1)[:, None, None]).sum((0, 1)) / total
+        if not there.all() and described[1:].mean() < _ROUNDING:
+            continue  # of one data set, whose own nuisances take all of it: a tilt of every pose
         names.append(name)
         shares.append(described)
     singles = np.array(shares)
-    pairs, columns = _products(
-        {n: x for n, x in known.items() if n not in fit.measurement.plan.groups}
-    )
+    plan = fit.measurement.plan
+    # A group index is no quantity to multiply by, unless there are only two of a kind.
+    multiplied = {n for n in known if n not in plan.groups and np.isfinite(known[n]).all()}
+    if len(plan.sets) == 2:
+        multiplied.add(DATA_SET)
+    pairs, columns = _products({n: x for n, x in known.items() if n in multiplied})
     moved = np.tensordot(columns, both, 1) if pairs else np.zeros((0, *both.shape[1:]))
     products = (moved**2).sum(1) / total
     rare = np.concatenate([_rarity(singles), _rarity(products)])
@@ -203,6 +229,7 @@ def main_direction(vectors: np.ndarray) -> str:
 
 def described(
     fit: Fit,
+    tested: Fit,
     bump: Rival,
     p_value: float,
     chi2_per_dof: float,
@@ -211,9 +238,10 @@ def described(
     seed: int,
 ) -> Unexplained:
     """The description where a local bump explains more than every effect of the catalogue: by the
-    bump or, where that describes clearly more, by a covariate or a product of two.
+    bump or, where that describes clearly more, by a covariate or a product of two. `tested` is the
+    fit with the noise to test by.
     """
-    told = dependence(fit, draws, seed)
+    told = dependence(tested, draws, seed)
     local = _from_bump(fit, bump, p_value, told)
     spread = _from_dependence(fit, told, chi2_per_dof, alpha)
     if spread is None:

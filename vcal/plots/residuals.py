@@ -1,5 +1,7 @@
 """Residuals against what betrays them: before and after, what stays unexplained, their spread."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -142,6 +144,8 @@ def _component(fit: Fit, name: str, moved: np.ndarray, direction: str) -> int:
     if direction in "XYZ":
         return "XYZ".index(direction)
     x = values_of(name, fit.measurement.plan)[fit.used]
+    there = np.isfinite(x)
+    x, moved = x[there], moved[there]
     return int(np.argmax([described(x, moved[:, k]) * moved[:, k].var() for k in range(3)]))
 
 
@@ -149,38 +153,62 @@ def _panel(ax: Axes, fit: Fit, name: str, y: np.ndarray, colour: str, i: int) ->
     plan = fit.measurement.plan
     column, factor = column_of(name, plan)
     frame = "" if set(plan.axes) <= set("XYZ") else " of the tool"
-    _dots(ax, values_of(name, plan)[fit.used] * factor, y, colour, many=True)
+    x = values_of(name, plan)[fit.used] * factor
+    there = np.isfinite(x)  # of the data sets that have it
+    _dots(ax, x[there], y[there], colour, many=True)
     bound = limit([y])
     ax.set_ylim(-bound, bound)
     along = f"residual along {'XYZ'[i]}{frame}"
     titled(ax, f"{along} against {column}", column_label(column), f"{along}, µm")
 
 
-def studentised(fit: Fit) -> np.ndarray:
-    """Residuals over their own standard deviations under the declared noise, sorted."""
+def studentised(fit: Fit, rows: np.ndarray | bool = True) -> np.ndarray:
+    """Residuals of `rows` (n,) over their own standard deviations under the declared noise,
+    sorted.
+    """
     factor, lower = fit.factor
     half = solve_triangular(factor, fit.jacobian.T, trans=0 if lower else 1, lower=lower)
     leverage = np.einsum("kn,kn->n", half, half)
-    used = np.repeat(fit.used, fit.residual.shape[1])
+    used = (fit.counted & np.broadcast_to(rows, fit.used.shape)[:, None]).reshape(-1)
     return np.sort(fit.whitened[used] / np.sqrt(np.clip(1.0 - leverage[used], 0.02, 1.0)))
 
 
-def normal_plot(before: Fit, after: Fit, noise_scale: float = 1.0) -> Figure:
+def normal_plot(before: Fit, after: Fit, noise_scales: Mapping[str, float]) -> Figure:
     """Normal probability plot of the studentised residuals: on the line is as declared.
 
-    `noise_scale` is the factor by which the fit after closing the loop enlarged the declared noise.
+    One panel for every data set. `noise_scales` are the factors, by data set, by which the fit
+    after closing the loop enlarged the declared noise.
     """
-    drawn = figure(5.6, 3.9)
-    ax = _panels(drawn, 1)[0]
+    parts = before.measurement.plan.parts
+    if len(parts) == 1:
+        drawn = figure(5.6, 3.9)
+        ((name, inside),) = parts.items()
+        title = f"{name}: " if name else ""
+        _normal(_panels(drawn, 1)[0], before, after, noise_scales[name], inside, title)
+        return drawn
+    rows = -(-len(parts) // 2)
+    drawn = figure(9.6, 3.9 * rows)
+    margins = {"left": 0.75, "right": 0.2, "top": 0.45, "bottom": 0.6, "wspace": 0.8, "hspace": 1.1}
+    table = grid(drawn, rows, 2, margins).reshape(-1)
+    for ax, (name, inside) in zip(table, parts.items(), strict=False):
+        _normal(ax, before, after, noise_scales[name], inside, f"{name}: ")
+    for ax in table[len(parts) :]:
+        ax.set_axis_off()
+    return drawn
+
+
+def _normal(
+    ax: Axes, before: Fit, after: Fit, noise_scale: float, rows: np.ndarray | bool, name: str
+) -> None:
     shown = []
-    for fit, scale, colour, name in (
+    for fit, scale, colour, label in (
         (before, 1.0, BEFORE, "before"),
         (after, noise_scale, AFTER, "after"),
     ):
-        values = studentised(fit) * scale
+        values = studentised(fit, rows) * scale
         shown.append(values)
         expected = ndtri((np.arange(len(values)) + 0.5) / len(values))
-        ax.plot(expected, values, ".", markersize=3, color=colour, label=name)
+        ax.plot(expected, values, ".", markersize=3, color=colour, label=label)
     bound = max(abs(ax.get_xlim()[0]), abs(ax.get_xlim()[1]))
     ax.plot([-bound, bound], [-bound, bound], color=INK, linewidth=1.0, label="as declared")
     top = max(1.1 * np.abs(shown[1]).max(), 1.3 * limit(shown[:1], 0.98), bound)
@@ -188,11 +216,10 @@ def normal_plot(before: Fit, after: Fit, noise_scale: float = 1.0) -> Figure:
     _legend(ax)
     titled(
         ax,
-        "residuals against the declared noise",
+        f"{name}residuals against the declared noise",
         "expected of normal noise, standard deviations",
         "residual, declared standard deviations",
     )
-    return drawn
 
 
 def _dots(
@@ -253,4 +280,5 @@ def _dots(
 
 
 def _alike(a: np.ndarray, b: np.ndarray) -> bool:
-    return abs(np.corrcoef(a, b)[0, 1]) > 0.999
+    there = np.isfinite(a) & np.isfinite(b)
+    return bool(there.any() and abs(np.corrcoef(a[there], b[there])[0, 1]) > 0.999)

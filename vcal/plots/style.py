@@ -112,7 +112,12 @@ def pretty_unit(unit: str) -> str:
 
 
 def column_label(column: str) -> str:
-    """A column as an axis label: ``"x_mm"`` gives ``"x, mm"``."""
+    """A column as an axis label: ``"x_mm"`` gives ``"x, mm"``, that of one data set with its name:
+    ``"tracker: x_mm"``.
+    """
+    owner, colon, plain = column.partition(": ")
+    if colon:
+        return f"{owner}: {column_label(plain)}"
     if match := re.fullmatch(r"dir_(\w+)", column):
         joint = re.fullmatch(r"q(\d+)", match[1])
         return f"direction of travel of {f'joint {joint[1]}' if joint else match[1].upper()}"

@@ -50,8 +50,13 @@ class View:
 def column_of(covariate: str, plan: Plan) -> tuple[str, float]:
     """Column of the data file that holds a covariate or axis, and the factor from SI to its unit.
 
-    The axes of an arm are read back or commanded, whichever the plan takes as its positions.
+    The axes of an arm are read back or commanded, whichever the plan takes as its positions. A
+    column that belongs to one data set has its name in front.
     """
+    owner, _, plain = covariate.partition(":")
+    if owner in plan.sets:
+        name, factor = file_column(plain, plan.axes)
+        return f"{owner}: {name}", factor
     read = plan.covariates.get(f"read_{covariate}")
     if covariate in plan.axes and read is not None:
         if np.array_equal(np.asarray(read), np.asarray(plan.x(covariate))):
@@ -60,11 +65,8 @@ def column_of(covariate: str, plan: Plan) -> tuple[str, float]:
 
 
 def values_of(covariate: str, plan: Plan) -> np.ndarray:
-    """Values (n,) of an axis, covariate or group index, SI."""
-    if covariate in plan.axes:
-        return np.asarray(plan.x(covariate), float)
-    table = plan.covariates if covariate in plan.covariates else plan.groups
-    return np.asarray(table[covariate], float)
+    """Values (n,) of an axis, covariate or group index, SI; nan in rows of data sets without it."""
+    return plan.values(covariate)
 
 
 def place_of(fit: Fit, effect: Effect) -> int:
@@ -128,26 +130,30 @@ def described(x: np.ndarray, y: np.ndarray) -> float:
     return float((sums**2 / counts).sum() / max((centred**2).sum(), 1e-300))
 
 
-def effect_view(fit: Fit, effect: Effect) -> View:
-    """Where the residual shows an effect of the fit.
+def effect_view(fit: Fit, effect: Effect, rows: np.ndarray | bool = True) -> View:
+    """Where the residual of some rows (n,) shows an effect of the fit.
 
     Direction: that in which its one port moves the tool point, row by row; of effects with several
     ports the main direction of what they displace. Abscissa: of the covariates that betray it the
     one that describes best what is visible of it; where none does, that visible part itself.
     """
     place = place_of(fit, effect)
-    used, shape = fit.used, fit.shapes.get(place, {})
-    direction, along = _direction(fit, effect, shape, contribution(fit, place))
+    used = fit.used & effect.rows(fit.measurement.plan) & rows
+    shape = fit.shapes.get(place, {})
+    direction, along = _direction(fit, effect, shape, contribution(fit, place), used)
     without, with_ = (
         (displacements(fit, residual) * direction).sum(1)[used] * 1e6
         for residual in (residual_without(fit, place), fit.residual)
     )
-    x, label, kind, event = _abscissa(fit, effect, shape, without - with_)
-    tone, tone_label = _tone(fit, effect, without - with_) if kind == "visible" else (None, "")
+    x, label, kind, event = _abscissa(fit, effect, shape, without - with_, used)
+    visible = without - with_
+    tone, tone_label = _tone(fit, effect, visible, used) if kind == "visible" else (None, "")
     return View(x, label, kind, along, without, with_, event, tone, tone_label)
 
 
-def _direction(fit: Fit, effect: Effect, shape, moved: np.ndarray) -> tuple[np.ndarray, str]:
+def _direction(
+    fit: Fit, effect: Effect, shape, moved: np.ndarray, used: np.ndarray
+) -> tuple[np.ndarray, str]:
     response = effect.response(fit.measurement.plan, shape)
     ports = list(dict.fromkeys(port for port, _ in response))
     frame = "" if set(fit.model.chain.axes) <= set("XYZ") else " of the tool"
@@ -156,7 +162,7 @@ def _direction(fit: Fit, effect: Effect, shape, moved: np.ndarray) -> tuple[np.n
         lever = displacements(fit, column)
         length = np.linalg.norm(lever, axis=1, keepdims=True)
         direction = lever / np.where(length > 0, length, 1.0)
-        mean = direction[fit.used].mean(0)
+        mean = direction[used].mean(0)
         if np.abs(mean).max() > 0.99:
             return direction, f"along {'XYZ'[int(np.argmax(np.abs(mean)))]}{frame}"
         return direction, f"in the direction in which {ports[0]} moves the tool point"
@@ -173,8 +179,8 @@ def _direction(fit: Fit, effect: Effect, shape, moved: np.ndarray) -> tuple[np.n
     return direction, "along the displacement it causes"
 
 
-def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray):
-    plan, used = fit.measurement.plan, fit.used
+def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.ndarray):
+    plan = fit.measurement.plan
     named = [n for n in effect.betrayed_by if plan.has(n)]
     if "pitch" in shape and effect.placement in plan.axes:
         pitch = float(shape["pitch"]) * 1e3
@@ -202,10 +208,12 @@ def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray):
     return visible, f"what is visible of {effect.key}, µm", "visible", None
 
 
-def _tone(fit: Fit, effect: Effect, visible: np.ndarray) -> tuple[np.ndarray | None, str]:
+def _tone(
+    fit: Fit, effect: Effect, visible: np.ndarray, used: np.ndarray
+) -> tuple[np.ndarray | None, str]:
     """The betraying covariate that describes best what is visible, as ranks from 0 to 1."""
     plan = fit.measurement.plan
-    table = {n: values_of(n, plan)[fit.used] for n in effect.betrayed_by if plan.has(n)}
+    table = {n: values_of(n, plan)[used] for n in effect.betrayed_by if plan.has(n)}
     table = {n: x for n, x in table.items() if np.ptp(x) > 0}
     if not table:
         return None, ""

@@ -10,8 +10,6 @@ from ..loop.closure import Closure, FoundEffect
 from ..plan import Plan
 from ..plots import column_of, parameter_places, place_of
 
-_NO = "the data have no "
-
 
 def parameters(closure: Closure, found: FoundEffect) -> list[tuple[str, float, str, float]]:
     """(name, value, unit, standard uncertainty) of an effect, sine and cosine also as the
@@ -58,13 +56,14 @@ def missing_columns(item: Untestable, plan: Plan) -> list[str]:
     """Columns, as they are called in files, for want of which an effect could not be tested; none
     where that was not the reason.
     """
-    if not item.reason.startswith(_NO):
-        return []
-    names = item.reason.removeprefix(_NO).split(", ")
-    return [_column(name, plan) for name in names]
+    return [_column(name, lacking, plan) for name, lacking in item.missing]
 
 
-def _column(name: str, plan: Plan) -> str:
+def _column(name: str, lacking: tuple[str, ...], plan: Plan) -> str:
     column = column_of(name, plan)[0]
+    if plan.sets and not lacking:  # all have one, each of its own
+        return f"{column} shared by the data sets"
+    if lacking != plan.sets:
+        return f"{column} (not in {', '.join(lacking)})"
     # A time that begins anew with every run is there, and is another one.
     return f"{column} through all runs" if f"{name}_run" in plan.covariates else column

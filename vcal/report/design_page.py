@@ -69,11 +69,11 @@ def design_page(
 
 def facts(done: Designed, study: Study) -> list[tuple[str, str]]:
     """What was asked."""
-    task, settings = done.task, study.settings.design
+    task, settings = done.task, study.single.design
     chosen = [task.families[0].motions[i].name for i in task.families[0].chosen]
     told = [
         ("Machine", study.chain.text),
-        ("Instrument", study.settings.instrument.kind.replace("_", " ")),
+        ("Instrument", study.one.label),
         ("Goal", f"{settings.goal}: {task.criterion.words}"),
         ("Plan", f"{len(task.space.groups)} {task.space.group}s, {study.plan.rows} rows"),
         ("Free", f"{len(task.space.low)} numbers within bounds"),

@@ -137,7 +137,7 @@ def following_page(
 ) -> str:
     """The page as one self-contained HTML text, pictures included."""
     shown = {picture.section: picture for picture in drawn}
-    settings = study.settings.design
+    settings = study.single.design
     return sheet(
         study.name,
         following_sentence(done),
@@ -159,7 +159,7 @@ def following_page(
         badge=Badge("Next", "plain"),
         facts=[
             ("Machine", study.chain.text),
-            ("Instrument", study.settings.instrument.kind.replace("_", " ")),
+            ("Instrument", study.one.label),
             ("So far", f"{len(done.present.groups)} {done.present.group}s, {study.plan.rows} rows"),
             ("Next", f"{len(done.task.space.groups)} {done.task.space.group}s"),
             ("Goal", _goal(done, settings.goal)),

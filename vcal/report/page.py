@@ -56,6 +56,7 @@ def page(
         facts=_facts(closure, study),
         tiles=_tiles(closure),
         errors=_errors(closure),
+        data_sets=_data_sets(closure, study),
         has_check=closure.check is not None,
         effects=[_effect(closure, found) for found in closure.effects],
         unexplained=_unexplained(closure),
@@ -77,7 +78,7 @@ def page(
         unseen=_unseen(closure),
         suspected=[
             {
-                "row": stray.row + 1,
+                "row": _row(closure, stray.row),
                 "distance": text.number(stray.distance),
                 "p": text.probability(stray.p_value),
             }
@@ -95,7 +96,12 @@ def page(
         ],
         noise_as_declared=closure.noise_scale == 1.0,
         noise_larger=closure.noise_scale > 1.0,
-        clustered=after.model.instrument.clustered,
+        noise_by_set=[
+            f"{name} {text.number(scale, 3)}"
+            for name, scale in closure.noise_scales.items()
+            if name
+        ],
+        clustered=bool((after.clusters >= 0).any()),
         files=sorted(study.hashes.items()),
         settings={k: v for k, v in plain(closure.settings).items() if k != "effects"},
         catalogue=", ".join(closure.settings.get("effects", [])),
@@ -140,6 +146,35 @@ def _errors(closure: Closure) -> list[dict[str, Any]]:
     return rows
 
 
+def _data_sets(closure: Closure, study: Study) -> list[dict[str, Any]]:
+    """One line per data set, where there are several: what it holds, and its errors."""
+    before, after = (closure.errors[name].sets for name in ("before", "after"))
+    return [
+        {
+            "name": one.name,
+            "instrument": one.settings.kind.replace("_", " "),
+            "file": one.file,
+            "readings": int(
+                closure.after.counted[closure.after.measurement.plan.in_set(one.name)].sum()
+            ),
+            "fit": [text.number(errors[one.name].fit.value) for errors in (before, after)],
+            "heldout": [
+                text.with_uncertainty(errors[one.name].heldout.value, errors[one.name].heldout.u)
+                for errors in (before, after)
+            ],
+            "chi2": [text.number(errors[one.name].chi2_per_dof) for errors in (before, after)],
+        }
+        for one in study.sets
+        if one.name
+    ]
+
+
+def _row(closure: Closure, row: int) -> str:
+    """A row by its number in its table."""
+    name, number = closure.after.measurement.plan.place(row)
+    return f"{number + 1} of {name}" if name else str(number + 1)
+
+
 def _tiles(closure: Closure) -> list[dict[str, str]]:
     """The two or three figures that a reader looks for first."""
     tiles = []
@@ -172,13 +207,16 @@ def _facts(closure: Closure, study: Study) -> list[tuple[str, str]]:
     after = closure.after
     plan = after.measurement.plan
     used = int(after.used.sum())
-    per_row = after.residual.shape[1]
     held = f", {plan.rows - used} of them held out or left out" if used < plan.rows else ""
     check = len(closure.check.tool_point) if closure.check is not None else 0
+    sizes = "; ".join(
+        f"{one.plan.rows} observations of {len(one.instrument.readings)} readings"
+        for one in study.sets
+    )
     return [
         ("Machine", study.chain.text),
-        ("Instrument", study.settings.instrument.kind.replace("_", " ")),
-        ("Measurement", f"{plan.rows} observations of {per_row} readings{held}"),
+        ("Instrument" + "s" * (len(study.sets) > 1), "; ".join(one.label for one in study.sets)),
+        ("Measurement", sizes + held),
         ("Check points", str(check) if check else "none"),
         ("Parameters", f"{len(closure.before.theta)} declared, {len(after.theta)} in the end"),
     ]

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from .. import plots
+from ..fit import Fit
 from ..loop.closure import Closure
 from ..plots import ErrorMotionTable
 from .picture import Picture
@@ -43,7 +44,9 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
             "mimicked falls below the limit in the next round."
         )
         yield Picture("search", "tried", caption, plots.png(figure))
-    figure = plots.normal_plot(closure.before, closure.after, max(closure.noise_scale, 1.0))
+    figure = plots.normal_plot(
+        closure.before, closure.after, _enlarged(closure.before, closure.after)
+    )
     caption = (
         "Residuals of all fitted readings over the standard deviations they should have, against "
         "those of normal noise. On the line: noise as declared; steeper: larger than declared; "
@@ -52,10 +55,27 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
     yield Picture("noise", "noise", caption, plots.png(figure))
 
 
+def _enlarged(before: Fit, after: Fit) -> dict[str, float]:
+    """By how much the noise of every data set is larger in the second fit (median)."""
+    both = before.counted & after.counted
+    sizes = [np.einsum("nii->ni", fit.whitener) for fit in (before, after)]
+    return {
+        name: float(np.median((sizes[0] / np.where(both, sizes[1], 1.0))[both & rows[:, None]]))
+        for name, rows in after.measurement.plan.parts.items()
+    }
+
+
 def _effects(closure: Closure) -> Iterator[Picture]:
-    for i, found in enumerate(closure.effects, start=1):
+    plan = closure.after.measurement.plan
+    shown = [
+        (i, found, name, rows)
+        for i, found in enumerate(closure.effects, start=1)
+        for name, rows in plan.parts.items()
+        if (found.effect.rows(plan) & closure.after.used & rows).any()
+    ]
+    for i, found, data_set, rows in shown:
         key = found.effect.key
-        view = plots.effect_view(closure.after, found.effect)
+        view = plots.effect_view(closure.after, found.effect, rows)
         others = " (with the other effects that were found)" if len(closure.effects) > 1 else ""
         caption = (
             f"Residual of the tool point {view.along}, without {key} on the left{others} and with "
@@ -70,6 +90,8 @@ def _effects(closure: Closure) -> Iterator[Picture]:
         else:
             caption += f"Line: what station, poses and all other parameters leave of {key}."
         name = f"effect_{i}_{key.replace(' ', '_')}"
+        if data_set:
+            name, caption = f"{name}_in_{data_set}", f"Data set {data_set}. {caption}"
         yield Picture(name, f"effect {i}", caption, plots.png(plots.before_after(view, key)))
 
 
@@ -110,7 +132,7 @@ def _errors(closure: Closure) -> Iterator[Picture]:
             caption += f" Bottom: what closing the loop changed, at most {number(largest)} µm."
         yield Picture("error_field", "volumetric", caption, plots.png(figure))
     folds, apart = closure.after.model.instrument.folds(closure.after.measurement.plan)
-    if apart:
+    if np.any(apart):
         figure = plots.error_over_time({"before": closure.before, "after": closure.after})
         share = percent((folds >= 0).mean())
         caption = (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..io.study import Study
+from ..io.study import DataSet, Study
 from ..loop.candidates import Untestable
 from ..loop.closure import Closure, Errors, FoundEffect
 from ..loop.heldout import Rms
@@ -39,6 +39,7 @@ def record(
         "sentence": closure.sentence,
         "effects": [_effect(closure, effect) for effect in closure.effects],
         "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
+        "data_sets": [_data_set(closure, one) for one in study.sets if one.name],
         "unexplained": _unexplained(closure.unexplained, plan),
         "variance": closure.variance,
         "noise_scale": closure.noise_scale,
@@ -46,8 +47,9 @@ def record(
             {"reading": part.name, "factor": part.factor, "u": part.u}
             for part in closure.noise_components
         ],
+        "noise_scales": {name: v for name, v in closure.noise_scales.items() if name},
         "suspected_readings": [
-            {"row": stray.row + 1, "distance": stray.distance, "p_value": stray.p_value}
+            {**_place(stray.row, plan), "distance": stray.distance, "p_value": stray.p_value}
             for stray in closure.suspected
         ],
         "rejected": [
@@ -78,6 +80,12 @@ def record(
 def _reason(item: Untestable, plan: Plan) -> str:
     missing = missing_columns(item, plan)
     return f"the data have no {', '.join(missing)}" if missing else item.reason
+
+
+def _place(row: int, plan: Plan) -> dict[str, Any]:
+    """A row of the data by its number in its table, from 1, and its data set where it has one."""
+    name, number = plan.place(row)
+    return {"row": number + 1, **({"data_set": name} if name else {})}
 
 
 def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
@@ -111,6 +119,24 @@ def _errors(errors: Errors) -> dict[str, float | None]:
         "chi2_per_dof": errors.chi2_per_dof,
         "u_check_rms_um": errors.check.u if errors.check else None,
         "u_heldout_rms_um": errors.heldout.u,
+    }
+
+
+def _data_set(closure: Closure, one: DataSet) -> dict[str, Any]:
+    """A data set of several, with its share of the errors."""
+    return {
+        "name": one.name,
+        "file": one.file,
+        "instrument": one.settings.kind,
+        "rows": one.plan.rows,
+        "errors": {
+            column: {
+                "heldout_rms_um": errors.sets[one.name].heldout.value,
+                "fit_rms_um": errors.sets[one.name].fit.value,
+                "chi2_per_dof": errors.sets[one.name].chi2_per_dof,
+            }
+            for column, errors in closure.errors.items()
+        },
     }
 
 

@@ -91,7 +91,7 @@ def _facts(
     rows, per_row = study.plan.rows, len(study.model.instrument.readings)
     return [
         ("Machine", study.chain.text),
-        ("Instrument", study.settings.instrument.kind.replace("_", " ")),
+        ("Instrument", study.one.label),
         ("Plan", f"{rows} observations of {per_row} readings"),
         ("Fitted", f"{len(result.entries)} parameters"),
         ("In reality, not fitted", ", ".join(settings["with"]) or "nothing else"),

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from ...arrays import Array
 from ...chain import Chain
-from ...instruments.base import Instrument
+from ...instruments.base import TableInstrument
 from ...instruments.laser_tracker import LaserTracker
 from ...instruments.reflectors import Reflectors
 from ...model import Model
@@ -77,7 +77,7 @@ class PointSpace(PlanSpace):
         """Their values; may be traced."""
 
     @abc.abstractmethod
-    def standing(self, station: Float[Array, " s"]) -> Instrument:
+    def standing(self, station: Float[Array, " s"]) -> TableInstrument:
         """The instrument at some place; may be traced."""
 
     @classmethod
@@ -219,7 +219,7 @@ class PointSpace(PlanSpace):
         return np.diag([float(p.informed) for e in effects for p in e.amplitudes])
 
     # --- edges ----------------------------------------------------------------------------------
-    def instrument(self, placed: Placed) -> Instrument:
+    def instrument(self, placed: Placed) -> TableInstrument:
         return self.standing(np.asarray(placed.station))  # type: ignore[arg-type]
 
     def plan(self, placed: Placed) -> Plan:

@@ -1,0 +1,562 @@
+"""Several data sets of one machine in one study: joint estimates, the loop, the page, mistakes."""
+
+import dataclasses
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from joint import alone, at_temperatures, write_joint
+from oracle import as_study, make_case, tool_point
+from vcal import Measurement, StudyError, close_loop, identify, load_study
+from vcal.effects.geometric import GeometricErrors
+from vcal.instruments.several import DataSet, one_clock, several
+from vcal.loop.candidates import candidates
+from vcal.loop.heldout import check_rms, heldout_residuals, heldout_rms
+from vcal.loop.screen import Screen
+from vcal.loop.state import fitted
+from vcal.loop.stray import stray_rows
+from vcal.loop.unexplained import covariates, dependence, from_structure
+from vcal.plan import DATA_SET, of_set
+from vcal.report import write_report
+
+CHAIN = "w X b Y Z t"
+FORM = re.compile(r"^\S+( \(override .*\))?, .+: found .+, expected .+; .+", re.DOTALL)
+GRID = {"shape": (5, 4, 4)}
+ROOM = 320
+"""Slots of every solver here, so that they share compiled programs."""
+
+
+def tracker_case(seed, effects=(), **options):
+    return make_case("laser_tracker", CHAIN, seed, effects, **{"plan": GRID} | options)
+
+
+def ball_case(seed, effects=(), **options):
+    return make_case("ball_array", CHAIN, seed, effects, **{"plan": {"repeats": 1}} | options)
+
+
+def both(seed, effects=(), **options):
+    return {"tracker": tracker_case(seed, effects), "balls": ball_case(seed, effects, **options)}
+
+
+def closed(study, **options):
+    measurement = options.pop("measurement", study.measurement)
+    return close_loop(study.model, measurement, check=study.check, draws=200, **options)
+
+
+def geometry(fit):
+    """Places in theta of what the data sets share."""
+    found, k = [], 0
+    for effect in fit.model.effects:
+        count = len(effect.amplitudes)
+        if isinstance(effect, GeometricErrors):
+            found += range(k, k + count)
+        k += count
+    return np.array(found)
+
+
+def precision_of(fit, kept):
+    """Posterior precision of some parameters, the others eliminated, and its product with their
+    estimate: numpy alone, from the normal equations.
+    """
+    h = fit.jacobian.T @ fit.jacobian + np.diag(fit.precision)
+    others = np.setdiff1d(np.arange(len(h)), kept)
+    across = h[np.ix_(kept, others)]
+    precision = h[np.ix_(kept, kept)] - across @ np.linalg.solve(
+        h[np.ix_(others, others)], across.T
+    )
+    return precision, precision @ fit.theta[kept]
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory):
+    """A machine that has nothing undeclared, seen by a tracker and by a ball array."""
+    folder = write_joint(tmp_path_factory.mktemp("several") / "clean", both(5))
+    return folder, load_study(folder)
+
+
+@pytest.fixture(scope="module")
+def clean_fit(clean):
+    return identify(clean[1].model, clean[1].measurement, room=ROOM)
+
+
+@pytest.fixture(scope="module")
+def framed(tmp_path_factory):
+    """The same machine seen by a tracker and, in two readings a row, by beams along its edges."""
+    case = tracker_case(5)
+    folder = write_joint(tmp_path_factory.mktemp("several") / "framed", {"tracker": case})
+    write_beams(folder, case)
+    return folder, load_study(folder)
+
+
+def write_beams(folder, case, sigma=0.5e-6):
+    """A laser frame on the machine of a case: displacement of the tool point across each beam."""
+    size = np.array([2.0, 1.0, 0.6])
+    travel = {1: ((0, 0, 0), 1), 2: ((0, 1, 0), 0), 5: ((1, 1, 0), 2), 3: ((1, 1, 1), 1)}
+    travel[4] = ((1, 0, 1), 0)
+    rng, rows = np.random.default_rng(17), []
+    for number, (corner, axis) in travel.items():
+        q = np.tile(np.array(corner) * size, (21, 1))
+        other = q[0, axis] == 0.0
+        q[:, axis] = np.linspace(0, size[axis], 21) if other else np.linspace(size[axis], 0, 21)
+        run = dataclasses.replace(
+            case.run,
+            q=q,
+            direction=np.ones((21, 3)),
+            t=np.arange(21.0),
+            temperature=np.full((21, 3), 20.0),
+            air=np.full(21, 20.0),
+        )
+        moved = tool_point(case.machine, run, []) - q - case.machine.tool_offset
+        read = np.delete(moved, axis, 1) + sigma * rng.standard_normal((21, 2))
+        rows += [[number, *(1e3 * p), *(1e6 * r)] for p, r in zip(q, read, strict=True)]
+    header = "segment,x_mm,y_mm,z_mm,u_um,v_um"
+    text = "\n".join(",".join(f"{v:.10g}" for v in row) for row in rows)
+    (folder / "frame.csv").write_text(f"{header}\n{text}\n", encoding="utf-8")
+    setup = folder / "setup.toml"
+    more = '[[data]]\nname = "frame"\nfile = "frame.csv"\n[data.instrument]\n'
+    more += f'kind = "laser_frame"\nsigma_um = {1e6 * sigma}\n\n[model.geometric]'
+    text = setup.read_text(encoding="utf-8").replace("[model.geometric]", more, 1)
+    setup.write_text(text, encoding="utf-8")
+
+
+# --- one estimate of all -------------------------------------------------------------------------
+
+
+def test_the_joint_estimate_is_that_of_both_informations(clean, clean_fit):
+    """Information of the two fits added, the prior that they share counted once."""
+    folder, _ = clean
+    kept = geometry(clean_fit)
+    precision, pull = -np.eye(len(kept)), np.zeros(len(kept))
+    for name in ("tracker", "balls"):
+        study = load_study(alone(folder, name))
+        fit = identify(study.model, study.measurement, room=ROOM)
+        assert (geometry(fit) == np.arange(len(kept))).all() and (fit.precision[kept] == 1.0).all()
+        one, toward = precision_of(fit, np.arange(len(kept)))
+        precision, pull = precision + one, pull + toward
+    expected = np.linalg.solve(precision, pull)
+    covariance = np.linalg.inv(precision)
+    sigma = np.sqrt(np.diag(covariance))
+    ours = clean_fit.covariance[np.ix_(kept, kept)]
+    assert np.abs(ours - covariance).max() < 1e-4 * covariance.max()
+    # Both are linear in parameters of 1e-5: what bends is far below an uncertainty.
+    assert (np.abs(clean_fit.theta[kept] - expected) < 2e-3 * sigma).all()
+
+
+def test_the_readings_of_a_clean_machine_scatter_as_declared(clean_fit):
+    """chi2 against its degrees of freedom, each data set's too; these add up to all of them."""
+    fit = clean_fit
+    assert abs(fit.chi2 / fit.dof - 1.0) < 4.0 * np.sqrt(2.0 / fit.dof)
+    parts = [fit.chi2_and_dof(rows) for rows in fit.measurement.plan.parts.values()]
+    np.testing.assert_allclose(np.sum(parts, 0), [fit.chi2, fit.dof], rtol=1e-9)
+    for chi2, dof in parts:
+        assert abs(chi2 / dof - 1.0) < 4.0 * np.sqrt(2.0 / dof)
+
+
+def test_check_points_gain_by_the_second_data_set(tmp_path):
+    """On the average of several machines the two together are no worse than the better one."""
+    errors = []
+    for seed in range(11, 15):
+        folder = write_joint(tmp_path / str(seed), both(seed))
+        paths = (folder, alone(folder, "tracker"), alone(folder, "balls"))
+        studies = [load_study(path) for path in paths]
+        fits = [identify(s.model, s.measurement, room=ROOM) for s in studies]
+        errors.append([check_rms(fit, studies[0].check)[0].value for fit in fits])
+    together, tracker, balls = np.sqrt((np.array(errors) ** 2).mean(0))
+    assert together < 1.02 * min(tracker, balls)
+
+
+def test_one_data_set_is_what_it_is_by_itself(tmp_path):
+    """A study with a single [[data]] row gives the numbers of one with [instrument]."""
+    folder = write_joint(tmp_path / "one", {"balls": ball_case(5)})
+    wrapped, plain = load_study(folder), load_study(alone(folder, "balls"))
+    ours, theirs = (identify(s.model, s.measurement, room=ROOM) for s in (wrapped, plain))
+    np.testing.assert_allclose(ours.theta, theirs.theta, atol=1e-6)
+    assert ours.chi2 == pytest.approx(theirs.chi2, rel=1e-9)
+    assert ours.dof == pytest.approx(theirs.dof, rel=1e-9)
+    assert ours.log_evidence() == pytest.approx(theirs.log_evidence(), abs=1e-6)
+    assert heldout_rms(ours).value == pytest.approx(heldout_rms(theirs).value, rel=1e-7)
+    assert [key for key, _ in ours.entries[-33:]] == ["ball_calibration balls"] * 33
+
+
+# --- what only the widest instrument has ---------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def framed_fit(framed):
+    return identify(framed[1].model, framed[1].measurement, room=ROOM)
+
+
+def test_padding_counts_nowhere(framed, framed_fit):
+    """A row of a beam has two readings: its third adds nothing to any number."""
+    study, fit = framed[1], framed_fit
+    beams = study.plan.in_set("frame")
+    n, m = fit.residual.shape
+    assert m == 3 and beams.sum() == 105
+    assert (study.instrument.present(study.plan).sum(1) == np.where(beams, 2, 3)).all()
+    assert not fit.residual[beams, 2].any()
+    assert not fit.jacobian.reshape(n, m, -1)[beams, 2].any()
+    assert fit.counted.sum() == 3 * (n - 105) + 2 * 105
+    hat = np.linalg.solve(
+        fit.jacobian.T @ fit.jacobian + np.diag(fit.precision), fit.jacobian.T @ fit.jacobian
+    )
+    assert fit.dof == pytest.approx(3 * (n - 105) + 2 * 105 - np.trace(hat), abs=1e-6)
+    assert abs(fit.chi2 / fit.dof - 1.0) < 4.0 * np.sqrt(2.0 / fit.dof)
+    state = Screen(fit, 50, 0)
+    assert not state.null[beams, 2].any()
+    expected = (state.null**2).sum((0, 1)).mean() / fit.dof  # drawn under the same prior, noise
+    assert abs(expected - 1.0) < 5.0 * np.sqrt(2.0 / fit.dof / 50)
+    held = heldout_residuals(fit)
+    assert np.isfinite(held).all() and not held[beams, 2].any()
+    # Two readings make a point of a beam: the rms is that of their length.
+    rms = np.sqrt((held[beams, :2] ** 2).sum(1).mean()) * 1e6
+    assert heldout_rms(fit, beams).value == pytest.approx(rms, rel=1e-9)
+
+
+def test_no_number_of_the_padding_is_read(framed, framed_fit):
+    """Whatever stands there, in the readings and in W, every result is the same."""
+    study, fit = framed[1], framed_fit
+    beams = study.plan.in_set("frame")
+    readings, whitener = study.measurement.readings.copy(), fit.whitener.copy()
+    readings[beams, 2], whitener[beams, 2, 2] = 1e3, 7.0
+    measurement = Measurement(study.plan, readings)
+    other = identify(study.model, measurement, whitener=whitener, room=ROOM)
+    np.testing.assert_array_equal(other.theta, fit.theta)
+    assert (other.chi2, other.dof) == (fit.chi2, fit.dof)
+    assert other.log_evidence(1.3) == pytest.approx(fit.log_evidence(1.3), abs=1e-9)
+    np.testing.assert_array_equal(heldout_residuals(other), heldout_residuals(fit))
+    np.testing.assert_array_equal(Screen(other, 20, 0).null, Screen(fit, 20, 0).null)
+
+
+def test_a_stray_reading_is_found_in_its_own_data_set(framed, framed_fit):
+    """A row of two readings is judged by two degrees of freedom, at the scale of its own set."""
+    study, fit = framed[1], framed_fit
+    weights = np.ones(study.plan.rows)
+    assert stray_rows(fit, lambda: (fit, weights)) == []
+    row = int(np.flatnonzero(study.plan.in_set("frame"))[40])
+    readings = study.measurement.readings.copy()
+    readings[row, 0] += 10.0 * study.instrument.noise(study.plan, readings)[row, 0]
+    spoilt = identify(study.model, Measurement(study.plan, readings), room=ROOM)
+    (stray,) = stray_rows(spoilt, lambda: (spoilt, weights))
+    assert stray.row == row and study.plan.place(row) == ("frame", 40)
+
+
+def test_clustered_readings_keep_their_own_covariance(small_arm_study, tmp_path):
+    """Two runs of an arm, with three reflectors and with two: each has its own covariance."""
+    folder = tmp_path / "arms"
+    shutil.copytree(small_arm_study, folder)
+    text = (folder / "setup.toml").read_text(encoding="utf-8")
+    start, end = text.index("[instrument]"), text.index("[model.geometric]")
+    rows = ""
+    for name, count in (("three", 3), ("two", 2)):
+        shutil.copy(folder / "data.csv", folder / f"{name}.csv")
+        own = text[start:end].replace("[instrument]", "[data.instrument]")
+        own = own.replace("tool_reflectors = 3", f"tool_reflectors = {count}")
+        rows += f'[[data]]\nname = "{name}"\nfile = "{name}.csv"\n{own}'
+    (folder / "setup.toml").write_text(text[:start] + rows + text[end:], encoding="utf-8")
+    study = load_study(folder)
+    state = fitted(study.model, study.measurement, None, ROOM)
+    fit, plan = state.scored, study.plan
+    two = plan.in_set("two")
+    assert sorted(set(fit.clusters)) == [0, 1]
+    # The last fifth of each run was never fitted.
+    assert (~fit.used).sum() == 2 * (16 // 5) and not fit.used[two][-3:].any()
+    assert fit.counted.sum() == 13 * 9 + 13 * 6
+    pad = fit.whitener[two][:, 6:]
+    assert not pad[:, :, :6].any() and (pad[0][:, 6:] == np.eye(3)).all()
+    first, second = (fit.whitener[rows][0, :6, :6] for rows in (~two, two))
+    assert np.abs(first - second).max() > 0.01 * np.abs(first).max()
+    assert np.isfinite(fit.covariance).all() and np.isfinite(heldout_rms(fit).value)
+
+
+# --- the loop -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def backlash(tmp_path_factory):
+    """12 um of backlash of Y, which both data sets show, and the report of the loop."""
+    true = [{"effect": "backlash", "axis": "Y", "size_um": 12}]
+    folder = write_joint(tmp_path_factory.mktemp("several") / "backlash", both(7, true))
+    study = load_study(folder)
+    closure = closed(study)
+    page = write_report(closure, study, folder / "report")
+    return study, closure, page
+
+
+def test_an_effect_of_the_machine_is_named_once(backlash):
+    study, closure, _ = backlash
+    assert closure.verdict == "named"
+    (found,) = closure.effects
+    assert found.effect.key == "backlash Y" and found.status == "named"
+    ((name, value, unit, u),) = found.parameters
+    assert (name, unit) == ("size", "um") and abs(value - 12.0) < 4.0 * u and u < 0.5
+    before, after = closure.errors["before"], closure.errors["after"]
+    assert after.check.value < 0.5 * before.check.value
+    for name in study.plan.sets:
+        assert after.sets[name].heldout.value < before.sets[name].heldout.value
+        assert after.sets[name].chi2_per_dof < 1.2 < before.sets[name].chi2_per_dof
+
+
+def test_the_page_tells_the_data_sets_apart(backlash):
+    study, closure, page = backlash
+    text = page.read_text(encoding="utf-8")
+    for one in study.sets:
+        assert f"<td>{one.name}</td>" in text and one.file in text
+    assert "tracker: laser tracker; balls: ball array" in text
+    record = json.loads((page.parent / "report.json").read_text(encoding="utf-8"))
+    assert [one["name"] for one in record["data_sets"]] == ["tracker", "balls"]
+    told = record["data_sets"][1]["errors"]["after"]
+    assert told["heldout_rms_um"] == closure.errors["after"].sets["balls"].heldout.value
+    # Both tables count their time from zero: it is none of the machine's.
+    reasons = {(u["effect"], u["placement"]): u["reason"] for u in record["untestable"]}
+    assert reasons["drift", "X"] == "the data have no t_s shared by the data sets"
+
+
+def test_an_effect_of_an_instrument_is_named_for_its_data_set(tmp_path):
+    true = [{"effect": "encoder_eccentricity", "amplitude_urad": 20, "phase_deg": 40}]
+    cases = {"tracker": tracker_case(8, true), "balls": ball_case(8)}
+    study = load_study(write_joint(tmp_path / "one", cases))
+    closure = closed(study)
+    (found,) = closure.effects
+    assert closure.verdict == "named"
+    assert found.effect.key == "encoder_eccentricity tracker azimuth"
+    expected = 20.0 * np.array([np.cos(np.deg2rad(40)), np.sin(np.deg2rad(40))])
+    for (_, value, unit, u), true_value in zip(found.parameters, expected, strict=True):
+        assert unit == "urad" and abs(value - true_value) < 3.0 * u
+    write_report(closure, study, tmp_path / "report")  # the picture shows the rows of one set
+
+
+def test_before_and_after_warming_up(tmp_path):
+    """X grows by 3 um/(m K). At one temperature that is a slope of EXX; at two it is not."""
+    true = [{"effect": "scale_growth", "axis": "X", "um_per_m_K": 3}]
+    base = tracker_case(9)
+    cases = {
+        "cold": at_temperatures(base, (20.0, 20.0, 20.0), true, 1),
+        "warm": at_temperatures(base, (24.0, 20.0, 20.0), true, 2),
+    }
+    folder = write_joint(tmp_path / "both", cases)
+    closure = closed(load_study(folder))
+    assert closure.verdict == "named"
+    (found,) = closure.effects
+    assert found.effect.key == "scale_growth X"
+    ((_, value, _, u),) = found.parameters
+    assert abs(value - 3.0) < 4.0 * u and u < 0.3
+    for name in cases:
+        study = load_study(alone(folder, name))
+        assert closed(study).effects == []
+
+
+def test_noise_that_one_data_set_declares_too_small_names_nothing(clean):
+    """Readings of the balls scatter 1.5 times as declared: that is said, and nothing is blamed."""
+    study = clean[1]
+    case = ball_case(5, noise_factor=1.5)
+    order = np.flatnonzero(study.plan.in_set("balls"))
+    position = np.array(study.plan.position)
+    position[order] = case.run.q
+    plan = study.plan.with_position(position)
+    closure = closed(study, measurement=Measurement(plan, study.measurement.readings))
+    assert closure.verdict == "nothing_missing"
+    assert closure.noise_scales["tracker"] == 1.0
+    assert closure.noise_scales["balls"] == pytest.approx(1.4, abs=0.15)
+    factors = {part.name: part.factor for part in closure.noise_components}
+    assert factors["tracker range"] == pytest.approx(1.0, abs=0.2)
+    assert any("balls X" in note for note in closure.notes)
+
+
+# --- covariates ----------------------------------------------------------------------------------
+
+
+def test_a_covariate_that_one_data_set_lacks_is_missed_by_its_name(clean, tmp_path):
+    folder = tmp_path / "lacking"
+    shutil.copytree(clean[0], folder)
+    path = folder / "balls.csv"
+    rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+    place = rows[0].index("T_y_degC")
+    text = "\n".join(",".join(c for i, c in enumerate(r) if i != place) for r in rows)
+    path.write_text(text + "\n", encoding="utf-8")
+    study = load_study(folder)
+    found, missing = candidates(study.model, study.measurement, study.tried)
+    reasons = {(m.effect, m.placement): m.reason for m in missing}
+    assert reasons["thermal_tilt", "Y"] == "balls has no T_Y"
+    assert "thermal_tilt X" in {effect.key for effect in found}
+    assert "thermal_tilt Y" not in {effect.key for effect in found}
+    # Its own time serves an effect of an instrument all the same.
+    assert {"station_drift tracker", "jump tracker frame"} <= {effect.key for effect in found}
+
+
+def test_time_is_shared_where_the_data_sets_follow_each_other(clean):
+    folder, study = clean
+    assert "t" not in study.plan.covariates and study.plan.has("tracker:t", "balls:t")
+    later = load_study(folder, {"data.1.start_s": 90000.0})
+    assert "t" in later.plan.covariates and not later.plan.lacking("t")
+    t = later.plan.values("t")
+    assert (t[later.plan.in_set("balls")] > t[later.plan.in_set("tracker")].max()).all()
+    assert later.plan.has("balls:t")
+    plans = {one.name: one.plan for one in later.sets}
+    assert one_clock(plans) and not one_clock({one.name: one.plan for one in study.sets})
+
+
+def test_what_is_left_may_depend_on_the_data_set(clean):
+    """A machine that bends otherwise in the second run: the description names that data set."""
+    study = clean[1]
+    plan = study.plan
+    assert np.isnan(covariates(identify(study.model, study.measurement, room=ROOM))["tracker:X"][
+        plan.in_set("balls")
+    ]).all()  # fmt: skip
+    balls = plan.in_set("balls")
+    readings = study.measurement.readings.copy()
+    u = (plan.values("X") - 1.0) / 1.0
+    readings[:, 2] += np.where(balls, 20e-6 * np.sin(9.0 * u), 0.0)
+    fit = identify(study.model, Measurement(plan, readings), room=ROOM)
+    told = dependence(fit, 200, 0)
+    assert told.p_value < 0.01 and "balls:X" in [name for name, _ in told.single[:4]]
+    what = from_structure(fit, fit.chi2 / fit.dof, 0.01, 200, 0)
+    assert any(DATA_SET in name or name.startswith("balls:") for name in what.depends_on[:3])
+
+
+def test_a_tool_of_its_own(tmp_path):
+    """The balls are probed with a stylus far from where the reflector was."""
+    longer = (0.3, -0.4, -0.6)
+    cases = {"tracker": tracker_case(5), "balls": ball_case(5, tool_offset=longer)}
+    folder = write_joint(tmp_path / "tools", cases)
+    study = load_study(folder, {"data.1.tool_offset_mm": [300, -400, -600]})
+    fit = identify(study.model, study.measurement, room=ROOM)
+    assert abs(fit.chi2 / fit.dof - 1.0) < 4.0 * np.sqrt(2.0 / fit.dof)
+    wrong = load_study(folder)
+    assert identify(wrong.model, wrong.measurement, room=ROOM).chi2 > 1.2 * fit.chi2
+
+
+def test_effects_can_be_declared_for_one_data_set(clean):
+    folder, _ = clean
+    more = [
+        {"name": "range_scale", "offset_um": 2.0, "offset_um_sigma": 1.0, "scale_um_per_m": 1.0}
+    ]
+    study = load_study(folder, {"model.effect": more})
+    effect = study.model.effects[-1]
+    assert effect.key == "range_scale tracker"
+    assert [(p.mean, p.sigma) for p in effect.amplitudes] == [(2.0, 1.0), (1.0, 0.0)]
+    rows = np.flatnonzero(study.plan.in_set("balls"))
+    for (port, _), column in effect.response(study.plan, {}).items():
+        assert port == "tracker:read.range" and not np.asarray(column)[rows].any()
+    with pytest.raises(StudyError, match=r"model\.effect\.0\.data_set.*'balls'|has no place"):
+        load_study(folder, {"model.effect": [{"name": "range_scale", "data_set": "balls"}]})
+    with pytest.raises(StudyError, match="belongs to the machine"):
+        more = [{"name": "backlash", "placement": "Y", "data_set": "tracker"}]
+        load_study(folder, {"model.effect": more})
+    with pytest.raises(StudyError, match="did you mean 'tracker'"):
+        load_study(folder, {"model.effect": [{"name": "range_scale", "data_set": "traker"}]})
+
+
+def test_from_python(clean):
+    """The same without a study file, from the data sets themselves."""
+    study = clean[1]
+    members = {one.name: DataSet(one.instrument, one.plan) for one in study.sets}
+    instrument, plan = several(members)
+    readings = instrument.padded([one.readings for one in study.sets])
+    np.testing.assert_array_equal(readings, study.measurement.readings)
+    assert instrument.ports == study.instrument.ports and plan.sets == ("tracker", "balls")
+    part = plan.part("balls")
+    assert part.rows == study.sets[1].plan.rows and part.sets == ()
+    assert set(part.groups) == {"pose", "ball"}
+    np.testing.assert_array_equal(part.covariate("tilt"), study.sets[1].plan.covariate("tilt"))
+    assert of_set("balls", "tilt") in plan.covariates
+    with pytest.raises(ValueError, match="at least one"):
+        several({})
+
+
+# --- mistakes ------------------------------------------------------------------------------------
+
+
+def swap(old, new):
+    return lambda folder: (folder / "setup.toml").write_text(
+        (folder / "setup.toml").read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8"
+    )
+
+
+def without_column(folder):
+    path = folder / "balls.csv"
+    path.write_text(path.read_text(encoding="utf-8").replace("y_mm", "why_mm", 1), encoding="utf-8")
+
+
+def without_readings(folder):
+    path = folder / "tracker.csv"
+    rows = [line.split(",")[:-3] for line in path.read_text(encoding="utf-8").splitlines()]
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n", encoding="utf-8")
+
+
+def unknown_ball(folder):
+    path = folder / "balls.csv"
+    head, first, *rest = path.read_text(encoding="utf-8").splitlines()
+    cells = first.split(",")
+    cells[head.split(",").index("ball")] = "99"
+    path.write_text("\n".join([head, ",".join(cells), *rest]) + "\n", encoding="utf-8")
+
+
+MISTAKES = {
+    "two of one name": (swap('name = "balls"', 'name = "tracker"'), "setup.toml, key data.1.name"),
+    "name of an axis": (swap('name = "balls"', 'name = "Y"'), "setup.toml, key data.1.name"),
+    "name with a colon": (swap('name = "balls"', 'name = "b:1"'), "setup.toml, key data.1.name"),
+    "no name": (swap('name = "balls"\n', ""), "setup.toml, key data.1.name: found nothing"),
+    "no file": (swap('file = "balls.csv"\n', ""), "setup.toml, key data.1.file: found nothing"),
+    "missing file": (lambda f: (f / "balls.csv").unlink(), "balls.csv, file: found no such file"),
+    "both": (
+        swap("[model.geometric]", '[instrument]\nkind = "r_test"\n[model.geometric]'),
+        "setup.toml, key instrument: found an [instrument] beside [[data]]",
+    ),
+    "axis missing": (without_column, "balls.csv, column y_mm: found no such column"),
+    "unknown key": (
+        swap("probe_sigma_um", "probe_sigma_mm"),
+        "setup.toml, key data.1.instrument.probe_sigma_mm: found the unknown key 'probe_sigma_mm' "
+        "(did you mean 'probe_sigma_um'?)",
+    ),
+    "unknown key of a row": (
+        swap('file = "balls.csv"', 'file = "balls.csv"\nfiel = 1'),
+        "setup.toml, key data.1.fiel: found the unknown key 'fiel' (did you mean 'file'?)",
+    ),
+    "unknown instrument": (
+        swap('kind = "ball_array"', 'kind = "ball_aray"'),
+        "setup.toml, key data.1.instrument.kind: found the unknown instrument",
+    ),
+    "no instrument": (
+        swap("[data.instrument]", "[data.instrumnt]"),
+        "setup.toml, key data.0.instrumnt: found the unknown key",
+    ),
+    "a plan among data": (without_readings, "tracker.csv, header: found no column of readings"),
+    "an unknown ball": (unknown_ball, "balls.csv, row 1, column ball: found 99"),
+}
+
+
+@pytest.mark.parametrize("spoil, message", MISTAKES.values(), ids=MISTAKES.keys())
+def test_every_mistake_is_told_by_file_and_key(clean, tmp_path, spoil, message):
+    folder = tmp_path / "study"
+    shutil.copytree(clean[0], folder)
+    spoil(folder)
+    with pytest.raises(StudyError) as error:
+        load_study(folder)
+    assert message in str(error.value)
+    assert all(FORM.match(line) for line in str(error.value).splitlines())
+
+
+def test_an_empty_list_is_no_study(clean, tmp_path):
+    folder = tmp_path / "study"
+    shutil.copytree(clean[0], folder)
+    text = (folder / "setup.toml").read_text(encoding="utf-8")
+    start, end = text.index("[[data]]"), text.index("[model.geometric]")
+    (folder / "setup.toml").write_text("data = []\n" + text[:start] + text[end:], encoding="utf-8")
+    with pytest.raises(StudyError, match=r"setup\.toml, key data: found no row"):
+        load_study(folder)
+
+
+def test_what_takes_one_data_set_only_says_so(clean):
+    with pytest.raises(StudyError, match=r"setup\.toml, key data: found 2 \[\[data\]\] rows"):
+        clean[1].single  # noqa: B018
+
+
+def test_the_oracle_writes_one_machine(clean):
+    """Both tables are of one machine: else nothing here would mean anything."""
+    first, second = (as_study(case) for case in both(5).values())
+    assert first.setup["machine"] == second.setup["machine"]
+    one, other = both(5).values()
+    assert one.machine.coefficients() == other.machine.coefficients()

@@ -1,0 +1,111 @@
+"""Effects of the instrument of one data set, where a study has several."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool
+
+from ..arrays import Array
+from ..parameters import Parameter
+from ..plan import Plan, of_set
+from .base import Effect, Response, Setup
+
+
+class OfDataSet(Effect):
+    """An effect of an instrument that disturbs the readings of its own data set only.
+
+    Its ports and covariates are those of `effect` under the name of the data set; in all other rows
+    its response is zero. It goes by the name of `effect`, and the data set comes first in its
+    placement: ``"station tracker"``, ``"encoder_eccentricity tracker azimuth"``. Not in the
+    catalogue: `in_setup` makes it of every effect whose `where` is the instrument.
+    """
+
+    effect: Effect
+    data_set: str = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, effect: Effect, data_set: str) -> "OfDataSet":
+        """That effect with its declared values, in that data set."""
+        place = f"{data_set} {effect.placement}".strip()
+        return cls(effect, data_set, placement=place, given=effect.given, priors=effect.priors)
+
+    # What other classes have for all their instances, this one has from its effect.
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Identifier of the effect."""
+        return self.effect.name
+
+    @property
+    def summary(self) -> str:  # type: ignore[override]
+        """What it is, with the data set."""
+        return f"{self.effect.summary}, in the data set {self.data_set}"
+
+    @property
+    def kind(self):  # type: ignore[override]
+        """Kind of the effect."""
+        return self.effect.kind
+
+    @property
+    def where(self):  # type: ignore[override]
+        """What it disturbs."""
+        return "instrument"
+
+    @property
+    def odds(self) -> float:  # type: ignore[override]
+        """Prior odds of the effect."""
+        return self.effect.odds
+
+    @property
+    def searched(self) -> bool:  # type: ignore[override]
+        """Whether the loop looks for the effect unasked."""
+        return self.effect.searched
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.effect.parameters
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(of_set(self.data_set, name) for name in self.effect.needs)
+
+    @property
+    def betrayed_by(self) -> tuple[str, ...]:
+        return tuple(of_set(self.data_set, name) for name in self.effect.betrayed_by)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        here = jnp.asarray(self.rows(plan))
+        return {
+            (of_set(self.data_set, port), amplitude): jnp.where(here, column, 0.0)
+            for (port, amplitude), column in self.effect.response(
+                plan.of(self.data_set), shape
+            ).items()
+        }
+
+    def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
+        return plan.in_set(self.data_set)
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        # Of the effect's own rows: a scan spans what was covered, the time of a run say.
+        return self.effect.scan(plan.part(self.data_set))
+
+    def shape_odds(
+        self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
+    ) -> float:
+        return self.effect.shape_odds(plan.part(self.data_set), values, uncertainties)
+
+
+def in_setup(kind: type[Effect], setup: Setup) -> list[Effect]:
+    """The instances of a class of effects that a setup has a place for: those of the machine once,
+    those of an instrument once for every data set.
+    """
+    if not setup.parts:
+        return list(kind.candidates(setup))
+    shared: list[Effect] = [e for e in kind.candidates(setup) if not e.on_instrument]
+    return shared + [
+        OfDataSet.of(effect, part.data_set)
+        for part in setup.parts
+        for effect in kind.candidates(part)
+        if effect.on_instrument
+    ]
