@@ -10,7 +10,7 @@ import pytest
 
 from joint import alone, at_temperatures, write_joint
 from oracle import as_study, make_case, tool_point
-from vcal import Measurement, StudyError, close_loop, identify, load_study
+from vcal import Effect, Measurement, Parameter, StudyError, close_loop, identify, load_study
 from vcal.effects.geometric import GeometricErrors
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.loop.candidates import candidates
@@ -464,6 +464,36 @@ def test_from_python(clean):
     assert of_set("balls", "tilt") in plan.covariates
     with pytest.raises(ValueError, match="at least one"):
         several({})
+
+
+class Late(Effect):
+    """Every position falls behind by a tenth of the move to it: a memory of one row."""
+
+    name = "late"
+
+    @property
+    def parameters(self):
+        return (Parameter("none", "um", sigma=1.0),)
+
+    def response(self, plan, shape):
+        return {("tool.X", "none"): np.zeros(plan.rows)}
+
+    def command(self, plan, shape):
+        moves = np.diff(np.asarray(plan.position), axis=0, prepend=plan.position[:1])
+        return plan.with_position(plan.position - 0.1 * moves)
+
+
+def test_a_memory_begins_anew_with_every_data_set(clean):
+    study = clean[1]
+    moved = study.model.with_effects(Late()).motion(study.plan)
+    assert moved.sets == study.plan.sets and set(moved.covariates) == set(study.plan.covariates)
+    for one in study.sets:
+        expected = Late().command(one.plan, {}).position
+        np.testing.assert_array_equal(moved.part(one.name).position, expected)
+        np.testing.assert_array_equal(
+            moved.values(f"{one.name}:t"), study.plan.values(f"{one.name}:t")
+        )
+    assert study.model.motion(study.plan) is study.plan
 
 
 # --- mistakes ------------------------------------------------------------------------------------

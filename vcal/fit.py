@@ -80,8 +80,8 @@ class Fit:
         if not shared.any():
             return inverse
         n, m = self.residual.shape
-        jacobian = self.jacobian.reshape(n, m, -1)
-        scores = np.einsum("nik,ni->nk", jacobian[shared], self.whitened.reshape(n, m)[shared])
+        jacobian, whitened = self.jacobian.reshape(n, m, -1), self.whitened.reshape(n, m)
+        scores = np.einsum("nik,ni->nk", jacobian, whitened)[shared]
         middle = scores.T @ scores + np.diag(self.precision)
         if not shared.all():
             others = jacobian[~shared].reshape(-1, jacobian.shape[2])

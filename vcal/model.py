@@ -20,7 +20,7 @@ from .chain import Chain
 from .effects.base import Effect, Setup
 from .instruments.base import Instrument
 from .parameters import Parameter
-from .plan import Plan
+from .plan import Plan, joined
 from .ports import PortLayout
 from .rigid import Rotation, Scalar, Vector, exp, left_jacobian_matrix
 from .spatial import require_float64, rotation, skew
@@ -100,7 +100,16 @@ class Model(eqx.Module):
     def motion(self, plan: Plan, shapes: Shapes | None = None) -> Plan:
         """The command step: what the axes did when the plan was commanded, effect after effect."""
         for i, effect in enumerate(self.effects):
-            plan = effect.command(plan, (shapes or {}).get(i, {}))
+            shape = (shapes or {}).get(i, {})
+            if type(effect).command is Effect.command:
+                continue
+            if not plan.sets:
+                plan = effect.command(plan, shape)
+                continue
+            # What has a memory begins anew with every data set.
+            own = {name: plan.owned(name) for name in plan.sets}
+            moved = {name: effect.command(plan.part(name), shape) for name in plan.sets}
+            plan = joined(moved, own)
         return plan
 
     @property

@@ -57,7 +57,8 @@ class FoundEffect:
     log_evidence: float
     delta_bic: float
     heldout_gain: float
-    """Share by which the held-out rms fell when it was added."""
+    """Share by which the held-out rms fell when it was added, of several data sets that where it
+    fell most."""
     equivalent: list[str]
     alternatives: list[tuple[str, str, float]]
     separation: str

@@ -135,7 +135,7 @@ def _clustered_whitener(fit: Fit) -> np.ndarray:
     evenly over all rows.
     """
     used, clusters = fit.used, fit.clusters
-    found = declared_whitener(fit.model, fit.measurement)
+    found = np.ascontiguousarray(declared_whitener(fit.model, fit.measurement))
     for k in np.unique(clusters[clusters >= 0]):
         mine = clusters == k
         here = np.flatnonzero(mine & used)

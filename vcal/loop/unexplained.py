@@ -143,10 +143,9 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     total = (both**2).sum((0, 1))
     names, shares = [], []
     known = {name: x[used] for name, x in covariates(fit).items()}
+    known = {name: x for name, x in known.items() if np.unique(x[np.isfinite(x)]).size > 1}
     for name, x in known.items():
         there = np.isfinite(x)
-        if not there.any():
-            continue
         index = bins(x[there])
         counts = np.bincount(index)
         sums = np.zeros((len(counts), *both.shape[1:]))

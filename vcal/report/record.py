@@ -26,7 +26,8 @@ _PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
 def record(
     closure: Closure, study: Study, *, command: str = "", seconds: float = math.nan
 ) -> dict[str, Any]:
-    """Everything a program wants to know of a closure, as plain values; see `SCHEMA`.
+    """Everything a program wants to know of a closure, as plain values; see `SCHEMA`. Of a study
+    with several data sets also the share of each, as `data_sets`.
 
     Columns and their values are those of the data file; numbers that do not exist are None, so
     that the record is strict JSON.
@@ -39,7 +40,6 @@ def record(
         "sentence": closure.sentence,
         "effects": [_effect(closure, effect) for effect in closure.effects],
         "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
-        "data_sets": [_data_set(closure, one) for one in study.sets if one.name],
         "unexplained": _unexplained(closure.unexplained, plan),
         "variance": closure.variance,
         "noise_scale": closure.noise_scale,
@@ -47,7 +47,6 @@ def record(
             {"reading": part.name, "factor": part.factor, "u": part.u}
             for part in closure.noise_components
         ],
-        "noise_scales": {name: v for name, v in closure.noise_scales.items() if name},
         "suspected_readings": [
             {**_place(stray.row, plan), "distance": stray.distance, "p_value": stray.p_value}
             for stray in closure.suspected
@@ -74,7 +73,8 @@ def record(
         "notes": list(closure.notes),
         "interrupted": closure.interrupted,
     }
-    return plain(found)
+    several = [_data_set(closure, one) for one in study.sets if one.name]
+    return plain(found | ({"data_sets": several} if several else {}))
 
 
 def _reason(item: Untestable, plan: Plan) -> str:
@@ -129,6 +129,7 @@ def _data_set(closure: Closure, one: DataSet) -> dict[str, Any]:
         "file": one.file,
         "instrument": one.settings.kind,
         "rows": one.plan.rows,
+        "noise_scale": closure.noise_scales[one.name],
         "errors": {
             column: {
                 "heldout_rms_um": errors.sets[one.name].heldout.value,
