@@ -142,9 +142,11 @@ class PsdLinearity(Effect):
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         for name in "uv":
             column = f"psd_{name}_mm"
-            if "head.Z" in setup.layout and setup.plan.has(column):
-                if np.any(np.asarray(setup.plan.covariate(column)) != 0.0):
-                    yield cls(placement=name)
+            if "head.Z" not in setup.layout:
+                continue
+            # Without the column it is to be told what it wants; a map that is zero has no place.
+            if not setup.plan.has(column) or np.any(np.asarray(setup.plan.covariate(column))):
+                yield cls(placement=name)
 
 
 @register
