@@ -95,6 +95,35 @@ def check_plan(machine: Machine, rng: np.random.Generator, n: int = 400) -> Run:
     return Run(q, rng.choice([-1.0, 1.0], (n, 3)), t, scales, air)
 
 
+CONDITIONS = ("payload_kg", "speed_rpm", "approach_rad")
+
+
+def conditions(
+    runs: Sequence[Run], rng: np.random.Generator, wanted: Sequence[str]
+) -> list[dict[str, Array]]:
+    """Return further columns for runs of one machine, the first of which is the measurement.
+
+    payload_kg: 0, 50 or 100, the same for 15 minutes; speed_rpm: 0 to 12000, the same for a
+    fifteenth of the measurement, and one programme for all runs; approach_rad: from one of eight
+    sides.
+    """
+    if unknown := set(wanted) - set(CONDITIONS):
+        raise ValueError(f"unknown conditions {', '.join(sorted(unknown))}")
+    end = float(runs[0].t.max())
+    loads = rng.permutation(np.tile([0.0, 50.0, 100.0], 8))
+    speeds = 1e3 * rng.integers(0, 13, 15)
+    found = []
+    for run in runs:
+        late = np.minimum(15 * run.t / end, 14).astype(int)
+        every = {
+            "payload_kg": loads[(run.t / 900).astype(int) % len(loads)],
+            "speed_rpm": speeds[late].astype(float),
+            "approach_rad": np.pi / 4 * rng.integers(0, 8, run.t.size),
+        }
+        found.append({name: every[name] for name in wanted})
+    return found
+
+
 @dataclass(frozen=True)
 class BallPlan:
     """Where a ball array stands and when its balls are probed."""
