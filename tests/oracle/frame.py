@@ -51,6 +51,7 @@ def frame_plan(
     step_s: float = 5.0,
     change_s: float = 600.0,
     diode: bool = False,
+    cycles: bool = False,
 ) -> Run:
     """Return runs along the beam, forth and back in turn, 51 points each.
 
@@ -77,7 +78,7 @@ def frame_plan(
     wait = step_s * rng.uniform(0.8, 1.2, len(rows))
     wait[:: len(one[0])] = change_s
     t = np.cumsum(wait)
-    scales, air = temperatures(t, rng)
+    scales, air = temperatures(t, rng, cycles)
     period, phase = rng.uniform(4000, 7000), rng.uniform(0, 2 * np.pi)
     head = REFERENCE_TEMPERATURE + 3 * np.sin(2 * np.pi * t / period + phase)
     head = head + np.cumsum(rng.normal(0, 0.02, t.size))
