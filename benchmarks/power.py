@@ -37,22 +37,26 @@ Job = tuple[str, float, int]
 
 def jobs(names: Sequence[str], multiples: Sequence[float], sets: range) -> Iterator[Job]:
     """Every set in an order in which all entries grow together: seed by seed, multiple by multiple;
-    of clean ones, which take more sets, ten with every seed of the others.
+    of clean ones, which take more sets, ten with every seed of the others, spread among them.
     """
     from power_cases import ENTRIES
 
+    entries = [ENTRIES[name] for name in names]
+    clean = [entry.name for entry in entries if entry.clean]
+    others = [entry for entry in entries if not entry.clean]
     for place, seed in enumerate(sets):
-        for name in names:
-            if ENTRIES[name].group == "clean":
-                for clean in range(10):
-                    yield name, 0.0, sets.start + 10 * place + clean
-        longest = max(len(ENTRIES[name].multiples) for name in names)
-        for i in range(longest):
-            for name in names:
-                entry = ENTRIES[name]
-                if entry.group != "clean" and i < len(entry.multiples):
-                    if not multiples or entry.multiples[i] in multiples or not entry.kinds:
-                        yield name, entry.multiples[i], seed
+        wanted = [
+            (entry.name, entry.multiples[i], seed)
+            for i in range(max((len(e.multiples) for e in others), default=0))
+            for entry in others
+            if i < len(entry.multiples)
+            and (not multiples or not entry.kinds or entry.multiples[i] in multiples)
+        ]
+        between = [(name, 0.0, sets.start + 10 * place + k) for k in range(10) for name in clean]
+        # By how far along its own list each of them is.
+        spread = [((i + 0.5) / len(part), job) for part in (wanted, between)
+                  for i, job in enumerate(part)]  # fmt: skip
+        yield from (job for _, job in sorted(spread, key=lambda item: item[0]))
 
 
 def known(path: Path) -> list[dict]:
@@ -257,7 +261,7 @@ def limits_in(lines: Sequence[dict]) -> dict:
 
 def work(options: argparse.Namespace, part: int) -> None:
     """Every `jobs`-th of the sets that are not there yet, until the time is over."""
-    from power_cases import ENTRIES
+    from power_cases import ENTRIES, GROUPS
 
     import vcal
 
@@ -266,7 +270,12 @@ def work(options: argparse.Namespace, part: int) -> None:
     lines = known(options.lines)
     done = {(line["case"], line["multiple"], line["seed"]) for line in lines}
     limits = limits_in(lines)
-    names = [n for n in ENTRIES if any(fnmatch(n, pattern) for pattern in options.cases)]
+    names = [
+        name
+        for name, entry in ENTRIES.items()
+        if any(fnmatch(name, pattern) for pattern in options.cases)
+        and entry.group in (options.groups or GROUPS)
+    ]
     sets = range(options.first_seed, options.first_seed + options.sets)
     waiting = [job for job in jobs(names, options.multiples, sets) if job not in done]
     # All sets of one seed and case by one worker: they share detection limits.
@@ -288,6 +297,7 @@ def main() -> None:
     """Run the campaign in single-threaded processes."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", nargs="+", default=["*"], help="patterns such as 'r_test/*'")
+    parser.add_argument("--groups", nargs="+", default=[], help="such as clean, catalogue, outside")
     parser.add_argument("--multiples", nargs="+", type=float, default=[])
     parser.add_argument("--sets", type=int, default=20, help="of every case and multiple; ten times"
                         " as many clean ones")  # fmt: skip
