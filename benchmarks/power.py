@@ -195,6 +195,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     )
     line["loop_s"] = round(time.perf_counter() - begun, 2)
     line["truth"] = [[t.key, *t.parameters] for t in made.terms if t.key]
+    line["covariates"] = sorted({c for t in made.terms for c in t.covariates})
     line["verdict"] = closure.verdict
     line["found"] = [
         {
