@@ -203,8 +203,8 @@ def summary(lines: Sequence[dict]) -> dict:
     clean = []
     for name in GROUPS:
         for at in INSTRUMENTS:
-            part = [x for x in group[name]
-                    if ENTRIES[x["case"]].clean and ENTRIES[x["case"]].instrument == at]  # fmt: skip
+            part = [x for x in group[name] if ENTRIES[x["case"]].clean]
+            part = [x for x in part if ENTRIES[x["case"]].instrument == at]
             good = [x for x in part if x["verdict"] != "failed"]
             if good:
                 clean.append(clean_row(good, name, at))
