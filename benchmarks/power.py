@@ -29,6 +29,7 @@ HERE = Path(__file__).resolve().parent
 LINES = HERE / "results" / "power.jsonl"
 ALPHA = 0.01
 DRAWS = 500
+LIMIT_DRAWS = 200
 FIRST_SEED = 20_000
 
 Job = tuple[str, float, int]
@@ -95,8 +96,8 @@ def classes_of(entry) -> list:
 
 def limit_of(entry, world, sized, kind, term_at: int) -> float:
     """Detection limit of one effect of a set, in its unit: the size at which the median statistic
-    is that of a corrected p-value of alpha. Found from the screening of a large effect, whose
-    statistic grows with the square of the size; infinite where even that is not seen.
+    is that of a corrected p-value of alpha. Found from the screening of a large effect without
+    noise, whose statistic grows with the square of the size; infinite where even that is below.
     """
     from power_cases import make
     from scipy.optimize import brentq
@@ -107,36 +108,32 @@ def limit_of(entry, world, sized, kind, term_at: int) -> float:
     from vcal.loop.candidates import LocalBump, candidates
     from vcal.loop.screen import Screen, screen
 
-    size = kind.probe
-    for _ in range(5):
-        made = make(entry, world, [sized[term_at]], [size])
-        study = load(made.case)
-        fit = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
-        tried, _ = candidates(study.model, study.measurement, classes_of(entry))
-        bumps, _ = candidates(study.model, study.measurement, [LocalBump])
-        screening = screen(Screen(fit, DRAWS, world.seed), [*tried, *bumps])
-        over_kinds = -math.expm1(math.log1p(-ALPHA) / screening.trials)
-        ratios = []
-        for found in screening.kinds:
-            own = made.terms[0].key
-            peaks = [p for p in found.peaks if not own or p.effect.key == own]
-            if not peaks:
-                continue
-            best = max(peaks, key=lambda peak: peak.statistic)
-            p = -math.expm1(math.log1p(-over_kinds) / found.trials)
-            # As the tests studentise: -dof ln(1 - stat/chi2), where chi2 is dof without the effect.
-            needed = fit.dof * math.expm1(2 * gammainccinv(0.5 * best.rank, p) / fit.dof)
-            rank = best.rank
-            middle = brentq(lambda x, r=rank, n=needed: ncx2.median(r, x) - n, 1e-9, 10 * needed)
-            ratios.append(max(best.statistic - rank, 1e-9) / middle)
-        if ratios and max(ratios) > 9.0:
-            return size / math.sqrt(max(ratios))
-        size *= 5.0
-    return math.inf
+    made = make(entry, world, [sized[term_at]], [kind.large], noise=0.0)
+    study = load(made.case)
+    fit = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
+    tried, _ = candidates(study.model, study.measurement, classes_of(entry))
+    bumps, _ = candidates(study.model, study.measurement, [LocalBump])
+    screening = screen(Screen(fit, LIMIT_DRAWS, world.seed), [*tried, *bumps])
+    over_kinds = -math.expm1(math.log1p(-ALPHA) / screening.trials)
+    own, ratios = made.terms[0].key, [0.0]
+    for found in screening.kinds:
+        peaks = [p for p in found.peaks if not own or p.effect.key == own]
+        if not peaks:
+            continue
+        best = max(peaks, key=lambda peak: peak.statistic)
+        p = -math.expm1(math.log1p(-over_kinds) / found.trials)
+        # As the tests studentise: -dof ln(1 - stat/chi2), where chi2 is dof without the effect.
+        needed = fit.dof * math.expm1(2 * gammainccinv(0.5 * best.rank, p) / fit.dof)
+
+        def missing(x: float, rank: int = best.rank, needed: float = needed) -> float:
+            return float(ncx2.median(rank, x)) - needed
+
+        ratios.append(best.statistic / brentq(missing, 1e-9, 10 * needed))
+    return kind.large / math.sqrt(max(ratios)) if max(ratios) > 1.0 else math.inf
 
 
-def told(study, closure, terms, keep):
-    """The fit that was told the truth: the true effects added where they are, free in size."""
+def told(study, before, terms, keep):
+    """The fit that was told the truth: `before` with the true effects added, free in size."""
     from vcal.effects import Setup, effect_class
     from vcal.loop.rivals import refit
     from vcal.loop.screen import Peak, Screen
@@ -144,7 +141,7 @@ def told(study, closure, terms, keep):
     model, measurement = study.model, study.measurement
     setup = Setup(model.chain, model.layout, measurement.plan, model.effects,
                   model.instrument.artefact)  # fmt: skip
-    fit, room = closure.before, len(model.entries) + 16
+    fit, room = before, len(model.entries) + 16
     for term in terms:
         name = term.key.split(" ")[0]
         (effect,) = (
@@ -152,12 +149,10 @@ def told(study, closure, terms, keep):
             for e in effect_class(name).candidates(setup)
             if e.key == term.key and set(term.parameters) <= {p.name for p in e.parameters}
         )
-        shape = dict(term.shape or {})
-        columns = Screen(fit, 1, 0).columns(effect, shape)
-        state = Screen(fit, 1, 0)
-        g = state.information(columns)
-        amplitudes = np.linalg.lstsq(g, columns.T @ fit.whitened, rcond=1e-8)[0]
-        fit = refit(fit, Peak(effect, shape, amplitudes, 0.0, 0.0, len(amplitudes)), keep, room)
+        shape, state = dict(term.shape or {}), Screen(fit, 1, 0)
+        columns = state.columns(effect, shape)
+        start = np.linalg.lstsq(state.information(columns), columns.T @ fit.whitened, rcond=1e-8)[0]
+        fit = refit(fit, Peak(effect, shape, start, 0.0, 0.0, len(start)), keep, room)
     return fit
 
 
@@ -233,7 +228,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     if all(t.key for t in made.terms):
         keep = np.ones(study.measurement.plan.rows, bool)
         keep[strays] = False
-        fit = told(study, closure, made.terms, keep)
+        fit = told(study, closure.before, made.terms, keep)
         line["rms"]["told"] = rms(errors(fit, study.check))
     if strays:
         listed = {s.row for s in closure.suspected}

@@ -83,8 +83,10 @@ class Kind:
 
     name: str
     unit: str
-    probe: float
-    """A size in that unit that is clearly seen, from where the detection limit is looked for."""
+    large: float
+    """A large one, in that unit. Where it is below the detection limit, the plan does not see the
+    effect, and no set is made.
+    """
     draw: Callable[[Rng, World], Sized]
     """Draws everything but the size."""
     instruments: tuple[str, ...]
@@ -95,6 +97,10 @@ class Kind:
     cycles: bool = False
     """Whether the axes are exercised in turn, so that their temperatures tell them apart, and from
     time. The kind is then tried once more while the machine just warms up.
+    """
+    centred: bool = False
+    """Whether positions count from the middle of the travel. What grows in proportion to the
+    position is otherwise a translation as well, which other effects take for theirs.
     """
 
 
@@ -154,8 +160,15 @@ def _jump(rng: Rng, world: World) -> Sized:
     return sized
 
 
+def _turn(rng: Rng, world: World) -> np.ndarray:
+    """Of the instrument's frame, urad beside a translation of 1 um: of a length that shows about
+    three times as much as that over the travel. A mere translation is one of the tool as well.
+    """
+    return _unit(rng) * 3 / (0.5 * np.mean(world.travel))
+
+
 def _frame_jump(rng: Rng, world: World) -> Sized:
-    at, v, w = world.moment(rng), _unit(rng), _unit(rng)
+    at, v, w = world.moment(rng), _unit(rng), _turn(rng, world)
 
     def sized(size: float) -> Term:
         effect = {"effect": "station_jump", "t0_s": at, "translation_um": size * v,
@@ -166,7 +179,7 @@ def _frame_jump(rng: Rng, world: World) -> Sized:
 
 
 def _station_drift(rng: Rng, world: World) -> Sized:
-    v, w = _unit(rng), _unit(rng)
+    v, w = _unit(rng), _turn(rng, world)
     return lambda size: Term(
         (
             {
@@ -193,23 +206,18 @@ def _screw(rng: Rng, world: World) -> Sized:
     return sized
 
 
-def _crossed(powers: Sequence[tuple[int, int]], known: bool) -> Callable[[Rng, World], Sized]:
-    def draw(rng: Rng, world: World) -> Sized:
-        axis, component, sign = _axis(rng), _axis(rng), _sign(rng)
-        other = _axis(rng, "XYZ".replace(axis, ""))
-        chosen = powers[rng.integers(len(powers))]
-        motion = f"E{component}{axis}_{axis.lower()}_{other.lower()}"
+def _crossed(rng: Rng, world: World) -> Sized:
+    axis, component, sign = _axis(rng), _axis(rng), _sign(rng)
+    other = _axis(rng, "XYZ".replace(axis, ""))
+    powers = ((1, 1), (2, 1), (1, 2))[rng.integers(3)]
+    motion = f"E{component}{axis}_{axis.lower()}_{other.lower()}"
 
-        def sized(size: float) -> Term:
-            effect = {"effect": "cross_axis", "axis": axis, "other": other, "powers": chosen,
-                      "component": component, "size_um": sign * size}  # fmt: skip
-            if known:
-                return Term((effect,), f"cross_axis {axis}", (motion,))
-            return Term((effect,), covariates=(axis, other))
+    def sized(size: float) -> Term:
+        effect = {"effect": "cross_axis", "axis": axis, "other": other, "powers": powers,
+                  "component": component, "size_um": sign * size}  # fmt: skip
+        return Term((effect,), f"cross_axis {axis}", (motion,))
 
-        return sized
-
-    return draw
+    return sized
 
 
 def unresolved_degree(row: Sequence[float]) -> int:
@@ -394,6 +402,28 @@ def _kink(rng: Rng, world: World) -> Sized:
     )
 
 
+def _quartic(rng: Rng, world: World) -> Sized:
+    """u^2 v^2 of two axes, v the one nearer to the tool, along v. Across v it would be in the
+    catalogue: a rotation u^2 v of the first axis has the lever v.
+    """
+    order = [c for c in world.chain.split() if c in "XYZ"]
+    first, second = sorted(rng.choice(3, 2, replace=False))
+    axis, other, sign = order[second], order[first], _sign(rng)
+    return lambda size: Term(
+        (
+            {
+                "effect": "cross_axis",
+                "axis": axis,
+                "other": other,
+                "powers": (2, 2),
+                "component": axis,
+                "size_um": sign * size,
+            },
+        ),
+        covariates=(axis, other),
+    )
+
+
 def _stuck(rng: Rng, world: World) -> Sized:
     """A scale whose growth is compensated by a temperature that is no longer true."""
     axis = _axis(rng)
@@ -444,7 +474,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("jump of the frame", "um and urad", 10, _frame_jump, STATIONS),
     Kind("station_drift", "um/h and urad/h", 20, _station_drift, STATIONS),
     Kind("screw_cyclic", "um", 8, _screw, BOTH),
-    Kind("cross_axis", "um", 10, _crossed(((1, 1), (2, 1), (1, 2)), known=True), ON_MACHINE),
+    Kind("cross_axis", "um", 10, _crossed, ON_MACHINE),
     Kind("geometric_order", "um", 10, _order, BOTH),
     Kind("payload_sag", "um/kg", 1, _sag, BOTH, recording=("payload_kg",)),
     Kind("spindle_growth", "um", 20, _spindle, BOTH, recording=("speed_rpm",)),
@@ -460,7 +490,7 @@ KINDS: tuple[Kind, ...] = (
          recording=("approach_rad",)),
     Kind("head_expansion", "um/K", 1, _scaled("head_expansion", "um_per_K"), FRAME),
     Kind("frame_expansion", "um/K", 1, _frame_grows, FRAME),
-    Kind("refraction", "um/(m K)", 2, _scaled("refraction", "coefficient"), FRAME),
+    Kind("refraction", "um/(m K)", 2, _scaled("refraction", "um_per_m_K"), FRAME),
     Kind("psd_linearity", "um/mm3", 0.5, _diode, FRAME, plan={"diode": True}),
     Kind("acceleration_crosstalk", "um s2/m", 0.2, _crosstalk, CIRCLES),
     Kind("reversal_spike", "um", 2, _on_circles("reversal_spike", "size_um", one=False, **_DECAY),
@@ -478,8 +508,11 @@ KINDS: tuple[Kind, ...] = (
 OUTSIDE: tuple[Kind, ...] = (
     Kind("a local dent", "um", 20, _dent, ON_MACHINE),
     Kind("a kink in roll", "urad/m", 100, _kink, ON_MACHINE),
-    Kind("a fourth-order cross term", "um", 20, _crossed(((2, 2),), known=False), ON_MACHINE),
+    Kind("a fourth-order cross term", "um", 20, _quartic, BOTH),
     Kind("a sensor that sticks", "um/(m K)", 15, _stuck, BOTH),
+    Kind(
+        "a sensor that sticks, scale held in the middle", "um/(m K)", 15, _stuck, BOTH, centred=True
+    ),
 )
 PAIRS: tuple[tuple[str, str, str], ...] = (
     ("laser_tracker", "backlash", "thermal_tilt"),
@@ -620,8 +653,14 @@ def drawn(entry: Entry, world: World) -> list[Sized]:
     return sized
 
 
-def make(entry: Entry, world: World, sized: Sequence[Sized], sizes: Sequence[float]) -> Made:
-    """Measure the set, with its effects at the given sizes."""
+def make(
+    entry: Entry,
+    world: World,
+    sized: Sequence[Sized],
+    sizes: Sequence[float],
+    noise: float | None = None,
+) -> Made:
+    """Measure the set, with its effects at the given sizes; `noise` instead of the entry's."""
     terms = tuple(f(size) for f, size in zip(sized, sizes, strict=True))
     effects = [dict(e) for term in terms for e in term.effects]
     declared = [dict(row) for term in terms for row in term.declared]
@@ -632,7 +671,7 @@ def make(entry: Entry, world: World, sized: Sequence[Sized], sizes: Sequence[flo
             plan["cycles"] = True
     options: dict[str, Any] = {
         "seed": world.seed,
-        "noise_factor": entry.noise,
+        "noise_factor": entry.noise if noise is None else noise,
         "plan": plan,
         "name": entry.name.replace("/", " "),
     }
@@ -650,7 +689,9 @@ def make(entry: Entry, world: World, sized: Sequence[Sized], sizes: Sequence[flo
                 declared.append({"name": bends, "matrix_um_s2_per_m": found})
     else:
         options["chain"] = world.chain
-        options["travel"] = world.travel
+        span = np.array(world.travel)
+        centred = any(kind.centred for kind in entry.kinds)
+        options["travel"] = np.stack([-0.5 * span, 0.5 * span], axis=1) if centred else span
         options["recording"] = tuple(dict.fromkeys(r for k in entry.kinds for r in k.recording))
     if at == "laser_frame":
         options |= {"family": FRAME_SMOOTH} if world.seed // 3 % 2 else {"table": FRAME_TABLE}

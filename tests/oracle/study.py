@@ -183,7 +183,7 @@ def make_case(
     effects: Sequence[Effect] = (),
     noise_factor: float = 1.0,
     *,
-    travel: Sequence[float] | None = None,
+    travel: ArrayLike | None = None,
     tool_offset: Sequence[float] | None = None,
     table: ErrorTable = TABLE,
     error_size: float = 1.0,
@@ -207,7 +207,7 @@ def make_case(
             chain is then unused).
         effects: undeclared effects, see the table in effects.py.
         noise_factor: true noise / declared noise.
-        travel: upper ends of the travels, m.
+        travel: upper ends (3,) or both ends (3, 2) of the travels, m.
         tool_offset: m.
         table: declared half widths, um and urad; error_size scales the drawn errors only.
         plan: keyword arguments of tracker_plan, ball_plan, frame_plan, measure_circles, arm_plan.
@@ -266,7 +266,11 @@ def make_case(
 
     sizes = FRAME_SIZES if instrument == "laser_frame" else SIZES
     size, offset = sizes.get(chain, sizes["w X b Y Z t"])
-    nominal = nominal_machine(chain, travel or size, offset if tool_offset is None else tool_offset)
+    nominal = nominal_machine(
+        chain,
+        size if travel is None else travel,
+        offset if tool_offset is None else tool_offset,
+    )
     if family is not None:
         machine = draw_smooth(nominal, for_machine, family)
     else:
