@@ -212,9 +212,11 @@ def summary(lines: Sequence[dict]) -> dict:
     seen = [x for x in far if outcome(x) != "not detectable"]
     outside = [x for x in group["outside"] if x["multiple"] >= FAR]
     outside = [x for x in outside if outcome(x) != "not detectable"]
+    pairs = [x for x in group["pairs"] if outcome(x) != "not detectable"]
     nothing = [x for x in group["clean"] if x["verdict"] != "failed"]
     every = undisturbed(lines)
     ratios = [ratio(x) for x in seen]
+    at_limit = [x for x in group["catalogue"] if x["multiple"] == 1.0 and "p" in x]
     return {
         "sets": len(lines),
         "summary": {
@@ -235,11 +237,10 @@ def summary(lines: Sequence[dict]) -> dict:
             "outside_pointed": [
                 sum(outcome(x) == "unexplained" and pointed(x) for x in outside), len(outside)
             ],
-            "pairs_both": share(group["pairs"], CERTAIN),
-            "at_the_limit": share(
-                [x for x in group["catalogue"] if x["multiple"] == 1.0],
-                CERTAIN | {"another first", "wrong", "one of two"},
-            ),
+            "pairs_both": share(pairs, CERTAIN),
+            "at_the_limit": [
+                sum(x["p"] <= 0.01 for x in at_limit), len(at_limit)
+            ],
         },
         "clean": clean,
         "cases": [

@@ -66,7 +66,11 @@ def power(found: dict) -> str:
         ["another first of several", "", _of(s["far_another_first"])],
         ["unexplained", "", _of(s["far_unexplained"])],
         ["nothing", "", _of(s["far_nothing"])],
-        ["at the limit: some name", "about 50 %", _of(s["at_the_limit"])],
+        [
+            "at the limit: the screening says that something is missing",
+            "50 %",
+            _of(s["at_the_limit"]),
+        ],
         ["outside the catalogue: a wrong name", "<= 5 %", _of(s["outside_wrong"])],
         ["one that is called one of several", "", _of(s["outside_another_first"])],
         ["unexplained, the right covariate first", ">= 80 %", _of(s["outside_pointed"])],
