@@ -50,6 +50,138 @@ def false_alarms(found: dict) -> str:
     )
 
 
+def _of(pair: list[int]) -> str:
+    """k of n, with the share."""
+    k, n = pair
+    return f"{k} of {n}" + (f" ({100 * k / n:.1f} %)" if n else "")
+
+
+def power(found: dict) -> str:
+    s = found["summary"]
+    rows = [
+        ["clean sets that get a name", "0.3 to 2 %", _of(s["clean_named"])],
+        ["clean sets called unexplained", "", _of(s["clean_unexplained"])],
+        ["from three limits on: right name", ">= 97 %", _of(s["far_right"])],
+        ["for certain a wrong one", "<= 1 %", _of(s["far_wrong"])],
+        ["another first of several", "", _of(s["far_another_first"])],
+        ["unexplained", "", _of(s["far_unexplained"])],
+        ["nothing", "", _of(s["far_nothing"])],
+        [
+            "at the limit: the screening says that something is missing",
+            "50 %",
+            _of(s["at_the_limit"]),
+        ],
+        ["outside the catalogue: a wrong name", "<= 5 %", _of(s["outside_wrong"])],
+        ["one that is called one of several", "", _of(s["outside_another_first"])],
+        ["unexplained, the right covariate first", ">= 80 %", _of(s["outside_pointed"])],
+        ["two effects, both found", ">= 90 %", _of(s["pairs_both"])],
+        [
+            "error after / that of a fit that was told, median",
+            "<= 1.1",
+            _number(s["far_error_ratio"]),
+        ],
+        ["after above uncompensated by more than u", "none", _of(s["far_worse_than_nothing"])],
+    ]
+    return table(["", "wanted", "found"], rows)
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
+
+
+def power_clean(found: dict) -> str:
+    rows = (
+        [
+            r["instrument"],
+            POWER_GROUPS[r["group"]],
+            str(r["sets"]),
+            str(r["named"]),
+            str(r["unexplained"]),
+            str(r["strays"]),
+            _number(r["seconds"]),
+        ]
+        for r in found["clean"]
+    )
+    head = "instrument,noise and effects,clean sets,named,unexplained,some readings left out"
+    return table([*head.split(","), "median s per loop"], rows)
+
+
+POWER_GROUPS = {
+    "clean": "as declared",
+    "noisier": "noise 1.1 times as declared",
+    "all effects": "all effects searched",
+}
+
+
+def _limits(case: dict) -> str:
+    parts = []
+    for limit, unit in zip(case["limits"], case["units"], strict=True):
+        parts.append("not seen" if limit is None else f"{limit['median']:.2g} {unit}")
+    return ", ".join(parts)
+
+
+def _outcomes(part: dict | None) -> str:
+    if part is None:
+        return ""
+    counts = part["outcomes"]
+    n = part["sets"] - counts.get("not detectable", 0)
+    right = counts.get("right", 0) + counts.get("right first", 0)
+    others = {
+        k: v for k, v in counts.items() if k not in ("right", "right first", "not detectable")
+    }
+    return f"{right}/{n}" + "".join(f", {v} {k}" for k, v in others.items()) if n else ""
+
+
+def power_cases(found: dict) -> str:
+    groups = ("catalogue", "warming up", "all effects", "pairs")
+    multiples = ("0.5", "1", "2", "3", "5")
+    rows = (
+        [
+            c["case"].replace("/", ": "),
+            _limits(c),
+            *(_outcomes(c["multiples"].get(m)) for m in multiples),
+            _number(c["multiples"].get("3", c["multiples"].get("5", {})).get("error_ratio")),
+        ]
+        for c in found["cases"]
+        if c["group"] in groups
+    )
+    return table(["case", "limit", *multiples, "error / told"], rows)
+
+
+def power_outside(found: dict) -> str:
+    rows = (
+        [
+            c["case"].replace("/", ": "),
+            _limits(c),
+            *(_outside(c["multiples"][m]) if m in c["multiples"] else "" for m in ("3", "5")),
+        ]
+        for c in found["cases"]
+        if c["group"] == "outside"
+    )
+    return table(["case", "limit", "3", "5"], rows)
+
+
+def _outside(part: dict) -> str:
+    counts = {k: v for k, v in part["outcomes"].items() if k != "not detectable"}
+    n = sum(counts.values())
+    return f"{part['pointed']}/{n}" + "".join(f", {v} {k}" for k, v in counts.items()) if n else ""
+
+
+def power_strays(found: dict) -> str:
+    rows = (
+        [
+            r["case"].replace("/", ": "),
+            str(r["sets"]),
+            f"{r['same']} of {r['compared']}",
+            f"{r['listed']} of {r['astray']}",
+            str(r["listed_wrongly"]),
+        ]
+        for r in found["strays"]
+    )
+    head = "case,sets,same verdict as without,listed,listed wrongly"
+    return table(head.split(","), rows)
+
+
 def speed(found: dict) -> str:
     rows = (
         [
@@ -196,6 +328,11 @@ def r_tests(found: dict) -> str:
 
 
 TABLES: dict[str, tuple[str, Callable[..., str]]] = {
+    "power": ("power", power),
+    "power_clean": ("power", power_clean),
+    "power_cases": ("power", power_cases),
+    "power_outside": ("power", power_outside),
+    "power_strays": ("power", power_strays),
     "false_alarms": ("false_alarms", false_alarms),
     "practice": ("practice", practice),
     "speed": ("speed", speed),

@@ -270,6 +270,7 @@ def test_every_axis_effect_changes_the_data_and_nothing_else(name):
     keys = {
         "effect": name, "axis": "X", "other": "Y", "size": 9e-6, "coefficient": 1e-5, "t0": 900.0,
         "tau": 900.0, "amplitude": 6e-6, "pitch": 0.02, "depth": 2e-5, "at": 1.0, "sigma": 0.05,
+        "degree": 4,
     }  # fmt: skip
     allowed, default = ON_AXIS[name]
     if name == "drift":

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import vcal
+from oracle import PLANES, measure_circles
 from vcal import Measurement, close_loop, load_study, predict
 from vcal.circles import FAR, fit_circle
 from vcal.dynamics.evaluate import evaluate, even_ellipse
@@ -22,56 +23,32 @@ radius_mm = 2.0
 external_sigma_um = 0.25
 internal_sigma_um = 0.02
 """
-PLANES = ("XY", "YZ", "ZX")
 LEVELS = (0.5, 1.0, 2.0, 3.0, 4.5)
 
 
-def circles(*, planes=PLANES, levels=LEVELS, samples=60, ratio=1.0, matrix=E, seed=0, noise=1.0,
-            skew=None, spike=None, late=0.0, grating=None, turns=1.0):  # fmt: skip
-    """Columns of the data of an R-test. `ratio` is the amplitude over the commanded one, by
-    angular velocity; `skew` what the probes read of a displacement beside it; `spike` the size (um)
-    and the decay (mm) of quadrant peaks; `late` (s) by how much the clock of the probes is behind;
-    `grating` the amplitude (um) and the period (um) of the error of the scale of X.
+def circles(*, planes=PLANES, levels=LEVELS, matrix=E, seed=0, noise=1.0, spike=None, late=0.0,
+            grating=None, **more):  # fmt: skip
+    """Columns of the data of an R-test by the oracle: `spike` is the size (um) and the decay (mm)
+    of quadrant peaks; `late` (s) by how much the clock of the probes is behind; `grating` the
+    amplitude (um) and the period (um) of the error of the scale of X.
     """
+    effects = [{"effect": "acceleration_crosstalk", "matrix_um_s2_per_m": matrix}]
+    if late:
+        effects.append({"effect": "servo_lag", "T": late})
+    if grating is not None:
+        size, period = grating
+        effects.append(
+            {
+                "effect": "scale_interpolation",
+                "axis": "X",
+                "amplitude_um": size,
+                "period_um": period,
+            }
+        )
+    if spike is not None:
+        effects.append({"effect": "reversal_spike", "size_um": spike[0], "decay_mm": spike[1]})
     rng = np.random.default_rng(seed)
-    found = {name: [] for name in ("run", "plane", "sense", "a_set_m_s2", "t_s")}
-    internal, external = [], []
-    number = 0
-    for plane in planes:
-        first, second = ("XYZ".index(c) for c in plane)
-        for sense in (1, -1):
-            for level in levels:
-                omega = np.sqrt(level / 2e-3)
-                angle = 2 * np.pi * turns * (np.arange(samples) + 0.5) / samples
-                size = 2e-3 * (ratio(omega) if callable(ratio) else ratio)
-                place, v = np.zeros((samples, 3)), np.zeros((samples, 3))
-                place[:, first], place[:, second] = np.cos(angle), sense * np.sin(angle)
-                v[:, first], v[:, second] = -np.sin(angle), sense * np.cos(angle)
-                a = -(omega**2) * size * place
-                read = size * place
-                seen = read + 1e-6 * a @ matrix.T + rng.uniform(-2e-6, 2e-6, 3)
-                seen = seen - late * omega * size * v
-                if grating is not None:
-                    seen[:, 0] += 1e-6 * grating[0] * np.sin(2e6 * np.pi * read[:, 0] / grating[1])
-                if skew is not None:
-                    seen = seen + read @ skew.T
-                if spike is not None:
-                    for axis, wave in ((first, angle), (second, angle - np.pi / 2)):
-                        # Distance since the last extremum of cos(wave), and where it goes.
-                        since = size * (1 - np.cos(wave % np.pi))
-                        way = -np.sign(np.sin(wave)) * (sense if axis == second else 1)
-                        seen[:, axis] -= 1e-6 * spike[0] * way * np.exp(-since / (1e-3 * spike[1]))
-                internal.append(read + noise * rng.normal(0, 2e-8, read.shape))
-                external.append(seen + noise * rng.normal(0, 2.5e-7, read.shape))
-                columns = (number, plane, sense, level, angle / omega)
-                for name, value in zip(found, columns, strict=True):
-                    found[name] += list(np.broadcast_to(value, samples))
-                number += 1
-    table = {name: np.array(values) for name, values in found.items()}
-    for kind, values in (("int", internal), ("ext", external)):
-        joined = 1e3 * np.concatenate(values)
-        table |= {f"{c}_{kind}_mm": joined[:, i] for i, c in enumerate("xyz")}
-    return table
+    return measure_circles(effects, rng, planes=planes, levels=levels, noise_factor=noise, **more)
 
 
 def write(folder, table, more=""):

@@ -7,6 +7,7 @@ mm and um only in files.  Conventions: kinematics.py; the table of effects: effe
 
 from .bound import Bound, lmmse
 from .effects import Effect, Run, in_si, tool_point, twists
+from .frame import Frame, corners, frame_plan, frame_readings
 from .instruments import (
     BallNoise,
     Tracker,
@@ -25,9 +26,11 @@ from .kinematics import (
     TABLE,
     Arm,
     Machine,
+    Smooth,
     arm_frames,
     compose,
     draw_machine,
+    draw_smooth,
     error_motions,
     euler_xyz,
     nominal_machine,
@@ -45,9 +48,23 @@ from .plans import (
     temperatures,
     tracker_plan,
 )
-from .study import Case, Study, as_study, make_case, read_study, write_study
+from .r_test import PLANES, draw_matrix, measure_circles, moved
+from .study import (
+    FRAME_SMOOTH,
+    FRAME_TABLE,
+    Case,
+    Study,
+    as_study,
+    make_case,
+    read_study,
+    with_strays,
+    write_study,
+)
 
 __all__ = [
+    "FRAME_SMOOTH",
+    "FRAME_TABLE",
+    "PLANES",
     "TABLE",
     "Arm",
     "ArmPlan",
@@ -56,8 +73,10 @@ __all__ = [
     "Bound",
     "Case",
     "Effect",
+    "Frame",
     "Machine",
     "Run",
+    "Smooth",
     "Study",
     "Tracker",
     "align",
@@ -68,17 +87,24 @@ __all__ = [
     "ball_plan",
     "check_plan",
     "compose",
+    "corners",
     "draw_arm_errors",
     "draw_machine",
+    "draw_matrix",
+    "draw_smooth",
     "error_motions",
     "euler_xyz",
     "example_arm",
+    "frame_plan",
+    "frame_readings",
     "in_si",
     "lmmse",
     "make_case",
     "measure_balls",
+    "measure_circles",
     "measure_reflectors",
     "measure_tracker",
+    "moved",
     "nominal_machine",
     "parse_chain",
     "read_study",
@@ -92,5 +118,6 @@ __all__ = [
     "tracker_readings",
     "twists",
     "with_errors",
+    "with_strays",
     "write_study",
 ]

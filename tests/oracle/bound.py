@@ -112,7 +112,7 @@ def _balls(study: Study) -> tuple[Predict, Array, Array]:
         pose, moved = nuisance[: 6 * n].reshape(n, 6), nuisance[6 * n :].reshape(balls.shape)
         r, o = rotation_matrix(pose[:, 3:]) @ rotation, origin + pose[:, :3]
         target = ball_positions(balls + moved, run, r, o, effects, supports)
-        return ((tool_point(machine, run, effects) - target) / probe).ravel()
+        return ((tool_point(machine, run, effects, sensor=True) - target) / probe).ravel()
 
     prior = np.concatenate([np.full(6 * n, FREE), np.full(balls.size, u)])
     return residual, prior, np.full(prior.size, 1e-6)

@@ -22,14 +22,25 @@ Z (translation) or A, B, C (rotation); along the axis itself when it is left out
 | screw_cyclic, scale_interpolation | amplitude sin(2 pi x/pitch + phase) | axis and these |
 | cross_axis | size u^p v^r, u, v in [-1, 1] of axis, other | axis, other, component, size, powers |
 | dent | -depth exp(-(x - at)^2 / 2 sigma^2) | axis, component, depth, at, sigma |
+| kink | coefficient max(x - at, 0): a slope that changes | axis, component, coefficient, at |
+| geometric_order | size P_n(u), u in [-1, 1], n Legendre's degree | axis, component, size, degree |
+| payload_sag | a cantilever, clamped at the low end of axis X or Y | axis, coefficient (m/kg) |
+| spindle_growth | size along the tool, first order in the speed | size, tau |
+| stuck_sensor | nothing: the temperature recorded of an axis stops at t0 | axis, t0 |
 | tool_offset | a constant at the tool | vector |
 | station_drift | frame twist x time | translation (m/s), rotation (rad/s) |
+| station_jump | frame twist for t >= t0 | translation (m), rotation (rad), t0 |
 | range_scale | offset + coefficient r | offset, coefficient |
 | encoder_eccentricity | amplitude sin(az + phase) on the azimuth | amplitude, phase |
 | tracker_axes | tilt tan(el) + collimation / cos(el) on the azimuth | tilt, collimation |
 | ball_error | a ball lies off its certificate | ball, vector |
 | artefact_bending | -Z sag shape(s) cos(tilt) | size |
 | artefact_expansion | coefficient (T_air - 20) ball centre | coefficient (1/K) |
+| probe_lobing | tool off along the approach by radius + amplitude cos(3 phi + phase) | and these |
+| head_expansion | tool against Z by coefficient (T_head - 20) | coefficient (m/K) |
+| frame_expansion | frame along axis by coefficient (T_head - 20) x its share | axis, coefficient |
+| refraction | a beam rises by coefficient/2 dT/dz s^2, s its length | coefficient (1/K) |
+| psd_linearity | a x + b x^3 on reading u or v, x its place on the diode | reading, a, b (1/m^2) |
 
 Arms: `joint` counts from 0; backlash (rad), gear_harmonic (amplitude, order, phase),
 joint_coupling (other, coefficient), joint_compliance (coefficient rad/(N m), mass, centre),
@@ -39,7 +50,7 @@ jump (size, t0), readback_lag (share), station_drift.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -62,7 +73,10 @@ Effect = Mapping[str, Any]
 REFERENCE_TEMPERATURE = 20.0
 
 UNITS = {
+    "um_s2_per_m": 1e-6,
     "um_per_m_K": 1e-6,
+    "urad_per_m": 1e-6,
+    "um_per_kg": 1e-6,
     "urad_per_K": 1e-6,
     "urad_per_h": 1e-6 / 3600,
     "urad_per_s": 1e-6,
@@ -78,6 +92,7 @@ UNITS = {
     "um": 1e-6,
     "mm": 1e-3,
     "kg": 1.0,
+    "ms": 1e-3,
     "s": 1.0,
     "h": 3600.0,
 }
@@ -101,6 +116,8 @@ class Run:
     """Index of the artefact's pose (n,)."""
     ball: NDArray[np.int64] | None = None
     """Index of the ball (n,)."""
+    extra: Mapping[str, Array] = field(default_factory=dict)
+    """Further columns of the data by their name in the file, in the unit of that name."""
 
     def at(self, q: Array) -> Run:
         """Return the same run at other axis positions."""
@@ -152,6 +169,13 @@ def _along(effect: dict[str, Any], machine: Machine, run: Run, i: int) -> Array:
             return effect["size"] * u**p * v**r
         case "dent":
             return -effect["depth"] * np.exp(-0.5 * ((x - effect["at"]) / effect["sigma"]) ** 2)
+        case "kink":
+            return effect["coefficient"] * np.clip(x - effect["at"], 0, None)
+        case "geometric_order":
+            one = np.eye(effect["degree"] + 1)[effect["degree"]]
+            return effect["size"] * np.polynomial.legendre.legval(
+                normalised(machine, run.q)[:, i], one
+            )
     raise ValueError(f"no such effect on an axis: {name!r}")
 
 
@@ -171,9 +195,22 @@ ON_AXIS = {
     "scale_interpolation": ("=", "="),
     "cross_axis": ("XYZABC", "="),
     "dent": ("XYZABC", None),
+    "kink": ("XYZABC", None),
+    "geometric_order": ("XYZABC", "="),
 }
-ON_TRACKER = ("station_drift", "range_scale", "encoder_eccentricity", "tracker_axes")
-ON_BALLS = ("ball_error", "artefact_bending", "artefact_expansion")
+ON_MACHINE = (*ON_AXIS, "payload_sag", "spindle_growth", "stuck_sensor", "tool_offset")
+ON_FRAME = ("station_drift", "station_jump")
+ON_TRACKER = (*ON_FRAME, "range_scale", "encoder_eccentricity", "tracker_axes")
+ON_BALLS = ("ball_error", "artefact_bending", "artefact_expansion", "probe_lobing")
+ON_LASER = (*ON_FRAME, "head_expansion", "frame_expansion", "refraction", "psd_linearity")
+ON_CIRCLES = (
+    "acceleration_crosstalk",
+    "reversal_spike",
+    "servo_lag",
+    "scale_interpolation",
+    "backlash",
+    "lateral_reversal",
+)
 ON_ARM = (
     "backlash",
     "gear_harmonic",
@@ -184,8 +221,10 @@ ON_ARM = (
     "station_drift",
 )
 ALLOWED = {
-    "laser_tracker": (*ON_AXIS, "tool_offset", *ON_TRACKER),
-    "ball_array": (*ON_AXIS, "tool_offset", *ON_BALLS),
+    "laser_tracker": (*ON_MACHINE, *ON_TRACKER),
+    "ball_array": (*ON_MACHINE, *ON_BALLS),
+    "laser_frame": (*ON_MACHINE, *ON_LASER),
+    "r_test": ON_CIRCLES,
     "reflectors": ON_ARM,
 }
 
@@ -222,6 +261,8 @@ def twists(machine: Machine, run: Run, effects: Iterable[Effect]) -> tuple[Array
     t, r = error_motions(machine, run.q)
     for raw in effects:
         effect = in_si(raw)
+        if effect["effect"] == "payload_sag":
+            add_sag(effect, machine, run, t, r)
         if effect["effect"] not in ON_AXIS:
             continue
         i, j = AXES.index(effect["axis"]), component(effect)
@@ -230,16 +271,77 @@ def twists(machine: Machine, run: Run, effects: Iterable[Effect]) -> tuple[Array
     return t, r
 
 
+def add_sag(effect: dict[str, Any], machine: Machine, run: Run, t: Array, r: Array) -> None:
+    """Add a horizontal ram's sag under a payload m: it falls by c m s^3 and turns downwards by
+    1.5 c m s^2 / L (F l^3 / 3EI and F l^2 / 2EI of a cantilever), s = l / L its share outside.
+    """
+    i = AXES.index(effect["axis"])
+    low, high = machine.travel[i]
+    s, load = (run.q[:, i] - low) / (high - low), run.extra["payload_kg"]
+    t[:, i, 2] -= effect["coefficient"] * load * s**3
+    # The tip points along +x or +y; it goes down by turning about +Y or -X.
+    turn, sign = {0: (1, 1.0), 1: (0, -1.0)}[i]
+    r[:, i, turn] += sign * 1.5 * effect["coefficient"] * load * s**2 / (high - low)
+
+
+def spindle_growth(effect: dict[str, Any], run: Run) -> Array:
+    """Return g (n,) of tau dg/dt = size n / n_max - g, cold at first, the speed n (of either
+    sense) kept from every row to the next: solved from row to row.
+    """
+    share = np.abs(run.extra["speed_rpm"])
+    g = np.zeros(run.t.size)
+    for k in range(1, run.t.size):
+        target = effect["size"] * share[k - 1] / share.max()
+        g[k] = target + (g[k - 1] - target) * np.exp(-(run.t[k] - run.t[k - 1]) / effect["tau"])
+    return g
+
+
+def tool_vector(machine: Machine, run: Run, effects: Iterable[Effect], sensor: bool) -> Array:
+    """Return the tool point in the last axis's frame, (n, 3) m; `sensor` adds what only the
+    measurement has, in the probe or in the measuring head.
+    """
+    tool = np.tile(machine.tool_offset, (run.t.size, 1))
+    for effect in map(in_si, effects):
+        match effect["effect"]:
+            case "tool_offset":
+                tool = tool + effect["vector"]
+            case "spindle_growth":
+                tool[:, 2] += spindle_growth(effect, run)
+            case "head_expansion" if sensor:
+                warm = run.extra["T_head_degC"] - REFERENCE_TEMPERATURE
+                tool[:, 2] -= effect["coefficient"] * warm
+            case "probe_lobing" if sensor:
+                phi = run.extra["approach_rad"]
+                lobes = effect["amplitude"] * np.cos(3 * phi + effect.get("phase", 0.0))
+                off = effect.get("radius", 0.0) + lobes
+                tool[:, :2] += off[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1)
+    return tool
+
+
 def tool_point(
-    machine: Machine, run: Run, effects: Iterable[Effect] = (), small_angle: bool = False
+    machine: Machine,
+    run: Run,
+    effects: Iterable[Effect] = (),
+    small_angle: bool = False,
+    sensor: bool = False,
 ) -> Array:
-    """Return the true tool point in the workpiece frame, (n, 3) m."""
+    """Return the true tool point in the workpiece frame, (n, 3) m; with `sensor` the point that
+    the measurement takes for it.
+    """
     effects = [in_si(e) for e in effects]
-    tool = machine.tool_offset.copy()
-    for effect in effects:
-        if effect["effect"] == "tool_offset":
-            tool = tool + effect["vector"]
+    tool = tool_vector(machine, run, effects, sensor)
     return compose(machine, run.q, *twists(machine, run, effects), tool, small_angle)
+
+
+def recorded(run: Run, effects: Iterable[Effect]) -> Run:
+    """Return the run as its sensors recorded it: one that sticks keeps its last temperature."""
+    warm = run.temperature.copy()
+    for effect in map(in_si, effects):
+        if effect["effect"] == "stuck_sensor":
+            i, late = AXES.index(effect["axis"]), run.t >= effect["t0"]
+            if late.any():
+                warm[late, i] = warm[max(int(np.argmax(late)) - 1, 0), i]
+    return replace(run, temperature=warm)
 
 
 # --- effects on an instrument --------------------------------------------------------------------
@@ -252,6 +354,10 @@ def frame_drift(effects: Iterable[Effect], t: Array) -> tuple[Array, Array]:
         if effect["effect"] == "station_drift":
             d += t[:, None] * np.asarray(effect.get("translation", np.zeros(3)))
             w += t[:, None] * np.asarray(effect.get("rotation", np.zeros(3)))
+        if effect["effect"] == "station_jump":
+            after = (t >= effect["t0"])[:, None]
+            d += after * np.asarray(effect.get("translation", np.zeros(3)))
+            w += after * np.asarray(effect.get("rotation", np.zeros(3)))
     return d, rotation_matrix(w)
 
 

@@ -103,7 +103,7 @@ def solve_positions(
     effects = list(effects)
     q = target - machine.tool_offset
     for _ in range(steps):
-        miss = target - tool_point(machine, run.at(q), effects)
+        miss = target - tool_point(machine, run.at(q), effects, sensor=True)
         q = q + miss
         if np.abs(miss).max() < tolerance:
             return q

@@ -26,6 +26,7 @@ SQUARENESS = ("EC0Y", "EB0Z", "EA0Z")
 # Half widths of the uniform coefficients, um and urad; x runs from -1 to 1 over the travel:
 # E(x) = a0 + a1 x + b1 sin(n1 pi x) + c1 cos(n1 pi x) + b2 sin(n2 pi x) + c2 cos(n2 pi x)
 TABLE_COLUMNS = ("a0", "a1", "n1", "b1", "c1", "n2", "b2", "c2")
+NODES = 61
 ErrorTable = dict[str, tuple[float, ...]]
 TABLE: ErrorTable = {
     "EXX": (0, 40, 0.5, 20, 20, 3, 1.5, 1.5),
@@ -117,6 +118,40 @@ def parse_chain(chain: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
 
 @dataclass(frozen=True)
+class Smooth:
+    """Error motions drawn from a Gaussian process with a Matern-5/2 kernel on each travel."""
+
+    translation: float
+    """One-sigma size of an error translation, m."""
+    rotation: float
+    """Of an error rotation, rad."""
+    squareness: float
+    """Of a squareness, rad."""
+    smoothness: float = 0.5
+    """Correlation length over travel."""
+    weights: Array = field(default_factory=lambda: np.zeros((3, 6, NODES)))
+    """Of the kernel about every node, (axis, component X Y Z A B C, node), m and rad."""
+
+    def kernel(self, a: Array, b: Array) -> Array:
+        """Return k (..., n, m) = (1 + r + r^2/3) exp(-r) of shares of the travel, -1 to 1."""
+        r = np.sqrt(5) * np.abs(a[..., :, None] - b) / (2 * self.smoothness)
+        return (1 + r + r**2 / 3) * np.exp(-r)
+
+    def drawn(self, rng: np.random.Generator) -> Smooth:
+        """Draw values at the nodes; between them stands what a Gaussian process expects there."""
+        x = np.linspace(-1, 1, NODES)
+        root = np.linalg.cholesky(self.kernel(x, x) + 1e-10 * np.eye(NODES))
+        sizes = np.repeat([self.translation, self.rotation], 3)[None, :, None]
+        weights = rng.standard_normal((3, 6, NODES)) @ np.linalg.inv(root) * sizes
+        return replace(self, weights=weights)
+
+    def values(self, u: Array) -> Array:
+        """Return the error motions (n, axis, 6) at shares u (n, 3) of the travel."""
+        x = np.linspace(-1, 1, NODES)
+        return np.einsum("nik,ijk->nij", self.kernel(u, x), self.weights)
+
+
+@dataclass(frozen=True)
 class Machine:
     """A three-axis machine with known error motions; axes always in the order X, Y, Z."""
 
@@ -131,6 +166,8 @@ class Machine:
     """EC0Y, EB0Z, EA0Z in rad."""
     table: ErrorTable = field(default_factory=lambda: TABLE)
     """What is declared: half widths in um and urad."""
+    smooth: Smooth | None = None
+    """Where the smooth family is declared instead: its sizes, and what was drawn from it."""
 
     def coefficients(self) -> dict[str, list[float]]:
         """Return the true coefficients by component name, in um and urad (n1, n2 as they are)."""
@@ -183,6 +220,12 @@ def draw_machine(
     return replace(with_errors(machine, drawn), table=table)
 
 
+def draw_smooth(machine: Machine, rng: np.random.Generator, family: Smooth) -> Machine:
+    """Draw error motions and squareness from a smooth family."""
+    square = family.squareness * rng.standard_normal(3)
+    return replace(machine, smooth=family.drawn(rng), squareness=square)
+
+
 def normalised(machine: Machine, q: Array) -> Array:
     """Return positions (n, 3) as shares of the travel, -1 to 1."""
     low, high = machine.travel.T
@@ -195,6 +238,8 @@ def error_motions(machine: Machine, q: Array) -> tuple[Array, Array]:
     a0, a1, n1, b1, c1, n2, b2, c2 = np.moveaxis(machine.motion, -1, 0)
     e = a0 + a1 * x / np.pi + b1 * np.sin(n1 * x) + c1 * np.cos(n1 * x)
     e = e + b2 * np.sin(n2 * x) + c2 * np.cos(n2 * x)
+    if machine.smooth is not None:
+        e = e + machine.smooth.values(normalised(machine, q))
     return e[..., :3], e[..., 3:]
 
 

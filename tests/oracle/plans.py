@@ -29,12 +29,21 @@ BEAMS: tuple[tuple[tuple[int, int, int], bool], ...] = (
 )
 
 
-def temperatures(t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def temperatures(t: Array, rng: np.random.Generator, cycles: bool = False) -> tuple[Array, Array]:
     """Return the temperatures of the three scales (n, 3) and of the air (n,) at times t, degC.
 
     A scale warms up exponentially by about 2, 1.2 or 0.8 K and wanders by some 0.04 K; the air
-    swings by 0.3 K about 20.3 degC with a period of 90 minutes.
+    swings by 0.3 K about 20.3 degC with a period of 90 minutes.  All three then look much alike,
+    and like time itself: a plan that has to tell them apart exercises the axes in turn.  With
+    `cycles` every scale swings by about 1 K, in three periods of its own between 20 minutes and two
+    hours.
     """
+    if cycles:
+        period = np.exp(rng.uniform(np.log(1200), np.log(7200), (3, 3)))
+        phase = rng.uniform(0, 2 * np.pi, (3, 3))
+        waves = np.sin(2 * np.pi * t[:, None, None] / period + phase)
+        air = 20.3 + 0.3 * np.sin(2 * np.pi * t / 5400)
+        return 20 + 0.8 * waves.sum(axis=2), air
     rise = np.array([2.0, 1.2, 0.8]) * rng.uniform(0.9, 1.1, 3)
     tau = rng.uniform(3000, 4500, 3)
     swing, period = 0.045 * rng.uniform(0.7, 1.3, 3), rng.uniform(700, 1100, 3)
@@ -62,6 +71,7 @@ def tracker_plan(
     margin: float = 0.01,
     jitter: float = 0.0075,
     step_s: float = 8.0,
+    cycles: bool = False,
 ) -> Run:
     """Return a serpentine grid, forth and back in turn: 9 x 7 x 5 twice are 630 points.
 
@@ -81,7 +91,7 @@ def tracker_plan(
     share = margin + (1 - 2 * margin) * path / np.maximum(np.array(shape) - 1, 1)
     share = share + jitter * rng.uniform(-1, 1, share.shape)
     t = np.cumsum(step_s * rng.uniform(0.8, 1.2, len(path)))
-    scales, air = temperatures(t, rng)
+    scales, air = temperatures(t, rng, cycles)
     direction = travel_directions(path.astype(float))
     return Run(low + share * (high - low), direction, t, scales, air)
 
@@ -93,6 +103,35 @@ def check_plan(machine: Machine, rng: np.random.Generator, n: int = 400) -> Run:
     scales, air = temperatures(t, rng)
     q = low + rng.uniform(0.02, 0.98, (n, 3)) * (high - low)
     return Run(q, rng.choice([-1.0, 1.0], (n, 3)), t, scales, air)
+
+
+CONDITIONS = ("payload_kg", "speed_rpm", "approach_rad")
+
+
+def conditions(
+    runs: Sequence[Run], rng: np.random.Generator, wanted: Sequence[str]
+) -> list[dict[str, Array]]:
+    """Return further columns for runs of one machine, the first of which is the measurement.
+
+    payload_kg: 0, 50 or 100, the same for 15 minutes; speed_rpm: 0 to 12000, the same for a
+    fifteenth of the measurement, and one programme for all runs; approach_rad: from one of eight
+    sides.
+    """
+    if unknown := set(wanted) - set(CONDITIONS):
+        raise ValueError(f"unknown conditions {', '.join(sorted(unknown))}")
+    end = float(runs[0].t.max())
+    loads = rng.permutation(np.tile([0.0, 50.0, 100.0], 8))
+    speeds = 1e3 * rng.integers(0, 13, 15)
+    found = []
+    for run in runs:
+        late = np.minimum(15 * run.t / end, 14).astype(int)
+        every = {
+            "payload_kg": loads[(run.t / 900).astype(int) % len(loads)],
+            "speed_rpm": speeds[late].astype(float),
+            "approach_rad": np.pi / 4 * rng.integers(0, 8, run.t.size),
+        }
+        found.append({name: every[name] for name in wanted})
+    return found
 
 
 @dataclass(frozen=True)
@@ -143,6 +182,7 @@ def ball_plan(
     repeats: int = 2,
     step_s: float = 21.0,
     change_s: float = 240.0,
+    cycles: bool = False,
 ) -> BallPlan:
     """Return an artefact of length 0.75 x the shortest travel in 12 places, each taken twice.
 
@@ -172,7 +212,7 @@ def ball_plan(
     wait = np.full(m * b, step_s)
     wait[::b] = change_s
     t = np.cumsum(wait + 3 * rng.uniform(-1, 1, m * b)) + step_s
-    scales, air = temperatures(t, rng)
+    scales, air = temperatures(t, rng, cycles)
     pose, ball = np.repeat(np.arange(m), b), np.tile(np.arange(b), m)
     run = Run(q, travel_directions(q), t, scales, air, pose, ball)
     return BallPlan(

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .effects import Effect, Run, checked, tool_point
+from .effects import Effect, Run, checked, recorded, tool_point
+from .frame import Frame, frame_plan, measure_frame
 from .instruments import (
     BallNoise,
     Tracker,
@@ -20,6 +21,7 @@ from .instruments import (
     measure_balls,
     measure_reflectors,
     measure_tracker,
+    tracker_noise,
 )
 from .kinematics import (
     AXES,
@@ -29,7 +31,9 @@ from .kinematics import (
     Array,
     ErrorTable,
     Machine,
+    Smooth,
     draw_machine,
+    draw_smooth,
     nominal_machine,
 )
 from .plans import (
@@ -38,15 +42,30 @@ from .plans import (
     arm_plan,
     ball_plan,
     check_plan,
+    conditions,
     example_arm,
     tracker_plan,
 )
+from .r_test import EXTERNAL_SIGMA, INTERNAL_SIGMA, RADIUS, measure_circles
 
 # travel (m) and tool offset (m) by chain, as in the practice cases; anything else takes the first
 SIZES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "w X b Y Z t": ((2.0, 1.0, 0.6), (0.0, 0.0, -0.15)),
     "w b X Y Z t": ((3.0, 1.5, 1.3), (0.0, 0.0, -0.2)),
     "w Y b X Z t": ((1.2, 0.8, 0.5), (0.0, 0.0, -0.12)),
+}
+FRAME_SIZES = {
+    "w b X Y Z t": ((0.5, 0.4, 0.35), (0.0, 0.0, -0.1)),
+    "w X b Y Z t": ((0.8, 0.5, 0.4), (0.0, 0.0, -0.15)),
+    "w Y b X Z t": ((0.6, 0.5, 0.45), (0.0, 0.0, -0.12)),
+}
+# What changes of a machine between two runs of a laser frame, as a smooth and as a Fourier family.
+FRAME_SMOOTH = Smooth(translation=6e-6, rotation=8e-6, squareness=10e-6)
+FRAME_TABLE: ErrorTable = {
+    name: tuple(
+        v if c.startswith("n") else 0.25 * v for c, v in zip(TABLE_COLUMNS, row, strict=True)
+    )
+    for name, row in TABLE.items()
 }
 EULER_DEG = (0.034, 0.034, 59.5)
 Columns = dict[str, Array]
@@ -56,7 +75,8 @@ Columns = dict[str, Array]
 class Case:
     """One synthetic study: what is declared, what was measured, and what is true.
 
-    Exactly one of the pairs (tracker, run), (balls, run), (arm, arm_run) is set beside the rest.
+    Exactly one of the pairs (tracker, run), (balls, run), (frame, run), (arm, arm_run) is set
+    beside the rest, and none of an R-test.
     """
 
     name: str
@@ -86,6 +106,8 @@ class Case:
     balls: BallPlan | None = None
     """True balls, poses and nominal positions."""
     ball_noise: BallNoise | None = None
+    frame: Frame | None = None
+    """What the frame really did."""
     arm: Arm | None = None
     """The true arm."""
     arm_run: ArmPlan | None = None
@@ -106,14 +128,52 @@ class Case:
         m = self.machine
         return replace(nominal_machine(m.chain, m.travel, m.tool_offset), table=m.table)
 
+    @property
+    def noise(self) -> Columns:
+        """One-sigma noise of every column of readings, in its unit."""
+        data = self.data
+        if self.tracker is not None:
+            names = ("range_mm", "azimuth_rad", "elevation_rad")
+            read = np.stack([data[n] for n in names], axis=1) * [1e-3, 1, 1]
+            sigma = tracker_noise(self.tracker, read) * [1e3, 1, 1]
+            return {n: sigma[:, i] for i, n in enumerate(names)}
+        if self.ball_noise is not None:
+            return {f"{a}_mm": np.full(n_rows(data), 1e3 * self.ball_noise.probe_sigma)
+                    for a in "xyz"}  # fmt: skip
+        if self.frame is not None:
+            return {n: np.full(n_rows(data), 1e6 * self.frame.sigma) for n in ("u_um", "v_um")}
+        if self.instrument == "r_test":
+            return {f"{a}_ext_mm": np.full(n_rows(data), 1e3 * EXTERNAL_SIGMA) for a in "xyz"}
+        raise ValueError(f"no noise by column for a case of {self.instrument!r}")
+
+
+def n_rows(columns: Columns) -> int:
+    """Return how many rows columns have."""
+    return len(next(iter(columns.values())))
+
+
+def with_strays(case: Case, share: float, seed: int, sizes: tuple[float, float] = (15, 60)) -> Case:
+    """Return the case with a share of its rows gone astray: one reading of each is off by some
+    `sizes` of its noise, either way. truth["strays"] lists the rows.
+    """
+    rng = np.random.default_rng([seed, 7])
+    noise, n = case.noise, n_rows(case.data)
+    rows = np.sort(rng.choice(n, round(share * n), replace=False))
+    data = {name: values.copy() for name, values in case.data.items()}
+    names = list(noise)
+    for row, which in zip(rows, rng.integers(0, len(names), len(rows)), strict=True):
+        off = rng.choice([-1.0, 1.0]) * rng.uniform(*sizes)
+        data[names[which]][row] += off * noise[names[which]][row]
+    return replace(case, data=data, truth=case.truth | {"strays": rows.tolist()})
+
 
 def run_columns(run: Run) -> Columns:
-    """Return a run's columns x_mm ... T_air_degC in file units."""
+    """Return a run's columns x_mm ... T_air_degC and further ones in file units."""
     out: Columns = {f"{a.lower()}_mm": 1e3 * run.q[:, i] for i, a in enumerate(AXES)}
     out |= {f"dir_{a.lower()}": run.direction[:, i] for i, a in enumerate(AXES)}
     out["t_s"] = run.t
     out |= {f"T_{a.lower()}_degC": run.temperature[:, i] for i, a in enumerate(AXES)}
-    return out | {"T_air_degC": run.air}
+    return out | {"T_air_degC": run.air} | dict(run.extra)
 
 
 def make_case(
@@ -123,12 +183,14 @@ def make_case(
     effects: Sequence[Effect] = (),
     noise_factor: float = 1.0,
     *,
-    travel: Sequence[float] | None = None,
+    travel: ArrayLike | None = None,
     tool_offset: Sequence[float] | None = None,
     table: ErrorTable = TABLE,
     error_size: float = 1.0,
     plan: Mapping[str, Any] | None = None,
     n_check: int = 400,
+    recording: Sequence[str] = (),
+    family: Smooth | None = None,
     declared: Sequence[Mapping[str, Any]] = (),
     name: str | None = None,
     folder: str | Path | None = None,
@@ -136,29 +198,45 @@ def make_case(
 ) -> Case:
     """Draw a machine, plan, measure, and write the study if a folder is given.
 
-    Machine, plan, noise, check points and station come from five streams of the seed: two cases
-    with the same seed differ by what was asked to differ, e.g. by their effects, only.
+    Machine, plan, noise, check points, station and further conditions come from six streams of the
+    seed: two cases with the same seed differ by what was asked to differ, e.g. by their effects,
+    only.
 
     Args:
-        instrument: "laser_tracker", "ball_array" or "reflectors" (the chain is then unused).
+        instrument: "laser_tracker", "ball_array", "laser_frame"; "r_test" or "reflectors" (the
+            chain is then unused).
         effects: undeclared effects, see the table in effects.py.
         noise_factor: true noise / declared noise.
-        travel: upper ends of the travels, m.
+        travel: upper ends (3,) or both ends (3, 2) of the travels, m.
         tool_offset: m.
         table: declared half widths, um and urad; error_size scales the drawn errors only.
-        plan: keyword arguments of tracker_plan, ball_plan or arm_plan.
+        plan: keyword arguments of tracker_plan, ball_plan, frame_plan, measure_circles, arm_plan.
+        recording: further columns, see plans.conditions.
+        family: the smooth family to declare and draw from instead of the table's.
         declared: rows for [[model.effect]] with their units in the keys (written, not applied).
         noise: laser_tracker: range_sigma, range_sigma_per_m, angle_sigma, station_mm,
             euler_xyz_deg, station_scatter (m, rad) about the nominal; ball_array: probe_sigma,
-            ball_position_u, supports; reflectors: arm, sigma, link_sizes (m, rad).
+            ball_position_u, supports; laser_frame: sigma, scatter of its pose (m, rad);
+            reflectors: arm, sigma, link_sizes (m, rad).
     """
-    streams = np.random.SeedSequence(seed).spawn(5)
-    for_machine, for_plan, for_noise, for_check, for_station = map(np.random.default_rng, streams)
+    streams = np.random.SeedSequence(seed).spawn(6)
+    for_machine, for_plan, for_noise, for_check, for_station, for_more = map(
+        np.random.default_rng, streams
+    )
     given = [dict(e) for e in effects]
     si, plan = checked(given, instrument), dict(plan or {})
     name = name or f"{instrument}_{seed}"
     truth: dict[str, Any] = {"seed": seed, "noise_factor": noise_factor}
     rows = [dict(d) for d in declared]
+
+    if instrument == "r_test":
+        if noise:
+            raise TypeError(f"unexpected arguments for an R-test: {', '.join(noise)}")
+        data = measure_circles(si, for_noise, noise_factor=noise_factor, **plan)
+        case = Case(name, instrument, given, data, declared=rows, truth=truth)
+        if folder is not None:
+            write_study(folder, case)
+        return case
 
     if instrument == "reflectors":
         arm = noise.pop("arm", None) or example_arm()
@@ -186,10 +264,25 @@ def make_case(
             write_study(folder, case)
         return case
 
-    size, offset = SIZES.get(chain, SIZES["w X b Y Z t"])
-    nominal = nominal_machine(chain, travel or size, offset if tool_offset is None else tool_offset)
-    machine = draw_machine(nominal, for_machine, table, error_size)
+    sizes = FRAME_SIZES if instrument == "laser_frame" else SIZES
+    size, offset = sizes.get(chain, sizes["w X b Y Z t"])
+    nominal = nominal_machine(
+        chain,
+        size if travel is None else travel,
+        offset if tool_offset is None else tool_offset,
+    )
+    if family is not None:
+        machine = draw_smooth(nominal, for_machine, family)
+    else:
+        machine = draw_machine(nominal, for_machine, table, error_size)
+    planned: Any = {
+        "laser_tracker": tracker_plan, "ball_array": ball_plan, "laser_frame": frame_plan
+    }[instrument](machine, for_plan, **plan)  # fmt: skip
+    run = planned.run if isinstance(planned, BallPlan) else planned
     check_run = check_plan(machine, for_check, n_check)
+    more, there = conditions((run, check_run), for_more, recording)
+    run = replace(run, extra=dict(run.extra) | more)
+    check_run = replace(check_run, extra=there)
     check_tcp = tool_point(machine, check_run, si)
     check = run_columns(check_run)
     check |= {f"tcp_{a.lower()}_mm": 1e3 * check_tcp[:, i] for i, a in enumerate(AXES)}
@@ -200,7 +293,6 @@ def make_case(
     }  # fmt: skip
 
     if instrument == "laser_tracker":
-        run = tracker_plan(machine, for_plan, **plan)
         length = machine.travel[:, 1]
         place = np.round(1e3 * length * [-0.45, 0.3, 1.2] - [0, 0, 20], -2)
         station_mm = tuple(noise.pop("station_mm", place.tolist()))
@@ -211,7 +303,7 @@ def make_case(
             np.multiply(1e-3, station_mm) + off, np.deg2rad(euler_xyz_deg) + tilt, **noise
         )
         readings = measure_tracker(machine, run, tracker, for_noise, si, noise_factor)
-        data = {"point": np.arange(len(run.t), dtype=float)} | run_columns(run)
+        data = {"point": np.arange(len(run.t), dtype=float)} | run_columns(recorded(run, si))
         data |= {
             "range_mm": 1e3 * readings[:, 0],
             "azimuth_rad": readings[:, 1],
@@ -223,14 +315,24 @@ def make_case(
             name, instrument, given, data, run=run, readings=readings, tracker=tracker,
             station_mm=station_mm, euler_xyz_deg=euler_xyz_deg, **shared,
         )  # fmt: skip
+    elif instrument == "laser_frame":
+        far, turned = np.reshape(noise.pop("scatter", (5e-6, 1e-5)), (2, 1))
+        off, tilt = for_station.standard_normal((2, 3))
+        frame = Frame(far * off, turned * tilt, **noise)
+        readings = measure_frame(machine, run, frame, for_noise, si, noise_factor)
+        data = run_columns(recorded(run, si))
+        data |= {"u_um": 1e6 * readings[:, 0], "v_um": 1e6 * readings[:, 1]}
+        case = Case(
+            name, instrument, given, data, run=run, readings=readings, frame=frame, **shared
+        )
     else:
-        balls, ball_noise = ball_plan(machine, for_plan, **plan), BallNoise(**noise)
+        balls, ball_noise = replace(planned, run=run), BallNoise(**noise)
         found, _, calibrated = measure_balls(
             machine, balls, ball_noise, for_noise, si, noise_factor
         )
         run = balls.run.at(found)
         data = {"pose": np.asarray(run.pose, float), "ball": np.asarray(run.ball, float)}
-        data |= run_columns(run)
+        data |= run_columns(recorded(run, si))
         artefact = {"ball": np.arange(len(calibrated), dtype=float)}
         artefact |= {f"{a}_mm": 1e3 * calibrated[:, i] for i, a in enumerate("xyz")}
         truth["balls_mm"] = (1e3 * balls.balls).tolist()
@@ -247,15 +349,11 @@ def make_case(
 
 
 def write_csv(path: Path, columns: Columns) -> None:
-    """Write columns with 10 significant digits."""
-    np.savetxt(
-        path,
-        np.stack(list(columns.values()), axis=1),
-        fmt="%.10g",
-        delimiter=",",
-        header=",".join(columns),
-        comments="",
-    )
+    """Write columns, numbers with 10 significant digits."""
+    formats = ["%s" if values.dtype.kind == "U" else "%.10g" for values in columns.values()]
+    words = [np.char.mod(f, values) for f, values in zip(formats, columns.values(), strict=True)]
+    lines = [",".join(columns), *map(",".join, zip(*words, strict=True))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def write_study(folder: str | Path, case: Case) -> Path:
@@ -270,7 +368,7 @@ def write_study(folder: str | Path, case: Case) -> Path:
     for name, columns in (("check", case.check), ("artefact", case.artefact)):
         if columns is not None:
             write_csv(out / f"{name}.csv", columns)
-    if case.machine is not None:
+    if case.machine is not None and case.machine.smooth is None:
         rows = [",".join(("component", *TABLE_COLUMNS))]
         rows += [",".join([k, *(f"{v:g}" for v in row)]) for k, row in case.machine.table.items()]
         (out / "errors.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
@@ -283,7 +381,10 @@ def write_study(folder: str | Path, case: Case) -> Path:
 def setup_text(case: Case) -> str:
     """Return setup.toml of a case."""
     lines = [f"name = {json.dumps(case.name)}", ""]
-    lines += _arm_lines(case) if case.arm is not None else _machine_lines(case)
+    if case.arm is not None:
+        lines += _arm_lines(case)
+    else:
+        lines += _circle_lines() if case.instrument == "r_test" else _machine_lines(case)
     for row in case.declared:
         lines += ["", "[[model.effect]]"]
         lines += [f"{k} = {json.dumps(v)}" for k, v in row.items()]
@@ -323,7 +424,31 @@ def _machine_lines(case: Case) -> list[str]:
             "   # standard uncertainty of a calibrated coordinate",
             f"supports = {_numbers(case.ball_noise.supports)}   # of its length",
         ]
-    return [*lines, "", "[model.geometric]", 'family = "fourier"', 'table = "errors.csv"']
+    if case.frame is not None:
+        lines += [f"sigma_um = {1e6 * case.frame.sigma:.6g}", 'beam_path = "3d"']
+    return [*lines, "", "[model.geometric]", *_family_lines(machine.smooth)]
+
+
+def _family_lines(smooth: Smooth | None) -> list[str]:
+    if smooth is None:
+        return ['family = "fourier"', 'table = "errors.csv"']
+    return [
+        'family = "smooth"',
+        f"translation_um = {1e6 * smooth.translation:.6g}",
+        f"rotation_urad = {1e6 * smooth.rotation:.6g}",
+        f"squareness_urad = {1e6 * smooth.squareness:.6g}",
+        f"smoothness = {smooth.smoothness:.6g}",
+    ]
+
+
+def _circle_lines() -> list[str]:
+    return [
+        "[instrument]",
+        'kind = "r_test"',
+        f"radius_mm = {1e3 * RADIUS:.6g}",
+        f"external_sigma_um = {1e6 * EXTERNAL_SIGMA:.6g}",
+        f"internal_sigma_um = {1e6 * INTERNAL_SIGMA:.6g}",
+    ]
 
 
 def _arm_lines(case: Case) -> list[str]:

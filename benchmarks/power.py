@@ -1,0 +1,333 @@
+"""How well the loop finds what is missing: right names, wrong names and none, by size of effect.
+
+Machines are drawn from the declared family and measured by the independent numpy generator of the
+tests, with one effect of the table in power_cases.py, with two, with one that is in no catalogue,
+with stray readings, or with nothing. A size counts in detection limits of its own set: the size at
+which the corrected p-value of the screening is alpha in the median.
+
+    python benchmarks/power.py --sets 20 --minutes 60
+
+appends one line per set to results/power.jsonl and leaves out the sets that are there already;
+`python benchmarks/power_summary.py` makes results/power.json and the picture from the lines.
+"""
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from fnmatch import fnmatch
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+LINES = HERE / "results" / "power.jsonl"
+ALPHA = 0.01
+DRAWS = 500
+LIMIT_DRAWS = 200
+FIRST_SEED = 20_000
+
+Job = tuple[str, float, int]
+"""Entry, multiple of the detection limit, seed."""
+
+
+def jobs(names: Sequence[str], multiples: Sequence[float], sets: range) -> Iterator[Job]:
+    """Every set in an order in which all entries grow together: seed by seed, multiple by multiple;
+    of clean ones, which take more sets, ten with every seed of the others, spread among them.
+    """
+    from power_cases import ENTRIES
+
+    entries = [ENTRIES[name] for name in names]
+    clean = [entry.name for entry in entries if entry.clean]
+    others = [entry for entry in entries if not entry.clean]
+    for place, seed in enumerate(sets):
+        wanted = [
+            (entry.name, entry.multiples[i], seed)
+            for i in range(max((len(e.multiples) for e in others), default=0))
+            for entry in others
+            if i < len(entry.multiples)
+            and (not multiples or not entry.kinds or entry.multiples[i] in multiples)
+        ]
+        between = [(name, 0.0, sets.start + 10 * place + k) for k in range(10) for name in clean]
+        # By how far along its own list each of them is.
+        spread = [((i + 0.5) / len(part), job) for part in (wanted, between)
+                  for i, job in enumerate(part)]  # fmt: skip
+        yield from (job for _, job in sorted(spread, key=lambda item: item[0]))
+
+
+def known(path: Path) -> list[dict]:
+    """The lines that are there."""
+    if not path.is_file():
+        return []
+    return [json.loads(line) for line in path.read_text().splitlines() if line.strip()]
+
+
+def append(path: Path, line: dict) -> None:
+    """Add a line, whole, whoever else is writing."""
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line, separators=(",", ":")) + "\n")
+
+
+# --- a set ---------------------------------------------------------------------------------------
+
+
+def load(case):
+    """The study as vcal reads it from files."""
+    import vcal
+    from oracle import write_study
+
+    with tempfile.TemporaryDirectory() as folder:
+        write_study(Path(folder), case)
+        return vcal.load_study(Path(folder) / "setup.toml")
+
+
+def classes_of(entry) -> list:
+    """Effects that are looked for."""
+    import vcal
+
+    every = vcal.CATALOGUE.values()
+    return [cls for cls in every if entry.all_searched or cls.searched]
+
+
+def limit_of(entry, world, sized, kind, term_at: int) -> float:
+    """Detection limit of one effect of a set, in its unit: the size at which the median statistic
+    is that of a corrected p-value of alpha. Found from the screening of a large effect without
+    noise, whose statistic grows with the square of the size; infinite where even that is below.
+    """
+    from power_cases import make
+    from scipy.optimize import brentq
+    from scipy.special import gammainccinv
+    from scipy.stats import ncx2
+
+    from vcal.identify import identify
+    from vcal.loop.candidates import LocalBump, candidates
+    from vcal.loop.screen import Screen, screen
+
+    made = make(entry, world, [sized[term_at]], [kind.large], noise=0.0)
+    study = load(made.case)
+    fit = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
+    tried, _ = candidates(study.model, study.measurement, classes_of(entry))
+    bumps, _ = candidates(study.model, study.measurement, [LocalBump])
+    screening = screen(Screen(fit, LIMIT_DRAWS, world.seed), [*tried, *bumps])
+    over_kinds = -math.expm1(math.log1p(-ALPHA) / screening.trials)
+    own, ratios = made.terms[0].key, [0.0]
+    for found in screening.kinds:
+        peaks = [p for p in found.peaks if not own or p.effect.key == own]
+        if not peaks:
+            continue
+        best = max(peaks, key=lambda peak: peak.statistic)
+        p = -math.expm1(math.log1p(-over_kinds) / found.trials)
+        # As the tests studentise: -dof ln(1 - stat/chi2), where chi2 is dof without the effect.
+        needed = fit.dof * math.expm1(2 * gammainccinv(0.5 * best.rank, p) / fit.dof)
+
+        def missing(x: float, rank: int = best.rank, needed: float = needed) -> float:
+            return float(ncx2.median(rank, x)) - needed
+
+        ratios.append(best.statistic / brentq(missing, 1e-9, 10 * needed))
+    return kind.large / math.sqrt(max(ratios)) if max(ratios) > 1.0 else math.inf
+
+
+def told(study, before, terms, keep):
+    """The fit that was told the truth: `before` with the true effects added, free in size."""
+    from vcal.effects import Setup, effect_class
+    from vcal.loop.rivals import refit
+    from vcal.loop.screen import Peak, Screen
+
+    model, measurement = study.model, study.measurement
+    setup = Setup(model.chain, model.layout, measurement.plan, model.effects,
+                  model.instrument.artefact)  # fmt: skip
+    fit, room = before, len(model.entries) + 16
+    for term in terms:
+        name = term.key.split(" ")[0]
+        (effect,) = (
+            e
+            for e in effect_class(name).candidates(setup)
+            if e.key == term.key and set(term.parameters) <= {p.name for p in e.parameters}
+        )
+        shape, state = dict(term.shape or {}), Screen(fit, 1, 0)
+        columns = state.columns(effect, shape)
+        start = np.linalg.lstsq(state.information(columns), columns.T @ fit.whitened, rcond=1e-8)[0]
+        fit = refit(fit, Peak(effect, shape, start, 0.0, 0.0, len(start)), keep, room)
+    return fit
+
+
+def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
+    """Make a set, close the loop on it, and compare with a fit that was told the truth."""
+    from power_cases import drawn, make, world_of
+
+    import vcal
+    from vcal.loop.close_loop import errors
+
+    start = time.perf_counter()
+    world = world_of(entry.instrument, seed)
+    sized = drawn(entry, world)
+    line: dict = {"case": entry.name, "multiple": multiple, "seed": seed}
+    sizes = []
+    for i, kind in enumerate(entry.kinds):
+        key = entry.instrument, kind.name, entry.all_searched, entry.warming, seed
+        if key not in limits:
+            limits[key] = limit_of(entry, world, sized, kind, i)
+        sizes.append(multiple * limits[key])
+    line["limit"] = [s / multiple for s in sizes] if multiple else []
+    if not np.isfinite(sizes).all():
+        return line | {"verdict": "not detectable", "seconds": time.perf_counter() - start}
+    made = make(entry, world, sized, sizes)
+    study = load(made.case)
+    begun = time.perf_counter()
+    closure = vcal.close_loop(
+        study.model,
+        study.measurement,
+        check=study.check,
+        effects=classes_of(entry),
+        alpha=ALPHA,
+        draws=DRAWS,
+        seed=seed,
+    )
+    line["loop_s"] = round(time.perf_counter() - begun, 2)
+    line["truth"] = [[t.key, *t.parameters] for t in made.terms if t.key]
+    line["covariates"] = sorted({c for t in made.terms for c in t.covariates})
+    line["verdict"] = closure.verdict
+    line["found"] = [
+        {
+            "key": e.effect.key,
+            "status": e.status,
+            "parameters": {name: float(f"{v:.4g}") for name, v, _, _ in e.parameters},
+            "equivalent": e.equivalent,
+            "probability": round(1.0 - sum(p for *_, p in e.alternatives), 4),
+            "rivals": [[f"{n} {place}".strip(), round(p, 4)] for n, place, p in e.alternatives[:3]],
+        }
+        for e in closure.effects
+    ]
+    line["p"] = closure.screenings[0].p_value
+    line["rejected"] = [
+        [f"{r.effect} {r.placement}".strip(), r.reason] for r in closure.rejected[:4]
+    ]
+    if what := closure.unexplained:
+        line["unexplained"] = {
+            "depends_on": what.depends_on[:3],
+            "joint": bool(what.joint),
+            "where": [[w.covariate, round(w.low, 4), round(w.high, 4)] for w in what.where],
+            "p": what.p_value,
+        }
+    before = closure.errors["before"]
+    line["chi2"] = [before.chi2_per_dof, closure.errors["after"].chi2_per_dof]
+    which = "heldout" if before.check is None else "check"
+    line["error"] = which
+
+    def rms(found) -> list[float]:
+        value = getattr(found, which)
+        return [float(f"{value.value:.5g}"), float(f"{value.u:.3g}")]
+
+    line["rms"] = {name: rms(found) for name, found in closure.errors.items()}
+    strays = made.case.truth.get("strays", [])
+    if all(t.key for t in made.terms):
+        keep = np.ones(study.measurement.plan.rows, bool)
+        keep[strays] = False
+        fit = told(study, closure.before, made.terms, keep)
+        line["rms"]["told"] = rms(errors(fit, study.check))
+    if strays:
+        listed = {s.row for s in closure.suspected}
+        line["strays"] = [len(strays), len(listed & set(strays)), len(listed - set(strays))]
+    elif closure.suspected:
+        line["strays"] = [0, 0, len(closure.suspected)]
+    return line | {"seconds": round(time.perf_counter() - start, 2)}
+
+
+# --- the campaign --------------------------------------------------------------------------------
+
+
+def limits_in(lines: Sequence[dict]) -> dict:
+    """Detection limits that are known, by instrument, kind, how it is tried, and seed."""
+    from power_cases import ENTRIES
+
+    found = {}
+    for line in lines:
+        entry = ENTRIES.get(line["case"])
+        if entry is not None:
+            for kind, limit in zip(entry.kinds, line["limit"], strict=False):
+                how = entry.all_searched, entry.warming
+                found[entry.instrument, kind.name, *how, line["seed"]] = limit
+    return found
+
+
+def work(options: argparse.Namespace, part: int) -> None:
+    """Every `jobs`-th of the sets that are not there yet, until the time is over."""
+    from power_cases import ENTRIES, GROUPS
+
+    import vcal
+
+    vcal.enable_float64()
+    end = time.monotonic() + 60 * options.minutes
+    lines = known(options.lines)
+    done = {(line["case"], line["multiple"], line["seed"]) for line in lines}
+    limits = limits_in(lines)
+    names = [
+        name
+        for name, entry in ENTRIES.items()
+        if any(fnmatch(name, pattern) for pattern in options.cases)
+        and entry.group in (options.groups or GROUPS)
+    ]
+    sets = range(options.first_seed, options.first_seed + options.sets)
+    waiting = [job for job in jobs(names, options.multiples, sets) if job not in done]
+    # All sets of one seed and case by one worker: they share detection limits.
+    mine = [job for job in waiting if hash((job[0].split("/")[0], job[2])) % options.jobs == part]
+    for name, multiple, seed in mine:
+        if time.monotonic() > end:
+            break
+        try:
+            line = one_set(ENTRIES[name], multiple, seed, limits)
+        except Exception as error:  # a set that fails is a finding, and must not end the campaign
+            line = {"case": name, "multiple": multiple, "seed": seed, "limit": [],
+                    "verdict": "failed", "why": f"{type(error).__name__}: {error}"}  # fmt: skip
+        append(options.lines, line)
+        found = [f["key"] for f in line.get("found", [])]
+        print(name, multiple, seed, line["verdict"], found, line.get("seconds"), flush=True)
+
+
+def main() -> None:
+    """Run the campaign in single-threaded processes."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", nargs="+", default=["*"], help="patterns such as 'r_test/*'")
+    parser.add_argument("--groups", nargs="+", default=[], help="such as clean, catalogue, outside")
+    parser.add_argument("--multiples", nargs="+", type=float, default=[])
+    parser.add_argument("--sets", type=int, default=20, help="of every case and multiple; ten times"
+                        " as many clean ones")  # fmt: skip
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
+    parser.add_argument("--minutes", type=float, default=math.inf)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--lines", type=Path, default=LINES)
+    parser.add_argument("--part", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.part is not None:
+        work(options, options.part)
+        return
+    options.lines.parent.mkdir(parents=True, exist_ok=True)
+    environment = dict(
+        os.environ,
+        PYTHONHASHSEED="0",
+        OPENBLAS_NUM_THREADS="1",
+        OMP_NUM_THREADS="1",
+        XLA_FLAGS="--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    )
+    command = [sys.executable, __file__, *sys.argv[1:]]
+    running = [
+        subprocess.Popen([*command, "--part", str(part)], env=environment)
+        for part in range(options.jobs)
+    ]
+    try:
+        codes = [process.wait() for process in running]
+    except KeyboardInterrupt:
+        for process in running:
+            process.terminate()
+        raise
+    if any(codes):
+        raise SystemExit(f"workers ended with {codes}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,701 @@
+"""What the loop is asked to find: a table of effects by instrument, and how a set of each is made.
+
+Every row says where an effect may be measured, in which unit its size counts, and how it is drawn:
+as the oracle of the tests takes it, and under which name vcal knows it.
+"""
+
+from __future__ import annotations
+
+import sys
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from oracle import FRAME_SMOOTH, FRAME_TABLE, TABLE, draw_matrix, make_case, with_strays
+from oracle.kinematics import SQUARENESS
+from oracle.study import FRAME_SIZES, SIZES, Case
+
+INSTRUMENTS = ("laser_tracker", "ball_array", "r_test", "laser_frame")
+ON_MACHINE = ("laser_tracker", "ball_array", "laser_frame")
+CHAINS = ("w X b Y Z t", "w Y b X Z t", "w b X Y Z t")
+DURATION_S = {"laser_tracker": 5000.0, "ball_array": 10000.0, "laser_frame": 4800.0}
+STRAYS = 0.02
+"""Share of the readings that go astray where some do."""
+
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True)
+class World:
+    """What is the same for all sizes of one set."""
+
+    instrument: str
+    seed: int
+    chain: str
+    travel: tuple[float, ...]
+    """m."""
+
+    @property
+    def duration(self) -> float:
+        """About how long the measurement takes, s."""
+        return DURATION_S[self.instrument]
+
+    def moment(self, rng: Rng) -> float:
+        """A time not too near either end of the measurement, s."""
+        return float(self.duration * rng.uniform(0.25, 0.75))
+
+    def carries(self, axis: str) -> bool:
+        """Whether the axis is on the tool's side of the bed."""
+        names = self.chain.split()
+        return names.index(axis) > names.index("b")
+
+
+@dataclass(frozen=True)
+class Term:
+    """One effect of one size: as the oracle takes it, and as vcal should name it."""
+
+    effects: tuple[Mapping[str, Any], ...]
+    """For the oracle."""
+    key: str = ""
+    """Identifier and placement in vcal; empty for what is in no catalogue."""
+    parameters: tuple[str, ...] = ()
+    """Parameters that tell the component, where one placement has several."""
+    shape: Mapping[str, float] | None = None
+    """True values of the parameters that enter non-linearly, SI."""
+    covariates: tuple[str, ...] = ()
+    """Covariates one of which an *unexplained* should tell first."""
+    declared: tuple[Mapping[str, Any], ...] = ()
+    """Rows of [[model.effect]] that go with it."""
+
+
+Sized = Callable[[float], Term]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A row of the table."""
+
+    name: str
+    unit: str
+    large: float
+    """A large one, in that unit. Where it is below the detection limit, the plan does not see the
+    effect, and no set is made.
+    """
+    draw: Callable[[Rng, World], Sized]
+    """Draws everything but the size."""
+    instruments: tuple[str, ...]
+    recording: tuple[str, ...] = ()
+    plan: Mapping[str, Any] | None = None
+    all_searched: bool = False
+    """Whether effects must be looked for that the loop does not try unasked."""
+    cycles: bool = False
+    """Whether the axes are exercised in turn, so that their temperatures tell them apart, and from
+    time. The kind is then tried once more while the machine just warms up.
+    """
+    centred: bool = False
+    """Whether positions count from the middle of the travel. What grows in proportion to the
+    position is otherwise a translation as well, which other effects take for theirs.
+    """
+
+
+# --- draws ---------------------------------------------------------------------------------------
+
+
+def _axis(rng: Rng, letters: str = "XYZ") -> str:
+    return letters[rng.integers(len(letters))]
+
+
+def _sign(rng: Rng) -> float:
+    return float(rng.choice([-1.0, 1.0]))
+
+
+def _unit(rng: Rng, size: int = 3) -> np.ndarray:
+    v = rng.standard_normal(size)
+    return v / np.linalg.norm(v)
+
+
+def _on_axis(
+    name: str, key: str, components: str, named: str = "", **fixed: Callable[[Rng, World], float]
+) -> Callable[[Rng, World], Sized]:
+    """An effect on an axis: `components` "=" along it, "x" across it, else out of these letters;
+    `named` what the parameter of a component is called in vcal.
+    """
+
+    def draw(rng: Rng, world: World) -> Sized:
+        axis, sign = _axis(rng), _sign(rng)
+        letters = {"=": axis, "x": "XYZ".replace(axis, "")}.get(components, components)
+        if axis == "Z":  # the tool stands in line with it: its roll moves nothing
+            letters = letters.replace("C", "")
+        component = _axis(rng, letters)
+        more = {k: f(rng, world) for k, f in fixed.items()}
+        shape = {k.removesuffix("_s"): v for k, v in more.items() if k == "tau_s"}
+        parameters = (f"{named}_E{component}{axis}",) if named else ()
+
+        def sized(size: float) -> Term:
+            effect = {"effect": name, "axis": axis, "component": component, key: sign * size}
+            return Term(({**effect, **more},), f"{name} {axis}", parameters, shape or None)
+
+        return sized
+
+    return draw
+
+
+def _tau(rng: Rng, world: World) -> float:
+    return float(world.duration * rng.uniform(0.1, 0.3))
+
+
+def _jump(rng: Rng, world: World) -> Sized:
+    axis, component, at, sign = _axis(rng), _axis(rng), world.moment(rng), _sign(rng)
+
+    def sized(size: float) -> Term:
+        effect = {"effect": "jump", "axis": axis, "component": component, "t0_s": at}
+        return Term(({**effect, "size_um": sign * size},), "jump tool", shape={"at": at})
+
+    return sized
+
+
+def _turn(rng: Rng, world: World) -> np.ndarray:
+    """Of the instrument's frame, urad beside a translation of 1 um: of a length that shows about
+    three times as much as that over the travel. A mere translation is one of the tool as well.
+    """
+    return _unit(rng) * 3 / (0.5 * np.mean(world.travel))
+
+
+def _frame_jump(rng: Rng, world: World) -> Sized:
+    at, v, w = world.moment(rng), _unit(rng), _turn(rng, world)
+
+    def sized(size: float) -> Term:
+        effect = {"effect": "station_jump", "t0_s": at, "translation_um": size * v,
+                  "rotation_urad": size * w}  # fmt: skip
+        return Term((effect,), "jump frame", shape={"at": at})
+
+    return sized
+
+
+def _station_drift(rng: Rng, world: World) -> Sized:
+    v, w = _unit(rng), _turn(rng, world)
+    return lambda size: Term(
+        (
+            {
+                "effect": "station_drift",
+                "translation_um_per_h": size * v,
+                "rotation_urad_per_h": size * w,
+            },
+        ),
+        "station_drift",
+    )
+
+
+def _screw(rng: Rng, world: World) -> Sized:
+    axis, phase = _axis(rng), rng.uniform(0, 2 * np.pi)
+    leads = (5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
+    # Half of the screws have a nominal lead, half any pitch (racks, couplings, their own make).
+    pitch = float(rng.choice(leads) if rng.uniform() < 0.5 else np.exp(rng.uniform(1.6, 3.9)))
+
+    def sized(size: float) -> Term:
+        effect = {"effect": "screw_cyclic", "axis": axis, "amplitude_um": size, "phase": phase,
+                  "pitch_mm": pitch}  # fmt: skip
+        return Term((effect,), f"screw_cyclic {axis}", shape={"pitch": 1e-3 * pitch})
+
+    return sized
+
+
+def _crossed(rng: Rng, world: World) -> Sized:
+    axis, component, sign = _axis(rng), _axis(rng), _sign(rng)
+    other = _axis(rng, "XYZ".replace(axis, ""))
+    powers = ((1, 1), (2, 1), (1, 2))[rng.integers(3)]
+    motion = f"E{component}{axis}_{axis.lower()}_{other.lower()}"
+
+    def sized(size: float) -> Term:
+        effect = {"effect": "cross_axis", "axis": axis, "other": other, "powers": powers,
+                  "component": component, "size_um": sign * size}  # fmt: skip
+        return Term((effect,), f"cross_axis {axis}", (motion,))
+
+    return sized
+
+
+def unresolved_degree(row: Sequence[float]) -> int:
+    """The lowest Legendre degree of which the family with this row of the table, a constant and a
+    slope leave more than a tenth.
+    """
+    x = np.linspace(-1, 1, 201)
+    _, _, n1, b1, c1, n2, b2, c2 = row
+    columns = [np.ones(201), x]
+    for n, b, c in ((n1, b1, c1), (n2, b2, c2)):
+        columns += [np.sin(n * np.pi * x)] * bool(b) + [np.cos(n * np.pi * x)] * bool(c)
+    q, _ = np.linalg.qr(np.stack(columns, axis=1))
+    for degree in range(2, 13):
+        p = np.polynomial.legendre.legval(x, np.eye(13)[degree])
+        if np.linalg.norm(p - q @ (q.T @ p)) > 0.1 * np.linalg.norm(p):
+            return degree
+    raise ValueError("the family follows every degree up to 12")
+
+
+def _order(rng: Rng, world: World) -> Sized:
+    motion = [name for name in TABLE if name not in SQUARENESS and name[1] in "XYZ"]
+    name = motion[rng.integers(len(motion))]
+    degree, sign = unresolved_degree(TABLE[name]), _sign(rng)
+
+    def sized(size: float) -> Term:
+        effect = {"effect": "geometric_order", "axis": name[2], "component": name[1],
+                  "degree": degree, "size_um": sign * size}  # fmt: skip
+        return Term((effect,), f"geometric_order {name}", (f"P{degree}",))
+
+    return sized
+
+
+def _sag(rng: Rng, world: World) -> Sized:
+    axis = _axis(rng, "".join(a for a in "XY" if world.carries(a)))
+    return lambda size: Term(
+        ({"effect": "payload_sag", "axis": axis, "um_per_kg": size},),
+        f"payload_sag {axis}",
+        ("sag_low",),
+    )
+
+
+def _spindle(rng: Rng, world: World) -> Sized:
+    tau = _tau(rng, world)
+    return lambda size: Term(
+        ({"effect": "spindle_growth", "size_um": size, "tau_s": tau},),
+        "spindle_growth",
+        shape={"tau": tau},
+    )
+
+
+def _scaled(name: str, key: str, vcal_key: str = "", **drawn: Callable[[Rng], Any]):
+    """An effect without a place; further keys are drawn."""
+
+    def draw(rng: Rng, world: World) -> Sized:
+        sign, more = _sign(rng), {k: f(rng) for k, f in drawn.items()}
+
+        def sized(size: float) -> Term:
+            return Term(({"effect": name, key: sign * size, **more},), vcal_key or name)
+
+        return sized
+
+    return draw
+
+
+def _phase(rng: Rng) -> float:
+    return float(rng.uniform(0, 2 * np.pi))
+
+
+def _axes_of_tracker(rng: Rng, world: World) -> Sized:
+    tilt, collimation = _unit(rng, 2)
+    return lambda size: Term(
+        (
+            {
+                "effect": "tracker_axes",
+                "tilt_urad": size * tilt,
+                "collimation_urad": size * collimation,
+            },
+        ),
+        "tracker_axes",
+    )
+
+
+def _ball(rng: Rng, world: World) -> Sized:
+    ball, v = int(rng.integers(11)), _unit(rng)
+    return lambda size: Term(
+        ({"effect": "ball_error", "ball": ball, "vector_um": size * v},), f"ball_error ball {ball}"
+    )
+
+
+def _bending(rng: Rng, world: World) -> Sized:
+    return lambda size: Term(
+        ({"effect": "artefact_bending", "size_um": size},), "artefact_bending", ("sag_down",)
+    )
+
+
+def _frame_grows(rng: Rng, world: World) -> Sized:
+    axis = _axis(rng)
+    return lambda size: Term(
+        ({"effect": "frame_expansion", "axis": axis, "um_per_K": size},), f"frame_expansion {axis}"
+    )
+
+
+def _diode(rng: Rng, world: World) -> Sized:
+    reading, sign = "uv"[rng.integers(2)], _sign(rng)
+    return lambda size: Term(
+        ({"effect": "psd_linearity", "reading": reading, "b": 1e3 * sign * size},),
+        f"psd_linearity {reading}",
+    )
+
+
+def _on_circles(
+    name: str, key: str, *, one: bool, **drawn: Callable[[Rng], Any]
+) -> Callable[[Rng, World], Sized]:
+    """An effect of an R-test on one axis or on all; keys in mm and um stand for shapes too."""
+
+    def draw(rng: Rng, world: World) -> Sized:
+        axis, more = _axis(rng), {k: f(rng) for k, f in drawn.items()}
+        place = {"axis": axis} if one else {}
+        parameters: tuple[str, ...] = ()
+        if name == "lateral_reversal":
+            place["component"] = _axis(rng, "XYZ".replace(axis, ""))
+            parameters = (f"size_E{place['component']}{axis}",)
+        units = {"decay_mm": ("decay", 1e-3), "period_um": ("period", 1e-6)}
+        shape = {units[k][0]: v * units[k][1] for k, v in more.items() if k in units}
+
+        def sized(size: float) -> Term:
+            found = f"{name} {axis}" if one else name
+            return Term(({"effect": name, key: size, **place, **more},), found, parameters,
+                        shape or None)  # fmt: skip
+
+        return sized
+
+    return draw
+
+
+def _crosstalk(rng: Rng, world: World) -> Sized:
+    matrix = rng.standard_normal((3, 3))
+    return lambda size: Term(
+        ({"effect": "acceleration_crosstalk", "matrix_um_s2_per_m": size * matrix},),
+        "acceleration_crosstalk",
+    )
+
+
+# --- what is in no catalogue ---------------------------------------------------------------------
+
+
+def _dent(rng: Rng, world: World) -> Sized:
+    axis = _axis(rng)
+    # In the direction of the axis itself an instrument sees it as well as across.
+    component, travel = _axis(rng), world.travel["XYZ".index(axis)]
+    at, sigma = travel * rng.uniform(0.25, 0.75), travel * rng.uniform(0.03, 0.06)
+    return lambda size: Term(
+        (
+            {
+                "effect": "dent",
+                "axis": axis,
+                "component": component,
+                "depth_um": size,
+                "at": at,
+                "sigma": sigma,
+            },
+        ),
+        covariates=(axis,),
+    )
+
+
+def _kink(rng: Rng, world: World) -> Sized:
+    axis, sign = _axis(rng, "XY"), _sign(rng)  # of Z it moves nothing
+    roll = "ABC"["XYZ".index(axis)]
+    at = world.travel["XYZ".index(axis)] * rng.uniform(0.3, 0.7)
+    return lambda size: Term(
+        (
+            {
+                "effect": "kink",
+                "axis": axis,
+                "component": roll,
+                "urad_per_m": sign * size,
+                "at": at,
+            },
+        ),
+        covariates=(axis,),
+    )
+
+
+def _quartic(rng: Rng, world: World) -> Sized:
+    """u^2 v^2 of two axes, v the one nearer to the tool, along v. Across v it would be in the
+    catalogue: a rotation u^2 v of the first axis has the lever v.
+    """
+    order = [c for c in world.chain.split() if c in "XYZ"]
+    first, second = sorted(rng.choice(3, 2, replace=False))
+    axis, other, sign = order[second], order[first], _sign(rng)
+    return lambda size: Term(
+        (
+            {
+                "effect": "cross_axis",
+                "axis": axis,
+                "other": other,
+                "powers": (2, 2),
+                "component": axis,
+                "size_um": sign * size,
+            },
+        ),
+        covariates=(axis, other),
+    )
+
+
+def _stuck(rng: Rng, world: World) -> Sized:
+    """A scale whose growth is compensated by a temperature that is no longer true."""
+    axis = _axis(rng)
+    at = float(world.duration * rng.uniform(0.2, 0.4))
+    return lambda size: Term(
+        (
+            {"effect": "scale_growth", "axis": axis, "um_per_m_K": size},
+            {"effect": "stuck_sensor", "axis": axis, "t0_s": at},
+        ),
+        covariates=(axis, "t", f"T_{axis}", "order", "pose", "run"),
+        declared=({"name": "scale_growth", "placement": axis, "alpha_um_per_m_K": size},),
+    )
+
+
+TRACKER, BALLS, FRAME, CIRCLES = ("laser_tracker",), ("ball_array",), ("laser_frame",), ("r_test",)
+BOTH = TRACKER + BALLS
+STATIONS = TRACKER + FRAME
+_DECAY: dict[str, Callable[[Rng], Any]] = {"decay_mm": lambda rng: float(rng.uniform(0.03, 0.3))}
+_PERIOD: dict[str, Callable[[Rng], Any]] = {
+    "period_um": lambda rng: float(rng.choice([10.0, 20.0, 40.0, 100.0, 200.0])),
+    "phase": _phase,
+}
+
+KINDS: tuple[Kind, ...] = (
+    Kind("backlash", "um", 10, _on_axis("backlash", "size_um", "="), ON_MACHINE),
+    Kind("lateral_reversal", "um", 10, _on_axis("lateral_reversal", "size_um", "x", "size"),
+         ON_MACHINE),
+    Kind("angular_reversal", "urad", 20, _on_axis("angular_reversal", "size_urad", "ABC", "size"),
+         ON_MACHINE),
+    Kind("scale_growth", "um/(m K)", 10, _on_axis("scale_growth", "um_per_m_K", "="), ON_MACHINE,
+         cycles=True),
+    Kind("thermal_offset", "um/K", 10, _on_axis("thermal_offset", "um_per_K", "XYZ", "k"),
+         ON_MACHINE, cycles=True),
+    Kind("thermal_tilt", "urad/K", 30, _on_axis("thermal_tilt", "urad_per_K", "ABC", "k"),
+         ON_MACHINE, cycles=True),
+    Kind("squareness_temperature", "urad/K", 20,
+         _on_axis("squareness_temperature", "urad_per_K", "x", "k"), BOTH, all_searched=True,
+         cycles=True),
+    Kind("warm_up", "um", 20, _on_axis("warm_up", "size_um", "XYZ", "size", tau_s=_tau),
+         ON_MACHINE, cycles=True),
+    Kind("warm_up of an angle", "urad", 30,
+         _on_axis("warm_up", "size_urad", "ABC", "size", tau_s=_tau), ON_MACHINE, cycles=True),
+    Kind("drift", "um/h", 20, _on_axis("drift", "um_per_h", "XYZ", "rate"), ON_MACHINE,
+         cycles=True),
+    Kind("drift of an angle", "urad/h", 30, _on_axis("drift", "urad_per_h", "ABC", "rate"),
+         ON_MACHINE, cycles=True),
+    Kind("jump of the tool", "um", 10, _jump, ON_MACHINE),
+    Kind("jump of the frame", "um and urad", 10, _frame_jump, STATIONS),
+    Kind("station_drift", "um/h and urad/h", 20, _station_drift, STATIONS),
+    Kind("screw_cyclic", "um", 8, _screw, BOTH),
+    Kind("cross_axis", "um", 10, _crossed, ON_MACHINE),
+    Kind("geometric_order", "um", 10, _order, BOTH),
+    Kind("payload_sag", "um/kg", 1, _sag, BOTH, recording=("payload_kg",)),
+    Kind("spindle_growth", "um", 20, _spindle, BOTH, recording=("speed_rpm",)),
+    Kind("range_scale", "um/m", 10, _scaled("range_scale", "ppm"), TRACKER),
+    Kind("encoder_eccentricity", "urad", 20,
+         _scaled("encoder_eccentricity", "amplitude_urad", "encoder_eccentricity azimuth",
+                 phase=_phase), TRACKER),
+    Kind("tracker_axes", "urad", 20, _axes_of_tracker, TRACKER, all_searched=True),
+    Kind("ball_error", "um", 10, _ball, BALLS),
+    Kind("artefact_bending", "um", 10, _bending, BALLS),
+    Kind("artefact_expansion", "um/(m K)", 10, _scaled("artefact_expansion", "ppm_per_K"), BALLS),
+    Kind("probe_lobing", "um", 5, _scaled("probe_lobing", "amplitude_um", phase=_phase), BALLS,
+         recording=("approach_rad",)),
+    Kind("head_expansion", "um/K", 1, _scaled("head_expansion", "um_per_K"), FRAME),
+    Kind("frame_expansion", "um/K", 1, _frame_grows, FRAME),
+    Kind("refraction", "um/(m K)", 2, _scaled("refraction", "um_per_m_K"), FRAME),
+    Kind("psd_linearity", "um/mm3", 0.5, _diode, FRAME, plan={"diode": True}),
+    Kind("acceleration_crosstalk", "um s2/m", 0.2, _crosstalk, CIRCLES),
+    Kind("reversal_spike", "um", 2, _on_circles("reversal_spike", "size_um", one=False, **_DECAY),
+         CIRCLES),
+    Kind("reversal_spike of one axis", "um", 2,
+         _on_circles("reversal_spike", "size_um", one=True, **_DECAY), CIRCLES),
+    Kind("servo_lag", "ms", 0.02, _on_circles("servo_lag", "T_ms", one=False), CIRCLES),
+    Kind("servo_lag of one axis", "ms", 0.02, _on_circles("servo_lag", "T_ms", one=True), CIRCLES),
+    Kind("scale_interpolation", "um", 0.3,
+         _on_circles("scale_interpolation", "amplitude_um", one=True, **_PERIOD), CIRCLES),
+    Kind("backlash on circles", "um", 1, _on_circles("backlash", "size_um", one=True), CIRCLES),
+    Kind("lateral_reversal on circles", "um", 1,
+         _on_circles("lateral_reversal", "size_um", one=True), CIRCLES),
+)  # fmt: skip
+OUTSIDE: tuple[Kind, ...] = (
+    Kind("a local dent", "um", 20, _dent, ON_MACHINE),
+    Kind("a kink in roll", "urad/m", 100, _kink, ON_MACHINE),
+    Kind("a fourth-order cross term", "um", 20, _quartic, BOTH),
+    Kind("a sensor that sticks", "um/(m K)", 15, _stuck, BOTH),
+    Kind(
+        "a sensor that sticks, scale held in the middle", "um/(m K)", 15, _stuck, BOTH, centred=True
+    ),
+)
+PAIRS: tuple[tuple[str, str, str], ...] = (
+    ("laser_tracker", "backlash", "thermal_tilt"),
+    ("laser_tracker", "scale_growth", "screw_cyclic"),
+    ("laser_tracker", "jump of the tool", "cross_axis"),
+    ("ball_array", "backlash", "thermal_tilt"),
+    ("ball_array", "scale_growth", "ball_error"),
+    ("ball_array", "lateral_reversal", "warm_up"),
+    ("r_test", "reversal_spike", "servo_lag"),
+    ("r_test", "scale_interpolation", "reversal_spike of one axis"),
+    ("laser_frame", "head_expansion", "backlash"),
+    ("laser_frame", "refraction", "thermal_tilt"),
+)
+WITH_STRAYS: tuple[tuple[str, str], ...] = (
+    ("laser_tracker", "backlash"),
+    ("laser_tracker", "thermal_tilt"),
+    ("ball_array", "scale_growth"),
+    ("r_test", "reversal_spike"),
+    ("laser_frame", "head_expansion"),
+)
+REPEATED = ("thermal_offset", "thermal_tilt", "scale_growth", "warm_up", "range_scale",
+            "encoder_eccentricity", "jump of the frame")  # fmt: skip
+"""Kinds that are tried once more with all effects looked for, those that are not so unasked too."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A case of the campaign: effects that are in it, at an instrument."""
+
+    name: str
+    instrument: str
+    group: str
+    """One of GROUPS."""
+    kinds: tuple[Kind, ...] = ()
+    noise: float = 1.0
+    strays: float = 0.0
+    all_searched: bool = False
+    warming: bool = False
+    """Whether the machine just warms up where its axes are exercised in turn otherwise."""
+    multiples: tuple[float, ...] = ()
+
+    @property
+    def clean(self) -> bool:
+        """Whether there is nothing to be found."""
+        return not self.kinds and not self.strays
+
+
+GROUPS = {
+    "clean": "nothing is missing",
+    "noisier": "nothing is missing, and the noise is 1.1 times what is declared",
+    "catalogue": "one effect of the catalogue",
+    "warming up": "the same where temperatures and time look alike",
+    "all effects": "effects looked for that the loop does not try unasked, too",
+    "outside": "what is in no catalogue",
+    "pairs": "two effects",
+    "strays": "some readings go astray",
+}
+MULTIPLES = (3.0, 1.0, 5.0, 2.0, 0.5)
+
+
+def _entries() -> tuple[Entry, ...]:
+    by_name = {kind.name: kind for kind in (*KINDS, *OUTSIDE)}
+    found = []
+    for at in INSTRUMENTS:
+        found.append(Entry(f"{at}/clean", at, "clean", multiples=(0.0,)))
+        found.append(Entry(f"{at}/clean, noise 1.1", at, "noisier", noise=1.1, multiples=(0.0,)))
+        found.append(Entry(f"{at}/strays", at, "strays", strays=STRAYS, multiples=(0.0,)))
+    for at in BOTH:
+        name = f"{at}/clean, all effects"
+        found.append(Entry(name, at, "all effects", all_searched=True, multiples=(0.0,)))
+    for kind in KINDS:
+        for at in kind.instruments:
+            every = kind.all_searched
+            found.append(
+                Entry(f"{at}/{kind.name}", at, "catalogue", (kind,), all_searched=every,
+                      multiples=MULTIPLES)
+            )  # fmt: skip
+            if kind.cycles:
+                name = f"{at}/{kind.name}, warming up"
+                found.append(
+                    Entry(name, at, "warming up", (kind,), all_searched=every, warming=True,
+                          multiples=(3.0, 5.0))
+                )  # fmt: skip
+            if kind.name in REPEATED and at in BOTH:
+                name = f"{at}/{kind.name}, all effects"
+                found.append(
+                    Entry(name, at, "all effects", (kind,), all_searched=True, multiples=(3.0, 5.0))
+                )
+    for kind in OUTSIDE:
+        for at in kind.instruments:
+            found.append(Entry(f"{at}/{kind.name}", at, "outside", (kind,), multiples=(3.0, 5.0)))
+    for at, one, other in PAIRS:
+        kinds = by_name[one], by_name[other]
+        found.append(Entry(f"{at}/{one} and {other}", at, "pairs", kinds, multiples=(5.0,)))
+    for at, name in WITH_STRAYS:
+        found.append(
+            Entry(f"{at}/{name}, strays", at, "strays", (by_name[name],), strays=STRAYS,
+                  multiples=(5.0,))
+        )  # fmt: skip
+    return tuple(found)
+
+
+# In an order of their own, so that a campaign that is cut short has some of everything.
+ENTRIES: dict[str, Entry] = {
+    entry.name: entry for entry in sorted(_entries(), key=lambda e: zlib.crc32(e.name.encode()))
+}
+
+
+# --- sets ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Made:
+    """A set: data of the oracle, and what is in them."""
+
+    case: Case
+    terms: tuple[Term, ...]
+
+
+def world_of(instrument: str, seed: int) -> World:
+    """The machine of a seed: three chains in turn, and for a tracker and balls every travel within
+    a quarter of that chain's usual one.
+    """
+    chain = CHAINS[seed % 3]
+    if instrument in BOTH:
+        rng = np.random.default_rng([seed, 1])
+        usual = np.array(SIZES[chain][0])
+        return World(instrument, seed, chain, tuple(usual * rng.uniform(0.8, 1.25, 3)))
+    return World(instrument, seed, chain, FRAME_SIZES[chain][0])
+
+
+def drawn(entry: Entry, world: World) -> list[Sized]:
+    """The effects of a set without their sizes; the same for all entries of one kind."""
+    sized = []
+    for kind in entry.kinds:
+        own = zlib.crc32(kind.name.encode())
+        sized.append(kind.draw(np.random.default_rng([world.seed, own]), world))
+    return sized
+
+
+def make(
+    entry: Entry,
+    world: World,
+    sized: Sequence[Sized],
+    sizes: Sequence[float],
+    noise: float | None = None,
+) -> Made:
+    """Measure the set, with its effects at the given sizes; `noise` instead of the entry's."""
+    terms = tuple(f(size) for f, size in zip(sized, sizes, strict=True))
+    effects = [dict(e) for term in terms for e in term.effects]
+    declared = [dict(row) for term in terms for row in term.declared]
+    plan: dict[str, Any] = {}
+    for kind in entry.kinds:
+        plan |= dict(kind.plan or {})
+        if kind.cycles and not entry.warming:
+            plan["cycles"] = True
+    options: dict[str, Any] = {
+        "seed": world.seed,
+        "noise_factor": entry.noise if noise is None else noise,
+        "plan": plan,
+        "name": entry.name.replace("/", " "),
+    }
+    at = entry.instrument
+    if at == "r_test":
+        plan["samples"] = 40
+        rng = np.random.default_rng([world.seed, 3])
+        matrix = draw_matrix(rng)
+        if all(term.key != "acceleration_crosstalk" for term in terms):
+            # In every other set the machine bends as declared, else it is as stiff as declared.
+            if world.seed % 2 == 0:
+                bends = "acceleration_crosstalk"
+                effects.append({"effect": bends, "matrix": matrix})
+                found = np.round(1e6 * matrix, 12).tolist()
+                declared.append({"name": bends, "matrix_um_s2_per_m": found})
+    else:
+        options["chain"] = world.chain
+        span = np.array(world.travel)
+        centred = any(kind.centred for kind in entry.kinds)
+        options["travel"] = np.stack([-0.5 * span, 0.5 * span], axis=1) if centred else span
+        options["recording"] = tuple(dict.fromkeys(r for k in entry.kinds for r in k.recording))
+    if at == "laser_frame":
+        options |= {"family": FRAME_SMOOTH} if world.seed // 3 % 2 else {"table": FRAME_TABLE}
+    case = make_case(at, effects=effects, declared=declared, **options)
+    if entry.strays:
+        case = with_strays(case, entry.strays, world.seed)
+    return Made(case, terms)

@@ -1,0 +1,329 @@
+"""What the lines of a power campaign say: results/power.json, and the picture of the power curves.
+
+    python benchmarks/power_summary.py
+
+A set's outcome is one of OUTCOMES. A name is right when it is that of the effect that is in the
+data, or when the loop itself says that these data cannot tell the two apart (`equivalent`).
+"""
+
+import argparse
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from power import LINES, known
+from power_cases import ENTRIES, GROUPS, INSTRUMENTS
+
+HERE = Path(__file__).resolve().parent
+OUTCOMES = (
+    "right",
+    "right first",
+    "one of two",
+    "another first",
+    "wrong",
+    "unexplained",
+    "nothing",
+    "not detectable",
+    "failed",
+)
+"""*right*: every effect that is in the data is named and nothing else is; *right first*: the same,
+but at least one of them as the first of several it may be; *one of two*: nothing wrong, but only
+one of two effects; *another first*: something else as the first of several it may be; *wrong*:
+something else, for certain; *unexplained* and *nothing*: no name."""
+FAR = 3.0
+"""Detection limits from which a name must be right."""
+CERTAIN = {"right", "right first"}
+
+
+def is_of(key: str, found: dict) -> bool:
+    """Whether the loop's finding is this effect, or one that it says it cannot tell from it."""
+    return key == found["key"] or key in found["equivalent"]
+
+
+def outcome(line: dict) -> str:
+    """One of OUTCOMES."""
+    if line["verdict"] in ("failed", "not detectable"):
+        return line["verdict"]
+    truth, found = [t[0] for t in line["truth"]], line["found"]
+    if not found:
+        return "unexplained" if line["verdict"] == "unexplained" else "nothing"
+    off = [f for f in found if not any(is_of(key, f) for key in truth)]
+    if any(f["status"] == "named" for f in off):
+        return "wrong"
+    if off:
+        return "another first"
+    if not all(any(is_of(key, f) for f in found) for key in truth):
+        return "one of two"
+    return "right" if all(f["status"] == "named" for f in found) else "right first"
+
+
+def other_component(line: dict) -> bool:
+    """Whether a right name stands for another component of the effect than the true one."""
+    if outcome(line) not in CERTAIN:
+        return False
+    return any(
+        f["key"] == key and wanted and not set(wanted) & set(f["parameters"])
+        for key, *wanted in line["truth"]
+        for f in line["found"]
+    ) and not any(
+        f["key"] == key and set(wanted) & set(f["parameters"])
+        for key, *wanted in line["truth"]
+        for f in line["found"]
+    )
+
+
+def listed_as_rival(line: dict) -> bool:
+    """Whether an effect that is not first is among those the loop says it may be."""
+    rivals = {name for f in line["found"] for name, _ in f["rivals"]}
+    return all(key in rivals or any(is_of(key, f) for f in line["found"])
+               for key, *_ in line["truth"])  # fmt: skip
+
+
+def pointed(line: dict) -> bool:
+    """Whether an *unexplained* tells a covariate first that the effect depends on."""
+    wanted = set(line["covariates"])
+    return bool(wanted & set(line.get("unexplained", {}).get("depends_on", [])[:1]))
+
+
+def ratio(line: dict) -> float | None:
+    """Error after over that of the fit that was told the truth."""
+    rms = line.get("rms", {})
+    return rms["after"][0] / rms["told"][0] if "told" in rms else None
+
+
+def worse_than_nothing(line: dict) -> bool:
+    """Whether the error after is above the uncompensated one by more than its uncertainty."""
+    rms = line.get("rms", {})
+    return bool(rms) and rms["after"][0] > rms["uncompensated"][0] + rms["after"][1]
+
+
+def counted(lines: Iterable[dict]) -> dict[str, int]:
+    """How many sets had which outcome."""
+    found = Counter(map(outcome, lines))
+    return {name: found[name] for name in OUTCOMES if found[name]}
+
+
+def median(values: Iterable[float | None]) -> float | None:
+    """The median of what is there, to four digits."""
+    kept = [v for v in values if v is not None and math.isfinite(v)]
+    return float(f"{np.median(kept):.4g}") if kept else None
+
+
+def limits(lines: Sequence[dict], place: int) -> dict | None:
+    """Median and range of a detection limit over the seeds."""
+    found = {x["seed"]: x["limit"][place] for x in lines if len(x["limit"]) > place}
+    kept = [v for v in found.values() if math.isfinite(v)]
+    if not kept:
+        return None
+    low, middle, high = (float(f"{v:.3g}") for v in np.quantile(kept, [0, 0.5, 1]))
+    return {"median": middle, "low": low, "high": high, "seen": len(kept), "sets": len(found)}
+
+
+def case_row(name: str, lines: list[dict]) -> dict:
+    """Everything about one case."""
+    entry = ENTRIES[name]
+    by_multiple = {}
+    for multiple in sorted({x["multiple"] for x in lines}):
+        part = [x for x in lines if x["multiple"] == multiple]
+        by_multiple[f"{multiple:g}"] = {
+            "sets": len(part),
+            "outcomes": counted(part),
+            "other_component": sum(map(other_component, part)),
+            "error_ratio": median(map(ratio, part)),
+            "pointed": sum(outcome(x) == "unexplained" and pointed(x) for x in part),
+        }
+    return {
+        "case": name,
+        "instrument": entry.instrument,
+        "group": entry.group,
+        "kinds": [kind.name for kind in entry.kinds],
+        "units": [kind.unit for kind in entry.kinds],
+        "limits": [limits(lines, i) for i in range(len(entry.kinds))],
+        "multiples": by_multiple,
+    }
+
+
+def share(part: list[dict], wanted: set[str]) -> list[int]:
+    """(how many of, all)."""
+    return [sum(outcome(x) in wanted for x in part), len(part)]
+
+
+def clean_row(lines: list[dict], group: str, instrument: str) -> dict:
+    """False alarms of an instrument."""
+    found = Counter(map(outcome, lines))
+    named = sum(bool(x["found"]) for x in lines)
+    return {
+        "instrument": instrument,
+        "group": group,
+        "sets": len(lines),
+        "named": named,
+        "unexplained": found["unexplained"],
+        "p_below_alpha": sum(x["p"] <= 0.01 for x in lines),
+        "strays": sum("strays" in x for x in lines),
+        "seconds": median(x["loop_s"] for x in lines),
+    }
+
+
+def undisturbed(lines: Sequence[dict]) -> dict[tuple[str, float, int], dict]:
+    """Lines by case, multiple and seed."""
+    return {(x["case"], x["multiple"], x["seed"]): x for x in lines}
+
+
+def stray_row(name: str, lines: list[dict], every: dict) -> dict:
+    """What stray readings change: verdicts against the same set without, and which are listed."""
+    entry = ENTRIES[name]
+    base = f"{entry.instrument}/" + (entry.kinds[0].name if entry.kinds else "clean")
+    pairs = [(x, every.get((base, x["multiple"], x["seed"]))) for x in lines]
+    same = [
+        x["verdict"] == b["verdict"] and [f["key"] for f in x["found"]] == [
+            f["key"] for f in b["found"]]
+        for x, b in pairs if b is not None
+    ]  # fmt: skip
+    strays = np.array([x["strays"] for x in lines if "strays" in x]).reshape(-1, 3)
+    return {
+        "case": name,
+        "sets": len(lines),
+        "compared": len(same),
+        "same": sum(same),
+        "astray": int(strays[:, 0].sum()),
+        "listed": int(strays[:, 1].sum()),
+        "listed_wrongly": int(strays[:, 2].sum()),
+        "outcomes": counted(lines),
+    }
+
+
+def summary(lines: Sequence[dict]) -> dict:
+    """All tables."""
+    lines = [x for x in lines if x["case"] in ENTRIES]
+    of = {name: [x for x in lines if x["case"] == name] for name in ENTRIES}
+    group = {g: [x for x in lines if ENTRIES[x["case"]].group == g] for g in GROUPS}
+    clean = []
+    for name in GROUPS:
+        for at in INSTRUMENTS:
+            part = [x for x in group[name] if ENTRIES[x["case"]].clean]
+            part = [x for x in part if ENTRIES[x["case"]].instrument == at]
+            good = [x for x in part if x["verdict"] != "failed"]
+            if good:
+                clean.append(clean_row(good, name, at))
+    far = [x for x in group["catalogue"] if x["multiple"] >= FAR]
+    seen = [x for x in far if outcome(x) != "not detectable"]
+    outside = [x for x in group["outside"] if x["multiple"] >= FAR]
+    outside = [x for x in outside if outcome(x) != "not detectable"]
+    pairs = [x for x in group["pairs"] if outcome(x) != "not detectable"]
+    nothing = [x for x in group["clean"] if x["verdict"] != "failed"]
+    every = undisturbed(lines)
+    ratios = [ratio(x) for x in seen]
+    at_limit = [x for x in group["catalogue"] if x["multiple"] == 1.0 and "p" in x]
+    return {
+        "sets": len(lines),
+        "summary": {
+            "clean_named": [sum(bool(x["found"]) for x in nothing), len(nothing)],
+            "clean_unexplained": share(nothing, {"unexplained"}),
+            "far_right": share(seen, CERTAIN),
+            "far_wrong": share(seen, {"wrong"}),
+            "far_another_first": share(seen, {"another first"}),
+            "far_unexplained": share(seen, {"unexplained"}),
+            "far_nothing": share(seen, {"nothing"}),
+            "far_failed": share(seen, {"failed"}),
+            "far_other_component": [sum(map(other_component, seen)), len(seen)],
+            "far_error_ratio": median(ratios),
+            "far_worse_than_nothing": [sum(map(worse_than_nothing, lines)), len(lines)],
+            "outside_wrong": share(outside, {"wrong"}),
+            "outside_another_first": share(outside, {"another first"}),
+            "outside_unexplained": share(outside, {"unexplained"}),
+            "outside_pointed": [
+                sum(outcome(x) == "unexplained" and pointed(x) for x in outside), len(outside)
+            ],
+            "pairs_both": share(pairs, CERTAIN),
+            "at_the_limit": [
+                sum(x["p"] <= 0.01 for x in at_limit), len(at_limit)
+            ],
+        },
+        "clean": clean,
+        "cases": [
+            case_row(name, of[name]) for name in sorted(of) if of[name] and not ENTRIES[name].clean
+        ],
+        "strays": [
+            stray_row(name, of[name], every)
+            for name in sorted(of)
+            if of[name] and ENTRIES[name].group == "strays"
+        ],
+    }  # fmt: skip
+
+
+# --- the picture ---------------------------------------------------------------------------------
+
+CURVES = (
+    ("right name", ("right", "right first"), "tab:green"),
+    ("another name first of several", ("another first",), "tab:orange"),
+    ("wrong name", ("wrong",), "tab:red"),
+    ("unexplained", ("unexplained",), "tab:purple"),
+    ("nothing", ("nothing",), "0.4"),
+)
+
+
+def wilson(k: int, n: int) -> tuple[float, float]:
+    """95 % interval of a share."""
+    z, p = 1.96, k / n
+    centre, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return (centre - half) / (1 + z * z / n), (centre + half) / (1 + z * z / n)
+
+
+def picture(found: dict, path: Path) -> None:
+    """Shares of the outcomes over size, one panel per instrument."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, panels = plt.subplots(2, 2, figsize=(10, 7), sharex=True, sharey=True)
+    for panel, at in zip(panels.flat, INSTRUMENTS, strict=True):
+        rows = [c for c in found["cases"] if c["group"] == "catalogue" and c["instrument"] == at]
+        sizes = sorted({m for row in rows for m in row["multiples"]}, key=float)
+        total = {m: Counter() for m in sizes}
+        for row in rows:
+            for m, part in row["multiples"].items():
+                total[m].update(part["outcomes"])
+        for label, names, colour in CURVES:
+            points = []
+            for m in sizes:
+                n = sum(v for k, v in total[m].items() if k != "not detectable")
+                if n:
+                    k = sum(total[m][name] for name in names)
+                    points.append((float(m), k / n, *wilson(k, n)))
+            if points:
+                x, y, low, high = np.array(points).T
+                panel.plot(x, 100 * y, "o-", color=colour, label=label)
+                panel.fill_between(x, 100 * low, 100 * high, color=colour, alpha=0.15, lw=0)
+        sets = sum(sum(c.values()) for c in total.values())
+        panel.set_title(f"{at}: {len(rows)} effects, {sets} sets", fontsize=10)
+        panel.axvline(1.0, color="0.8", lw=1, zorder=0)
+        panel.grid(alpha=0.3)
+        panel.set_ylim(-3, 103)
+    for panel in panels[1]:
+        panel.set_xlabel("size / detection limit")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("share of the sets, %")
+    panels[0, 0].legend(fontsize=8, loc="center right")
+    figure.tight_layout()
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+
+
+def main() -> None:
+    """Sum the lines up."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--lines", type=Path, default=LINES)
+    parser.add_argument("--out", type=Path, default=HERE / "results" / "power.json")
+    options = parser.parse_args()
+    found = summary(known(options.lines))
+    options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    picture(found, options.out.with_suffix(".png"))
+    for name, value in found["summary"].items():
+        print(name, value)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""The table of the power benchmark: what the oracle puts in is what vcal knows by that name."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+import power
+import power_summary
+from power_cases import ENTRIES, OUTSIDE, drawn, make, unresolved_degree, world_of
+
+from vcal.identify import identify
+
+SEED = 20_000
+ALONE = sorted(name for name, entry in ENTRIES.items() if entry.group == "catalogue")
+QUICK = {
+    "laser_tracker/jump of the frame",
+    "laser_tracker/payload_sag",
+    "laser_frame/refraction",
+    "ball_array/probe_lobing",
+    "r_test/servo_lag of one axis",
+}
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in ALONE]
+)
+def test_told_the_truth_nothing_is_left(name):
+    """Without noise: the effect of this name, placement and component explains what was put in."""
+    entry = ENTRIES[name]
+    world = world_of(entry.instrument, SEED)
+    made = make(entry, world, drawn(entry, world), [entry.kinds[0].large], noise=0.0)
+    study = power.load(made.case)
+    before = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
+    keep = np.ones(study.measurement.plan.rows, bool)
+    after = power.told(study, before, made.terms, keep)
+    assert name not in QUICK or before.chi2 / before.dof > 0.3  # others may be hidden by the plan
+    assert after.chi2 / after.dof < 0.02
+
+
+def test_sets_of_one_seed_share_all_but_the_size():
+    entry = ENTRIES["laser_tracker/backlash"]
+    world = world_of("laser_tracker", SEED)
+    sized = drawn(entry, world)
+    one, two = (make(entry, world, sized, [size]).case for size in (1.0, 2.0))
+    np.testing.assert_array_equal(one.run.q, two.run.q)
+    np.testing.assert_array_equal(one.machine.motion, two.machine.motion)
+    assert one.effects[0]["axis"] == two.effects[0]["axis"]
+    other = world_of("laser_tracker", SEED + 3)
+    assert other.chain == world.chain and other.travel != world.travel
+
+
+def test_degrees_that_a_family_does_not_follow():
+    """Odd waves alone do not follow the second, half and whole waves of both kinds the third."""
+    assert unresolved_degree((0, 0, 0.5, 1, 0, 0, 0, 0)) == 2
+    assert unresolved_degree((0, 0, 0.5, 1, 1, 1, 1, 1)) == 4
+
+
+def line(verdict, *found, truth=(("backlash X",),), **more):
+    parts = [
+        {"key": key, "status": status, "parameters": {}, "equivalent": same, "rivals": []}
+        for key, status, same in found
+    ]
+    return {"verdict": verdict, "found": parts, "truth": [list(t) for t in truth], **more}
+
+
+@pytest.mark.parametrize(
+    ("set_line", "expected"),
+    [
+        (line("named", ("backlash X", "named", [])), "right"),
+        (line("named", ("backlash Y", "named", ["backlash X"])), "right"),
+        (line("ambiguous", ("backlash X", "ambiguous", [])), "right first"),
+        (line("ambiguous", ("drift X", "ambiguous", [])), "another first"),
+        (line("named", ("drift X", "named", [])), "wrong"),
+        (line("named", ("backlash X", "named", []), ("drift X", "named", [])), "wrong"),
+        (line("named", ("backlash X", "named", []), truth=(("backlash X",), ("drift Y",))),
+         "one of two"),
+        (line("unexplained"), "unexplained"),
+        (line("nothing_missing"), "nothing"),
+        (line("named", ("backlash X", "named", []), truth=()), "wrong"),
+    ],
+)  # fmt: skip
+def test_outcomes(set_line, expected):
+    assert power_summary.outcome(set_line) == expected
+
+
+def test_every_set_has_its_place_once():
+    names = sorted(ENTRIES)
+    found = list(power.jobs(names, [], range(SEED, SEED + 2)))
+    assert len(found) == len(set(found))
+    for name, entry in ENTRIES.items():
+        mine = [job for job in found if job[0] == name]
+        assert len(mine) == (20 if entry.clean else 2 * len(entry.multiples))
+    assert {kind.name for kind in OUTSIDE} <= {k.name for e in ENTRIES.values() for k in e.kinds}
