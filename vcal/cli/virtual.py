@@ -54,6 +54,7 @@ def run_virtual(
         raise refusal("--noise-factor", "value", found, "a number of at least 0", "correct it")
     check_virtual_folder(out)
     study = load_study(setup, overrides)
+    _ = study.one  # several data sets are refused before the work, not after it
     truth = _truth(study, effects)
     settings: dict[str, Any] = {
         "draws": number,

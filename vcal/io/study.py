@@ -111,7 +111,7 @@ class Study:
     @property
     def one(self) -> DataSet:
         """The data set of a study that has one only; raises `StudyError` as `single` does."""
-        assert self.single
+        _ = self.single
         return self.sets[0]
 
     @property
