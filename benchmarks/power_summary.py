@@ -32,7 +32,8 @@ OUTCOMES = (
 """*right*: every effect that is in the data is named and nothing else is; *right first*: the same,
 but at least one of them as the first of several it may be; *one of two*: nothing wrong, but only
 one of two effects; *another first*: something else as the first of several it may be; *wrong*:
-something else, for certain; *unexplained* and *nothing*: no name."""
+something else, for certain; *unexplained* and *nothing*: no name. Beside a name the rest may still
+be called unexplained."""
 FAR = 3.0
 """Detection limits from which a name must be right."""
 CERTAIN = {"right", "right first"}
