@@ -1,6 +1,7 @@
 """What must not fool the loop: noise that is not as declared, stray readings, too few readings."""
 
 import dataclasses
+import importlib
 
 import numpy as np
 import pytest
@@ -10,11 +11,12 @@ from scipy.stats import f as fisher
 
 from known import Known
 from oracle import make_case, write_study
-from vcal import Measurement, close_loop, load_study
+from vcal import CATALOGUE, Measurement, close_loop, load_study
 from vcal.identify import declared_covariances, identify
+from vcal.loop.candidates import candidates
 from vcal.loop.components import components
 from vcal.loop.confounded import confounded
-from vcal.loop.screen import minus_log_beta_tail
+from vcal.loop.screen import Screen, minus_log_beta_tail, screen
 from vcal.loop.serial import serial
 from vcal.loop.stray import stray_rows
 
@@ -213,3 +215,35 @@ def test_conditions_that_went_together(tracker):
                                       for k, n in enumerate(("T_X", "T_Y", "T_Z"))}}  # fmt: skip
     assert confounded(dataclasses.replace(plan, covariates=swinging), ["T_Y"]) == []
     assert confounded(plan, ["dir_Y"]) == []
+
+
+# --- candidates that are less than the best of their kind ----------------------------------------
+
+
+def test_what_is_named_is_significant_itself(tracker):
+    """Of a kind that is found at one place, another place is worth its own p-value."""
+    measurement = with_noise(tracker, white(tracker, 21), tracker.effect("backlash:Y:size_um=12"))
+    fit = identify(tracker.model, measurement, room=tracker.room)
+    state = Screen(fit, 200, 0)
+    tried, _ = candidates(tracker.model, measurement, [CATALOGUE["backlash"], CATALOGUE["jump"]])
+    found = screen(state, tried)
+    (kind,) = (k for k in found.kinds if k.kind == "backlash")
+    own = {
+        p.effect.placement: found.corrected_as(
+            "backlash", float(state.minus_log_p(p.statistic, state.cost, p.rank))
+        )
+        for p in kind.peaks
+    }
+    assert own["Y"] == pytest.approx(found.corrected(kind), rel=1e-9) and own["Y"] < 1e-10
+    assert max(own["X"], own["Z"]) > 0.01
+
+
+def test_what_does_not_hold_on_other_readings_is_no_name(tracker, monkeypatch):
+    """A significant effect that held-out readings refuse leaves something unexplained."""
+    measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
+    loop = importlib.import_module("vcal.loop.close_loop")
+    monkeypatch.setattr(loop, "improvement", lambda before, after: (-1.0, 1.0, -0.1))
+    closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
+    assert (closure.verdict, closure.effects) == ("unexplained", [])
+    assert {r.placement for r in closure.rejected} >= {"Y"}
+    assert closure.unexplained.depends_on

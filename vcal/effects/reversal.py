@@ -152,7 +152,8 @@ class ReversalSpike(Effect):
         reached = np.concatenate([s[m] for s, m in zip(since, moving, strict=True)])
         longest = float(reached.max()) if len(reached) else 1e-3
         # A spike of less than a hundredth of the way is a matter of one or two rows.
-        return {"decay": np.geomspace(2e-3 * longest, longest, 28)}
+        # What takes longer than a quarter of it has no end before the next reversal.
+        return {"decay": np.geomspace(2e-3 * longest, 0.25 * longest, 22)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:

@@ -146,7 +146,8 @@ class SquarenessTemperature(Effect):
 class WarmUp(Effect):
     """An axis that warms up: A (1 - exp(-t / tau)) on one of its error motions, t from `start`.
 
-    tau is scanned in equal steps of its logarithm, from a twentieth of the run to twice the run.
+    tau is scanned in equal steps of its logarithm, from a twentieth of the run to the run: what
+    takes longer is a drift in all it shows.
     """
 
     name = "warm_up"
@@ -174,7 +175,7 @@ class WarmUp(Effect):
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         span = float(np.ptp(np.asarray(plan.covariate("t")))) or 1.0
-        return {"tau": np.geomspace(span / 20.0, span * 2.0, 16)}
+        return {"tau": np.geomspace(span / 20.0, span, 14)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:

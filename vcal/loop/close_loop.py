@@ -110,7 +110,13 @@ def close_loop(
                 state = fitted(learned, measurement, state.fit, room)
             progress("describing what remains")
             run.unexplained = from_structure(
-                state.remaining, chi2_per_dof(state.fit), alpha, draws, seed + 1, correlated
+                state.remaining,
+                chi2_per_dof(state.fit),
+                alpha,
+                draws,
+                seed + 1,
+                correlated,
+                run.refused,
             )
     except KeyboardInterrupt:
         interrupted = True
@@ -143,6 +149,8 @@ class _Run:
         self.unseen: list[str] = []
         self.screenings: list[Screening] = []
         self.unexplained: Unexplained | None = None
+        self.refused: Effect | None = None
+        """What was significant in the last round, and did not hold."""
 
     def step(self, state: State) -> State | None:
         """One round: None where nothing (more) is to be added."""
@@ -167,7 +175,19 @@ class _Run:
             fit = rescored(state, rivals[0].fit, self.room)
             rivals = refit_all(fit, peaks, instances, state.keep, self.room)
         named = [r for r in rivals if r.effect.name != LocalBump.name]
-        significant = [r for r in named if p_values[r.effect.name] <= self.alpha]
+        # The p-value of a kind is that of its best candidate, which need not be this one.
+        own = {
+            id(r.effect): screening.corrected_as(
+                r.effect.name,
+                max(
+                    float(screen_state.minus_log_p(p.statistic, screen_state.cost, p.rank))
+                    for p in peaks
+                    if p.effect is r.effect
+                ),
+            )
+            for r in named
+        }
+        significant = [r for r in named if own[id(r.effect)] <= self.alpha]
         bump = next((r for r in rivals if r.effect.name == LocalBump.name), None)
         if (
             bump is not None
@@ -185,7 +205,7 @@ class _Run:
                 self.seed + number,
             )
             for rival in significant:
-                self._reject(rival, p_values, "a local error describes the residual better")
+                self._reject(rival, own, "a local error describes the residual better")
             return None
         for rival in significant:
             after = at_declared(rival.fit, state, self.room)
@@ -194,14 +214,14 @@ class _Run:
             if state.noise is None or persists(after):
                 needed = _PRACTICAL * max(0.0, 1.0 - 1.0 / max(chi2_per_dof(after), 1e-9))
             if rival.log_bayes <= 0:
-                self._reject(rival, p_values, "its evidence does not pay for its parameters")
+                self._reject(rival, own, "its evidence does not pay for its parameters")
             elif fall <= error:
-                self._reject(rival, p_values, "held-out error does not fall beyond its uncertainty")
+                self._reject(rival, own, "held-out error does not fall beyond its uncertainty")
             elif share < needed:
-                self._reject(rival, p_values, f"held-out rms falls by {100 * share:.1f} % only")
+                self._reject(rival, own, f"held-out rms falls by {100 * share:.1f} % only")
             else:
                 weighed = weigh(fit, rival, named)
-                p = p_values[rival.effect.name]
+                p = own[id(rival.effect)]
                 self.progress(f"round {number}: adding {rival.effect.key}")
                 refitted = fitted(rival.fit.model, measurement, after, self.room)
                 # Last, so that an interruption leaves no effect without its fit.
@@ -210,6 +230,7 @@ class _Run:
                 )
                 self.added.append(_Added(rival.effect, weighed, p, share, trials))
                 return refitted
+        self.refused = next((r.effect for r in significant if r.log_bayes > 0.0), None)
         return None
 
     def prune(self, state: State) -> State:
@@ -247,10 +268,10 @@ class _Run:
         )
         return fitted(less.model, less.measurement, less, self.room)
 
-    def _reject(self, rival: Rival, p_values: dict[str, float], reason: str) -> None:
+    def _reject(self, rival: Rival, p_values: dict[int, float], reason: str) -> None:
         name, place = rival.effect.name, rival.effect.placement
         if not any((r.effect, r.placement) == (name, place) for r in self.rejected):
-            self.rejected.append(Rejected(name, place, p_values[name], reason))
+            self.rejected.append(Rejected(name, place, p_values[id(rival.effect)], reason))
 
     def finished(self, item: _Added, after: Fit) -> FoundEffect:
         """The report of an added effect, with its parameters from the final fit."""

@@ -11,7 +11,7 @@ The largest of each kind of effect is corrected within that kind first, then ove
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -72,6 +72,12 @@ class Screening:
     def corrected(self, kind: KindResult) -> float:
         """p-value of a kind's best candidate, corrected over all kinds too."""
         return float(_corrected(_minus_log_corrected(kind), self.trials))
+
+    def corrected_as(self, kind: str, minus_log_p: float) -> float:
+        """p-value of any candidate of a kind, corrected within the kind and over all kinds."""
+        it = next(found for found in self.kinds if found.kind == kind)
+        within = float(_corrected(minus_log_p, it.trials))
+        return self.corrected(replace(it, minus_log_p=minus_log_p, p_value=within))
 
     @property
     def peaks(self) -> list[Peak]:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincc
 
+from ..effects.base import Effect
 from ..fit import Fit
 from ..plan import DATA_SET, of_set
 from .rivals import Rival
@@ -294,19 +295,26 @@ def from_structure(
     draws: int,
     seed: int,
     correlated: Serial | None = None,
+    refused: Effect | None = None,
 ) -> Unexplained | None:
     """The description where the residual depends on covariates, is correlated in time, or is far
-    larger than declared.
+    larger than declared; or where an effect was significant and was `refused`.
     """
     told = dependence(fit, draws, seed)
-    return _from_dependence(fit, told, chi2_per_dof, alpha, correlated)
+    return _from_dependence(fit, told, chi2_per_dof, alpha, correlated, refused)
 
 
 def _from_dependence(
-    fit: Fit, told: Dependence, chi2_per_dof: float, alpha: float, correlated: Serial | None = None
+    fit: Fit,
+    told: Dependence,
+    chi2_per_dof: float,
+    alpha: float,
+    correlated: Serial | None = None,
+    refused: Effect | None = None,
 ) -> Unexplained | None:
     spread = chi2_per_dof > _SPREAD
-    if told.p_value > alpha and not spread and correlated is None:
+    quiet = told.p_value > alpha and not spread and correlated is None
+    if quiet and refused is None:
         return None
     shares = dict(told.single)
     if told.joint:
@@ -316,6 +324,8 @@ def _from_dependence(
         shares = ahead | {name: s for name, s in shares.items() if name not in ahead}
     if correlated is not None and not shares and fit.measurement.plan.has("t"):
         shares = {"t": 0.0}
+    if quiet and refused is not None:
+        shares = dict.fromkeys(refused.betrayed_by, 0.0) | shares
     best = max([*shares.values(), *(share for *_, share in told.products)], default=0.0)
     vectors = displacements(fit)[fit.used]
     excess = max(1.0 - 1.0 / chi2_per_dof, 0.0)
@@ -325,6 +335,11 @@ def _from_dependence(
             f"readings that follow each other are alike: {100 * correlated.share:.0f} % of the "
             f"scatter persists over some {correlated.length:.0f} readings, as noise that is "
             "correlated in time does, or a drift that no effect of the catalogue has"
+        )
+    elif quiet:
+        reason = (
+            "effects of the catalogue are significant, but none of them holds on readings that it "
+            "was not fitted to"
         )
     elif spread and best < 0.1:
         reason = (
