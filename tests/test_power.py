@@ -25,7 +25,7 @@ QUICK = {
 
 
 @pytest.mark.parametrize(
-    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in ALONE]
+    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.campaign) for n in ALONE]
 )
 def test_told_the_truth_nothing_is_left(name):
     """Without noise: the effect of this name, placement and component explains what was put in."""
