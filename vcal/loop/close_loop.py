@@ -334,6 +334,7 @@ def _finish(
         noise_scale=noise,
         noise_components=() if state.noise is None else state.noise.parts,
         noise_scales=scales,
+        noise_uneven=state.noise is not None and state.noise.uneven,
         settings=settings,
         interrupted=interrupted,
         notes=_notes(scales, state, run),

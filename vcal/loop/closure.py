@@ -102,6 +102,10 @@ class Closure:
     settings: Mapping[str, Any]
     noise_scales: Mapping[str, float] = field(default_factory=dict)
     """The same of every data set by its name, one or several."""
+    noise_uneven: bool = False
+    """Whether the kinds of reading scatter differently from one another, in parts of what is
+    declared; the fit after closing the loop then goes by `noise_components`.
+    """
     interrupted: bool = False
     notes: list[str] = field(default_factory=list)
 

@@ -89,6 +89,7 @@ def page(
         information=_information(closure),
         linear=set(study.chain.axes) <= set("XYZ"),
         noise_scale=text.number(closure.noise_scale, 3),
+        noise_uneven=closure.noise_uneven,
         noise_components=[
             {"name": part.name, "factor": text.number(part.factor), "u": text.number(part.u, 2)}
             for part in closure.noise_components
