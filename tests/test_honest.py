@@ -18,7 +18,7 @@ from vcal.loop.components import components
 from vcal.loop.confounded import confounded
 from vcal.loop.screen import Screen, minus_log_beta_tail, screen
 from vcal.loop.serial import serial
-from vcal.loop.stray import stray_rows
+from vcal.loop.stray import scattered, stray_rows
 
 FACTORS = np.array([1.0, 0.7, 2.5])
 
@@ -178,6 +178,7 @@ def test_a_local_error_is_no_stray_reading(tracker):
     noise[near, 2] += 25.0
     fit = identify(tracker.model, with_noise(tracker, noise))
     assert set(near) & {s.row for s in stray_rows(fit, lambda: (fit, np.ones(len(x))))} == set()
+    assert not scattered(fit, list(near[:4])) and scattered(fit, [3, 40, 71])
 
 
 # --- few readings, and covariates that went together ---------------------------------------------

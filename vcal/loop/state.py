@@ -13,7 +13,7 @@ from ..measurement import Measurement
 from ..model import Model
 from ..robust import identify_robust
 from .components import Components, components
-from .stray import Stray, stray_rows
+from .stray import Stray, scattered, stray_rows
 
 _SEARCHES = 4
 """Stray readings hide others: how often they are looked for anew without those found."""
@@ -53,10 +53,11 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     plan, instrument = measurement.plan, model.instrument
     folds, apart = instrument.folds(plan)
     keep = ~(np.broadcast_to(apart, plan.rows) & (folds >= 0))
+    whole_keep = keep
     options: dict = {"keep": keep, "room": room}
     if start is not None:
         options |= {"theta": start.theta, "shapes": start.shapes}
-    fit = identify(model, measurement, **options)
+    fit = whole = identify(model, measurement, **options)
     strays: list[Stray] = []
     for _ in range(_SEARCHES):
         options |= {"theta": fit.theta, "shapes": fit.shapes}
@@ -64,6 +65,11 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
         if not found:
             break
         strays += found
+        if not scattered(whole, [s.row for s in strays]):
+            # One after the other they turn out to be something systematic.
+            strays, fit, keep = [], whole, whole_keep
+            options |= {"theta": fit.theta, "shapes": fit.shapes, "keep": keep}
+            break
         options["keep"] = keep = keep.copy()
         keep[[s.row for s in found]] = False
         fit = identify(model, measurement, **options)

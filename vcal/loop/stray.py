@@ -42,9 +42,15 @@ def stray_rows(fit: Fit, robust: Callable[[], tuple[Fit, np.ndarray]]) -> list[S
     if len(found) <= _FEW:
         return found
     found = _outstanding(*robust())
+    return found if scattered(fit, [s.row for s in found]) else []
+
+
+def scattered(fit: Fit, found: Sequence[int]) -> bool:
+    """Whether these rows may be stray readings: few, and not neighbours along anything recorded."""
     rows = np.flatnonzero(fit.used)
-    few = len(found) <= max(_FEW, _MOST * len(rows))
-    return found if few and not _gathered(fit, rows, [s.row for s in found]) else []
+    if len(found) > max(_FEW, _MOST * len(rows)):
+        return False
+    return len(found) <= _FEW or not _gathered(fit, rows, found)
 
 
 def _outstanding(fit: Fit, weights: np.ndarray) -> list[Stray]:
