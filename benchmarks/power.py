@@ -105,15 +105,16 @@ def limit_of(entry, world, sized, kind, term_at: int) -> float:
     from scipy.stats import ncx2
 
     from vcal.identify import identify
-    from vcal.loop.candidates import LocalBump, candidates
+    from vcal.loop.candidates import candidates
+    from vcal.loop.empirical import EMPIRICAL
     from vcal.loop.screen import Screen, screen
 
     made = make(entry, world, [sized[term_at]], [kind.large], noise=0.0)
     study = load(made.case)
     fit = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
     tried, _ = candidates(study.model, study.measurement, classes_of(entry))
-    bumps, _ = candidates(study.model, study.measurement, [LocalBump])
-    screening = screen(Screen(fit, LIMIT_DRAWS, world.seed), [*tried, *bumps])
+    empirical, _ = candidates(study.model, study.measurement, EMPIRICAL)
+    screening = screen(Screen(fit, LIMIT_DRAWS, world.seed), [*tried, *empirical])
     over_kinds = -math.expm1(math.log1p(-ALPHA) / screening.trials)
     own, ratios = made.terms[0].key, [0.0]
     for found in screening.kinds:

@@ -158,7 +158,7 @@ def test_what_is_unexplained_is_told_in_columns_of_the_file(closed):
         {"column": "x_mm", "low": 200.0, "high": 450.0},
         {"column": "T_y_degC", "low": 20.5, "high": 21.0},
     ]
-    assert told["sentence"].endswith("a local error along Z where x_mm is 200 to 450.")
+    assert told["sentence"].endswith("an error along Z where x_mm is 200 to 450.")
 
 
 def test_shares_of_the_variance(closed):

@@ -10,7 +10,8 @@ from scipy.stats import binom, chi2
 
 from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, identify
-from vcal.loop.candidates import LocalBump, candidates
+from vcal.loop.candidates import candidates
+from vcal.loop.empirical import LocalBump
 from vcal.loop.rivals import refit, refit_all, weigh
 from vcal.loop.screen import Peak, Screen, minus_log_chi2_tail, screen
 from vcal.loop.stray import stray_rows

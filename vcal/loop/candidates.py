@@ -1,18 +1,12 @@
 """Which effects could be missing: every class of the catalogue, at every place it could sit."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-import equinox as eqx
-import jax.numpy as jnp
-import numpy as np
-
-from ..arrays import Array
-from ..effects.base import Effect, Response, Setup
+from ..effects.base import Effect
 from ..effects.data_set import in_setup
 from ..measurement import Measurement
 from ..model import Model
-from ..parameters import Parameter
 from ..plan import Plan
 
 
@@ -80,49 +74,3 @@ def _reasons(wanted: list[tuple[str, tuple[str, ...]]], sets: tuple[str, ...]) -
 
 def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
     return effect.name, effect.placement, tuple(p.name for p in effect.parameters)
-
-
-class LocalBump(Effect):
-    """A bump of Gaussian form in one error motion: what no physical effect has to look like.
-
-    a exp(-((x - centre)/width)^2 / 2). Not in the catalogue: where it describes the residual better
-    than every effect that is, the residual is *unexplained*, and this says where it sits.
-    """
-
-    name = "local_bump"
-    summary = "empirical description of a local error"
-    port: str = eqx.field(static=True)
-    unit: str = eqx.field(static=True)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        unit = "rad" if self.placement.startswith("J") else "mm"
-        return (
-            Parameter("height", self.unit, sigma=10.0),
-            Parameter("centre", unit, shape=True),
-            Parameter("width", unit, shape=True, coordinate="log"),
-        )
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (self.placement,)
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        u = (plan.x(self.placement) - shape["centre"]) / shape["width"]
-        return {(self.port, "height"): jnp.exp(-0.5 * u * u)}
-
-    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        x = np.asarray(plan.x(self.placement))
-        low, high = float(x.min()), float(x.max())
-        span = (high - low) or 1.0
-        return {
-            "centre": np.linspace(low, high, 41),
-            # Wider than a tenth of the travel is a matter of the declared family's smoothness.
-            "width": np.geomspace(span / 80.0, span / 10.0, 4),
-        }
-
-    @classmethod
-    def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        for axis in setup.chain.axes:
-            for c in "XYZABC":
-                yield cls(port=f"E{c}{axis}", unit="um" if c in "XYZ" else "urad", placement=axis)

@@ -14,9 +14,10 @@ from ..identify import declared_whitener
 from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
-from .candidates import LocalBump, Untestable, candidates
+from .candidates import Untestable, candidates
 from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .confounded import confounded
+from .empirical import EMPIRICAL, Empirical
 from .heldout import check_rms, fit_rms, heldout_rms, improvement
 from .rivals import Rival, Weighed, refit_all, weigh
 from .screen import Peak, Screen, Screening, screen
@@ -44,6 +45,9 @@ _MARGIN = 30.0
 _CLOSE = 8.0
 """Candidates whose linear log evidence is further behind the best than `_MARGIN` are not refined,
 further than `_CLOSE` after that not refitted: their weight is below one in a thousand."""
+_CONTRADICTED = math.log(5.0)
+"""Log odds of an effect that held-out readings refuse over the next, from which that one is no name
+either: what fits as the one and holds as the other is something else."""
 _REFITS = 10
 _MANY = 50.0
 """Degrees of freedom from which a search is worth its name."""
@@ -158,9 +162,9 @@ class _Run:
         fit, measurement = state.scored, state.fit.measurement
         self.progress(f"round {number}: screening")
         tried, self.untestable = candidates(state.model, measurement, self.classes)
-        bumps, _ = candidates(state.model, measurement, [LocalBump])
+        empirical, _ = candidates(state.model, measurement, EMPIRICAL)
         screen_state = Screen(fit, self.draws, self.seed + number)
-        screening = screen(screen_state, [*tried, *bumps])
+        screening = screen(screen_state, [*tried, *empirical])
         self.screenings.append(screening)
         self.unseen = [effect.key for effect in screening.unseen]
         if screening.p_value > self.alpha:
@@ -174,7 +178,7 @@ class _Run:
         if rivals and not state.as_declared:
             fit = rescored(state, rivals[0].fit, self.room)
             rivals = refit_all(fit, peaks, instances, state.keep, self.room)
-        named = [r for r in rivals if r.effect.name != LocalBump.name]
+        named = [r for r in rivals if not isinstance(r.effect, Empirical)]
         # The p-value of a kind is that of its best candidate, which need not be this one.
         own = {
             id(r.effect): screening.corrected_as(
@@ -185,28 +189,29 @@ class _Run:
                     if p.effect is r.effect
                 ),
             )
-            for r in named
+            for r in rivals
         }
         significant = [r for r in named if own[id(r.effect)] <= self.alpha]
-        bump = next((r for r in rivals if r.effect.name == LocalBump.name), None)
+        best = next((r for r in rivals if isinstance(r.effect, Empirical)), None)
         if (
-            bump is not None
-            and p_values[LocalBump.name] <= self.alpha
-            and (not significant or bump.log_bayes > significant[0].log_bayes)
+            best is not None
+            and own[id(best.effect)] <= self.alpha
+            and (not significant or best.log_weight > significant[0].log_weight)
         ):
             self.unexplained = described(
                 fit,
                 state.scored,
-                bump,
-                p_values[LocalBump.name],
+                best,
+                own[id(best.effect)],
                 chi2_per_dof(state.fit),
                 self.alpha,
                 self.draws,
                 self.seed + number,
             )
             for rival in significant:
-                self._reject(rival, own, "a local error describes the residual better")
+                self._reject(rival, own, f"{best.effect.summary}: describes the residual better")
             return None
+        refused: Rival | None = None
         for rival in significant:
             after = at_declared(rival.fit, state, self.room)
             fall, error, share = improvement(state.fit, after)
@@ -217,8 +222,12 @@ class _Run:
                 self._reject(rival, own, "its evidence does not pay for its parameters")
             elif fall <= error:
                 self._reject(rival, own, "held-out error does not fall beyond its uncertainty")
+                refused = refused or rival
             elif share < needed:
                 self._reject(rival, own, f"held-out rms falls by {100 * share:.1f} % only")
+                refused = refused or rival
+            elif refused is not None and refused.log_weight - rival.log_weight > _CONTRADICTED:
+                self._reject(rival, own, "a far likelier one does not hold on held-out readings")
             else:
                 weighed = weigh(fit, rival, named)
                 p = own[id(rival.effect)]
@@ -230,7 +239,7 @@ class _Run:
                 )
                 self.added.append(_Added(rival.effect, weighed, p, share, trials))
                 return refitted
-        self.refused = next((r.effect for r in significant if r.log_bayes > 0.0), None)
+        self.refused = None if refused is None else refused.effect
         return None
 
     def prune(self, state: State) -> State:
@@ -351,7 +360,13 @@ def _shortlist(state: Screen, worth: Sequence[Peak], others: Sequence[Peak]) -> 
     near = [p for p in worth if p.log_bayes > best - _MARGIN]
     ids = {id(p) for p in near}
     near += [p for p in others if id(p) not in ids and p.log_bayes > best - _MARGIN]
-    near += [p for p in others if p.effect.name == LocalBump.name and id(p) not in ids][:1]
+    # Of the empirical descriptions only the best of each kind: many are alike.
+    empirical: dict[str, Peak] = {}
+    for peak in others:
+        if isinstance(peak.effect, Empirical):
+            empirical.setdefault(peak.effect.name, peak)
+    near = [p for p in near if not isinstance(p.effect, Empirical)]
+    near += [p for p in empirical.values() if p.log_bayes > best - _MARGIN]
     refined = sorted((state.refine(p) for p in near), key=lambda p: -p.log_bayes)
     best = refined[0].log_bayes
     chosen = [p for p in refined if p.log_bayes > best - _CLOSE][:_REFITS]

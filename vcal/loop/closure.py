@@ -118,7 +118,7 @@ class Closure:
         before = max(before, after)  # with other weights, the declared chi2 is not at its minimum
         noise = min(1.0, after)
         what, described = self.unexplained, 0.0
-        if what is not None and what.bump is not None:
+        if what is not None and what.empirical is not None:
             described = what.share_of_variance * (after - noise)
         elif what is not None:
             best = max([*what.shares, *(share for *_, share in what.products)], default=0.0)
@@ -151,11 +151,15 @@ class Closure:
         if what is None or not what.depends_on:
             return "no covariate orders it"
         axes = self.after.measurement.plan.axes
+        columns = [file_column(name, axes)[0] for name in what.depends_on[:2]]
+        along = f" along {what.direction}" if what.direction in "XYZ" else ""
         if what.where:
             place = what.where[0]
             column, factor = file_column(place.covariate, axes)
-            along = f" along {what.direction}" if what.direction in "XYZ" else ""
             low, high = place.low * factor, place.high * factor
-            return f"a local error{along} where {column} is {low:.4g} to {high:.4g}"
-        columns = [file_column(name, axes)[0] for name in what.depends_on[:2]]
+            said = what.words or "an error"
+            of = f" with {columns[0]}" if columns[0] != column else ""
+            return f"{said}{along}{of} where {column} is {low:.4g} to {high:.4g}"
+        if what.words:
+            return f"{what.words}{along} ({' times '.join(columns)})"
         return f"it depends on {' times '.join(columns) if what.joint else columns[0]}"

@@ -9,8 +9,9 @@ from scipy.special import gammainccinv
 from scipy.stats import hypergeom
 
 from ..fit import Fit
+from .recorded import distinct_covariates
 from .screen import minus_log_chi2_tail
-from .unexplained import bins, covariates
+from .unexplained import bins
 
 _CHANCE = 1e-3
 """Probability that any row of a clean measurement is suspected; that rows at random places gather
@@ -87,7 +88,7 @@ def _gathered(fit: Fit, rows: np.ndarray, found: Sequence[int]) -> bool:
     """Whether more of them share a bin of some covariate than rows at random would."""
     among = np.isin(rows, found)
     least, tried = 1.0, 0
-    for x in covariates(fit).values():
+    for x in distinct_covariates(fit.measurement.plan).values():
         there = np.isfinite(x[rows])
         index = bins(x[rows][there])
         size = np.bincount(index)

@@ -10,15 +10,17 @@ from scipy.special import gammaincc
 
 from ..effects.base import Effect
 from ..fit import Fit
-from ..plan import DATA_SET, of_set
+from ..plan import DATA_SET
+from .empirical import Empirical, Interval
+from .recorded import distinct_covariates
 from .rivals import Rival
 from .screen import Screen
 from .serial import Serial
 
 _BINS = 10
 _CLEARLY = 1.2
-"""What a covariate must describe of the variance, over what a local bump does, to be told first:
-the bump says where."""
+"""What a covariate must describe of the variance, over what an empirical effect does, to be told
+first: that says where."""
 _SPREAD = 25.0
 """chi2 per degree of freedom, against the declared noise, from which something must be missing even
 if nothing that is recorded tells it; noise that is declared too small is no such thing.
@@ -27,15 +29,6 @@ _ROUNDING = 1e-9
 """Share of the variance, on average over null draws, that is nothing but rounding."""
 _SHOWN = 3
 """Products of two covariates that are told."""
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A stretch of a covariate, in SI."""
-
-    covariate: str
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -53,8 +46,10 @@ class Unexplained:
     share_of_variance: float
     p_value: float
     reason: str
-    bump: Rival | None = None
-    """The local description, where there is one."""
+    words: str = ""
+    """What the empirical description is, where there is one."""
+    empirical: Rival | None = None
+    """The empirical description, where there is one."""
     products: tuple[tuple[str, str, float], ...] = ()
     """Pairs of covariates whose product describes some of it, with its share, largest first."""
     joint: bool = False
@@ -71,36 +66,6 @@ def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
     values = fit.residual if residuals is None else residuals
     whitened = np.einsum("nij,nj...->ni...", fit.whitener, values)
     return np.einsum("npi,ni...->np...", np.linalg.pinv(weights), whitened)
-
-
-def covariates(fit: Fit) -> dict[str, np.ndarray]:
-    """Everything the residual may depend on, by its name inside vcal; of columns that are the same
-    but for scale and offset only the first.
-
-    What only the rows of one data set have is nan in the others; the axes are there for all rows
-    and for those of every data set.
-    """
-    plan = fit.measurement.plan
-    tables = [plan.axes, plan.covariates, plan.groups]
-    names = [name for table in tables for name in table]
-    names += [of_set(one, axis) for one in plan.sets for axis in plan.axes]
-    distinct: dict[str, np.ndarray] = {}
-    for name in names:
-        x = plan.values(name)
-        there = np.isfinite(x)
-        if name.rpartition(":")[2] == "point" or not there.any() or np.ptp(x[there]) == 0:
-            continue
-        if not any(_same(x, other) for other in distinct.values()):
-            distinct[name] = x
-    return distinct
-
-
-def _same(x: np.ndarray, y: np.ndarray) -> bool:
-    """Whether two columns are there for the same rows and the same but for scale and offset."""
-    there = np.isfinite(x)
-    if not np.array_equal(there, np.isfinite(y)):
-        return False
-    return bool(abs(np.corrcoef(x[there], y[there])[0, 1]) >= 0.9999)
 
 
 def bins(x: np.ndarray) -> np.ndarray:
@@ -143,7 +108,7 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         both[mine] /= np.sqrt(np.mean(both[mine][:, :, 1:] ** 2)) if mine.any() else 1.0
     total = (both**2).sum((0, 1))
     names, shares = [], []
-    known = {name: x[used] for name, x in covariates(fit).items()}
+    known = {name: x[used] for name, x in distinct_covariates(fit.measurement.plan).items()}
     known = {name: x for name, x in known.items() if np.unique(x[np.isfinite(x)]).size > 1}
     for name, x in known.items():
         there = np.isfinite(x)
@@ -230,61 +195,58 @@ def main_direction(vectors: np.ndarray) -> str:
 def described(
     fit: Fit,
     tested: Fit,
-    bump: Rival,
+    best: Rival,
     p_value: float,
     chi2_per_dof: float,
     alpha: float,
     draws: int,
     seed: int,
 ) -> Unexplained:
-    """The description where a local bump explains more than every effect of the catalogue: by the
-    bump or, where that describes clearly more, by a covariate or a product of two. `tested` is the
-    fit with the noise to test by.
+    """The description where the `best` empirical one explains more than every effect of the
+    catalogue: by that or, where it describes clearly more, by a covariate or a product of two.
+    `tested` is the fit with the noise to test by.
     """
     told = dependence(tested, draws, seed)
-    local = _from_bump(fit, bump, p_value, told)
+    local = _from_empirical(fit, best, p_value, told)
     spread = _from_dependence(fit, told, chi2_per_dof, alpha)
     if spread is None:
         return local
-    by_bump = local.share_of_variance * max(1.0 - fit.dof / fit.chi2, 0.0)
-    return spread if _best(spread) > _CLEARLY * by_bump else local
+    by_it = local.share_of_variance * max(1.0 - fit.dof / fit.chi2, 0.0)
+    return spread if _best(spread) > _CLEARLY * by_it else local
 
 
 def _best(what: Unexplained) -> float:
     return max([*what.shares, *(share for *_, share in what.products)], default=0.0)
 
 
-def _from_bump(fit: Fit, bump: Rival, p_value: float, told: Dependence) -> Unexplained:
-    axis = bump.effect.placement
-    place = len(fit.model.effects)
-    shape = bump.fit.shapes[place]
+def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> Unexplained:
+    effect = best.effect
+    assert isinstance(effect, Empirical)
+    plan, shape = fit.measurement.plan, best.fit.shapes.get(len(fit.model.effects), {})
     first = len(fit.model.entries)
-    step = bump.fit.jacobian[:, first] * bump.fit.theta[first]
+    added = slice(first, first + len(effect.amplitudes))
+    step = best.fit.jacobian[:, added] @ best.fit.theta[added]
     n, m = fit.residual.shape
     moved = np.zeros((n, m))
     used = fit.used
     moved[used] = np.linalg.solve(fit.whitener[used], step.reshape(n, m)[used][:, :, None])[:, :, 0]
     vectors = displacements(fit, moved)[used]
-    others = [name for name, _ in told.single if name != axis]
     shares = dict(told.single)
-    drop = (fit.chi2 - bump.fit.chi2) / max(fit.chi2 - fit.dof, bump.fit.chi2 / fit.dof)
+    depends_on = list(dict.fromkeys([*effect.depends_on(plan, shape), *shares]))
+    drop = (fit.chi2 - best.fit.chi2) / max(fit.chi2 - fit.dof, best.fit.chi2 / fit.dof)
     return Unexplained(
-        depends_on=[axis, *others],
-        shares=[shares.get(name, 0.0) for name in (axis, *others)],
-        where=[
-            Interval(
-                axis,
-                float(shape["centre"] - 2.0 * shape["width"]),
-                float(shape["centre"] + 2.0 * shape["width"]),
-            )
-        ],
+        depends_on=depends_on,
+        shares=[shares.get(name, 0.0) for name in depends_on],
+        where=list(effect.intervals(plan, shape)),
         direction=main_direction(vectors),
         size_um=float(np.linalg.norm(vectors, axis=1).max() * 1e6),
         share_of_variance=float(min(drop, 1.0)),
         p_value=p_value,
-        reason="a local error describes the residual better than every effect of the catalogue",
-        bump=bump,
+        reason=f"{effect.words} describes the residual better than every effect of the catalogue",
+        words=effect.words,
+        empirical=best,
         products=tuple(told.products),
+        joint=effect.joint,
     )
 
 

@@ -9,7 +9,8 @@ from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
 from ..fit import Fit
-from ..loop.unexplained import Unexplained, bins, covariates, displacements
+from ..loop.recorded import distinct_covariates
+from ..loop.unexplained import Unexplained, bins, displacements
 from .style import (
     AFTER,
     BEFORE,
@@ -90,7 +91,7 @@ def _means(x: np.ndarray, y: np.ndarray, groups: int) -> tuple[np.ndarray, np.nd
 
 def unexplained_views(fit: Fit, what: Unexplained, most: int = 2) -> list[str]:
     """The covariates worth a panel: the most telling ones that are not copies of each other."""
-    table = covariates(fit)
+    table = distinct_covariates(fit.measurement.plan)
     chosen: list[str] = []
     for name in what.depends_on:
         x = table.get(name)
@@ -102,7 +103,7 @@ def unexplained_views(fit: Fit, what: Unexplained, most: int = 2) -> list[str]:
 
 def unexplained(fit: Fit, what: Unexplained) -> Figure:
     """What stays unexplained: against the covariates it depends on most, or, where it is local,
-    against its place (shaded), and what an empirical bump leaves of it.
+    against its place (shaded), and what the empirical description leaves of it.
     """
     names = unexplained_views(fit, what)
     used = fit.used
@@ -113,9 +114,11 @@ def unexplained(fit: Fit, what: Unexplained) -> Figure:
         ax.hist(np.linalg.norm(moved, axis=1), bins=40, color=BEFORE)
         titled(ax, "size of the residual", "residual of the tool point, µm", "readings")
         return drawn
-    if what.bump is not None:
+    if what.empirical is not None:
+        if what.where and what.where[0].covariate in distinct_covariates(fit.measurement.plan):
+            names = [what.where[0].covariate]
         row = _panels(drawn, 2, sharey=True)
-        left = displacements(what.bump.fit)[used] * 1e6
+        left = displacements(what.empirical.fit)[used] * 1e6
         i = _component(fit, names[0], moved, what.direction)
         for ax, y, colour in zip(row, (moved, left), (BEFORE, AFTER), strict=True):
             _panel(ax, fit, names[0], y[:, i], colour, i)
@@ -123,7 +126,7 @@ def unexplained(fit: Fit, what: Unexplained) -> Figure:
                 low, high = (v * column_of(names[0], fit.measurement.plan)[1] for v in
                              (interval.low, interval.high))  # fmt: skip
                 ax.axvspan(low, high, color=MARK, alpha=0.22, lw=0, zorder=0)
-        row[1].set_title("with an empirical bump at this place", fontsize=10, color=INK, loc="left")
+        row[1].set_title("with the empirical description", fontsize=10, color=INK, loc="left")
         row[1].set_ylabel("")
         return drawn
     for ax, name in zip(_panels(drawn, len(names)), names, strict=True):

@@ -3,8 +3,9 @@
 import numpy as np
 
 from ..instruments.conditions import file_name
-from ..loop.candidates import LocalBump
 from ..loop.closure import Closure
+from ..loop.empirical import Empirical
+from ..loop.rivals import Rival
 from ..plan import Plan
 from ..plots import values_of
 
@@ -55,31 +56,17 @@ class OwnEffect(vcal.Effect):
 def own_effect(closure: Closure) -> str | None:
     """The text of the file; None where nothing is left unexplained or no covariate orders it.
 
-    A local error becomes a bump where it was found, with its height free; a dependence on
-    covariates a slope and a curvature of each of the first two, along every direction that it has,
-    and their product where it is that which the residual depends on.
+    An empirical description becomes what it is, where it was found, with its sizes free; a
+    dependence on covariates a slope and a curvature of each of the first two, along every direction
+    that it has, and their product where it is that which the residual depends on.
     """
     what = closure.unexplained
     if what is None or not what.depends_on:
         return None
     plan = closure.after.measurement.plan
     found = f"vcal found: {what.reason}."
-    effect = None if what.bump is None else what.bump.effect
-    if isinstance(effect, LocalBump):
-        place = what.where[0]
-        centre, width = 0.5 * (place.low + place.high), 0.25 * (place.high - place.low)
-        unit, size = effect.amplitudes[0].unit, max(2.0 * what.size_um, 1.0)
-        return _HEAD.format(
-            found=found,
-            parameters=f'vcal.Parameter("height", "{unit}", sigma={size:.3g})',
-            needs=f'"{place.covariate}"',
-            body=(
-                f"        x = {_read(place.covariate, plan)}\n"
-                f"        u = (x - {centre:.6g}) / {width:.4g}  # m\n"
-                f'        return {{("{effect.port}", "height"): jnp.exp(-0.5 * u * u)}}'
-            ),
-            placement=f'placement="{effect.placement}"',
-        )
+    if what.empirical is not None:
+        return _as_described(found, what.empirical, plan)
     names = [n for n in what.depends_on if n not in plan.groups][:2]
     if not names:
         return None
@@ -108,6 +95,28 @@ def own_effect(closure: Closure) -> str | None:
         needs=", ".join(f'"{name}"' for name in names),
         body="\n".join([*lines, "        return {", *terms, "        }"]),
         placement="",
+    )
+
+
+def _as_described(found: str, best: Rival, plan: Plan) -> str:
+    effect, fit = best.effect, best.fit
+    assert isinstance(effect, Empirical)
+    shape = fit.shapes.get(len(fit.model.effects) - 1, {})
+    lines, terms = effect.code(plan, shape, lambda name: _read(name, plan))
+    values = {p.name: value for key, p, value, _ in fit.parameter_values() if key == effect.key}
+    parameters = [
+        f'vcal.Parameter("{p.name}", "{p.unit}", sigma={max(2.0 * abs(values[p.name]), 1.0):.3g})'
+        for p in effect.amplitudes
+    ]
+    returned = [f'            ("{effect.port}", "{name}"): {term},' for name, term in terms.items()]
+    return _HEAD.format(
+        found=found,
+        parameters=",\n            ".join(parameters),
+        needs=", ".join(f'"{name}"' for name in effect.needs),
+        body="\n".join(
+            [*(f"        {line}" for line in lines), "        return {", *returned, "        }"]
+        ),
+        placement=f'placement="{effect.placement}"',
     )
 
 

@@ -13,6 +13,7 @@ from scipy.linalg import cho_solve
 from ..effects.registry import CATALOGUE
 from ..io.study import Study
 from ..loop.closure import Closure, FoundEffect
+from ..loop.empirical import EMPIRICAL
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
 from .derived import missing_columns, parameters
@@ -280,8 +281,9 @@ def _unexplained(closure: Closure) -> dict[str, Any] | None:
 
 
 def _summary(name: str) -> str:
-    if name == "local_bump":
-        return "empirical local error, for comparison: no physical effect"
+    for cls in EMPIRICAL:
+        if name == cls.name:
+            return f"{cls.summary} (for comparison: no physical effect)"
     known = CATALOGUE.get(name)
     return known.summary if known else ""
 

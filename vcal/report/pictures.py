@@ -100,9 +100,11 @@ def _unexplained(closure: Closure) -> str:
     assert what is not None
     caption = f"Residual of the tool point that no effect of the catalogue explains. {_DOTS}"
     if what.where:
+        caption += " Shaded: the interval in which it sits."
+    if what.empirical is not None:
         caption += (
-            " Shaded: the interval in which it sits. Right: what an empirical bump there leaves of "
-            "it, which describes and does not explain."
+            f" Right: what an empirical description ({what.words}) leaves of it, which describes "
+            "and does not explain."
         )
     return caption
 
