@@ -19,7 +19,7 @@ from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .confounded import confounded
 from .empirical import EMPIRICAL, Empirical
 from .heldout import check_rms, fit_rms, heldout_rms, improvement
-from .rivals import Rival, Weighed, refit_all, weigh
+from .rivals import Rival, Weighed, fits_better, refit_all, weigh
 from .screen import Peak, Screen, Screening, screen
 from .serial import Serial, gain_beside, persists, serial
 from .state import (
@@ -106,6 +106,7 @@ def close_loop(
             if added is None:
                 break
             state = added
+        state = run.reconsider(state) if run.unexplained is None else run.beside_empirical(state)
         if run.unexplained is None:
             state, correlated = run.prune_correlated(run.prune(state))
             if learn:
@@ -197,6 +198,8 @@ class _Run:
             best is not None
             and own[id(best.effect)] <= self.alpha
             and (not significant or best.log_weight > significant[0].log_weight)
+            # What a physical effect describes as well needs no description of its own.
+            and fits_better(best, significant)
         ):
             self.unexplained = described(
                 fit,
@@ -242,6 +245,61 @@ class _Run:
         self.refused = None if refused is None else refused.effect
         return None
 
+    def reconsider(self, state: State) -> State:
+        """Search anew beside the others for what each of several effects is: what was found first
+        may have stood for a part of what was not yet known.
+        """
+        if len(self.added) < 2:
+            return state
+        for item in list(self.added):
+            before = list(self.added), list(self.rejected), list(self.screenings), self.refused
+            less = without(state, _place(state, item), self.room)
+            if not less.converged:
+                continue
+            bare = fitted(less.model, less.measurement, less, self.room)
+            self.added.remove(item)
+            found = self.step(bare)
+            self.screenings = before[2]
+            if self.unexplained is not None or (
+                found is not None and not _same_effect(self.added[-1].effect, item.effect)
+            ):
+                self.rejected.append(_dropped(item, "beside the others it is something else"))
+                state, self.refused = (bare if found is None else found), None
+                if found is None:
+                    return state
+            else:
+                self.added, self.rejected, _, self.refused = before
+        return state
+
+    def beside_empirical(self, state: State) -> State:
+        """Do without the effects that are superfluous beside the empirical description that ended
+        the search: they stood for a part of it.
+        """
+        described = self.unexplained.empirical if self.unexplained is not None else None
+        if described is None or not self.added:
+            return state
+        effect = described.effect
+        with_it = fitted(described.fit.model, described.fit.measurement, described.fit, self.room)
+        dropped = []
+        for item in list(self.added):
+            less = without(with_it, _place(with_it, item), self.room)
+            noise = math.sqrt(max(1.0, with_it.scored.chi2 / with_it.scored.dof))
+            if less.converged and less.log_evidence(noise) > with_it.scored.log_evidence(noise):
+                dropped.append(item)
+                self.added.remove(item)
+                self.rejected.append(_dropped(item, f"superfluous beside the {effect.summary}"))
+                with_it = fitted(less.model, less.measurement, less, self.room)
+        if not dropped:
+            return state
+        for item in dropped:
+            less = without(state, _place(state, item), self.room)
+            state = fitted(less.model, less.measurement, less, self.room)
+        # What it depends on is told anew without them; what then has a name after all, has it.
+        screenings, self.unexplained = list(self.screenings), None
+        found = self.step(state)
+        self.screenings = screenings
+        return state if found is None else found
+
     def prune(self, state: State) -> State:
         """Try once to do without each added effect; the evidence decides."""
         for item in list(self.added[:-1]):
@@ -272,9 +330,7 @@ class _Run:
 
     def _drop(self, item: _Added, less: Fit, reason: str) -> State:
         self.added.remove(item)
-        self.rejected.append(
-            Rejected(item.effect.name, item.effect.placement, item.p_value, reason)
-        )
+        self.rejected.append(_dropped(item, reason))
         return fitted(less.model, less.measurement, less, self.room)
 
     def _reject(self, rival: Rival, p_values: dict[int, float], reason: str) -> None:
@@ -348,6 +404,14 @@ def _finish(
         interrupted=interrupted,
         notes=_notes(scales, state, run),
     )
+
+
+def _same_effect(a: Effect, b: Effect) -> bool:
+    return a.key == b.key and [p.name for p in a.parameters] == [p.name for p in b.parameters]
+
+
+def _dropped(item: _Added, reason: str) -> Rejected:
+    return Rejected(item.effect.name, item.effect.placement, item.p_value, reason)
 
 
 def _shortlist(state: Screen, worth: Sequence[Peak], others: Sequence[Peak]) -> list[Peak]:

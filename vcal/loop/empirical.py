@@ -70,9 +70,7 @@ class Empirical(Effect):
         return ()
 
     @abc.abstractmethod
-    def code(
-        self, shape: Mapping[str, float], read: Callable[[str], str]
-    ) -> tuple[list[str], dict]:
+    def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
         """Lines of Python that prepare what it needs from what `read` gives for a covariate, and
         the expression of every amplitude of one.
         """
@@ -119,9 +117,8 @@ class LocalBump(Empirical):
         half = 2.0 * shape["width"]
         return (Interval(self.placement, shape["centre"] - half, shape["centre"] + half),)
 
-    def code(
-        self, shape: Mapping[str, float], read: Callable[[str], str]
-    ) -> tuple[list[str], dict]:
+    def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
+        del plan
         return (
             [f"u = ({read(self.placement)} - {shape['centre']:.6g}) / {shape['width']:.4g}"],
             {"height": "jnp.exp(-0.5 * u * u)"},
@@ -155,9 +152,8 @@ class Kink(Empirical):
     def intervals(self, plan: Plan, shape: Mapping[str, float]) -> tuple[Interval, ...]:
         return (Interval(self.placement, shape["at"], _range(plan, self.placement)[1]),)
 
-    def code(
-        self, shape: Mapping[str, float], read: Callable[[str], str]
-    ) -> tuple[list[str], dict]:
+    def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
+        del plan
         return (
             [f"x = {read(self.placement)}"],
             {"slope": f"jnp.maximum(x - {shape['at']:.6g}, 0.0)"},
@@ -310,9 +306,8 @@ class Since(Empirical):
     def intervals(self, plan: Plan, shape: Mapping[str, float]) -> tuple[Interval, ...]:
         return (Interval("t", shape["at"], float(np.max(plan.covariate("t")))),)
 
-    def code(
-        self, shape: Mapping[str, float], read: Callable[[str], str]
-    ) -> tuple[list[str], dict]:
+    def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
+        del plan
         return (
             [f"x = {read(self.placement)}", f"after = {read('t')} - {shape['at']:.6g}  # s"],
             {"step": "jnp.where(after > 0, x, 0.0)", "ramp": "x * jnp.maximum(after, 0.0)"},

@@ -12,8 +12,12 @@ from ..fit import Fit
 from ..identify import identify
 from .screen import Peak
 
-_SAME_SPACE = 1e-3
-"""Principal angle (rad) below which two candidates explain exactly the same."""
+_TOLD = 1.0
+"""What one candidate must leave of the other, as chi-square in units of the noise, for the data to
+tell the two apart."""
+_FITS_AS_WELL = 10.0
+"""Chi-square in units of the noise by which an empirical description must fit better than an effect
+to be preferred to it."""
 
 
 @dataclass(frozen=True)
@@ -120,26 +124,45 @@ def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:
     return kept
 
 
-def _columns(base: Fit, rival: Rival) -> np.ndarray:
-    """Orthonormal basis of the rival's columns, in the metric the declared model leaves over."""
+def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
+    """Whether a candidate fits clearly better than every one of the others, whatever number of
+    parameters they have.
+    """
+    noise = max(1.0, best.fit.chi2 / best.fit.dof)
+    return all(best.fit.chi2 + _FITS_AS_WELL * noise < rival.fit.chi2 for rival in others)
+
+
+def _left(base: Fit, of: Rival, by: Rival) -> float:
+    """Chi-square that a rival's fitted contribution leaves where the other one describes it, beside
+    the declared model.
+    """
+
+    def columns(rival: Rival) -> np.ndarray:
+        first = len(base.model.entries)
+        return rival.fit.jacobian[:, first : first + len(rival.effect.amplitudes)]
+
+    def inner(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return a.T @ b - (base.jacobian.T @ a).T @ cho_solve(base.factor, base.jacobian.T @ b)
+
     first = len(base.model.entries)
-    count = len(rival.effect.amplitudes)
-    columns = rival.fit.jacobian[:, first : first + count]
-    projected = base.jacobian.T @ columns
-    g = columns.T @ columns - projected.T @ cho_solve(base.factor, projected)
-    values, vectors = np.linalg.eigh(g)
-    kept = values > 1e-8 * values.max()
-    return columns @ (vectors[:, kept] / np.sqrt(values[kept]))
+    moved = columns(of) @ of.fit.theta[first : first + len(of.effect.amplitudes)]
+    other = columns(by)
+    across = inner(other, moved[:, None])[:, 0]
+    described = across @ np.linalg.pinv(inner(other, other), rcond=1e-8, hermitian=True) @ across
+    return float(inner(moved[:, None], moved[:, None])[0, 0] - described)
 
 
-def same_space(base: Fit, a: Rival, b: Rival) -> bool:
-    """Whether two rivals span the same space once the declared model is projected out."""
-    u, v = _columns(base, a), _columns(base, b)
-    if u.shape[1] != v.shape[1]:
+def same_for_these_data(base: Fit, a: Rival, b: Rival) -> bool:
+    """Whether two rivals of as many parameters fit alike and either would describe what the other
+    one is found to be, to less than the data can tell.
+    """
+    if len(a.effect.parameters) != len(b.effect.parameters):
         return False
-    pu, pv = base.jacobian.T @ u, base.jacobian.T @ v
-    cosines = np.linalg.svd(u.T @ v - pu.T @ cho_solve(base.factor, pv), compute_uv=False)
-    return bool(math.sqrt(max(0.0, 1.0 - min(cosines.min(), 1.0) ** 2)) < _SAME_SPACE)
+    noise = max(1.0, min(a.fit.chi2 / a.fit.dof, b.fit.chi2 / b.fit.dof))
+    return (
+        abs(a.fit.chi2 - b.fit.chi2) < _TOLD * noise
+        and max(_left(base, a, b), _left(base, b, a)) < _TOLD * noise
+    )
 
 
 def weigh(base: Fit, best: Rival, rivals: Sequence[Rival]) -> Weighed:
@@ -149,9 +172,7 @@ def weigh(base: Fit, best: Rival, rivals: Sequence[Rival]) -> Weighed:
     classes: list[list[Rival]] = []
     for rival in sorted(rivals, key=lambda r: -r.log_weight):
         for members in classes:
-            if abs(members[0].fit.chi2 - rival.fit.chi2) < 0.5 and same_space(
-                base, members[0], rival
-            ):
+            if same_for_these_data(base, members[0], rival):
                 members.append(rival)
                 break
         else:
