@@ -20,6 +20,7 @@ from .confounded import confounded
 from .empirical import EMPIRICAL, Empirical
 from .heldout import check_rms, fit_rms, heldout_rms, improvement
 from .rivals import Rival, Weighed, fits_better, refit_all, weigh
+from .scales import over_scales
 from .screen import Peak, Screen, Screening, screen
 from .serial import Serial, gain_beside, persists, serial
 from .state import (
@@ -283,8 +284,7 @@ class _Run:
         dropped = []
         for item in list(self.added):
             less = without(with_it, _place(with_it, item), self.room)
-            noise = math.sqrt(max(1.0, with_it.scored.chi2 / with_it.scored.dof))
-            if less.converged and less.log_evidence(noise) > with_it.scored.log_evidence(noise):
+            if less.converged and _no_worse(less, with_it, _place(with_it, item)):
                 dropped.append(item)
                 self.added.remove(item)
                 self.rejected.append(_dropped(item, f"superfluous beside the {effect.summary}"))
@@ -304,8 +304,7 @@ class _Run:
         """Try once to do without each added effect; the evidence decides."""
         for item in list(self.added[:-1]):
             less = without(state, _place(state, item), self.room)
-            noise = math.sqrt(max(1.0, state.scored.chi2 / state.scored.dof))
-            if less.converged and less.log_evidence(noise) > state.scored.log_evidence(noise):
+            if less.converged and _no_worse(less, state, _place(state, item)):
                 state = self._drop(item, less, "superfluous after later effects")
         return state
 
@@ -404,6 +403,15 @@ def _finish(
         interrupted=interrupted,
         notes=_notes(scales, state, run),
     )
+
+
+def _no_worse(less: Fit, state: State, place: int) -> bool:
+    """Whether the evidence is higher without the effect at that position."""
+    fit = state.scored
+    noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
+    sizes = [len(e.amplitudes) for e in state.model.effects]
+    mine = slice(sum(sizes[:place]), sum(sizes[: place + 1]))
+    return less.log_evidence(noise) > fit.log_evidence(noise) + over_scales(fit, mine, noise)
 
 
 def _same_effect(a: Effect, b: Effect) -> bool:

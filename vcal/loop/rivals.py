@@ -10,6 +10,7 @@ from scipy.linalg import cho_solve
 from ..effects.base import Effect
 from ..fit import Fit
 from ..identify import identify
+from .scales import over_scales
 from .screen import Peak
 
 _TOLD = 1.0
@@ -95,7 +96,10 @@ def refit_all(
         k = len(peak.effect.parameters)
         bic = (fit.chi2 - base.chi2) / noise**2 + k * math.log(rows)
         odds = math.log(peak.effect.odds / instances[peak.effect.name])
-        gain = fit.log_evidence(noise) - reference + _log_shape_odds(peak.effect, fit)
+        first = len(base.model.entries)
+        added = slice(first, first + len(peak.effect.amplitudes))
+        gain = fit.log_evidence(noise) + over_scales(fit, added, noise) - reference
+        gain += _log_shape_odds(peak.effect, fit)
         rivals.append(Rival(peak.effect, fit, gain, odds, bic))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 

@@ -19,6 +19,7 @@ from scipy.special import betainc, betaln, gammaincc, gammaln
 
 from ..effects.base import Effect
 from ..fit import Fit
+from .scales import log_mixture
 
 _RESOLVED = 1e-4
 """Share of a candidate's columns that must be independent of the model for it to count."""
@@ -282,11 +283,11 @@ class Screen:
         t = np.einsum("gab,ga->gb", root, s)
         stat = np.einsum("gb,gb->g", t, t)
         amplitudes = np.einsum("gab,gb->ga", root, t)
-        # Gain in log evidence with the prior of unit sigma: marginal likelihood of a linear model.
+        # Gain in log evidence: marginal likelihood of a linear model.
         noise = max((self.chi2 - stat.max()) / self.dof, 1.0)
-        posterior = g / noise + np.eye(c)
-        solved = np.linalg.solve(posterior, (s / noise)[:, :, None])[:, :, 0]
-        bayes = 0.5 * (np.einsum("ga,ga->g", s / noise, solved) - np.linalg.slogdet(posterior)[1])
+        values, vectors = np.linalg.eigh(g / noise)
+        scores = np.einsum("gab,ga->gb", vectors, s / noise)
+        bayes = log_mixture(np.maximum(values, 0.0), scores)
         largest_null = np.zeros(draws)
         for r in np.unique(rank[rank > 0]) if null else ():
             # For one rank, -ln p grows with the drop: only the largest drop of a draw is needed.

@@ -1,0 +1,56 @@
+"""Evidence of an effect whose size is known to orders of magnitude only.
+
+The prior of an amplitude tells how large an effect may be on some machine. On a precise one it may
+be a hundred times smaller, and an effect of three amplitudes would then pay three times for a width
+that says nothing. Therefore the prior is a mixture: sigma times 1, 1/2, 1/4, ... with equal odds,
+one factor for all amplitudes of an effect.
+"""
+
+import numpy as np
+from scipy.linalg import cho_solve
+from scipy.special import logsumexp
+
+from ..fit import Fit
+
+_SQUARED = 4.0 ** -np.arange(11.0)
+"""Squares of the factors, down to a thousandth."""
+
+
+def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -> np.ndarray:
+    """Log Bayes factors of amplitudes with a normal prior of sigma s over none, by s^2 (k).
+
+    For a linear model with the eigenvalues l of C'C (what the model beside leaves of it) and the
+    scores b = v'C'r, both (..., c), in units of the noise: sum of s^2 b^2/(1 + s^2 l)/2 -
+    ln(1 + s^2 l)/2, as (..., k).
+    """
+    s2 = squared[:, None]
+    grown = 1.0 + s2 * information[..., None, :]
+    return 0.5 * (s2 * scores[..., None, :] ** 2 / grown - np.log(grown)).sum(-1)
+
+
+def log_mixture(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    """The same of the mixture, (...)."""
+    each = log_gain(information, scores, _SQUARED)
+    return logsumexp(each, axis=-1) - np.log(len(_SQUARED))
+
+
+def over_scales(fit: Fit, entries: slice, noise_scale: float = 1.0) -> float:
+    """What the mixture adds to the log evidence of a fit (`Fit.log_evidence`) for the effect whose
+    amplitudes are these entries of theta.
+    """
+    h = fit.jacobian.T @ fit.jacobian / noise_scale**2 + np.diag(fit.precision)
+    k = len(fit.theta)
+    mine = np.arange(k)[entries]
+    others = np.setdiff1d(np.arange(k), mine)
+    across = h[np.ix_(others, mine)]
+    precision = h[np.ix_(mine, mine)]
+    if len(others):
+        scale = 1.0 / np.sqrt(np.diag(h)[others])
+        scaled = h[np.ix_(others, others)] * scale[:, None] * scale
+        left = across * scale[:, None]
+        precision = precision - left.T @ cho_solve((np.linalg.cholesky(scaled), True), left)
+    values, vectors = np.linalg.eigh(precision - np.diag(fit.precision[mine]))
+    values = np.maximum(values, 0.0)
+    scores = vectors.T @ (precision @ fit.theta[mine])
+    once = log_gain(values, scores, np.ones(1))[0]
+    return float(log_mixture(values, scores) - once)
