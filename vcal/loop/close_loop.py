@@ -18,7 +18,7 @@ from .candidates import Untestable, candidates
 from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .confounded import confounded
 from .empirical import EMPIRICAL, Empirical
-from .heldout import check_rms, fit_rms, heldout_rms, improvement
+from .heldout import check_rms, fit_rms, heldout_rms, improvement, rms_fall
 from .rivals import Rival, Weighed, fits_better, refit_all, weigh
 from .scales import over_scales
 from .screen import Peak, Screen, Screening, screen
@@ -218,13 +218,15 @@ class _Run:
         refused: Rival | None = None
         for rival in significant:
             after = at_declared(rival.fit, state, self.room)
-            fall, error, share = improvement(state.fit, after)
+            noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
+            fall, error = improvement(fit, rival.fit, noise)
+            share = rms_fall(state.fit, after)
             needed = 0.0
             if state.noise is None or persists(after):
                 needed = _PRACTICAL * max(0.0, 1.0 - 1.0 / max(chi2_per_dof(after), 1e-9))
             if rival.log_bayes <= 0:
                 self._reject(rival, own, "its evidence does not pay for its parameters")
-            elif fall <= error:
+            elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(rival, own, "held-out error does not fall beyond its uncertainty")
                 refused = refused or rival
             elif share < needed:
@@ -403,6 +405,15 @@ def _finish(
         interrupted=interrupted,
         notes=_notes(scales, state, run),
     )
+
+
+def _in_the_prior(before: Fit, after: Fit, noise: float) -> bool:
+    """Whether it is what was declared, more than the readings, that an effect is at odds without:
+    other parameters had taken its part, far from what is known of them, and foretell as well.
+    """
+    data = (before.chi2 - after.chi2) / noise**2
+    prior = float(before.theta**2 @ before.precision - after.theta**2 @ after.precision)
+    return prior > data
 
 
 def _no_worse(less: Fit, state: State, place: int) -> bool:

@@ -4,12 +4,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ..fit import Fit
 from ..measurement import CheckPoints
 from ..model import Terms, concatenate, effect_terms, tool_points_with_jacobian
 from ..spatial import align_rigid, rigid_columns
+
+_BLOCK, _BLOCKS = 8, 25
+"""Least rows of a block that is foretold as one, and about how many blocks a fold may have."""
+_FEW = 12
+"""Folds from which the scatter over them tells how certain a sum over them is."""
 
 
 @dataclass(frozen=True)
@@ -150,39 +155,85 @@ def rigid_free(points: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return (flat - q @ (q.T @ flat)).reshape(columns.shape)
 
 
-def improvement(before: Fit, after: Fit) -> tuple[float, float, float]:
-    """Fall of the held-out squared whitened error per row with its standard error, and the fall of
-    the held-out rms as a share, of several data sets that where it fell most.
+def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """-2 ln of the density that a fit without its fold foretells for every block of readings, up to
+    a constant of the readings alone, and the fold of every block.
 
-    Paired row by row with the same whitening, in clusters (folds, or rows where folds are blocks).
+    Blocks of a fold are foretold one after the other, each from the other folds and the blocks
+    before it: d'C^-1 d + ln det C with the whitened residual d = r - J_b x, x = -H_s^-1 J_f'r_f,
+    and its covariance C = 1 + J_b H_s^-1 J_b'; H_s is the information of what is known by then and
+    J_f'r_f what the rest of the fold would add. What is foretold badly for want of information
+    counts little, unlike in a square. Parameters with a flat prior that only this fold can see are
+    projected out of it, as a whole. Rows that are never fitted are taken as they are. `noise`
+    multiplies the noise of the fit.
     """
-    plan = before.measurement.plan
-    whitener = before.whitener
-    folds, apart = before.model.instrument.folds(plan)
-    apart = np.broadcast_to(apart, plan.rows)
+    instrument, plan = fit.model.instrument, fit.measurement.plan
+    folds, apart = instrument.folds(plan)
+    n, m = fit.residual.shape
+    apart = np.broadcast_to(apart, n) & (folds >= 0)
+    jacobian = fit.jacobian.reshape(n, m, -1) / noise
+    whitened = fit.whitened.reshape(n, m) / noise
+    total = np.einsum("nmk,nml->kl", jacobian, jacobian, optimize=True)
+    found: list[float] = []
+    where: list[int] = []
+    for fold in np.unique(folds[(folds >= 0) & ~apart]):
+        rows = np.flatnonzero((folds == fold) & fit.used)
+        if not len(rows):
+            continue
+        inside = jacobian[rows].reshape(-1, jacobian.shape[2])
+        own = (fit.precision == 0) & (np.diag(total - inside.T @ inside) <= 1e-9 * np.diag(total))
+        common = ~own
+        known = (total - inside.T @ inside)[np.ix_(common, common)] + np.diag(fit.precision[common])
+        size = len(rows) if own.any() else max(_BLOCK, -(-len(rows) // _BLOCKS))
+        ahead = inside[:, common].T @ whitened[rows].reshape(-1)
+        for start in range(0, len(rows), size):
+            part = rows[start : start + size]
+            j = jacobian[part].reshape(-1, jacobian.shape[2])
+            r = whitened[part].reshape(-1)
+            lower = np.linalg.cholesky(known)
+            left = solve_triangular(lower, j[:, common].T, lower=True)
+            d = r + left.T @ solve_triangular(lower, ahead, lower=True)
+            covariance = np.eye(len(r)) + left.T @ left
+            if own.any():
+                q = np.linalg.qr(j[:, own], mode="complete")[0][:, own.sum() :]
+                d, covariance = q.T @ d, q.T @ covariance @ q
+            c = np.linalg.cholesky(covariance)
+            z = solve_triangular(c, d, lower=True)
+            found.append(float(z @ z + 2.0 * np.log(np.diag(c)).sum()))
+            where.append(int(fold))
+            known = known + j[:, common].T @ j[:, common]
+            ahead = ahead - j[:, common].T @ r
     for inside in plan.parts.values():
-        if apart[inside].any():
-            # Rows that were never fitted have no weight of their own: use that of the fitted ones.
-            typical = np.median(whitener[before.used & inside], axis=0)
-            unused = (inside & ~before.used)[:, None, None]
-            whitener = np.where(unused, typical, whitener)
-    a, b = heldout_residuals(before), heldout_residuals(after)
-    rows = np.isfinite(a).all(1) & np.isfinite(b).all(1)
-    squares = [
-        (np.einsum("nij,nj->ni", whitener[rows], residual[rows]) ** 2).sum(1) for residual in (a, b)
-    ]
-    fall = squares[0] - squares[1]
-    groups = folds[rows]
-    for inside in plan.parts.values():
-        mine = inside[rows]
-        if len(np.unique(groups[mine])) < 12:
-            groups = np.where(mine, plan.rows + np.arange(len(groups)), groups)
+        rows = np.flatnonzero(apart & inside)
+        if len(rows):
+            # They have no weight of their own: take that of the fitted ones.
+            typical = np.median(fit.whitener[fit.used & inside], axis=0) / noise
+            found += list(((fit.residual[rows] @ typical.T) ** 2).sum(1))
+            where += [-1 - int(row) for row in rows]
+    return np.array(found), np.array(where)
+
+
+def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, float]:
+    """Fall of `predictive_deviance` from one fit to another of the same readings with the same
+    weights, and its standard error from its scatter over folds, or over blocks where there are few.
+    """
+    (a, folds), (b, _) = (predictive_deviance(fit, noise) for fit in (before, after))
+    fall = a - b
+    groups = folds
+    if len(np.unique(folds)) < _FEW:
+        groups = np.arange(len(fall))
     sums = np.array([fall[groups == g].sum() for g in np.unique(groups)])
     error = math.sqrt(len(sums)) * sums.std(ddof=1) if len(sums) > 1 else math.inf
-    shares = []
-    for inside in plan.parts.values():
+    return float(fall.sum()), float(error)
+
+
+def rms_fall(before: Fit, after: Fit) -> float:
+    """Fall of the held-out rms as a share, of several data sets that where it fell most."""
+    a, b = heldout_residuals(before), heldout_residuals(after)
+    shares = [-math.inf]
+    for inside in before.measurement.plan.parts.values():
         left, right = (np.where(inside[:, None], residual, np.nan) for residual in (a, b))
         if np.isfinite(left).any():
             was, now = rms(squared_errors(before, left)), rms(squared_errors(after, right))
             shares.append(1.0 - now.value / was.value)
-    return float(fall.sum()), float(error), max(shares)
+    return max(shares)

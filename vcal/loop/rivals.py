@@ -16,6 +16,8 @@ from .screen import Peak
 _TOLD = 1.0
 """What one candidate must leave of the other, as chi-square in units of the noise, for the data to
 tell the two apart."""
+_SAME_SHAPE = 2.0
+"""Standard uncertainties within which two shapes are the same."""
 _FITS_AS_WELL = 10.0
 """Chi-square in units of the noise by which an empirical description must fit better than an effect
 to be preferred to it."""
@@ -115,11 +117,13 @@ def _log_shape_odds(effect: Effect, fit: Fit) -> float:
 
 
 def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:
-    """The fits less those whose peak ran to the optimum of a better one of the same effect."""
+    """The fits less those whose peak ran to the optimum of a better one of the same effect: the
+    same fit at the same shape, as two pitches may fit equally well on a grid of positions.
+    """
     kept: list[tuple[Peak, Fit]] = []
     for peak, fit in sorted(fits, key=lambda pair: pair[1].chi2):
         twins = (
-            abs(other.chi2 - fit.chi2) < 0.5
+            abs(other.chi2 - fit.chi2) < 0.5 and _same_shape(other, fit)
             for better, other in kept
             if better.effect is peak.effect
         )
@@ -134,6 +138,17 @@ def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
     """
     noise = max(1.0, best.fit.chi2 / best.fit.dof)
     return all(best.fit.chi2 + _FITS_AS_WELL * noise < rival.fit.chi2 for rival in others)
+
+
+def _same_shape(a: Fit, b: Fit) -> bool:
+    """Whether the last effects of two fits have the same shape within its uncertainty."""
+    last = len(a.model.effects) - 1
+    names = [p.name for p in a.model.effects[last].shapes if p.moves]
+    key = a.model.effects[last].key
+    u = {p.name: u * p.si for k, p, _, u in a.parameter_values() if k == key}
+    return all(
+        abs(a.shapes[last][name] - b.shapes[last][name]) <= _SAME_SHAPE * u[name] for name in names
+    )
 
 
 def _left(base: Fit, of: Rival, by: Rival) -> float:
