@@ -78,8 +78,8 @@ class Model(eqx.Module):
         """What effects may look at to say where they could be."""
 
         def of(instrument: Instrument, layout: PortLayout, plan: Plan, **more: Any) -> Setup:
-            artefact = instrument.artefact
-            return Setup(self.chain, layout, plan, self.effects, artefact, **more)
+            own = {"artefact": instrument.artefact, "derived": instrument.derived}
+            return Setup(self.chain, layout, plan, self.effects, **own, **more)
 
         members = self.instrument.members
         parts = [

@@ -46,6 +46,8 @@ class Setup:
     plan: Plan
     declared: tuple["Effect", ...] = ()
     artefact: Artefact | None = None
+    derived: tuple[str, ...] = ()
+    """Covariates that the instrument derives from positions and readings."""
     data_set: str = ""
     """Name of the data set, where this is one of `parts`."""
     parts: tuple["Setup", ...] = ()

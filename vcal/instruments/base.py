@@ -52,6 +52,11 @@ class Instrument(eqx.Module):
     (`observe`), plus what it declares: its ports, its noise, its nuisances.
     """
 
+    derived: ClassVar[tuple[str, ...]] = ()
+    """Covariates that it derives, and that mean something to this very instrument only: angles as
+    its station sees them, say.
+    """
+
     @property
     @abc.abstractmethod
     def ports(self) -> tuple[str, ...]:
@@ -160,11 +165,6 @@ class TableInstrument(Instrument):
     """Columns of text in its data table."""
     Settings: ClassVar[type[InstrumentSettings]]
     """Keys of the ``[instrument]`` table, validated."""
-
-    derived: ClassVar[tuple[str, ...]] = ()
-    """Covariates that it derives, and that mean something to this very instrument only: angles as
-    its station sees them, say.
-    """
 
     # --- edges: from and to files -------------------------------------------------------------
     @classmethod

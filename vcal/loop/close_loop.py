@@ -49,7 +49,7 @@ further than `_CLOSE` after that not refitted: their weight is below one in a th
 _CONTRADICTED = math.log(5.0)
 """Log odds of an effect that held-out readings refuse over the next, from which that one is no name
 either: what fits as the one and holds as the other is something else."""
-_REFITS = 10
+_REFITS = 12
 _MANY = 50.0
 """Degrees of freedom from which a search is worth its name."""
 _ROOM = 16
@@ -229,7 +229,7 @@ class _Run:
             elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(rival, own, "held-out error does not fall beyond its uncertainty")
                 refused = refused or rival
-            elif share < needed:
+            elif share < needed and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(rival, own, f"held-out rms falls by {100 * share:.1f} % only")
                 refused = refused or rival
             elif refused is not None and refused.log_weight - rival.log_weight > _CONTRADICTED:
@@ -407,6 +407,12 @@ def _finish(
     )
 
 
+def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
+    return ", ".join(
+        f"{p.name} {shape[p.name] / p.si:.4g} {p.unit}" for p in effect.shapes if p.name in shape
+    )
+
+
 def _in_the_prior(before: Fit, after: Fit, noise: float) -> bool:
     """Whether it is what was declared, more than the readings, that an effect is at odds without:
     other parameters had taken its part, far from what is known of them, and foretell as well.
@@ -534,6 +540,12 @@ def _notes(scales: Mapping[str, float], state: State, run: _Run) -> list[str]:
     betraying = [name for item in run.added for name in item.effect.betrayed_by]
     if run.unexplained is not None:
         betraying += run.unexplained.depends_on[:1]
+    notes += [
+        f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well (probability "
+        f"{100 * probability:.2g} %): these positions and times hardly tell them apart"
+        for item in run.added
+        for shape, probability in item.weighed.other_shapes
+    ]
     notes += confounded(state.fit.measurement.plan, betraying)
     if not state.fit.converged:
         notes.append("the final fit did not converge: its numbers are not to be relied on")

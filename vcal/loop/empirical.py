@@ -6,7 +6,7 @@ that is, the residual is *unexplained*, and the description says along what, and
 
 import abc
 import itertools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -231,7 +231,7 @@ class Interaction(Empirical):
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        products = _products(setup.plan)
+        products = _products(setup.plan, setup.derived)
         if not products:
             return
         for c in "XYZ":
@@ -242,12 +242,12 @@ class Interaction(Empirical):
                 yield cls(port=f"E{c}{axis}", unit="urad", products=products, placement=axis)
 
 
-def _products(plan: Plan) -> tuple[tuple[Factor, Factor], ...]:
-    """Pairs of quantities whose product says more than either."""
+def _products(plan: Plan, derived: Collection[str]) -> tuple[tuple[Factor, Factor], ...]:
+    """Pairs of quantities, none a function of others, whose product says more than either."""
     known = {
         name: x
         for name, x in distinct_covariates(plan).items()
-        if name not in plan.groups and np.isfinite(x).all()
+        if name not in plan.groups and name not in derived and np.isfinite(x).all()
     }
     middle = {name: 0.5 * float(x.max() + x.min()) for name, x in known.items()}
     half = {name: 0.5 * float(np.ptp(x)) for name, x in known.items()}

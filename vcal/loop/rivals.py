@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -16,6 +16,8 @@ from .screen import Peak
 _TOLD = 1.0
 """What one candidate must leave of the other, as chi-square in units of the noise, for the data to
 tell the two apart."""
+_SHAPE_TOLD = 0.02
+"""Probability from which another shape of the same effect is told."""
 _SAME_SHAPE = 2.0
 """Standard uncertainties within which two shapes are the same."""
 _FITS_AS_WELL = 10.0
@@ -54,6 +56,8 @@ class Weighed:
     """Names this data cannot tell from the best at all."""
     alternatives: list[tuple[str, str, float]]
     """(identifier, placement, probability) of the others."""
+    other_shapes: list[tuple[dict[str, float], float]] = field(default_factory=list)
+    """Other shapes (SI) that the best may have, with their probability."""
 
 
 def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0) -> Fit:
@@ -202,7 +206,9 @@ def weigh(base: Fit, best: Rival, rivals: Sequence[Rival]) -> Weighed:
     for members in classes:
         lead = best if any(r is best for r in members) else members[0]
         key = lead.effect.key
-        weights[key] = weights.get(key, 0.0) + math.exp(members[0].log_weight - top)
+        # The prior of a name is shared out to its places: those that are the same add up.
+        distinct = {id(r.effect): math.exp(r.log_weight - top) for r in reversed(members)}
+        weights[key] = weights.get(key, 0.0) + sum(distinct.values())
         members_of.setdefault(key, []).extend(members)
     total = sum(weights.values())
     key = best.effect.key
@@ -216,5 +222,12 @@ def weigh(base: Fit, best: Rival, rivals: Sequence[Rival]) -> Weighed:
             (members_of[k][0].effect.name, members_of[k][0].effect.placement, p)
             for p, k in others
             if p > 1e-4
+        ],
+        other_shapes=[
+            (dict(rival.fit.shapes[len(rival.fit.model.effects) - 1]), share)
+            for rival in members_of[key]
+            if rival is not best
+            and rival.effect is best.effect
+            and (share := math.exp(rival.log_weight - top) / total) > _SHAPE_TOLD
         ],
     )

@@ -361,7 +361,7 @@ def _corrected(minus_log_p: np.ndarray | float, trials: float) -> np.ndarray:
     return -np.expm1(trials * np.log1p(-np.minimum(p, 1.0 - 1e-15)))
 
 
-def screen(state: Screen, effects: Sequence[Effect], *, peaks: int = 5) -> Screening:
+def screen(state: Screen, effects: Sequence[Effect], *, peaks: int = 10) -> Screening:
     """Test all candidates against a fit; see the module's description for the method.
 
     `peaks` is how many maxima of a scan are kept.

@@ -203,13 +203,13 @@ def described(
     seed: int,
 ) -> Unexplained:
     """The description where the `best` empirical one explains more than every effect of the
-    catalogue: by that or, where it describes clearly more, by a covariate or a product of two.
-    `tested` is the fit with the noise to test by.
+    catalogue: by that or, where it leaves something and they describe clearly more, by a covariate
+    or a product of two. `tested` is the fit with the noise to test by.
     """
     told = dependence(tested, draws, seed)
     local = _from_empirical(fit, best, p_value, told)
     spread = _from_dependence(fit, told, chi2_per_dof, alpha)
-    if spread is None:
+    if spread is None or dependence(best.fit, draws, seed).p_value > alpha:
         return local
     by_it = local.share_of_variance * max(1.0 - fit.dof / fit.chi2, 0.0)
     return spread if _best(spread) > _CLEARLY * by_it else local
