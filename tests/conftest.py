@@ -27,6 +27,17 @@ def pytest_configure(config: pytest.Config) -> None:
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _room_for_programs():
+    """Forget compiled programs before the process has as many mappings as Linux allows (65530):
+    the compiler would end it.
+    """
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.is_file() and maps.read_bytes().count(b"\n") > 30_000:
+        jax.clear_caches()
+
+
 MACHINE = """\
 name = "small"
 

@@ -243,8 +243,25 @@ def test_what_does_not_hold_on_other_readings_is_no_name(tracker, monkeypatch):
     """A significant effect that held-out readings refuse leaves something unexplained."""
     measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
     loop = importlib.import_module("vcal.loop.close_loop")
-    monkeypatch.setattr(loop, "improvement", lambda before, after: (-1.0, 1.0, -0.1))
+    monkeypatch.setattr(loop, "improvement", lambda before, after, noise: (-1.0, 1.0))
     closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
     assert (closure.verdict, closure.effects) == ("unexplained", [])
     assert {r.placement for r in closure.rejected} >= {"Y"}
     assert closure.unexplained.depends_on
+
+
+def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch):
+    """Held-out readings that refuse the likeliest effect, but not the next, tell of a third."""
+    measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
+    loop = importlib.import_module("vcal.loop.close_loop")
+    hold = loop.improvement
+
+    def refusing(before, after, noise):
+        likeliest = after.model.effects[-1].key == "backlash Y"
+        return (-1.0, 1.0) if likeliest else hold(before, after, noise)
+
+    monkeypatch.setattr(loop, "improvement", refusing)
+    tried = [CATALOGUE["backlash"], CATALOGUE["jump"], CATALOGUE["cross_axis"]]
+    closure = closed(tracker, measurement, effects=tried)
+    assert (closure.verdict, closure.effects) == ("unexplained", [])
+    assert closure.rejected[0].effect == "backlash"

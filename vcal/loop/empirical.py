@@ -185,7 +185,7 @@ class Interaction(Empirical):
     name = "interaction"
     summary = "empirical: product of two quantities"
     words = "an error that two quantities make together"
-    products: tuple[tuple[Factor, Factor], ...] = eqx.field(static=True)
+    products: tuple[tuple[Factor, Factor], ...] = eqx.field(static=True, repr=False)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -104,6 +104,7 @@ def _as_described(found: str, best: Rival, plan: Plan) -> str:
     shape = fit.shapes.get(len(fit.model.effects) - 1, {})
     lines, terms = effect.code(plan, shape, lambda name: _read(name, plan))
     values = {p.name: value for key, p, value, _ in fit.parameter_values() if key == effect.key}
+    needed = dict.fromkeys([*effect.needs, *effect.depends_on(plan, shape)])
     parameters = [
         f'vcal.Parameter("{p.name}", "{p.unit}", sigma={max(2.0 * abs(values[p.name]), 1.0):.3g})'
         for p in effect.amplitudes
@@ -112,7 +113,7 @@ def _as_described(found: str, best: Rival, plan: Plan) -> str:
     return _HEAD.format(
         found=found,
         parameters=",\n            ".join(parameters),
-        needs=", ".join(f'"{name}"' for name in effect.needs),
+        needs=", ".join(f'"{name}"' for name in needed),
         body="\n".join(
             [*(f"        {line}" for line in lines), "        return {", *returned, "        }"]
         ),

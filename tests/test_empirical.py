@@ -1,0 +1,227 @@
+"""What has no name: empirical descriptions of it, and when they give way to an effect that has."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal, norm
+
+from known import Known
+from oracle import make_case, write_study
+from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify, load_study
+from vcal.effects.registry import load_effects
+from vcal.loop.empirical import EMPIRICAL, Interaction, Kink, LocalBump, Since
+from vcal.loop.heldout import improvement, predictive_deviance
+from vcal.loop.scales import log_gain, log_mixture, over_scales
+from vcal.report.own_effect import own_effect
+
+
+@pytest.fixture(scope="module")
+def tracker(tmp_path_factory) -> Known:
+    return Known("laser_tracker", tmp_path_factory.mktemp("tracker"))
+
+
+class Given(Effect):
+    """Any error motion, by a formula of the test's own."""
+
+    name = "given"
+    formula: Callable
+    port: str
+    unit: str = "um"
+
+    @property
+    def parameters(self):
+        return (Parameter("size", self.unit, sigma=10.0),)
+
+    def response(self, plan, shape):
+        return {(self.port, "size"): self.formula(plan)}
+
+
+def measured(it: Known, *effects: Effect, seed: int = 5) -> Measurement:
+    sigma = it.instrument.noise(it.plan, it.measurement.readings)
+    noise = sigma * np.random.default_rng(seed).standard_normal(sigma.shape)
+    return Measurement(it.plan, it.readings(*effects) + noise)
+
+
+def unit(x) -> np.ndarray:
+    x = np.asarray(x)
+    return (2 * x - x.max() - x.min()) / np.ptp(x)
+
+
+def kinked(plan):
+    return np.maximum(np.asarray(plan.x("X")) - 0.8, 0.0)
+
+
+def crossed(plan):
+    return unit(plan.x("X")) ** 2 * unit(plan.x("Y")) ** 2
+
+
+def growing_play(plan):
+    return np.asarray(plan.covariate("dir_X")) * np.asarray(plan.x("X"))
+
+
+def no_longer_fed(plan):
+    t, x = np.asarray(plan.covariate("t")), np.asarray(plan.x("X"))
+    at = np.quantile(t, 0.4)
+    return np.where(t > at, x * (0.6 + (t - at) / np.ptp(t)), 0.0)
+
+
+CASES = {
+    "kink": (kinked, "EAX", "urad", 120.0, Kink, {"X"}),
+    "product": (crossed, "EZX", "um", 25.0, Interaction, {"X", "Y"}),
+    "play": (growing_play, "EXX", "um", 9.0, Interaction, {"X", "dir_X"}),
+    "since": (no_longer_fed, "EXX", "um", 20.0, Since, {"X", "t"}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_no_effect_has_is_described(tracker, tmp_path, case):
+    """The description tells on what it depends; the file for an effect of one's own holds it."""
+    formula, port, unit_, size, cls, on = CASES[case]
+    true = Given(formula=formula, port=port, unit=unit_, given=(("size", size, 0.0),))
+    closure = close_loop(tracker.model, measured(tracker, true), draws=200)
+    assert closure.verdict == "unexplained"
+    assert closure.effects == []
+    what = closure.unexplained
+    assert isinstance(what.empirical.effect, cls)
+    assert set(what.depends_on[: len(on)]) == on
+    assert what.joint == (len(on) == 2)
+    assert what.words in closure.sentence
+    (tmp_path / "own_effect.py").write_text(own_effect(closure))
+    (own,) = load_effects(tmp_path / "own_effect.py")
+    (effect,) = own.candidates(tracker.setup)
+    described = what.empirical
+    place = len(described.fit.model.effects) - 1
+    expected = described.effect.response(tracker.plan, described.fit.shapes.get(place, {}))
+    found = effect.response(tracker.plan, {})
+    assert set(found) == set(expected)
+    for key, value in expected.items():
+        value = np.asarray(value)
+        assert np.asarray(found[key]) == pytest.approx(value, abs=2e-3 * np.abs(value).max())
+    with_it = identify(tracker.model.with_effects(effect), closure.before.measurement)
+    assert with_it.chi2 / with_it.dof == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    ["cross_axis:X:other=Y,EZX_x_y_um=12", "thermal_tilt:X:k_ECX_urad_per_K=90"],
+)
+def test_a_physical_effect_that_fits_as_well_has_the_name(tracker, effect):
+    """A product of two quantities would do, and with fewer parameters."""
+    closure = close_loop(tracker.model, measured(tracker, tracker.effect(effect)), draws=200)
+    (found,) = closure.effects
+    name, place, _ = effect.split(":", 2)
+    assert found.effect.name == name
+    assert (
+        place in found.placement
+        or any(f"{name} {place}" in k for k in found.equivalent)
+        or any((n, p) == (name, place) for n, p, _ in found.alternatives)
+    )
+    assert closure.unexplained is None
+
+
+def test_every_description_is_told_from_the_catalogue():
+    names = [cls.name for cls in EMPIRICAL]
+    assert len(set(names)) == len(names)
+    assert set(names).isdisjoint(CATALOGUE)
+    assert LocalBump in EMPIRICAL
+
+
+# --- the weights ----------------------------------------------------------------------------------
+
+
+def test_evidence_over_orders_of_magnitude():
+    """Against quadrature over one amplitude, and additive over independent ones."""
+    rng = np.random.default_rng(3)
+    column, data = rng.standard_normal(9), rng.standard_normal(9)
+
+    def likelihood(a: float) -> float:
+        return float(np.exp(norm.logpdf(data, a * column).sum() - norm.logpdf(data).sum()))
+
+    scales = 4.0 ** -np.arange(11.0)
+    numeric = [
+        quad(lambda a, s=s: likelihood(a) * norm.pdf(a, scale=s), -8 * s, 8 * s)[0]
+        for s in np.sqrt(scales)
+    ]
+    information, score = np.array([column @ column]), np.array([column @ data])
+    np.testing.assert_allclose(np.exp(log_gain(information, score, scales)), numeric, rtol=1e-7)
+    assert np.exp(log_mixture(information, score)) == pytest.approx(np.mean(numeric), rel=1e-7)
+    two = log_gain(np.repeat(information, 2), np.repeat(score, 2), scales)
+    np.testing.assert_allclose(two, 2 * log_gain(information, score, scales))
+
+
+def test_the_mixture_of_a_fit_is_that_of_fits_with_other_priors(tracker):
+    """An effect of 1 um on a prior of 10 um: what changing the prior does to the whole evidence."""
+    measurement = measured(tracker, tracker.effect("backlash:Y:size_um=1"))
+    effect = next(iter(CATALOGUE["backlash"].candidates(tracker.setup)))
+    sigma = effect.amplitudes[0].sigma
+    evidence = []
+    for k in range(11):
+        given = ((effect.amplitudes[0].name, 0.0, sigma / 2**k),)
+        narrow = dataclasses.replace(effect, given=given)
+        fit = identify(tracker.model.with_effects(narrow), measurement)
+        evidence.append(fit.log_evidence())
+    whole = identify(tracker.model.with_effects(effect), measurement)
+    first = len(tracker.model.entries)
+    expected = np.log(np.mean(np.exp(np.array(evidence) - evidence[0])))
+    assert over_scales(whole, slice(first, first + 1)) == pytest.approx(expected, abs=1e-3)
+
+
+# --- held-out readings ----------------------------------------------------------------------------
+
+
+def test_what_a_fit_foretells_of_a_fold(tracker):
+    """All blocks of a fold together: the density of its readings with the parameters from the rest,
+    by the covariance of them all.
+    """
+    fit = identify(tracker.model, measured(tracker))
+    n, m = fit.residual.shape
+    found, where = predictive_deviance(fit)
+    folds, _ = fit.model.instrument.folds(fit.measurement.plan)
+    flat = fit.precision == 0
+    prior = fit.precision + 1e-8 * flat * np.diag(fit.jacobian.T @ fit.jacobian)
+    for fold in np.unique(folds)[:2]:
+        mine = np.repeat(folds == fold, m)
+        rest, held = fit.jacobian[~mine], fit.jacobian[mine]
+        h = rest.T @ rest + np.diag(prior)
+        # What is left is r - J x with x beside theta: least over the rest and the prior.
+        step = np.linalg.solve(h, rest.T @ fit.whitened[~mine] - fit.precision * fit.theta)
+        mean = fit.whitened[mine] - held @ step
+        covariance = np.eye(mine.sum()) + held @ np.linalg.solve(h, held.T)
+        exact = -2 * multivariate_normal.logpdf(mean, np.zeros(len(mean)), covariance)
+        exact -= mine.sum() * np.log(2 * np.pi)
+        assert found[where == fold].sum() == pytest.approx(exact, abs=0.05)
+
+
+def test_noise_is_not_foretold_better_and_an_effect_is(tracker):
+    effect = tracker.effect("backlash:Y:size_um=6")
+    candidate = next(
+        e for e in CATALOGUE["backlash"].candidates(tracker.setup) if e.placement == "Y"
+    )
+    for true, holds in (((), False), ((effect,), True)):
+        measurement = measured(tracker, *true)
+        before = identify(tracker.model, measurement)
+        after = identify(tracker.model.with_effects(candidate), measurement)
+        fall, error = improvement(before, after)
+        assert (fall > error) == holds
+
+
+# --- several effects ------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_effects_that_stood_for_parts_of_another_give_way(tmp_path):
+    """A jump beside a scale that grows: whatever is named on the way, at the end these are."""
+    effects = [
+        {"effect": "jump", "axis": "Z", "component": "Z", "t0_s": 2500.0, "size_um": 8.0},
+        {"effect": "thermal_tilt", "axis": "Y", "component": "A", "urad_per_K": 9.0},
+    ]
+    case = make_case("laser_tracker", seed=12, effects=effects, plan={"cycles": True})
+    study = load_study(write_study(tmp_path / "study", case))
+    closure = close_loop(study.model, study.measurement, draws=200)
+    names = {e.effect.name for e in closure.effects}
+    equivalent = {k.split(" ")[0] for e in closure.effects for k in e.equivalent}
+    assert {"jump", "thermal_tilt"} <= names | equivalent
+    assert len(closure.effects) == 2
