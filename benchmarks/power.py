@@ -256,6 +256,15 @@ def limits_in(lines: Sequence[dict]) -> dict:
     return found
 
 
+def forget_programs() -> None:
+    """Before the process has more mappings than Linux allows, which would end it."""
+    import jax
+
+    maps = Path("/proc/self/maps")
+    if maps.is_file() and maps.read_bytes().count(b"\n") > 30_000:
+        jax.clear_caches()
+
+
 def work(options: argparse.Namespace, part: int) -> None:
     """Every `jobs`-th of the sets that are not there yet, until the time is over."""
     from power_cases import ENTRIES, GROUPS
@@ -286,6 +295,7 @@ def work(options: argparse.Namespace, part: int) -> None:
             line = {"case": name, "multiple": multiple, "seed": seed, "limit": [],
                     "verdict": "failed", "why": f"{type(error).__name__}: {error}"}  # fmt: skip
         append(options.lines, line)
+        forget_programs()
         found = [f["key"] for f in line.get("found", [])]
         print(name, multiple, seed, line["verdict"], found, line.get("seconds"), flush=True)
 

@@ -424,6 +424,14 @@ def _quartic(rng: Rng, world: World) -> Sized:
     )
 
 
+def _growing_play(rng: Rng, world: World) -> Sized:
+    axis, sign = _axis(rng), _sign(rng)
+    return lambda size: Term(
+        ({"effect": "growing_play", "axis": axis, "um_per_m": sign * size},),
+        covariates=(axis, f"dir_{axis}"),
+    )
+
+
 def _stuck(rng: Rng, world: World) -> Sized:
     """A scale whose growth is compensated by a temperature that is no longer true."""
     axis = _axis(rng)
@@ -509,6 +517,7 @@ OUTSIDE: tuple[Kind, ...] = (
     Kind("a local dent", "um", 20, _dent, ON_MACHINE),
     Kind("a kink in roll", "urad/m", 100, _kink, ON_MACHINE),
     Kind("a fourth-order cross term", "um", 20, _quartic, BOTH),
+    Kind("a play that grows along the travel", "um/m", 20, _growing_play, ON_MACHINE),
     Kind("a sensor that sticks", "um/(m K)", 15, _stuck, BOTH),
     Kind(
         "a sensor that sticks, scale held in the middle", "um/(m K)", 15, _stuck, BOTH, centred=True
