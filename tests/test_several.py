@@ -15,10 +15,11 @@ from vcal.effects.geometric import GeometricErrors
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.loop.candidates import candidates
 from vcal.loop.heldout import check_rms, heldout_residuals, heldout_rms
+from vcal.loop.recorded import distinct_covariates
 from vcal.loop.screen import Screen
 from vcal.loop.state import fitted
 from vcal.loop.stray import stray_rows
-from vcal.loop.unexplained import covariates, dependence, from_structure
+from vcal.loop.unexplained import dependence, from_structure
 from vcal.plan import DATA_SET, of_set
 from vcal.report import write_report
 
@@ -402,7 +403,7 @@ def test_what_is_left_may_depend_on_the_data_set(clean):
     """A machine that bends otherwise in the second run: the description names that data set."""
     study = clean[1]
     plan = study.plan
-    assert np.isnan(covariates(identify(study.model, study.measurement, room=ROOM))["tracker:X"][
+    assert np.isnan(distinct_covariates(study.plan)["tracker:X"][
         plan.in_set("balls")
     ]).all()  # fmt: skip
     balls = plan.in_set("balls")
