@@ -138,6 +138,7 @@ def test_white_noise_is_not_correlated(tracker):
     assert sum(serial(identify(tracker.model, m)) is not None for m in measured) <= 1
 
 
+@pytest.mark.slow
 def test_correlated_noise_gets_no_name(tracker):
     """Half of the noise drifts: nothing is named; what is there is found beside it."""
     noise = white(tracker, 8) + 1.5 * persisting(tracker, 9, 0.9)

@@ -156,6 +156,7 @@ def test_the_readings_of_a_clean_machine_scatter_as_declared(clean_fit):
         assert abs(chi2 / dof - 1.0) < 4.0 * np.sqrt(2.0 / dof)
 
 
+@pytest.mark.slow
 def test_check_points_gain_by_the_second_data_set(tmp_path):
     """On the average of several machines the two together are no worse than the better one."""
     errors = []
@@ -244,6 +245,7 @@ def test_a_stray_reading_is_found_in_its_own_data_set(framed, framed_fit):
     assert stray.row == row and study.plan.place(row) == ("frame", 40)
 
 
+@pytest.mark.slow
 def test_clustered_readings_keep_their_own_covariance(small_arm_study, tmp_path):
     """Two runs of an arm, with three reflectors and with two: each has its own covariance."""
     folder = tmp_path / "arms"
@@ -329,6 +331,7 @@ def test_an_effect_of_an_instrument_is_named_for_its_data_set(tmp_path):
     write_report(closure, study, tmp_path / "report")  # the picture shows the rows of one set
 
 
+@pytest.mark.slow
 def test_before_and_after_warming_up(tmp_path):
     """X grows by 3 um/(m K). At one temperature that is a slope of EXX; at two it is not."""
     true = [{"effect": "scale_growth", "axis": "X", "um_per_m_K": 3}]
