@@ -243,7 +243,7 @@ def test_what_is_named_is_significant_itself(tracker):
 def test_what_does_not_hold_on_other_readings_is_no_name(tracker, monkeypatch):
     """A significant effect that held-out readings refuse leaves something unexplained."""
     measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
-    loop = importlib.import_module("vcal.loop.close_loop")
+    loop = importlib.import_module("vcal.loop.search")
     monkeypatch.setattr(loop, "improvement", lambda before, after, noise: (-1.0, 1.0))
     closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
     assert (closure.verdict, closure.effects) == ("unexplained", [])
@@ -254,7 +254,7 @@ def test_what_does_not_hold_on_other_readings_is_no_name(tracker, monkeypatch):
 def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch):
     """Held-out readings that refuse the likeliest effect, but not the next, tell of a third."""
     measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
-    loop = importlib.import_module("vcal.loop.close_loop")
+    loop = importlib.import_module("vcal.loop.search")
     hold = loop.improvement
 
     def refusing(before, after, noise):

@@ -72,12 +72,12 @@ class Screening:
 
     def corrected(self, kind: KindResult) -> float:
         """p-value of a kind's best candidate, corrected over all kinds too."""
-        return float(_corrected(_minus_log_corrected(kind), self.trials))
+        return float(corrected(_minus_log_corrected(kind), self.trials))
 
     def corrected_as(self, kind: str, minus_log_p: float) -> float:
         """p-value of any candidate of a kind, corrected within the kind and over all kinds."""
         it = next(found for found in self.kinds if found.kind == kind)
-        within = float(_corrected(minus_log_p, it.trials))
+        within = float(corrected(minus_log_p, it.trials))
         return self.corrected(replace(it, minus_log_p=minus_log_p, p_value=within))
 
     @property
@@ -349,13 +349,13 @@ class _Tested:
         ]
 
 
-def _trials(null: np.ndarray) -> float:
+def effective_trials(null: np.ndarray) -> float:
     """Effective number of independent trials whose largest -ln p is distributed as `null`."""
     tail = np.clip(np.exp(-null), 1e-15, 1.0 - 1e-15)
     return float(-len(null) / np.log1p(-tail).sum())
 
 
-def _corrected(minus_log_p: np.ndarray | float, trials: float) -> np.ndarray:
+def corrected(minus_log_p: np.ndarray | float, trials: float) -> np.ndarray:
     """Probability that the best of `trials` is as good: 1 - (1 - p)^trials."""
     p = np.exp(-np.asarray(minus_log_p, float))
     return -np.expm1(trials * np.log1p(-np.minimum(p, 1.0 - 1e-15)))
@@ -377,7 +377,7 @@ def screen(state: Screen, effects: Sequence[Effect], *, peaks: int = 10) -> Scre
     kinds, null, best_drop = [], [], 0.0
     for kind, members in groups.items():
         kind_null = np.max([t.null for t in members], axis=0)
-        trials = _trials(kind_null)
+        trials = effective_trials(kind_null)
         scores = [state.minus_log_p(t.stat, state.cost, np.maximum(t.rank, 1)) for t in members]
         seen = zip(members, scores, strict=True)
         best = max(float(np.max(np.where(t.rank > 0, score, 0))) for t, score in seen)
@@ -386,17 +386,17 @@ def screen(state: Screen, effects: Sequence[Effect], *, peaks: int = 10) -> Scre
         )
         best_drop = max(best_drop, *(peak.statistic for peak in found))
         kinds.append(
-            KindResult(kind, found, len(members), best, trials, float(_corrected(best, trials)))
+            KindResult(kind, found, len(members), best, trials, float(corrected(best, trials)))
         )
-        null.append(-np.log(np.maximum(_corrected(kind_null, trials), 1e-300)))
+        null.append(-np.log(np.maximum(corrected(kind_null, trials), 1e-300)))
     if not kinds:
         return Screening([], 1.0, 0.0, math.sqrt(state.chi2 / state.dof), unseen)
     over_kinds = np.max(null, axis=0)
-    trials = _trials(over_kinds)
+    trials = effective_trials(over_kinds)
     best = max(_minus_log_corrected(kind) for kind in kinds)
     return Screening(
         kinds=sorted(kinds, key=lambda kind: -_minus_log_corrected(kind)),
-        p_value=float(_corrected(best, trials)),
+        p_value=float(corrected(best, trials)),
         trials=trials,
         noise_scale=math.sqrt(max(state.chi2 - best_drop, 0.0) / state.dof),
         unseen=unseen,

@@ -14,7 +14,7 @@ from ..plan import DATA_SET
 from .empirical import Empirical, Interval
 from .recorded import distinct_covariates
 from .rivals import Rival
-from .screen import Screen
+from .screen import Screen, corrected, effective_trials
 from .serial import Serial
 
 _BINS = 10
@@ -25,6 +25,8 @@ _SPREAD = 25.0
 """chi2 per degree of freedom, against the declared noise, from which something must be missing even
 if nothing that is recorded tells it; noise that is declared too small is no such thing.
 """
+_LAST_LOOK = 0.25
+"""Share of alpha that the last look at what remains may spend beside the search."""
 _ROUNDING = 1e-9
 """Share of the variance, on average over null draws, that is nothing but rounding."""
 _SHOWN = 3
@@ -132,7 +134,9 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     products = (moved**2).sum(1) / total
     rare = np.concatenate([_rarity(singles), _rarity(products)])
     best, best_null = rare[:, 0].max(), rare[:, 1:].max(0)
-    p_value = (1.0 + (best_null >= best).sum()) / (draws + 1.0)
+    # In -ln of the probability, as the screening corrects for its trials.
+    trials = effective_trials(math.log(10.0) * best_null)
+    p_value = float(corrected(math.log(10.0) * best, trials))
     usual = float(best_null.mean())
     count = len(names)
     telling = [(names[i], share) for i, share in _by_share(singles) if rare[i, 0] > usual]
@@ -143,7 +147,7 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         for part, table in ((rare[:count], singles), (rare[count:], products))
     ]
     joint = bool(joined) and rarest[1] > rarest[0]
-    return Dependence(telling, joined[:_SHOWN], joint, float(p_value))
+    return Dependence(telling, joined[:_SHOWN], joint, p_value)
 
 
 def _products(known: dict[str, np.ndarray]) -> tuple[list[tuple[str, str]], np.ndarray]:
@@ -275,7 +279,7 @@ def _from_dependence(
     refused: Effect | None = None,
 ) -> Unexplained | None:
     spread = chi2_per_dof > _SPREAD
-    quiet = told.p_value > alpha and not spread and correlated is None
+    quiet = told.p_value > _LAST_LOOK * alpha and not spread and correlated is None
     if quiet and refused is None:
         return None
     shares = dict(told.single)

@@ -1,0 +1,304 @@
+"""The search of the loop: what was tried, added, refused and left over."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..effects.base import Effect
+from ..fit import Fit
+from .candidates import Untestable, candidates
+from .closure import Rejected
+from .empirical import EMPIRICAL, Empirical
+from .heldout import improvement, rms_fall
+from .rivals import Rival, Weighed, fits_better, refit_all, weigh
+from .scales import over_scales
+from .screen import Peak, Screen, Screening, screen
+from .serial import Serial, gain_beside, persists, serial
+from .state import State, at_declared, chi2_per_dof, fitted, rescored, without
+from .unexplained import Unexplained, described
+
+_PRACTICAL = 0.02
+"""Least fall of the held-out rms that counts where the fit is far worse than the noise, and what
+remains is no white noise: chance alignments with what is not modelled are then significant without
+being real."""
+_MARGIN = 30.0
+_CLOSE = 8.0
+"""Candidates whose linear log evidence is further behind the best than `_MARGIN` are not refined,
+further than `_CLOSE` after that not refitted: their weight is below one in a thousand."""
+_CONTRADICTED = math.log(5.0)
+"""Log odds of an effect that held-out readings refuse over the next, from which that one is no name
+either: what fits as the one and holds as the other is something else."""
+_REFITS = 12
+
+
+@dataclass(frozen=True)
+class Added:
+    """An effect that was added, and what spoke for it."""
+
+    effect: Effect
+    weighed: Weighed
+    p_value: float
+    gain: float
+    trials: float
+    """Effective number of independent trials in which it was found."""
+
+
+class Search:
+    """One pass through the loop: what was tried, added and left over."""
+
+    def __init__(self, check, classes, alpha, draws, seed, room, progress):
+        self.check, self.classes, self.alpha = check, classes, alpha
+        self.draws, self.seed, self.room, self.progress = draws, seed, room, progress
+        self.added: list[Added] = []
+        self.rejected: list[Rejected] = []
+        self.untestable: list[Untestable] = []
+        self.unseen: list[str] = []
+        self.screenings: list[Screening] = []
+        self.unexplained: Unexplained | None = None
+        self.refused: Effect | None = None
+        """What was significant in the last round, and did not hold."""
+
+    def step(self, state: State) -> State | None:
+        """One round: None where nothing (more) is to be added."""
+        number = len(self.added) + 1
+        fit, measurement = state.scored, state.fit.measurement
+        self.progress(f"round {number}: screening")
+        tried, self.untestable = candidates(state.model, measurement, self.classes)
+        empirical, _ = candidates(state.model, measurement, EMPIRICAL)
+        screen_state = Screen(fit, self.draws, self.seed + number)
+        screening = screen(screen_state, [*tried, *empirical])
+        self.screenings.append(screening)
+        self.unseen = [effect.key for effect in screening.unseen]
+        if screening.p_value > self.alpha:
+            return None
+        self.progress(f"round {number}: refitting the best candidates")
+        instances = {kind.kind: kind.instances for kind in screening.kinds}
+        p_values = {kind.kind: screening.corrected(kind) for kind in screening.kinds}
+        worth = [p for p in screening.peaks if p_values[p.effect.name] <= self.alpha]
+        peaks = _shortlist(screen_state, worth, screening.peaks)
+        rivals = refit_all(fit, peaks, instances, state.keep, self.room)
+        if rivals and not state.as_declared:
+            fit = rescored(state, rivals[0].fit, self.room)
+            rivals = refit_all(fit, peaks, instances, state.keep, self.room)
+        named = [r for r in rivals if not isinstance(r.effect, Empirical)]
+        # The p-value of a kind is that of its best candidate, which need not be this one.
+        own = {
+            id(r.effect): screening.corrected_as(
+                r.effect.name,
+                max(
+                    float(screen_state.minus_log_p(p.statistic, screen_state.cost, p.rank))
+                    for p in peaks
+                    if p.effect is r.effect
+                ),
+            )
+            for r in rivals
+        }
+        significant = [r for r in named if own[id(r.effect)] <= self.alpha]
+        best = next((r for r in rivals if isinstance(r.effect, Empirical)), None)
+        if (
+            best is not None
+            and own[id(best.effect)] <= self.alpha
+            and (not significant or best.log_weight > significant[0].log_weight)
+            # What a physical effect describes as well needs no description of its own.
+            and fits_better(best, significant)
+        ):
+            self.unexplained = described(
+                fit,
+                state.scored,
+                best,
+                own[id(best.effect)],
+                chi2_per_dof(state.fit),
+                self.alpha,
+                self.draws,
+                self.seed + number,
+            )
+            for rival in significant:
+                self._reject(rival, own, f"{best.effect.summary}: describes the residual better")
+            return None
+        refused: Rival | None = None
+        for rival in significant:
+            after = at_declared(rival.fit, state, self.room)
+            noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
+            fall, error = improvement(fit, rival.fit, noise)
+            share = rms_fall(state.fit, after)
+            needed = 0.0
+            if state.noise is None or persists(after):
+                needed = _PRACTICAL * max(0.0, 1.0 - 1.0 / max(chi2_per_dof(after), 1e-9))
+            if rival.log_bayes <= 0:
+                self._reject(rival, own, "its evidence does not pay for its parameters")
+            elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
+                self._reject(rival, own, "held-out error does not fall beyond its uncertainty")
+                refused = refused or rival
+            elif share < needed and not _in_the_prior(fit, rival.fit, noise):
+                self._reject(rival, own, f"held-out rms falls by {100 * share:.1f} % only")
+                refused = refused or rival
+            elif refused is not None and refused.log_weight - rival.log_weight > _CONTRADICTED:
+                self._reject(rival, own, "a far likelier one does not hold on held-out readings")
+            else:
+                weighed = weigh(fit, rival, named)
+                p = own[id(rival.effect)]
+                self.progress(f"round {number}: adding {rival.effect.key}")
+                refitted = fitted(rival.fit.model, measurement, after, self.room)
+                # Last, so that an interruption leaves no effect without its fit.
+                trials = screening.trials * next(
+                    kind.trials for kind in screening.kinds if kind.kind == rival.effect.name
+                )
+                self.added.append(Added(rival.effect, weighed, p, share, trials))
+                return refitted
+        self.refused = None if refused is None else refused.effect
+        return None
+
+    def reconsider(self, state: State) -> State:
+        """Search anew beside the others for what each of several effects is: what was found first
+        may have stood for a part of what was not yet known.
+        """
+        if len(self.added) < 2:
+            return state
+        for item in list(self.added):
+            before = list(self.added), list(self.rejected), list(self.screenings), self.refused
+            less = without(state, _place(state, item), self.room)
+            if not less.converged:
+                continue
+            bare = fitted(less.model, less.measurement, less, self.room)
+            self.added.remove(item)
+            found = self.step(bare)
+            self.screenings = before[2]
+            if self.unexplained is not None or (
+                found is not None and not _same_effect(self.added[-1].effect, item.effect)
+            ):
+                self.rejected.append(_dropped(item, "beside the others it is something else"))
+                state, self.refused = (bare if found is None else found), None
+                if found is None:
+                    return state
+            else:
+                self.added, self.rejected, _, self.refused = before
+        return state
+
+    def beside_empirical(self, state: State) -> State:
+        """Do without the effects that are superfluous beside the empirical description that ended
+        the search: they stood for a part of it.
+        """
+        described = self.unexplained.empirical if self.unexplained is not None else None
+        if described is None or not self.added:
+            return state
+        effect = described.effect
+        with_it = fitted(described.fit.model, described.fit.measurement, described.fit, self.room)
+        dropped = []
+        for item in list(self.added):
+            less = without(with_it, _place(with_it, item), self.room)
+            if less.converged and _no_worse(less, with_it, _place(with_it, item)):
+                dropped.append(item)
+                self.added.remove(item)
+                self.rejected.append(_dropped(item, f"superfluous beside the {effect.summary}"))
+                with_it = fitted(less.model, less.measurement, less, self.room)
+        if not dropped:
+            return state
+        for item in dropped:
+            less = without(state, _place(state, item), self.room)
+            state = fitted(less.model, less.measurement, less, self.room)
+        # What it depends on is told anew without them; what then has a name after all, has it.
+        screenings, self.unexplained = list(self.screenings), None
+        found = self.step(state)
+        self.screenings = screenings
+        return state if found is None else found
+
+    def prune(self, state: State) -> State:
+        """Try once to do without each added effect; the evidence decides."""
+        for item in list(self.added[:-1]):
+            less = without(state, _place(state, item), self.room)
+            if less.converged and _no_worse(less, state, _place(state, item)):
+                state = self._drop(item, less, "superfluous after later effects")
+        return state
+
+    def prune_correlated(self, state: State) -> tuple[State, Serial | None]:
+        """Do without the added effects that noise correlated in time describes as well, the last
+        one first; and what is correlated at the end.
+
+        Where the noise is correlated, all that changes slowly fits a part of it. An effect stays if
+        its evidence beside such noise pays for the search: were there nothing, a Bayes factor
+        above b has a probability of less than 1/b (Ville's inequality).
+        """
+        for item in reversed(list(self.added)):
+            fit = state.remaining
+            if serial(fit) is None:
+                break
+            gain = gain_beside(fit, _columns_of(fit, _place(state, item)))
+            if item.trials * math.exp(-min(gain, 700.0)) > self.alpha:
+                less = without(state, _place(state, item), self.room)
+                state = self._drop(item, less, "noise that is correlated in time describes it too")
+        found = serial(state.remaining)
+        return state, found if found is not None and found.p_value <= self.alpha else None
+
+    def _drop(self, item: Added, less: Fit, reason: str) -> State:
+        self.added.remove(item)
+        self.rejected.append(_dropped(item, reason))
+        return fitted(less.model, less.measurement, less, self.room)
+
+    def _reject(self, rival: Rival, p_values: dict[int, float], reason: str) -> None:
+        name, place = rival.effect.name, rival.effect.placement
+        if not any((r.effect, r.placement) == (name, place) for r in self.rejected):
+            self.rejected.append(Rejected(name, place, p_values[id(rival.effect)], reason))
+
+
+def _in_the_prior(before: Fit, after: Fit, noise: float) -> bool:
+    """Whether it is what was declared, more than the readings, that an effect is at odds without:
+    other parameters had taken its part, far from what is known of them, and foretell as well.
+    """
+    data = (before.chi2 - after.chi2) / noise**2
+    prior = float(before.theta**2 @ before.precision - after.theta**2 @ after.precision)
+    return prior > data
+
+
+def _no_worse(less: Fit, state: State, place: int) -> bool:
+    """Whether the evidence is higher without the effect at that position."""
+    fit = state.scored
+    noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
+    sizes = [len(e.amplitudes) for e in state.model.effects]
+    mine = slice(sum(sizes[:place]), sum(sizes[: place + 1]))
+    return less.log_evidence(noise) > fit.log_evidence(noise) + over_scales(fit, mine, noise)
+
+
+def _same_effect(a: Effect, b: Effect) -> bool:
+    return a.key == b.key and [p.name for p in a.parameters] == [p.name for p in b.parameters]
+
+
+def _dropped(item: Added, reason: str) -> Rejected:
+    return Rejected(item.effect.name, item.effect.placement, item.p_value, reason)
+
+
+def _shortlist(state: Screen, worth: Sequence[Peak], others: Sequence[Peak]) -> list[Peak]:
+    """The peaks to refit: the significant ones, and others close enough to be rivals, after their
+    shapes were moved to the best point between the steps of the scan.
+    """
+    if not worth:
+        return []
+    best = worth[0].log_bayes
+    near = [p for p in worth if p.log_bayes > best - _MARGIN]
+    ids = {id(p) for p in near}
+    near += [p for p in others if id(p) not in ids and p.log_bayes > best - _MARGIN]
+    # Of the empirical descriptions only the best of each kind: many are alike.
+    empirical: dict[str, Peak] = {}
+    for peak in others:
+        if isinstance(peak.effect, Empirical):
+            empirical.setdefault(peak.effect.name, peak)
+    near = [p for p in near if not isinstance(p.effect, Empirical)]
+    near += [p for p in empirical.values() if p.log_bayes > best - _MARGIN]
+    refined = sorted((state.refine(p) for p in near), key=lambda p: -p.log_bayes)
+    best = refined[0].log_bayes
+    chosen = [p for p in refined if p.log_bayes > best - _CLOSE][:_REFITS]
+    # A run of worthless rivals must not hide the next significant candidate, should the best fail.
+    chosen += [p for p in refined if p.log_bayes <= best - _CLOSE][: max(0, 2 - len(chosen))]
+    return chosen
+
+
+def _place(state: State, item: Added) -> int:
+    return next(i for i, e in enumerate(state.model.effects) if e is item.effect)
+
+
+def _columns_of(fit: Fit, place: int) -> list[int]:
+    """Entries of theta that belong to the effect at that position."""
+    effects = fit.model.effects
+    start = sum(len(e.amplitudes) for e in effects[:place])
+    found = list(range(start, start + len(effects[place].amplitudes)))
+    moving = [i for i, e in enumerate(effects) for p in e.shapes if p.moves]
+    return found + [len(fit.model.entries) + k for k, i in enumerate(moving) if i == place]
