@@ -211,7 +211,8 @@ class Interaction(Empirical):
         if which.ndim == 0:
             first, second = self.products[int(which)]
             return {(self.port, "size"): first.values(plan) * second.values(plan)}
-        values = {factor: factor.values(plan) for pair in self.products for factor in pair}
+        factors = {factor for pair in self.products for factor in pair}
+        values = {factor: factor.values(plan) for factor in factors}
         chosen = (self.products[i] for i in which[:, 0])
         return {(self.port, "size"): np.array([values[p] * values[q] for p, q in chosen])}
 
