@@ -308,8 +308,9 @@ def picture(found: dict, path: Path) -> None:
         panel.set_xlabel("size / detection limit")
     for panel in panels[:, 0]:
         panel.set_ylabel("share of the sets, %")
-    panels[0, 0].legend(fontsize=8, loc="center right")
-    figure.tight_layout()
+    handles = panels[0, 0].get_legend_handles_labels()
+    figure.legend(*handles, fontsize=9, loc="lower center", ncols=len(CURVES), frameon=False)
+    figure.tight_layout(rect=(0, 0.04, 1, 1))
     figure.savefig(path, dpi=110, metadata={"Software": None})
 
 
