@@ -81,13 +81,13 @@ def close_loop(
     before = state.fit
     run = Search(check, classes, alpha, draws, seed, room, progress)
     interrupted = False
+
+    def reached(found: State) -> None:
+        nonlocal state
+        state = found
+
     try:
-        for _ in range(max_effects):
-            added = run.step(state)
-            if added is None:
-                break
-            state = added
-        state = run.reconsider(state) if run.unexplained is None else run.beside_empirical(state)
+        state = run.rounds(state, max_effects, reached)
         if run.unexplained is None:
             state, correlated = run.prune_correlated(run.prune(state))
             if learn:
@@ -145,7 +145,7 @@ def _finish(
     noise = noise_scale(state.fit, np.ones(state.fit.measurement.rows, bool))
     scales = noise_scales(state.fit)
     after = at_noise_found(state, run.room)
-    found = [_found(item, after) for item in run.added]
+    found = [_found(item, after) for item in run.added(state)]
     verdict: Verdict | None = None if interrupted else "nothing_missing"
     if run.unexplained is not None:
         verdict = "unexplained"
@@ -247,13 +247,13 @@ def _notes(scales: Mapping[str, float], state: State, run: Search) -> list[str]:
             f"only {state.fit.dof:.0f} degrees of freedom are left beside what is declared: "
             "effects that are not large go unseen"
         )
-    betraying = [name for item in run.added for name in item.effect.betrayed_by]
+    betraying = [name for item in run.added(state) for name in item.effect.betrayed_by]
     if run.unexplained is not None:
         betraying += run.unexplained.depends_on[:1]
     notes += [
         f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well (probability "
         f"{100 * probability:.2g} %): these positions and times hardly tell them apart"
-        for item in run.added
+        for item in run.added(state)
         for shape, probability in item.weighed.other_shapes
     ]
     notes += confounded(state.fit.measurement.plan, betraying)

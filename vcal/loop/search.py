@@ -1,7 +1,7 @@
 """The search of the loop: what was tried, added, refused and left over."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..effects.base import Effect
@@ -29,6 +29,8 @@ _CONTRADICTED = math.log(5.0)
 """Log odds of an effect that held-out readings refuse over the next, from which that one is no name
 either: what fits as the one and holds as the other is something else."""
 _REFITS = 12
+_AGAIN = 2
+"""How often the search goes on after an effect was replaced."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class Search:
     def __init__(self, check, classes, alpha, draws, seed, room, progress):
         self.check, self.classes, self.alpha = check, classes, alpha
         self.draws, self.seed, self.room, self.progress = draws, seed, room, progress
-        self.added: list[Added] = []
+        self.history: list[Added] = []
+        """Whatever was added, whether it stayed or not."""
         self.rejected: list[Rejected] = []
         self.untestable: list[Untestable] = []
         self.unseen: list[str] = []
@@ -57,10 +60,42 @@ class Search:
         self.unexplained: Unexplained | None = None
         self.refused: Effect | None = None
         """What was significant in the last round, and did not hold."""
+        self._again = _AGAIN
+
+    def added(self, state: State) -> list[Added]:
+        """What was added and is in the model as far as it has come."""
+        found = []
+        for effect in state.model.effects:
+            mine = [item for item in self.history if _same_effect(item.effect, effect)]
+            found += mine[-1:]
+        return found
+
+    def rounds(self, state: State, most: int, reached: Callable[[State], None]) -> State:
+        """Add effects until nothing is to be added, or there are `most`; then look at them again.
+        What is `reached` on the way is told, and is never left without its fit.
+        """
+        while len(self.added(state)) < most:
+            found = self.step(state)
+            if found is None:
+                break
+            reached(state := found)
+        before = state
+        if self.unexplained is not None:
+            state = self.beside_empirical(state)
+        elif len(self.added(state)) > 1:
+            for item in self.added(state):
+                reached(state := self.anew(state, item))
+                if self.unexplained is not None:
+                    return state
+        reached(state)
+        if state is not before and self.unexplained is None and self._again:
+            self._again -= 1
+            return self.rounds(state, most, reached)
+        return state
 
     def step(self, state: State) -> State | None:
         """One round: None where nothing (more) is to be added."""
-        number = len(self.added) + 1
+        number = len(self.added(state)) + 1
         fit, measurement = state.scored, state.fit.measurement
         self.progress(f"round {number}: screening")
         tried, self.untestable = candidates(state.model, measurement, self.classes)
@@ -127,7 +162,9 @@ class Search:
             if rival.log_bayes <= 0:
                 self._reject(rival, own, "its evidence does not pay for its parameters")
             elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
-                self._reject(rival, own, "held-out error does not fall beyond its uncertainty")
+                self._reject(
+                    rival, own, "held-out readings are not foretold better beyond uncertainty"
+                )
                 refused = refused or rival
             elif share < needed and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(rival, own, f"held-out rms falls by {100 * share:.1f} % only")
@@ -143,52 +180,48 @@ class Search:
                 trials = screening.trials * next(
                     kind.trials for kind in screening.kinds if kind.kind == rival.effect.name
                 )
-                self.added.append(Added(rival.effect, weighed, p, share, trials))
+                self.history.append(Added(rival.effect, weighed, p, share, trials))
                 return refitted
         self.refused = None if refused is None else refused.effect
         return None
 
-    def reconsider(self, state: State) -> State:
-        """Search anew beside the others for what each of several effects is: what was found first
+    def anew(self, state: State, item: Added) -> State:
+        """Search anew, beside the others, for what one of several effects is: what was found first
         may have stood for a part of what was not yet known.
         """
-        if len(self.added) < 2:
+        less = without(state, _place(state, item), self.room)
+        if not less.converged:
             return state
-        for item in list(self.added):
-            before = list(self.added), list(self.rejected), list(self.screenings), self.refused
-            less = without(state, _place(state, item), self.room)
-            if not less.converged:
-                continue
-            bare = fitted(less.model, less.measurement, less, self.room)
-            self.added.remove(item)
-            found = self.step(bare)
-            self.screenings = before[2]
-            if self.unexplained is not None or (
-                found is not None and not _same_effect(self.added[-1].effect, item.effect)
-            ):
-                self.rejected.append(_dropped(item, "beside the others it is something else"))
-                state, self.refused = (bare if found is None else found), None
-                if found is None:
-                    return state
-            else:
-                self.added, self.rejected, _, self.refused = before
-        return state
+        kept = list(self.rejected), list(self.screenings), self.refused
+        self.progress(f"searching anew for what was named {item.effect.key}")
+        bare = fitted(less.model, less.measurement, less, self.room)
+        found = self.step(bare)
+        self.screenings = kept[1]
+        if self.unexplained is None and (
+            found is None or _same_effect(self.history[-1].effect, item.effect)
+        ):
+            if found is not None:
+                self.history.pop()
+            self.rejected, _, self.refused = kept
+            return state
+        self.rejected.append(_dropped(item, "beside the others it is something else"))
+        self.refused = None
+        return bare if found is None else found
 
     def beside_empirical(self, state: State) -> State:
         """Do without the effects that are superfluous beside the empirical description that ended
         the search: they stood for a part of it.
         """
         described = self.unexplained.empirical if self.unexplained is not None else None
-        if described is None or not self.added:
+        if described is None:
             return state
         effect = described.effect
         with_it = fitted(described.fit.model, described.fit.measurement, described.fit, self.room)
         dropped = []
-        for item in list(self.added):
+        for item in self.added(state):
             less = without(with_it, _place(with_it, item), self.room)
             if less.converged and _no_worse(less, with_it, _place(with_it, item)):
                 dropped.append(item)
-                self.added.remove(item)
                 self.rejected.append(_dropped(item, f"superfluous beside the {effect.summary}"))
                 with_it = fitted(less.model, less.measurement, less, self.room)
         if not dropped:
@@ -204,7 +237,7 @@ class Search:
 
     def prune(self, state: State) -> State:
         """Try once to do without each added effect; the evidence decides."""
-        for item in list(self.added[:-1]):
+        for item in self.added(state)[:-1]:
             less = without(state, _place(state, item), self.room)
             if less.converged and _no_worse(less, state, _place(state, item)):
                 state = self._drop(item, less, "superfluous after later effects")
@@ -218,7 +251,7 @@ class Search:
         its evidence beside such noise pays for the search: were there nothing, a Bayes factor
         above b has a probability of less than 1/b (Ville's inequality).
         """
-        for item in reversed(list(self.added)):
+        for item in reversed(self.added(state)):
             fit = state.remaining
             if serial(fit) is None:
                 break
@@ -230,7 +263,6 @@ class Search:
         return state, found if found is not None and found.p_value <= self.alpha else None
 
     def _drop(self, item: Added, less: Fit, reason: str) -> State:
-        self.added.remove(item)
         self.rejected.append(_dropped(item, reason))
         return fitted(less.model, less.measurement, less, self.room)
 
@@ -292,7 +324,7 @@ def _shortlist(state: Screen, worth: Sequence[Peak], others: Sequence[Peak]) -> 
 
 
 def _place(state: State, item: Added) -> int:
-    return next(i for i, e in enumerate(state.model.effects) if e is item.effect)
+    return next(i for i, e in enumerate(state.model.effects) if _same_effect(e, item.effect))
 
 
 def _columns_of(fit: Fit, place: int) -> list[int]:
