@@ -134,9 +134,11 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     products = (moved**2).sum(1) / total
     rare = np.concatenate([_rarity(singles), _rarity(products)])
     best, best_null = rare[:, 0].max(), rare[:, 1:].max(0)
-    # In -ln of the probability, as the screening corrects for its trials.
-    trials = effective_trials(math.log(10.0) * best_null)
-    p_value = float(corrected(math.log(10.0) * best, trials))
+    exceeding = int((best_null >= best).sum())
+    p_value = (1.0 + exceeding) / (draws + 1.0)
+    if exceeding == 0:  # beyond what draws can tell: as the screening corrects for its trials
+        trials = effective_trials(math.log(10.0) * best_null)
+        p_value = min(p_value, float(corrected(math.log(10.0) * best, trials)))
     usual = float(best_null.mean())
     count = len(names)
     telling = [(names[i], share) for i, share in _by_share(singles) if rare[i, 0] > usual]
@@ -169,12 +171,18 @@ def _products(known: dict[str, np.ndarray]) -> tuple[list[tuple[str, str]], np.n
 def _rarity(table: np.ndarray) -> np.ndarray:
     """-log10 of the probability of a share by chance, every row against the gamma distribution with
     the mean and variance of its null draws (columns from 1 on): what has one degree of freedom and
-    what has thirty is then alike.
+    what has thirty is then alike. A draw is judged by the others, as the data are by all: with
+    itself among them it would look commoner than it is.
     """
     if not len(table):
         return table
-    mean, variance = table[:, 1:].mean(1), table[:, 1:].var(1) + 1e-24
-    p = gammaincc((mean**2 / variance)[:, None], table * (mean / variance)[:, None])
+    null = table[:, 1:]
+    count = null.shape[1]
+    sums, squares = null.sum(1, keepdims=True), (null**2).sum(1, keepdims=True)
+    mean = np.hstack([sums / count, (sums - null) / (count - 1)])
+    square = np.hstack([squares / count, (squares - null**2) / (count - 1)])
+    variance = np.maximum(square - mean**2, 0.0) + 1e-24
+    p = gammaincc(mean**2 / variance, table * mean / variance)
     return -np.log10(np.maximum(p, 1e-300))
 
 
