@@ -26,30 +26,6 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def false_alarms(found: dict) -> str:
-    return table(
-        [
-            "instrument",
-            "noise / declared",
-            "sets",
-            "named, %",
-            "unexplained, %",
-            "median s per loop",
-        ],
-        (
-            [
-                row["instrument"],
-                f"{row['noise']:g}",
-                str(row["sets"]),
-                f"{row['named_percent']:.1f}",
-                f"{row['unexplained_percent']:.1f}",
-                f"{row['seconds_median']:.2f}",
-            ]
-            for row in found["summary"]
-        ),
-    )
-
-
 def _of(pair: list[int]) -> str:
     """k of n, with the share."""
     k, n = pair
@@ -333,7 +309,6 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "power_cases": ("power", power_cases),
     "power_outside": ("power", power_outside),
     "power_strays": ("power", power_strays),
-    "false_alarms": ("false_alarms", false_alarms),
     "practice": ("practice", practice),
     "speed": ("speed", speed),
     "batch": ("batch", batch),
