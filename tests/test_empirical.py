@@ -140,7 +140,7 @@ def test_evidence_over_orders_of_magnitude():
     def likelihood(a: float) -> float:
         return float(np.exp(norm.logpdf(data, a * column).sum() - norm.logpdf(data).sum()))
 
-    scales = 4.0 ** -np.arange(11.0)
+    scales = 4.0 ** np.arange(4.0, -11.0, -1.0)
     numeric = [
         quad(lambda a, s=s: likelihood(a) * norm.pdf(a, scale=s), -8 * s, 8 * s)[0]
         for s in np.sqrt(scales)
@@ -158,14 +158,14 @@ def test_the_mixture_of_a_fit_is_that_of_fits_with_other_priors(tracker):
     effect = next(iter(CATALOGUE["backlash"].candidates(tracker.setup)))
     sigma = effect.amplitudes[0].sigma
     evidence = []
-    for k in range(11):
+    for k in range(-4, 11):
         given = ((effect.amplitudes[0].name, 0.0, sigma / 2**k),)
         narrow = dataclasses.replace(effect, given=given)
         fit = identify(tracker.model.with_effects(narrow), measurement)
         evidence.append(fit.log_evidence())
     whole = identify(tracker.model.with_effects(effect), measurement)
     first = len(tracker.model.entries)
-    expected = np.log(np.mean(np.exp(np.array(evidence) - evidence[0])))
+    expected = np.log(np.mean(np.exp(np.array(evidence) - evidence[4])))
     assert over_scales(whole, slice(first, first + 1)) == pytest.approx(expected, abs=1e-3)
 
 
@@ -225,3 +225,17 @@ def test_effects_that_stood_for_parts_of_another_give_way(tmp_path):
     equivalent = {k.split(" ")[0] for e in closure.effects for k in e.equivalent}
     assert {"jump", "thermal_tilt"} <= names | equivalent
     assert len(closure.effects) == 2
+
+
+def test_an_effect_larger_than_expected_is_taken_for_all_of_it(tracker):
+    """Six times what its prior expects: neither is it pulled to the prior, nor does the rest of it
+    become something else.
+    """
+    closure = close_loop(
+        tracker.model, measured(tracker, tracker.effect("backlash:Y:size_um=60")), draws=200
+    )
+    (found,) = closure.effects
+    assert closure.verdict == "named" and found.effect.name == "backlash"
+    ((_, value, _, u),) = found.parameters
+    assert value == pytest.approx(60, abs=3 * u)
+    assert found.effect.amplitudes[0].sigma > 60 / 2

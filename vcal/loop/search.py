@@ -1,8 +1,11 @@
 """The search of the loop: what was tried, added, refused and left over."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from ..effects.base import Effect
 from ..fit import Fit
@@ -29,6 +32,8 @@ _CONTRADICTED = math.log(5.0)
 """Log odds of an effect that held-out readings refuse over the next, from which that one is no name
 either: what fits as the one and holds as the other is something else."""
 _REFITS = 12
+_WIDENINGS, _WIDER = 4, 4.0
+"""How often, and by how much, the prior of an added effect grows that is larger than expected."""
 _AGAIN = 2
 """How often the search goes on after an effect was replaced."""
 
@@ -175,15 +180,38 @@ class Search:
                 weighed = weigh(fit, rival, named)
                 p = own[id(rival.effect)]
                 self.progress(f"round {number}: adding {rival.effect.key}")
-                refitted = fitted(rival.fit.model, measurement, after, self.room)
+                refitted = self._at_its_size(fitted(rival.fit.model, measurement, after, self.room))
                 # Last, so that an interruption leaves no effect without its fit.
                 trials = screening.trials * next(
                     kind.trials for kind in screening.kinds if kind.kind == rival.effect.name
                 )
-                self.history.append(Added(rival.effect, weighed, p, share, trials))
+                effect = refitted.model.effects[-1]
+                self.history.append(Added(effect, weighed, p, share, trials))
                 return refitted
         self.refused = None if refused is None else refused.effect
         return None
+
+    def _at_its_size(self, state: State) -> State:
+        """The state with a wider prior of the last effect, where it is larger than expected: it
+        would be taken for smaller than it is, and the rest of it for something else.
+        """
+        for _ in range(_WIDENINGS):
+            last = len(state.model.effects) - 1
+            effect = state.model.effects[last]
+            first = sum(len(e.amplitudes) for e in state.model.effects[:last])
+            sizes = state.fit.theta[first : first + len(effect.amplitudes)]
+            wider = {
+                p.name: (p.name, p.mean, _WIDER * p.sigma)
+                for p in effect.amplitudes
+                if p.informed and not p.known
+            }
+            if not wider or np.abs(sizes).max() <= 1.0:
+                break
+            kept = tuple(row for row in effect.given if row[0] not in wider)
+            grown = dataclasses.replace(effect, given=(*kept, *wider.values()))
+            model = state.model.without(last).with_effects(grown)
+            state = fitted(model, state.fit.measurement, state.fit, self.room)
+        return state
 
     def anew(self, state: State, item: Added) -> State:
         """Search anew, beside the others, for what one of several effects is: what was found first
