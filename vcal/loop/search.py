@@ -29,8 +29,8 @@ _CLOSE = 8.0
 """Candidates whose linear log evidence is further behind the best than `_MARGIN` are not refined,
 further than `_CLOSE` after that not refitted: their weight is below one in a thousand."""
 _CONTRADICTED = math.log(5.0)
-"""Log odds of an effect that held-out readings refuse over the next, from which that one is no name
-either: what fits as the one and holds as the other is something else."""
+"""Log odds of an effect that is refused over the next, from which that one is no name either: what
+fits as the one and holds as the other is something else."""
 _REFITS = 12
 _WIDENINGS, _WIDER = 4, 4.0
 """How often, and by how much, the prior of an added effect grows that is larger than expected."""
@@ -174,8 +174,10 @@ class Search:
             elif share < needed and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(rival, own, f"held-out rms falls by {100 * share:.1f} % only")
                 refused = refused or rival
-            elif refused is not None and refused.log_weight - rival.log_weight > _CONTRADICTED:
-                self._reject(rival, own, "a far likelier one does not hold on held-out readings")
+            elif named[0].log_weight - rival.log_weight > _CONTRADICTED:
+                why = "is not significant itself" if refused is None else "does not hold"
+                self._reject(rival, own, f"a far likelier one {why}")
+                refused = refused or rival
             else:
                 weighed = weigh(fit, rival, named)
                 p = own[id(rival.effect)]
