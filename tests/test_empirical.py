@@ -140,7 +140,7 @@ def test_evidence_over_orders_of_magnitude():
     def likelihood(a: float) -> float:
         return float(np.exp(norm.logpdf(data, a * column).sum() - norm.logpdf(data).sum()))
 
-    scales = 4.0 ** np.arange(4.0, -11.0, -1.0)
+    scales = 4.0 ** -np.arange(11.0)
     numeric = [
         quad(lambda a, s=s: likelihood(a) * norm.pdf(a, scale=s), -8 * s, 8 * s)[0]
         for s in np.sqrt(scales)
@@ -158,14 +158,14 @@ def test_the_mixture_of_a_fit_is_that_of_fits_with_other_priors(tracker):
     effect = next(iter(CATALOGUE["backlash"].candidates(tracker.setup)))
     sigma = effect.amplitudes[0].sigma
     evidence = []
-    for k in range(-4, 11):
+    for k in range(11):
         given = ((effect.amplitudes[0].name, 0.0, sigma / 2**k),)
         narrow = dataclasses.replace(effect, given=given)
         fit = identify(tracker.model.with_effects(narrow), measurement)
         evidence.append(fit.log_evidence())
     whole = identify(tracker.model.with_effects(effect), measurement)
     first = len(tracker.model.entries)
-    expected = np.log(np.mean(np.exp(np.array(evidence) - evidence[4])))
+    expected = np.log(np.mean(np.exp(np.array(evidence) - evidence[0])))
     assert over_scales(whole, slice(first, first + 1)) == pytest.approx(expected, abs=1e-3)
 
 

@@ -2,8 +2,8 @@
 
 The prior of an amplitude tells how large an effect may be on some machine. On a precise one it may
 be a hundred times smaller, and an effect of three amplitudes would then pay three times for a width
-that says nothing; another one may be larger than expected. Therefore the prior is a mixture: sigma
-times 16, 8, ..., 1, 1/2, 1/4, ... with equal odds, one factor for all amplitudes of an effect.
+that says nothing. Therefore the prior is a mixture: sigma times 1, 1/2, 1/4, ... with equal odds,
+one factor for all amplitudes of an effect.
 """
 
 import numpy as np
@@ -12,8 +12,8 @@ from scipy.special import logsumexp
 
 from ..fit import Fit
 
-_SQUARED = 4.0 ** np.arange(4.0, -11.0, -1.0)
-"""Squares of the factors, from sixteen down to a thousandth."""
+_SQUARED = 4.0 ** -np.arange(11.0)
+"""Squares of the factors, down to a thousandth."""
 
 
 def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -> np.ndarray:
