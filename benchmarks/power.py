@@ -86,14 +86,6 @@ def load(case):
         return vcal.load_study(Path(folder) / "setup.toml")
 
 
-def classes_of(entry) -> list:
-    """Effects that are looked for."""
-    import vcal
-
-    every = vcal.CATALOGUE.values()
-    return [cls for cls in every if entry.all_searched or cls.searched]
-
-
 def limit_of(entry, world, sized, kind, term_at: int) -> float:
     """Detection limit of one effect of a set, in its unit: the size at which the median statistic
     is that of a corrected p-value of alpha. Found from the screening of a large effect without
@@ -104,6 +96,7 @@ def limit_of(entry, world, sized, kind, term_at: int) -> float:
     from scipy.special import gammainccinv
     from scipy.stats import ncx2
 
+    import vcal
     from vcal.identify import identify
     from vcal.loop.candidates import candidates
     from vcal.loop.empirical import EMPIRICAL
@@ -112,7 +105,7 @@ def limit_of(entry, world, sized, kind, term_at: int) -> float:
     made = make(entry, world, [sized[term_at]], [kind.large], noise=0.0)
     study = load(made.case)
     fit = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
-    tried, _ = candidates(study.model, study.measurement, classes_of(entry))
+    tried, _ = candidates(study.model, study.measurement, vcal.CATALOGUE.values())
     empirical, _ = candidates(study.model, study.measurement, EMPIRICAL)
     screening = screen(Screen(fit, LIMIT_DRAWS, world.seed), [*tried, *empirical])
     over_kinds = -math.expm1(math.log1p(-ALPHA) / screening.trials)
@@ -170,7 +163,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     line: dict = {"case": entry.name, "multiple": multiple, "seed": seed}
     sizes = []
     for i, kind in enumerate(entry.kinds):
-        key = entry.instrument, kind.name, entry.all_searched, entry.warming, seed
+        key = entry.instrument, kind.name, entry.warming, seed
         if key not in limits:
             limits[key] = limit_of(entry, world, sized, kind, i)
         sizes.append(multiple * limits[key])
@@ -184,7 +177,6 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
         study.model,
         study.measurement,
         check=study.check,
-        effects=classes_of(entry),
         alpha=ALPHA,
         draws=DRAWS,
         seed=seed,
@@ -251,8 +243,7 @@ def limits_in(lines: Sequence[dict]) -> dict:
         entry = ENTRIES.get(line["case"])
         if entry is not None:
             for kind, limit in zip(entry.kinds, line["limit"], strict=False):
-                how = entry.all_searched, entry.warming
-                found[entry.instrument, kind.name, *how, line["seed"]] = limit
+                found[entry.instrument, kind.name, entry.warming, line["seed"]] = limit
     return found
 
 

@@ -92,8 +92,6 @@ class Kind:
     instruments: tuple[str, ...]
     recording: tuple[str, ...] = ()
     plan: Mapping[str, Any] | None = None
-    all_searched: bool = False
-    """Whether effects must be looked for that the loop does not try unasked."""
     cycles: bool = False
     """Whether the axes are exercised in turn, so that their temperatures tell them apart, and from
     time. The kind is then tried once more while the machine just warms up.
@@ -468,7 +466,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("thermal_tilt", "urad/K", 30, _on_axis("thermal_tilt", "urad_per_K", "ABC", "k"),
          ON_MACHINE, cycles=True),
     Kind("squareness_temperature", "urad/K", 20,
-         _on_axis("squareness_temperature", "urad_per_K", "x", "k"), BOTH, all_searched=True,
+         _on_axis("squareness_temperature", "urad_per_K", "x", "k"), BOTH,
          cycles=True),
     Kind("warm_up", "um", 20, _on_axis("warm_up", "size_um", "XYZ", "size", tau_s=_tau),
          ON_MACHINE, cycles=True),
@@ -490,7 +488,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("encoder_eccentricity", "urad", 20,
          _scaled("encoder_eccentricity", "amplitude_urad", "encoder_eccentricity azimuth",
                  phase=_phase), TRACKER),
-    Kind("tracker_axes", "urad", 20, _axes_of_tracker, TRACKER, all_searched=True),
+    Kind("tracker_axes", "urad", 20, _axes_of_tracker, TRACKER),
     Kind("ball_error", "um", 10, _ball, BALLS),
     Kind("artefact_bending", "um", 10, _bending, BALLS),
     Kind("artefact_expansion", "um/(m K)", 10, _scaled("artefact_expansion", "ppm_per_K"), BALLS),
@@ -542,9 +540,6 @@ WITH_STRAYS: tuple[tuple[str, str], ...] = (
     ("r_test", "reversal_spike"),
     ("laser_frame", "head_expansion"),
 )
-REPEATED = ("thermal_offset", "thermal_tilt", "scale_growth", "warm_up", "range_scale",
-            "encoder_eccentricity", "jump of the frame")  # fmt: skip
-"""Kinds that are tried once more with all effects looked for, those that are not so unasked too."""
 
 
 @dataclass(frozen=True)
@@ -558,7 +553,6 @@ class Entry:
     kinds: tuple[Kind, ...] = ()
     noise: float = 1.0
     strays: float = 0.0
-    all_searched: bool = False
     warming: bool = False
     """Whether the machine just warms up where its axes are exercised in turn otherwise."""
     multiples: tuple[float, ...] = ()
@@ -574,7 +568,6 @@ GROUPS = {
     "noisier": "nothing is missing, and the noise is 1.1 times what is declared",
     "catalogue": "one effect of the catalogue",
     "warming up": "the same where temperatures and time look alike",
-    "all effects": "effects looked for that the loop does not try unasked, too",
     "outside": "what is in no catalogue",
     "pairs": "two effects",
     "strays": "some readings go astray",
@@ -589,27 +582,15 @@ def _entries() -> tuple[Entry, ...]:
         found.append(Entry(f"{at}/clean", at, "clean", multiples=(0.0,)))
         found.append(Entry(f"{at}/clean, noise 1.1", at, "noisier", noise=1.1, multiples=(0.0,)))
         found.append(Entry(f"{at}/strays", at, "strays", strays=STRAYS, multiples=(0.0,)))
-    for at in BOTH:
-        name = f"{at}/clean, all effects"
-        found.append(Entry(name, at, "all effects", all_searched=True, multiples=(0.0,)))
     for kind in KINDS:
         for at in kind.instruments:
-            every = kind.all_searched
-            found.append(
-                Entry(f"{at}/{kind.name}", at, "catalogue", (kind,), all_searched=every,
-                      multiples=MULTIPLES)
-            )  # fmt: skip
+            found.append(Entry(f"{at}/{kind.name}", at, "catalogue", (kind,), multiples=MULTIPLES))
             if kind.cycles:
                 name = f"{at}/{kind.name}, warming up"
                 found.append(
-                    Entry(name, at, "warming up", (kind,), all_searched=every, warming=True,
+                    Entry(name, at, "warming up", (kind,), warming=True,
                           multiples=(3.0, 5.0))
                 )  # fmt: skip
-            if kind.name in REPEATED and at in BOTH:
-                name = f"{at}/{kind.name}, all effects"
-                found.append(
-                    Entry(name, at, "all effects", (kind,), all_searched=True, multiples=(3.0, 5.0))
-                )
     for kind in OUTSIDE:
         for at in kind.instruments:
             found.append(Entry(f"{at}/{kind.name}", at, "outside", (kind,), multiples=(3.0, 5.0)))

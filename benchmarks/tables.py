@@ -85,7 +85,6 @@ def power_clean(found: dict) -> str:
 POWER_GROUPS = {
     "clean": "as declared",
     "noisier": "noise 1.1 times as declared",
-    "all effects": "all effects searched",
 }
 
 
@@ -109,7 +108,7 @@ def _outcomes(part: dict | None) -> str:
 
 
 def power_cases(found: dict) -> str:
-    groups = ("catalogue", "warming up", "all effects", "pairs")
+    groups = ("catalogue", "warming up", "pairs")
     multiples = ("0.5", "1", "2", "3", "5")
     rows = (
         [

@@ -77,9 +77,6 @@ class Effect(eqx.Module):
     odds: ClassVar[float] = 1.0
     """Prior odds of this kind of effect against the others, where data cannot decide."""
 
-    searched: ClassVar[bool] = True
-    """Whether the loop looks for it unasked; otherwise where it is asked for by name."""
-
     placement: str = eqx.field(static=True, default="", kw_only=True)
     """Where it sits: an axis or joint such as ``"Y"`` or ``"J2"``; empty where it has no place."""
 

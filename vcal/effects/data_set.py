@@ -58,11 +58,6 @@ class OfDataSet(Effect):
         return self.effect.odds
 
     @property
-    def searched(self) -> bool:  # type: ignore[override]
-        """Whether the loop looks for the effect unasked."""
-        return self.effect.searched
-
-    @property
     def parameters(self) -> tuple[Parameter, ...]:
         return self.effect.parameters
 

@@ -12,6 +12,8 @@ from ..plan import Plan
 from .base import Effect, Response, Setup, across, along
 from .registry import register
 
+SECONDARY_ODDS = 0.2
+"""Prior odds of effects that hardly come alone: what causes them shows in another way first."""
 TIME_ODDS = 0.2
 """Prior odds of effects of time alone: time causes nothing, it stands for causes that were not
 recorded. Where a recorded temperature explains a residual as well as time does, it is preferred."""
@@ -114,12 +116,13 @@ class SquarenessTemperature(Effect):
     """An axis that turns away from its direction: k (T_axis - 20 degC) x across the axis.
 
     A slope of a straightness that grows with the temperature: the axis's squareness to the others.
-    The loop does not look for it by itself yet: many plans do not tell it from `thermal_tilt`.
+    Many plans do not tell it from `thermal_tilt`, which has the better prior odds: a guideway that
+    turns, turns what it carries as well.
     """
 
     name = "squareness_temperature"
     summary = "squareness of an axis that changes with its temperature"
-    searched = False
+    odds = SECONDARY_ODDS
     port: str = eqx.field(static=True)
 
     @property

@@ -75,13 +75,11 @@ class TrackerAxes(Effect):
 
     i is the tilt of the transit axis against the standing axis, c the collimation error of the
     beam against the transit axis (ASME B89.4.19; VDI/VDE 2617-10). What of it is constant is the
-    station's turn about its standing axis. The loop does not look for it by itself yet: its false
-    alarms are not known.
+    station's turn about its standing axis.
     """
 
     name = "tracker_axes"
     summary = "tilt of the transit axis and collimation error of a tracker"
-    searched = False
     where = "instrument"
 
     @property

@@ -126,12 +126,10 @@ class Study:
 
     @property
     def tried(self) -> list[type[Effect]]:
-        """The effects that the loop tries: those that its settings name, or all that are looked
-        for unasked.
-        """
+        """The effects that the loop tries: those that its settings name, or all."""
         if self.options.effects:
             return [self.catalogue[name] for name in self.options.effects]
-        return [effect for effect in self.catalogue.values() if effect.searched]
+        return list(self.catalogue.values())
 
     @property
     def as_dict(self) -> dict[str, Any]:

@@ -63,7 +63,7 @@ def close_loop(
     `RuntimeError` in float32.
     """
     if effects is None:
-        effects = [cls for cls in CATALOGUE.values() if cls.searched]
+        effects = CATALOGUE.values()
     classes = list(effects)
     settings = {
         "alpha": alpha,

@@ -155,6 +155,8 @@ class Search:
             for rival in significant:
                 self._reject(rival, own, f"{best.effect.summary}: describes the residual better")
             return None
+        # That nothing is missing is as likely beforehand as all kinds of effects together.
+        nothing = math.log(len(screening.kinds))
         refused: Rival | None = None
         for rival in significant:
             after = at_declared(rival.fit, state, self.room)
@@ -164,8 +166,8 @@ class Search:
             needed = 0.0
             if state.noise is None or persists(after):
                 needed = _PRACTICAL * max(0.0, 1.0 - 1.0 / max(chi2_per_dof(after), 1e-9))
-            if rival.log_bayes <= 0:
-                self._reject(rival, own, "its evidence does not pay for its parameters")
+            if rival.log_weight <= nothing:
+                self._reject(rival, own, "its evidence does not pay for the search")
             elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(
                     rival, own, "held-out readings are not foretold better beyond uncertainty"
