@@ -147,8 +147,9 @@ class Fit:
         """Laplace's approximation of ln p(y | model), up to a constant of the data alone.
 
         -chi2/2 - theta'L theta/2 + ln det L/2 - ln det H/2 + ln det W, plus the prior density of
-        the shape parameters: uniform over their scan, so one over its number of steps. Flat
-        directions enter as a unit of their scale, the same in every model that is compared.
+        the shape parameters: uniform over their scan, so one over its number of steps, and the
+        share of the normal distribution that lies within it. Flat directions enter as a unit of
+        their scale, the same in every model that is compared.
         `noise_scale` multiplies the declared noise.
         """
         s2 = noise_scale**2
@@ -161,18 +162,33 @@ class Fit:
         diagonal = np.einsum("nii->ni", self.whitener)
         noise -= np.log(diagonal[self.used[:, None] & ~self.counted]).sum()
         readings = self.counted.sum()
-        shapes = 0.0
-        for effect in self.model.effects:
-            grids = effect.scan(self.measurement.plan)
-            for p in (p for p in effect.shapes if not p.known):
-                shapes += 0.5 * math.log(2 * math.pi) * p.moves - math.log(len(grids[p.name]))
         return float(
             -0.5 * (self.chi2 / s2 + prior + log_h)
             + 0.5 * np.log(self.precision[proper]).sum()
             + noise
             - readings * math.log(noise_scale)
-            + shapes
+            + self._log_shape_prior(h)
         )
+
+    def _log_shape_prior(self, h: np.ndarray) -> float:
+        """What the shape parameters add to the log evidence with the Hessian `h`."""
+        found, k = 0.0, len(self.model.entries)
+        for i, effect in enumerate(self.model.effects):
+            grids = effect.scan(self.measurement.plan)
+            for p in (p for p in effect.shapes if not p.known):
+                steps = len(grids[p.name])
+                found -= math.log(steps)
+                if not p.moves:
+                    continue
+                unit = np.zeros(len(h))
+                unit[k] = 1.0
+                u = math.sqrt(2.0 * max(float(np.linalg.solve(h, unit)[k]), 1e-30))
+                # Half a step more on either side: the prior is shared out evenly over the steps.
+                below = 0.5 + float(np.interp(self.shapes[i][p.name], grids[p.name], range(steps)))
+                inside = 0.5 * (math.erf(below / u) + math.erf((steps - below) / u))
+                found += 0.5 * math.log(2 * math.pi) + math.log(inside)
+                k += 1
+        return found
 
     def parameter_values(self) -> list[tuple[str, Parameter, float, float]]:
         """(effect, parameter, value, standard uncertainty) of all entries, in edge units.

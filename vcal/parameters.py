@@ -38,6 +38,8 @@ class Parameter:
     """Coordinate in which a shape parameter is scanned with equal steps."""
     smooth: bool = True
     """Whether the deviation is differentiable in a shape parameter (the time of a jump is not)."""
+    choice: bool = False
+    """Whether a shape parameter numbers possibilities that have no order."""
     law: Univariate | None = field(default=None, compare=False, repr=False)
     """What machines are drawn from, where that is not the usual prior: of an amplitude, any
     distribution whose standardised form is that of the parameter; of a shape parameter, its

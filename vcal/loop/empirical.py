@@ -191,7 +191,7 @@ class Interaction(Empirical):
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             Parameter("size", self.unit, sigma=10.0),
-            Parameter("which", "1", shape=True, smooth=False),
+            Parameter("which", "1", shape=True, smooth=False, choice=True),
         )
 
     @property

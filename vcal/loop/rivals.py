@@ -22,7 +22,9 @@ _SAME_SHAPE = 2.0
 """Standard uncertainties within which two shapes are the same."""
 _FITS_AS_WELL = 10.0
 """Chi-square in units of the noise by which an empirical description must fit better than an effect
-to be preferred to it."""
+to be preferred to it ..."""
+_LIKELIER = math.log(20.0)
+"""... unless it has no fewer parameters, fits no worse and has log odds over it of so much."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,8 @@ def refit_all(
         added = slice(first, first + len(peak.effect.amplitudes))
         gain = fit.log_evidence(noise) + over_scales(fit, added, noise) - reference
         gain += _log_shape_odds(peak.effect, fit)
+        if not all(p.smooth for p in peak.effect.shapes):
+            gain += peak.spread  # what is smooth has it from its curvature
         rivals.append(Rival(peak.effect, fit, gain, odds, bic))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
@@ -138,10 +142,19 @@ def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:
 
 def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
     """Whether a candidate fits clearly better than every one of the others, whatever number of
-    parameters they have.
+    parameters they have, or is clearly likelier and owes it to nothing but its form.
     """
     noise = max(1.0, best.fit.chi2 / best.fit.dof)
-    return all(best.fit.chi2 + _FITS_AS_WELL * noise < rival.fit.chi2 for rival in others)
+
+    def better(rival: Rival) -> bool:
+        gained = rival.fit.chi2 - best.fit.chi2
+        return gained > _FITS_AS_WELL * noise or (
+            gained >= 0.0
+            and len(best.effect.parameters) >= len(rival.effect.parameters)
+            and best.log_weight > rival.log_weight + _LIKELIER
+        )
+
+    return all(map(better, others))
 
 
 def _same_shape(a: Fit, b: Fit) -> bool:

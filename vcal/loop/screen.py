@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.special import betainc, betaln, gammaincc, gammaln
+from scipy.special import betainc, betaln, gammaincc, gammaln, logsumexp
 
 from ..effects.base import Effect
 from ..fit import Fit
@@ -37,8 +37,12 @@ class Peak:
     statistic: float
     """Drop of the cost, in units of the noise variance found."""
     log_bayes: float
-    """Linear estimate of the gain in log evidence over the present model."""
+    """Linear estimate of the gain in log evidence over the present model, all steps of the scan
+    taken together that lie closer to this peak than to another one.
+    """
     rank: int
+    spread: float = 0.0
+    """By how much that is more than the best step alone, as part of the whole scan, has."""
 
 
 @dataclass(frozen=True)
@@ -120,9 +124,13 @@ class Screen:
         self.fit = fit
         n, m = fit.residual.shape
         self.ports = np.einsum("nij,njp->nip", fit.whitener, fit.port_jacobian)
-        self.residual = fit.whitened.reshape(n, m)
         self.jacobian = fit.jacobian.reshape(n, m, -1)
         self.factor = fit.factor
+        # A shape parameter at the end of its scan would go further: what that leaves unexplained is
+        # nothing that a candidate could explain.
+        uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
+        further = cho_solve(self.factor, uphill)
+        self.residual = (fit.whitened - fit.jacobian @ further).reshape(n, m)
         lower = np.tril(self.factor[0]) if self.factor[1] else np.triu(self.factor[0]).T
         # H^-1 = whitening whitening', so that J'C times it has the projection's inner product.
         self.whitening = solve_triangular(lower, np.eye(len(lower)), lower=True).T
@@ -236,7 +244,7 @@ class Screen:
                 shape,
                 amplitudes[i],
                 float(stat[i]),
-                float(bayes[i]) - offset,
+                max(peak.log_bayes, float(bayes[i]) - offset),
                 int(rank[i]),
             )
         return best
@@ -336,17 +344,29 @@ class _Tested:
                 chosen.append(int(i))
             if len(chosen) == (most if self.names else 1):
                 break
+        steps = math.log(len(self.mesh))
+        spreads = self._spreads(grid, chosen)
         return [
             Peak(
                 effect=self.effect,
                 shape={n: float(self.mesh[i, k]) for k, n in enumerate(self.names)},
                 amplitudes=self.amplitudes[i],
                 statistic=float(self.stat[i]),
-                log_bayes=float(self.bayes[i]) - math.log(len(self.mesh)),
+                log_bayes=float(self.bayes[i]) - steps + spread,
                 rank=int(self.rank[i]),
+                spread=spread,
             )
-            for i in chosen
+            for i, spread in zip(chosen, spreads, strict=True)
         ]
+
+    def _spreads(self, grid: np.ndarray, chosen: list[int]) -> list[float]:
+        """How much more log evidence the steps about each peak have than the peak."""
+        if not self.names or any(p.choice for p in self.effect.shapes):
+            return [0.0] * len(chosen)
+        away = np.abs(grid[:, None, :] - grid[chosen]).max(-1)
+        nearest = away.argmin(1)
+        bayes = np.where(self.rank > 0, self.bayes, -np.inf)
+        return [float(logsumexp(bayes[nearest == k]) - bayes[i]) for k, i in enumerate(chosen)]
 
 
 def effective_trials(null: np.ndarray) -> float:

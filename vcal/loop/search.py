@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,8 @@ _PRACTICAL = 0.02
 """Least fall of the held-out rms that counts where the fit is far worse than the noise, and what
 remains is no white noise: chance alignments with what is not modelled are then significant without
 being real."""
+_POOR = 2.0
+"""Chi-square per degree of freedom from which a fit is far worse than the noise."""
 _MARGIN = 30.0
 _CLOSE = 8.0
 """Candidates whose linear log evidence is further behind the best than `_MARGIN` are not refined,
@@ -115,7 +117,7 @@ class Search:
         instances = {kind.kind: kind.instances for kind in screening.kinds}
         p_values = {kind.kind: screening.corrected(kind) for kind in screening.kinds}
         worth = [p for p in screening.peaks if p_values[p.effect.name] <= self.alpha]
-        peaks = _shortlist(screen_state, worth, screening.peaks)
+        peaks = _shortlist(screen_state, worth, screening.peaks, instances)
         rivals = refit_all(fit, peaks, instances, state.keep, self.room)
         if rivals and not state.as_declared:
             fit = rescored(state, rivals[0].fit, self.room)
@@ -163,9 +165,7 @@ class Search:
             noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
             fall, error = improvement(fit, rival.fit, noise)
             share = rms_fall(state.fit, after)
-            needed = 0.0
-            if state.noise is None or persists(after):
-                needed = _PRACTICAL * max(0.0, 1.0 - 1.0 / max(chi2_per_dof(after), 1e-9))
+            poor = chi2_per_dof(after) > _POOR and (state.noise is None or persists(after))
             if rival.log_weight <= nothing:
                 self._reject(rival, own, "its evidence does not pay for the search")
             elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
@@ -173,7 +173,7 @@ class Search:
                     rival, own, "held-out readings are not foretold better beyond uncertainty"
                 )
                 refused = refused or rival
-            elif share < needed and not _in_the_prior(fit, rival.fit, noise):
+            elif poor and share < _PRACTICAL and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(rival, own, f"held-out rms falls by {100 * share:.1f} % only")
                 refused = refused or rival
             elif named[0].log_weight - rival.log_weight > _CONTRADICTED:
@@ -330,9 +330,12 @@ def _dropped(item: Added, reason: str) -> Rejected:
     return Rejected(item.effect.name, item.effect.placement, item.p_value, reason)
 
 
-def _shortlist(state: Screen, worth: Sequence[Peak], others: Sequence[Peak]) -> list[Peak]:
+def _shortlist(
+    state: Screen, worth: Sequence[Peak], others: Sequence[Peak], instances: Mapping[str, int]
+) -> list[Peak]:
     """The peaks to refit: the significant ones, and others close enough to be rivals, after their
-    shapes were moved to the best point between the steps of the scan.
+    shapes were moved to the best point between the steps of the scan. `instances` tells how many
+    places and components of each kind were tried.
     """
     if not worth:
         return []
@@ -347,12 +350,20 @@ def _shortlist(state: Screen, worth: Sequence[Peak], others: Sequence[Peak]) -> 
             empirical.setdefault(peak.effect.name, peak)
     near = [p for p in near if not isinstance(p.effect, Empirical)]
     near += [p for p in empirical.values() if p.log_bayes > best - _MARGIN]
-    refined = sorted((state.refine(p) for p in near), key=lambda p: -p.log_bayes)
-    best = refined[0].log_bayes
-    chosen = [p for p in refined if p.log_bayes > best - _CLOSE][:_REFITS]
+
+    def weight(peak: Peak) -> float:
+        return peak.log_bayes + math.log(peak.effect.odds / instances[peak.effect.name])
+
+    refined = sorted((state.refine(p) for p in near), key=weight, reverse=True)
+    best = weight(refined[0])
+    close = [p for p in refined if weight(p) > best - _CLOSE]
+    # The best of every kind first: many places of one kind may be alike.
+    firsts = list({p.effect.name: p for p in reversed(close)}.values())
+    ids = {id(p) for p in firsts}
+    chosen = [*firsts, *(p for p in close if id(p) not in ids)][:_REFITS]
     # A run of worthless rivals must not hide the next significant candidate, should the best fail.
-    chosen += [p for p in refined if p.log_bayes <= best - _CLOSE][: max(0, 2 - len(chosen))]
-    return chosen
+    chosen += [p for p in refined if weight(p) <= best - _CLOSE][: max(0, 2 - len(chosen))]
+    return sorted(chosen, key=weight, reverse=True)
 
 
 def _place(state: State, item: Added) -> int:
