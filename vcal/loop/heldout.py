@@ -193,13 +193,13 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
             lower = np.linalg.cholesky(known)
             left = solve_triangular(lower, j[:, common].T, lower=True)
             d = r + left.T @ solve_triangular(lower, ahead, lower=True)
-            covariance = np.eye(len(r)) + left.T @ left
             if own.any():
-                q = np.linalg.qr(j[:, own], mode="complete")[0][:, own.sum() :]
-                d, covariance = q.T @ d, q.T @ covariance @ q
-            c = np.linalg.cholesky(covariance)
-            z = solve_triangular(c, d, lower=True)
-            found.append(float(z @ z + 2.0 * np.log(np.diag(c)).sum()))
+                q, _ = np.linalg.qr(j[:, own])
+                d, left = d - q @ (q.T @ d), left - (left @ q) @ q.T
+            # C = 1 + left' left has as many eigenvalues other than one as there are parameters.
+            c = np.linalg.cholesky(np.eye(len(left)) + left @ left.T)
+            z = solve_triangular(c, left @ d, lower=True)
+            found.append(float(d @ d - z @ z + 2.0 * np.log(np.diag(c)).sum()))
             where.append(int(fold))
             known = known + j[:, common].T @ j[:, common]
             ahead = ahead - j[:, common].T @ r
