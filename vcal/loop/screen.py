@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.special import betainc, betaln, gammaincc, gammaln, logsumexp
+from scipy.special import betainc, betaln, gammaincc, gammaln
 
 from ..effects.base import Effect
 from ..fit import Fit
@@ -365,8 +365,9 @@ class _Tested:
             return [0.0] * len(chosen)
         away = np.abs(grid[:, None, :] - grid[chosen]).max(-1)
         nearest = away.argmin(1)
-        bayes = np.where(self.rank > 0, self.bayes, -np.inf)
-        return [float(logsumexp(bayes[nearest == k]) - bayes[i]) for k, i in enumerate(chosen)]
+        over = np.where(self.rank > 0, self.bayes - self.bayes[chosen][nearest], -np.inf)
+        together = np.bincount(nearest, np.exp(np.minimum(over, 700.0)), minlength=len(chosen))
+        return np.log(together).tolist()
 
 
 def effective_trials(null: np.ndarray) -> float:
