@@ -24,7 +24,8 @@ _FITS_AS_WELL = 10.0
 """Chi-square in units of the noise by which an empirical description must fit better than an effect
 to be preferred to it ..."""
 _LIKELIER = math.log(20.0)
-"""... unless it has no fewer parameters, fits no worse and has log odds over it of so much."""
+"""... unless it has no fewer parameters, fits no worse and has log odds over it of so much, and not
+because the effect is larger than expected."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,12 @@ class Rival:
     components of that kind that were tried."""
     delta_bic: float
     """Change of the Bayesian information criterion; negative is better."""
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Its amplitudes in solver units: the standard deviations of their priors."""
+        last = len(self.fit.model.entries)
+        return self.fit.theta[last - len(self.effect.amplitudes) : last]
 
     @property
     def log_weight(self) -> float:
@@ -150,6 +157,7 @@ def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
         gained = rival.fit.chi2 - best.fit.chi2
         return gained > _FITS_AS_WELL * noise or (
             gained >= 0.0
+            and np.abs(rival.sizes).max() <= 1.0
             and len(best.effect.parameters) >= len(rival.effect.parameters)
             and best.log_weight > rival.log_weight + _LIKELIER
         )
