@@ -2,10 +2,13 @@
 
 import dataclasses
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.linalg import null_space
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 from known import Known
@@ -14,6 +17,7 @@ from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify
 from vcal.effects.registry import load_effects
 from vcal.loop.empirical import EMPIRICAL, Interaction, Kink, LocalBump, Since
 from vcal.loop.heldout import improvement, predictive_deviance
+from vcal.loop.rivals import fits_better
 from vcal.loop.scales import log_gain, log_mixture, over_scales
 from vcal.report.own_effect import own_effect
 
@@ -169,6 +173,46 @@ def test_the_mixture_of_a_fit_is_that_of_fits_with_other_priors(tracker):
     assert over_scales(whole, slice(first, first + 1)) == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.parametrize("size", [8.0, 25.0])
+def test_evidence_of_a_time_constant_at_the_end_of_its_scan(tracker, size):
+    """A drift, taken for a warming-up: against the mean over all time constants, each as known."""
+    true = tracker.effect(f"drift:Y:rate_EZY_um_per_h={size * 10}")
+    effect = tracker.effect("warm_up:Y:component=EZY")
+    fit = identify(tracker.model.with_effects(effect), measured(tracker, true))
+    grid = effect.scan(tracker.plan)["tau"]
+    (place,) = fit.shapes
+    assert fit.shapes[place]["tau"] > 0.8 * grid[-1]
+    evidence = []
+    for tau in grid:
+        given = (("tau", float(tau) / 3600.0, 0.0),)
+        with_known = tracker.model.with_effects(dataclasses.replace(effect, given=given))
+        evidence.append(identify(with_known, fit.measurement).log_evidence())
+    assert fit.log_evidence() == pytest.approx(logsumexp(evidence) - np.log(len(grid)), abs=1.0)
+
+
+def rival(chi2: float, weight: float, parameters: int, size: float = 0.5):
+    """As much of a rival as the preference looks at."""
+    fit = SimpleNamespace(chi2=chi2, dof=100.0)
+    effect = SimpleNamespace(parameters=(None,) * parameters)
+    return SimpleNamespace(fit=fit, effect=effect, log_weight=weight, sizes=np.array([size]))
+
+
+@pytest.mark.parametrize(
+    ("other", "preferred"),
+    [
+        (rival(111.0, 20.0, 1), True),  # fits clearly worse, whatever its evidence
+        (rival(109.0, 18.0, 3), False),
+        (rival(103.0, 14.0, 3), True),  # far less likely, with as many parameters
+        (rival(103.0, 14.0, 4), False),  # for its parameters
+        (rival(103.0, 14.0, 3, size=-2.0), False),  # for its size
+        (rival(99.0, 14.0, 3), False),  # fits better
+    ],
+)
+def test_when_a_description_is_preferred_to_a_name(other, preferred):
+    assert fits_better(rival(100.0, 18.0, 3), [other]) == preferred
+    assert not fits_better(rival(100.0, 18.0, 3), [other, rival(100.0, 18.0, 1)])
+
+
 # --- held-out readings ----------------------------------------------------------------------------
 
 
@@ -193,6 +237,33 @@ def test_what_a_fit_foretells_of_a_fold(tracker):
         exact = -2 * multivariate_normal.logpdf(mean, np.zeros(len(mean)), covariance)
         exact -= mine.sum() * np.log(2 * np.pi)
         assert found[where == fold].sum() == pytest.approx(exact, abs=0.05)
+
+
+def test_what_only_a_fold_can_see_is_projected_out_of_it(tmp_path):
+    """The poses of an artefact: the density of what is orthogonal to their columns, with the
+    covariance of all readings of the fold.
+    """
+    it = Known("ball_array", tmp_path)
+    fit = identify(it.model, measured(it))
+    n, m = fit.residual.shape
+    found, where = predictive_deviance(fit)
+    folds, _ = fit.model.instrument.folds(fit.measurement.plan)
+    flat = fit.precision == 0
+    for fold in np.unique(folds)[:2]:
+        used = np.repeat(fit.used, m) & fit.counted.reshape(-1)
+        mine = np.repeat(folds == fold, m) & used
+        rest, held = fit.jacobian[~mine & used], fit.jacobian[mine]
+        own = flat & ~rest.any(0)
+        assert own.sum() == 6
+        rest, held, only = rest[:, ~own], held[:, ~own], held[:, own]
+        h = rest.T @ rest + np.diag(fit.precision[~own])
+        known = rest.T @ fit.whitened[~mine & used] - (fit.precision * fit.theta)[~own]
+        away = null_space(only.T).T
+        mean = away @ (fit.whitened[mine] - held @ np.linalg.solve(h, known))
+        covariance = away @ (np.eye(mine.sum()) + held @ np.linalg.solve(h, held.T)) @ away.T
+        exact = -2 * multivariate_normal.logpdf(mean, np.zeros(len(mean)), covariance)
+        exact -= len(mean) * np.log(2 * np.pi)
+        assert found[where == fold].sum() == pytest.approx(exact, abs=1e-3)
 
 
 def test_noise_is_not_foretold_better_and_an_effect_is(tracker):

@@ -6,6 +6,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 from scipy.stats import binom, chi2
 
 from known import Known
@@ -214,6 +215,37 @@ def test_pitch_between_the_steps_of_the_scan_is_found(pitch_mm, tmp_path):
     # Other peaks are other pitches.
     others = [1 / p.shape["pitch"] for p in tested.peaks(5)]
     assert np.min(np.diff(np.sort(others))) * covered > 0.5
+
+
+@pytest.mark.parametrize("text", ["jump:tool", "warm_up:Y:component=EZY", "screw_cyclic:X"])
+def test_the_peaks_share_the_evidence_of_the_whole_scan(text, known):
+    it = known["laser_tracker"]
+    state = screened(it, noisy(it, 3, it.effect("jump:tool:X_um=6,at_s=600")), draws=5)
+    tested = state.test(it.effect(text))
+    peaks = tested.peaks(10)
+    assert len(peaks) > 1
+    together = logsumexp([p.log_bayes for p in peaks])
+    assert together == pytest.approx(logsumexp(tested.bayes) - math.log(len(tested.bayes)))
+    for peak in peaks:
+        assert state.refine(peak).log_bayes >= peak.log_bayes
+
+
+def test_what_would_leave_its_scan_is_not_explained_by_another(known):
+    """A drift, taken for a warming-up whose time constant would become still longer."""
+    it = known["laser_tracker"]
+    measurement = noisy(it, 3, it.effect("drift:Y:rate_EZY_um_per_h=3000"))
+    effect = it.effect("warm_up:Y:component=EZY")
+    effect = dataclasses.replace(effect, given=(("size_EZY", 0.0, 1e5),))
+    fit = identify(it.model.with_effects(effect), measurement, room=it.room)
+    (shape,) = fit.shapes.values()
+    assert shape["tau"] == pytest.approx(effect.scan(it.plan)["tau"].max())
+    h = fit.jacobian.T @ fit.jacobian + np.diag(fit.precision)
+    uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
+    further = np.linalg.solve(h, uphill)
+    assert uphill @ further > 0.1
+    left = Screen(fit, 5, 0).residual.reshape(-1)
+    downhill = fit.jacobian.T @ left - fit.precision * (fit.theta + further)
+    np.testing.assert_allclose(downhill, 0.0, atol=1e-6 * np.abs(uphill).max())
 
 
 def test_a_rival_that_the_data_do_not_see_is_left_out(known):
