@@ -192,7 +192,7 @@ def measures_of(it):
     return [q.measure(pair) for q in QUANTITIES]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_seed_alone_decides(known, tmp_path):
     it = known["ball_array"]
 

@@ -52,7 +52,7 @@ def test_what_is_not_fitted_by_drawing(given, small):
         assert drawn.campaign.failed == 0
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_machine_by_machine(given, small):
     """The linear estimate and exact kinematics on the same machines with the same noise."""
     model, plan = measured_by(given, small, "P")

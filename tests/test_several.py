@@ -156,7 +156,7 @@ def test_the_readings_of_a_clean_machine_scatter_as_declared(clean_fit):
         assert abs(chi2 / dof - 1.0) < 4.0 * np.sqrt(2.0 / dof)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_check_points_gain_by_the_second_data_set(tmp_path):
     """On the average of several machines the two together are no worse than the better one."""
     errors = []
