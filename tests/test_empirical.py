@@ -17,8 +17,9 @@ from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify
 from vcal.effects.registry import load_effects
 from vcal.loop.empirical import EMPIRICAL, Interaction, Kink, LocalBump, Since
 from vcal.loop.heldout import improvement, predictive_deviance
-from vcal.loop.rivals import fits_better
+from vcal.loop.rivals import fits_better, refit_all
 from vcal.loop.scales import log_gain, log_mixture, over_scales
+from vcal.loop.screen import Screen
 from vcal.report.own_effect import own_effect
 
 
@@ -187,7 +188,17 @@ def test_evidence_of_a_time_constant_at_the_end_of_its_scan(tracker, size):
         given = (("tau", float(tau) / 3600.0, 0.0),)
         with_known = tracker.model.with_effects(dataclasses.replace(effect, given=given))
         evidence.append(identify(with_known, fit.measurement).log_evidence())
-    assert fit.log_evidence() == pytest.approx(logsumexp(evidence) - np.log(len(grid)), abs=1.0)
+    exact = logsumexp(evidence) - np.log(len(grid))
+    assert fit.log_evidence() == pytest.approx(exact, abs=1.0)
+    # As a rival, which knows the whole scan.
+    base = identify(tracker.model, fit.measurement)
+    peaks = Screen(base, 5, 0).test(effect).peaks(10)
+    best = refit_all(base, peaks, {"warm_up": 1}, base.used)[0]
+    amplitude = slice(len(tracker.model.entries), len(tracker.model.entries) + 1)
+    noise = max(1.0, best.fit.chi2 / best.fit.dof) ** 0.5
+    found = best.log_bayes - over_scales(best.fit, amplitude, noise)
+    scale = [f.log_evidence(noise) - f.log_evidence() for f in (base, best.fit)]
+    assert found + base.log_evidence() + scale[0] - scale[1] == pytest.approx(exact, abs=0.4)
 
 
 def rival(chi2: float, weight: float, parameters: int, size: float = 0.5):

@@ -13,7 +13,7 @@ from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, identify
 from vcal.loop.candidates import candidates
 from vcal.loop.empirical import LocalBump
-from vcal.loop.rivals import refit, refit_all, weigh
+from vcal.loop.rivals import classes_of, refit, refit_all, weigh
 from vcal.loop.screen import Peak, Screen, minus_log_chi2_tail, screen
 from vcal.loop.stray import stray_rows
 from vcal.robust import identify_robust
@@ -273,7 +273,7 @@ def test_placements_that_move_the_same_are_one_class(known):
     peaks = screen(state, tried).peaks
     rivals = refit_all(state.fit, peaks, {"drift": len(tried)}, state.fit.used, it.room)
     assert rivals[0].effect in tried[:3]
-    weighed = weigh(state.fit, rivals[0], rivals)
+    weighed = weigh(classes_of(state.fit, rivals), rivals[0])
     same = {rivals[0].effect.placement, *(name.split()[1] for name in weighed.equivalent)}
     assert same == {"X", "Y", "Z"}
     assert weighed.probability + sum(p for *_, p in weighed.alternatives) == pytest.approx(1.0)

@@ -167,24 +167,27 @@ class Fit:
             + 0.5 * np.log(self.precision[proper]).sum()
             + noise
             - readings * math.log(noise_scale)
-            + self._log_shape_prior(h)
+            + sum(self.log_scan(i, h) for i in range(len(self.model.effects)))
         )
 
-    def _log_shape_prior(self, h: np.ndarray) -> float:
-        """What the shape parameters add to the log evidence with the Hessian `h`."""
-        found, k = 0.0, len(self.model.entries)
-        for i, effect in enumerate(self.model.effects):
-            grids = effect.scan(self.measurement.plan)
-            for p in (p for p in effect.shapes if not p.known):
-                steps = len(grids[p.name])
-                found -= math.log(steps)
-                if not p.moves:
-                    continue
+    def log_scan(self, place: int, h: np.ndarray) -> float:
+        """What the shape parameters of the effect at `place` add to the log evidence with the
+        Hessian `h`, beside its determinant.
+        """
+        effect = self.model.effects[place]
+        before = self.model.effects[:place]
+        k = len(self.model.entries) + sum(p.moves for e in before for p in e.shapes)
+        grids, found = effect.scan(self.measurement.plan), 0.0
+        for p in (p for p in effect.shapes if not p.known):
+            steps = len(grids[p.name])
+            found -= math.log(steps)
+            if p.moves:
                 unit = np.zeros(len(h))
                 unit[k] = 1.0
                 u = math.sqrt(2.0 * max(float(np.linalg.solve(h, unit)[k]), 1e-30))
                 # Half a step more on either side: the prior is shared out evenly over the steps.
-                below = 0.5 + float(np.interp(self.shapes[i][p.name], grids[p.name], range(steps)))
+                at = self.shapes[place][p.name]
+                below = 0.5 + float(np.interp(at, grids[p.name], range(steps)))
                 inside = 0.5 * (math.erf(below / u) + math.erf((steps - below) / u))
                 found += 0.5 * math.log(2 * math.pi) + math.log(inside)
                 k += 1

@@ -115,10 +115,24 @@ def refit_all(
         added = slice(first, first + len(peak.effect.amplitudes))
         gain = fit.log_evidence(noise) + over_scales(fit, added, noise) - reference
         gain += _log_shape_odds(peak.effect, fit)
-        if not all(p.smooth for p in peak.effect.shapes):
-            gain += peak.spread  # what is smooth has it from its curvature
+        gain += _over_the_scan(peak, fit, noise)
         rivals.append(Rival(peak.effect, fit, gain, odds, bic))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
+
+
+def _over_the_scan(peak: Peak, fit: Fit, noise: float) -> float:
+    """What the scan says more of the share of shapes that explain the data than the curvature at
+    the best one does. The scan is believed where it resolves the peak: seen from one moment or one
+    time constant, others look as good that are not.
+    """
+    place, moving = len(fit.model.effects) - 1, sum(p.moves for p in peak.effect.shapes)
+    if not peak.effect.shapes:
+        return 0.0
+    h = fit.jacobian.T @ fit.jacobian / noise**2 + np.diag(fit.precision)
+    covariance = np.linalg.inv(h)[len(h) - moving :, len(h) - moving :]
+    if (np.diag(covariance) < 1.0).any():
+        return 0.0
+    return float(peak.log_share - fit.log_scan(place, h) - 0.5 * np.linalg.slogdet(covariance)[1])
 
 
 def _log_shape_odds(effect: Effect, fit: Fit) -> float:
@@ -209,10 +223,41 @@ def same_for_these_data(base: Fit, a: Rival, b: Rival) -> bool:
     )
 
 
-def weigh(base: Fit, best: Rival, rivals: Sequence[Rival]) -> Weighed:
-    """Posterior probabilities of the rivals. Those the data cannot tell apart are one class with
-    one weight; peaks and components of one name are added up.
+@dataclass(frozen=True)
+class Names:
+    """Rivals by name. Those the data cannot tell apart are one class with one name; peaks and
+    components of one name add up, and so do places that are the same: the prior of a kind is shared
+    out to them.
     """
+
+    weights: dict[str, float]
+    """Posterior odds of every name, those of the most probable rival being one."""
+    members: dict[str, list[Rival]]
+    """Most probable first."""
+
+    @classmethod
+    def of(cls, classes: Sequence[Sequence[Rival]], best: Rival | None = None) -> "Names":
+        """The classes of `classes_of`, that of `best` with its name."""
+        top = max(rival.log_weight for members in classes for rival in members)
+        weights: dict[str, float] = {}
+        found: dict[str, list[Rival]] = {}
+        for members in classes:
+            lead = best if best is not None and any(r is best for r in members) else members[0]
+            key = lead.effect.key
+            distinct = {id(r.effect): math.exp(r.log_weight - top) for r in reversed(members)}
+            weights[key] = weights.get(key, 0.0) + sum(distinct.values())
+            found.setdefault(key, []).extend(members)
+        return cls(weights, found)
+
+    def ranked(self) -> list[tuple[Rival, float]]:
+        """All rivals with the log odds of their name, that of the most probable name first."""
+        top = max(rival.log_weight for members in self.members.values() for rival in members)
+        order = sorted(self.weights, key=lambda key: -self.weights[key])
+        return [(r, top + math.log(self.weights[key])) for key in order for r in self.members[key]]
+
+
+def classes_of(base: Fit, rivals: Sequence[Rival]) -> list[list[Rival]]:
+    """Rivals that the data cannot tell apart, together; most probable first."""
     classes: list[list[Rival]] = []
     for rival in sorted(rivals, key=lambda r: -r.log_weight):
         for members in classes:
@@ -221,16 +266,14 @@ def weigh(base: Fit, best: Rival, rivals: Sequence[Rival]) -> Weighed:
                 break
         else:
             classes.append([rival])
-    top = max(rival.log_weight for rival in rivals)
-    weights: dict[str, float] = {}
-    members_of: dict[str, list[Rival]] = {}
-    for members in classes:
-        lead = best if any(r is best for r in members) else members[0]
-        key = lead.effect.key
-        # The prior of a name is shared out to its places: those that are the same add up.
-        distinct = {id(r.effect): math.exp(r.log_weight - top) for r in reversed(members)}
-        weights[key] = weights.get(key, 0.0) + sum(distinct.values())
-        members_of.setdefault(key, []).extend(members)
+    return classes
+
+
+def weigh(classes: Sequence[Sequence[Rival]], best: Rival) -> Weighed:
+    """Posterior probabilities of the rivals (`classes_of`), seen from one of them."""
+    names = Names.of(classes, best)
+    weights, members_of = names.weights, names.members
+    top = max(rival.log_weight for members in classes for rival in members)
     total = sum(weights.values())
     key = best.effect.key
     equivalent = sorted({r.effect.key for r in members_of[key]} - {key})

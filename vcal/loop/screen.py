@@ -41,8 +41,10 @@ class Peak:
     taken together that lie closer to this peak than to another one.
     """
     rank: int
-    spread: float = 0.0
-    """By how much that is more than the best step alone, as part of the whole scan, has."""
+    log_share: float = 0.0
+    """By how much that is more than that of the best shape alone: the share of the scan that
+    explains the residual as well, so never above zero where the scan resolves the peak.
+    """
 
 
 @dataclass(frozen=True)
@@ -239,13 +241,15 @@ class Screen:
             i = int(np.argmax(np.where(rank > 0, bayes, -np.inf)))
             shape = {n: float(mesh[i, k]) for k, n in enumerate(shape)}
             width = {n: w / 4.0 for n, w in width.items()}
+            together = max(peak.log_bayes, float(bayes[i]) - offset)
             best = Peak(
                 peak.effect,
                 shape,
                 amplitudes[i],
                 float(stat[i]),
-                max(peak.log_bayes, float(bayes[i]) - offset),
+                together,
                 int(rank[i]),
+                together - float(bayes[i]),
             )
         return best
 
@@ -352,9 +356,9 @@ class _Tested:
                 shape={n: float(self.mesh[i, k]) for k, n in enumerate(self.names)},
                 amplitudes=self.amplitudes[i],
                 statistic=float(self.stat[i]),
-                log_bayes=float(self.bayes[i]) - steps + spread,
+                log_bayes=float(self.bayes[i]) + spread - steps,
                 rank=int(self.rank[i]),
-                spread=spread,
+                log_share=spread - steps,
             )
             for i, spread in zip(chosen, spreads, strict=True)
         ]

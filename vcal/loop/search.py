@@ -13,7 +13,7 @@ from .candidates import Untestable, candidates
 from .closure import Rejected
 from .empirical import EMPIRICAL, Empirical
 from .heldout import improvement, rms_fall
-from .rivals import Rival, Weighed, fits_better, refit_all, weigh
+from .rivals import Names, Rival, Weighed, classes_of, fits_better, refit_all, weigh
 from .scales import over_scales
 from .screen import Peak, Screen, Screening, screen
 from .serial import Serial, gain_beside, persists, serial
@@ -135,12 +135,15 @@ class Search:
             )
             for r in rivals
         }
-        significant = [r for r in named if own[id(r.effect)] <= self.alpha]
+        classes = classes_of(fit, named)
+        ranked = Names.of(classes).ranked() if named else []
+        odds = {id(r): weight for r, weight in ranked}
+        significant = [r for r, _ in ranked if own[id(r.effect)] <= self.alpha]
         best = next((r for r in rivals if isinstance(r.effect, Empirical)), None)
         if (
             best is not None
             and own[id(best.effect)] <= self.alpha
-            and (not significant or best.log_weight > significant[0].log_weight)
+            and (not significant or best.log_weight > odds[id(significant[0])])
             # What a physical effect describes as well needs no description of its own.
             and fits_better(best, significant)
         ):
@@ -166,7 +169,7 @@ class Search:
             fall, error = improvement(fit, rival.fit, noise)
             share = rms_fall(state.fit, after)
             poor = chi2_per_dof(after) > _POOR and (state.noise is None or persists(after))
-            if rival.log_weight <= nothing:
+            if odds[id(rival)] <= nothing:
                 self._reject(rival, own, "its evidence does not pay for the search")
             elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(
@@ -176,12 +179,12 @@ class Search:
             elif poor and share < _PRACTICAL and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(rival, own, f"held-out rms falls by {100 * share:.1f} % only")
                 refused = refused or rival
-            elif named[0].log_weight - rival.log_weight > _CONTRADICTED:
+            elif ranked[0][1] - odds[id(rival)] > _CONTRADICTED:
                 why = "is not significant itself" if refused is None else "does not hold"
                 self._reject(rival, own, f"a far likelier one {why}")
                 refused = refused or rival
             else:
-                weighed = weigh(fit, rival, named)
+                weighed = weigh(classes, rival)
                 p = own[id(rival.effect)]
                 self.progress(f"round {number}: adding {rival.effect.key}")
                 refitted = self._at_its_size(fitted(rival.fit.model, measurement, after, self.room))
