@@ -187,7 +187,8 @@ class Fit:
                 u = math.sqrt(2.0 * max(float(np.linalg.solve(h, unit)[k]), 1e-30))
                 # Half a step more on either side: the prior is shared out evenly over the steps.
                 at = self.shapes[place][p.name]
-                below = 0.5 + float(np.interp(at, grids[p.name], range(steps)))
+                order = np.argsort(grids[p.name])
+                below = 0.5 + float(np.interp(at, grids[p.name][order], np.arange(steps)[order]))
                 inside = 0.5 * (math.erf(below / u) + math.erf((steps - below) / u))
                 found += 0.5 * math.log(2 * math.pi) + math.log(inside)
                 k += 1
@@ -219,6 +220,17 @@ class Fit:
                     found.append((effect.key, p, value / p.si, u))
         return found
 
+    def values_of(self, place: int) -> list[tuple[str, Parameter, float, float]]:
+        """`parameter_values` of the effect at `place` in the model, amplitudes first."""
+        values, effects = self.parameter_values(), self.model.effects
+        first = sum(len(e.amplitudes) for e in effects[:place])
+        shapes = len(self.model.entries) + sum(len(e.shapes) for e in effects[:place])
+        mine = effects[place]
+        return [
+            *values[first : first + len(mine.amplitudes)],
+            *values[shapes : shapes + len(mine.shapes)],
+        ]
+
 
 def entries(model: Model) -> tuple[tuple[str, Parameter], ...]:
     """Amplitudes of all effects, then all smooth shape parameters."""
@@ -248,7 +260,7 @@ def null_directions(fit: Fit, share: float = 0.01, most: int = 6) -> list[str]:
     if nuisance.any():
         q, _ = np.linalg.qr(fit.jacobian[:, nuisance])
         jacobian = jacobian - q @ (q.T @ jacobian)
-    _, s, vt = np.linalg.svd(jacobian, full_matrices=True)
+    _, s, vt = np.linalg.svd(jacobian, full_matrices=len(jacobian) < jacobian.shape[1])
     s = np.pad(s, (0, len(vt) - len(s)))
     names = [p.name for (_, p), kept in zip(fit.entries, systematic, strict=True) if kept]
     unseen = [v for v, size in zip(vt, s, strict=True) if size**2 / (size**2 + 1.0) < share]

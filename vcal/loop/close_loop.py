@@ -17,7 +17,7 @@ from .closure import Closure, Errors, FoundEffect, SetErrors, Verdict
 from .confounded import confounded
 from .heldout import check_rms, fit_rms, heldout_rms
 from .rivals import Weighed
-from .search import Added, Search
+from .search import Added, Search, place_of
 from .state import (
     State,
     at_noise_found,
@@ -89,7 +89,7 @@ def close_loop(
     try:
         state = run.rounds(state, max_effects, reached)
         if run.unexplained is None:
-            state, correlated = run.prune_correlated(run.prune(state))
+            state, correlated = run.prune_correlated(run.prune(state, reached), reached)
             if learn:
                 progress("learning the sizes of the families")
                 learned = with_sizes(state.model, learned_sizes(state.fit))
@@ -116,6 +116,7 @@ def close_loop(
 def _found(item: Added, after: Fit) -> FoundEffect:
     """The report of an added effect, with its parameters from the final fit."""
     effect, weighed = item.effect, item.weighed
+    place = place_of(item, after.model.effects)
     certain = weighed.probability >= CERTAIN
     same = [k for k in weighed.equivalent if k.split(" ")[0] == effect.name]
     places = sorted({effect.placement, *(k.partition(" ")[2] for k in same)})
@@ -123,11 +124,7 @@ def _found(item: Added, after: Fit) -> FoundEffect:
         effect=effect,
         status="named" if certain else "ambiguous",
         placement="|".join(places),
-        parameters=[
-            (p.name, value, p.unit, u)
-            for key, p, value, u in after.parameter_values()
-            if key == effect.key and p.name in {q.name for q in effect.parameters}
-        ],
+        parameters=[(p.name, value, p.unit, u) for _, p, value, u in after.values_of(place)],
         p_value=item.p_value,
         log_evidence=weighed.best.log_bayes,
         delta_bic=weighed.best.delta_bic,

@@ -42,6 +42,7 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
     jacobian = fit.jacobian.reshape(n, m, -1)
     whitened = fit.whitened.reshape(n, m)
     total = fit.jacobian.T @ fit.jacobian
+    precision = _precision(fit)
     for fold in np.unique(folds[(folds >= 0) & ~apart]):
         rows = np.flatnonzero((folds == fold) & fit.used)
         if not len(rows):
@@ -50,9 +51,9 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
         r = whitened[rows].reshape(-1)
         inside = j.T @ j
         # What the other folds say about a parameter is nothing: it belongs to this fold alone.
-        own = (fit.precision == 0) & (np.diag(total - inside) <= 1e-9 * np.diag(total))
+        own = (precision == 0) & (np.diag(total - inside) <= 1e-9 * np.diag(total))
         common = ~own
-        h = (total - inside)[np.ix_(common, common)] + np.diag(fit.precision[common])
+        h = (total - inside)[np.ix_(common, common)] + np.diag(precision[common])
         # Stationarity of the whole fit: the gradient of the rest is minus that of the fold. The
         # fold's own parameters leave the rest untouched.
         delta = -cho_solve(cho_factor(h), j[:, common].T @ r)
@@ -62,6 +63,20 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
             predicted = predicted - q @ (q.T @ predicted)
         unwhiten = np.linalg.inv(fit.whitener[rows])
         found[rows] = np.einsum("nij,nj->ni", unwhiten, predicted.reshape(len(rows), m))
+    return found
+
+
+def _precision(fit: Fit) -> np.ndarray:
+    """Prior precision of the parameters without a fold: a shape parameter that only the fold can
+    see stays within its scan, of which it is uniform over the steps (variance steps^2 / 12).
+    """
+    found, k = np.array(fit.precision, float), len(fit.model.entries)
+    for effect in fit.model.effects:
+        moving = [p for p in effect.shapes if p.moves]
+        grids = effect.scan(fit.measurement.plan) if moving else {}
+        for p in moving:
+            found[k] = 12.0 / len(grids[p.name]) ** 2
+            k += 1
     return found
 
 
@@ -174,6 +189,11 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
     jacobian = fit.jacobian.reshape(n, m, -1) / noise
     whitened = fit.whitened.reshape(n, m) / noise
     total = np.einsum("nmk,nml->kl", jacobian, jacobian, optimize=True)
+    precision = _precision(fit)
+    # The fit is the best one at its own noise, not at `noise` times that.
+    uphill = np.einsum("nmk,nm->k", jacobian, whitened) - fit.precision * fit.theta
+    uphill[len(fit.model.entries) :] = 0.0
+    whitened = whitened - jacobian @ np.linalg.solve(total + np.diag(precision), uphill)
     found: list[float] = []
     where: list[int] = []
     for fold in np.unique(folds[(folds >= 0) & ~apart]):
@@ -181,9 +201,9 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
         if not len(rows):
             continue
         inside = jacobian[rows].reshape(-1, jacobian.shape[2])
-        own = (fit.precision == 0) & (np.diag(total - inside.T @ inside) <= 1e-9 * np.diag(total))
+        own = (precision == 0) & (np.diag(total - inside.T @ inside) <= 1e-9 * np.diag(total))
         common = ~own
-        known = (total - inside.T @ inside)[np.ix_(common, common)] + np.diag(fit.precision[common])
+        known = (total - inside.T @ inside)[np.ix_(common, common)] + np.diag(precision[common])
         size = len(rows) if own.any() else max(_BLOCK, -(-len(rows) // _BLOCKS))
         ahead = inside[:, common].T @ whitened[rows].reshape(-1)
         for start in range(0, len(rows), size):

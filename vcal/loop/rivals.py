@@ -41,6 +41,8 @@ class Rival:
     components of that kind that were tried."""
     delta_bic: float
     """Change of the Bayesian information criterion; negative is better."""
+    log_shape: float = 0.0
+    """What is known of its shape beyond the fit: a share of `log_bayes`."""
 
     @property
     def sizes(self) -> np.ndarray:
@@ -114,9 +116,8 @@ def refit_all(
         first = len(base.model.entries)
         added = slice(first, first + len(peak.effect.amplitudes))
         gain = fit.log_evidence(noise) + over_scales(fit, added, noise) - reference
-        gain += _log_shape_odds(peak.effect, fit)
-        gain += _over_the_scan(peak, fit, noise)
-        rivals.append(Rival(peak.effect, fit, gain, odds, bic))
+        shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
+        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
 
@@ -135,11 +136,11 @@ def _over_the_scan(peak: Peak, fit: Fit, noise: float) -> float:
     return float(peak.log_share - fit.log_scan(place, h) - 0.5 * np.linalg.slogdet(covariance)[1])
 
 
-def _log_shape_odds(effect: Effect, fit: Fit) -> float:
-    names = {p.name for p in effect.shapes}
-    if not names:
+def _log_shape_odds(fit: Fit) -> float:
+    effect = fit.model.effects[-1]
+    found = [row for row in fit.values_of(len(fit.model.effects) - 1) if row[1].shape]
+    if not found:
         return 0.0
-    found = [row for row in fit.parameter_values() if row[0] == effect.key and row[1].name in names]
     values = {p.name: value * p.si for _, p, value, _ in found}
     uncertainties = {p.name: u * p.si for _, p, _, u in found}
     return math.log(effect.shape_odds(fit.measurement.plan, values, uncertainties))
@@ -182,11 +183,11 @@ def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
 def _same_shape(a: Fit, b: Fit) -> bool:
     """Whether the last effects of two fits have the same shape within its uncertainty."""
     last = len(a.model.effects) - 1
-    names = [p.name for p in a.model.effects[last].shapes if p.moves]
-    key = a.model.effects[last].key
-    u = {p.name: u * p.si for k, p, _, u in a.parameter_values() if k == key}
     return all(
-        abs(a.shapes[last][name] - b.shapes[last][name]) <= _SAME_SHAPE * u[name] for name in names
+        abs(a.shapes[last][p.name] - b.shapes[last][p.name])
+        <= (_SAME_SHAPE * u * p.si if p.moves else 0.0)
+        for _, p, _, u in a.values_of(last)
+        if p.shape
     )
 
 

@@ -202,14 +202,15 @@ class Screen:
         pieces = []
         for start in range(0, len(mesh), _CHUNK):
             part = mesh[start : start + _CHUNK]
-            pieces.append(self._test_chunk(effect, {n: part[:, i] for i, n in enumerate(names)}))
-        stat = np.concatenate([p[0] for p in pieces])
-        rank = np.concatenate([p[1] for p in pieces])
-        bayes = np.concatenate([p[2] for p in pieces])
-        amplitudes = np.concatenate([p[3] for p in pieces])
-        null = np.max([p[4] for p in pieces], axis=0)
+            piece = self._test_chunk(effect, {n: part[:, i] for i, n in enumerate(names)})
+            if piece is None:
+                return None
+            pieces.append(piece)
+        stat, rank, amplitudes, g, s = (np.concatenate([p[i] for p in pieces]) for i in range(5))
+        null = np.max([p[5] for p in pieces], axis=0)
         if rank.max() == 0:
             return None
+        bayes = self._log_bayes(stat, g, s)
         lengths = tuple(len(grid) for grid in grids.values())
         return _Tested(effect, names, mesh, lengths, stat, rank, bayes, amplitudes, null)
 
@@ -237,7 +238,11 @@ class Screen:
             ]
             mesh = np.array(list(itertools.product(*axes)))
             grid = {n: mesh[:, i] for i, n in enumerate(shape)}
-            stat, rank, bayes, amplitudes, _ = self._test_chunk(peak.effect, grid, null=False)
+            piece = self._test_chunk(peak.effect, grid, null=False)
+            if piece is None:
+                return best
+            stat, rank, amplitudes, g, s, _ = piece
+            bayes = self._log_bayes(stat, g, s)
             i = int(np.argmax(np.where(rank > 0, bayes, -np.inf)))
             shape = {n: float(mesh[i, k]) for k, n in enumerate(shape)}
             width = {n: w / 4.0 for n, w in width.items()}
@@ -256,6 +261,8 @@ class Screen:
     def _test_chunk(self, effect: Effect, grid: Mapping[str, np.ndarray], null: bool = True):
         c = len(effect.amplitudes)
         terms = list(self._responses(effect, grid))
+        if not terms:
+            return None
         size = terms[0][2].shape[0]
         draws, k = self.null.shape[2], self.jacobian.shape[2]
         s = np.zeros((size, c))
@@ -295,11 +302,6 @@ class Screen:
         t = np.einsum("gab,ga->gb", root, s)
         stat = np.einsum("gb,gb->g", t, t)
         amplitudes = np.einsum("gab,gb->ga", root, t)
-        # Gain in log evidence: marginal likelihood of a linear model.
-        noise = max((self.chi2 - stat.max()) / self.dof, 1.0)
-        values, vectors = np.linalg.eigh(g / noise)
-        scores = np.einsum("gab,ga->gb", vectors, s / noise)
-        bayes = log_mixture(np.maximum(values, 0.0), scores)
         largest_null = np.zeros(draws)
         for r in np.unique(rank[rank > 0]) if null else ():
             # For one rank, -ln p grows with the drop: only the largest drop of a draw is needed.
@@ -309,7 +311,16 @@ class Screen:
             largest = np.einsum("bgd,bgd->gd", projected, projected).max(0)
             score = self.minus_log_p(largest, self.null_cost, r)
             largest_null = np.maximum(largest_null, score)
-        return stat, rank, bayes, amplitudes, largest_null
+        return stat, rank, amplitudes, g, s, largest_null
+
+    def _log_bayes(self, stat: np.ndarray, g: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Gain in log evidence at every step of a scan: marginal likelihood of a linear model, at
+        the noise that the best of them leaves.
+        """
+        noise = max((self.chi2 - stat.max()) / self.dof, 1.0)
+        values, vectors = np.linalg.eigh(g / noise)
+        scores = np.einsum("gab,ga->gb", vectors, s / noise)
+        return log_mixture(np.maximum(values, 0.0), scores)
 
     def minus_log_p(self, stat, cost, rank) -> np.ndarray:
         """-ln p of a drop `stat` of a cost, studentised: of chance, its share is distributed as
@@ -341,10 +352,11 @@ class _Tested:
         order = np.argsort(-self.stat)
         grid = np.array(list(np.ndindex(*self.lengths))) if self.names else np.zeros((1, 0), int)
         chosen: list[int] = []
+        apart = 0 if any(p.choice for p in self.effect.shapes) else 2
         for i in order:
             if self.rank[i] == 0:
                 continue
-            if all(np.abs(grid[i] - grid[j]).max() > 2 for j in chosen) or not self.names:
+            if all(np.abs(grid[i] - grid[j]).max() > apart for j in chosen) or not self.names:
                 chosen.append(int(i))
             if len(chosen) == (most if self.names else 1):
                 break

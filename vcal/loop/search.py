@@ -214,8 +214,9 @@ class Search:
             }
             if not wider or np.abs(sizes).max() <= 1.0:
                 break
-            kept = tuple(row for row in effect.given if row[0] not in wider)
-            grown = dataclasses.replace(effect, given=(*kept, *wider.values()))
+            given = tuple(row for row in effect.given if row[0] not in wider)
+            priors = tuple(p for p in effect.priors if not wider.keys() & set(p.names))
+            grown = dataclasses.replace(effect, given=(*given, *wider.values()), priors=priors)
             model = state.model.without(last).with_effects(grown)
             state = fitted(model, state.fit.measurement, state.fit, self.room)
         return state
@@ -230,7 +231,11 @@ class Search:
         kept = list(self.rejected), list(self.screenings), self.refused
         self.progress(f"searching anew for what was named {item.effect.key}")
         bare = fitted(less.model, less.measurement, less, self.room)
-        found = self.step(bare)
+        try:
+            found = self.step(bare)
+        except KeyboardInterrupt:
+            self.rejected, self.screenings, self.refused = kept
+            raise
         self.screenings = kept[1]
         if self.unexplained is None and (
             found is None or _same_effect(self.history[-1].effect, item.effect)
@@ -252,33 +257,40 @@ class Search:
             return state
         effect = described.effect
         with_it = fitted(described.fit.model, described.fit.measurement, described.fit, self.room)
-        dropped = []
+        dropped, bare = [], state
         for item in self.added(state):
             less = without(with_it, _place(with_it, item), self.room)
-            if less.converged and _no_worse(less, with_it, _place(with_it, item)):
+            if less.converged and _no_worse(less, with_it, item):
                 dropped.append(item)
-                self.rejected.append(_dropped(item, f"superfluous beside the {effect.summary}"))
                 with_it = fitted(less.model, less.measurement, less, self.room)
         if not dropped:
             return state
         for item in dropped:
-            less = without(state, _place(state, item), self.room)
-            state = fitted(less.model, less.measurement, less, self.room)
+            less = without(bare, _place(bare, item), self.room)
+            bare = fitted(less.model, less.measurement, less, self.room)
         # What it depends on is told anew without them; what then has a name after all, has it.
-        screenings, self.unexplained = list(self.screenings), None
-        found = self.step(state)
-        self.screenings = screenings
-        return state if found is None else found
+        kept = list(self.rejected), list(self.screenings), self.unexplained
+        self.rejected += [_dropped(i, f"superfluous beside the {effect.summary}") for i in dropped]
+        self.unexplained = None
+        try:
+            found = self.step(bare)
+        except KeyboardInterrupt:
+            self.rejected, self.screenings, self.unexplained = kept
+            raise
+        self.screenings = kept[1]
+        return bare if found is None else found
 
-    def prune(self, state: State) -> State:
+    def prune(self, state: State, reached: Callable[[State], None]) -> State:
         """Try once to do without each added effect; the evidence decides."""
         for item in self.added(state)[:-1]:
             less = without(state, _place(state, item), self.room)
-            if less.converged and _no_worse(less, state, _place(state, item)):
-                state = self._drop(item, less, "superfluous after later effects")
+            if less.converged and _no_worse(less, state, item):
+                reached(state := self._drop(item, less, "superfluous after later effects"))
         return state
 
-    def prune_correlated(self, state: State) -> tuple[State, Serial | None]:
+    def prune_correlated(
+        self, state: State, reached: Callable[[State], None]
+    ) -> tuple[State, Serial | None]:
         """Do without the added effects that noise correlated in time describes as well, the last
         one first; and what is correlated at the end.
 
@@ -293,13 +305,15 @@ class Search:
             gain = gain_beside(fit, _columns_of(fit, _place(state, item)))
             if item.trials * math.exp(-min(gain, 700.0)) > self.alpha:
                 less = without(state, _place(state, item), self.room)
-                state = self._drop(item, less, "noise that is correlated in time describes it too")
+                why = "noise that is correlated in time describes it too"
+                reached(state := self._drop(item, less, why))
         found = serial(state.remaining)
         return state, found if found is not None and found.p_value <= self.alpha else None
 
     def _drop(self, item: Added, less: Fit, reason: str) -> State:
+        dropped = fitted(less.model, less.measurement, less, self.room)
         self.rejected.append(_dropped(item, reason))
-        return fitted(less.model, less.measurement, less, self.room)
+        return dropped
 
     def _reject(self, rival: Rival, p_values: dict[int, float], reason: str) -> None:
         name, place = rival.effect.name, rival.effect.placement
@@ -316,13 +330,14 @@ def _in_the_prior(before: Fit, after: Fit, noise: float) -> bool:
     return prior > data
 
 
-def _no_worse(less: Fit, state: State, place: int) -> bool:
-    """Whether the evidence is higher without the effect at that position."""
-    fit = state.scored
+def _no_worse(less: Fit, state: State, item: Added) -> bool:
+    """Whether the evidence is higher without an added effect."""
+    fit, place = state.scored, _place(state, item)
     noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
     sizes = [len(e.amplitudes) for e in state.model.effects]
     mine = slice(sum(sizes[:place]), sum(sizes[: place + 1]))
-    return less.log_evidence(noise) > fit.log_evidence(noise) + over_scales(fit, mine, noise)
+    with_it = fit.log_evidence(noise) + over_scales(fit, mine, noise)
+    return less.log_evidence(noise) > with_it + item.weighed.best.log_shape
 
 
 def _same_effect(a: Effect, b: Effect) -> bool:
@@ -361,7 +376,7 @@ def _shortlist(
     best = weight(refined[0])
     close = [p for p in refined if weight(p) > best - _CLOSE]
     # The best of every kind first: many places of one kind may be alike.
-    firsts = list({p.effect.name: p for p in reversed(close)}.values())
+    firsts = sorted({p.effect.name: p for p in reversed(close)}.values(), key=weight, reverse=True)
     ids = {id(p) for p in firsts}
     chosen = [*firsts, *(p for p in close if id(p) not in ids)][:_REFITS]
     # A run of worthless rivals must not hide the next significant candidate, should the best fail.
@@ -369,8 +384,13 @@ def _shortlist(
     return sorted(chosen, key=weight, reverse=True)
 
 
+def place_of(item: Added, effects: Sequence[Effect]) -> int:
+    """Where among the effects of a model an added one is."""
+    return next(i for i, e in enumerate(effects) if _same_effect(e, item.effect))
+
+
 def _place(state: State, item: Added) -> int:
-    return next(i for i, e in enumerate(state.model.effects) if _same_effect(e, item.effect))
+    return place_of(item, state.model.effects)
 
 
 def _columns_of(fit: Fit, place: int) -> list[int]:

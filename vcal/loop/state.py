@@ -137,8 +137,8 @@ def _clustered_whitener(fit: Fit) -> np.ndarray:
     """W of every row from the covariance the readings of one row show in the residuals.
 
     For rows whose readings share errors that are not modelled (`Instrument.clusters`): S = sum r r'
-    / (rows - parameters per reading), not below the declared noise. The parameters are shared out
-    evenly over all rows.
+    / (rows - parameters per reading), and a tenth of the declared covariance, so that no direction
+    has none. The parameters are shared out evenly over all rows.
     """
     used, clusters = fit.used, fit.clusters
     found = np.ascontiguousarray(declared_whitener(fit.model, fit.measurement))

@@ -123,7 +123,7 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
             continue  # of one data set, whose own nuisances take all of it: a tilt of every pose
         names.append(name)
         shares.append(described)
-    singles = np.array(shares)
+    singles = np.array(shares).reshape(len(shares), draws + 1)
     plan = fit.measurement.plan
     # A group index is no quantity to multiply by, unless there are only two of a kind.
     multiplied = {n for n in known if n not in plan.groups and np.isfinite(known[n]).all()}
@@ -132,6 +132,8 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     pairs, columns = _products({n: x for n, x in known.items() if n in multiplied})
     moved = np.tensordot(columns, both, 1) if pairs else np.zeros((0, *both.shape[1:]))
     products = (moved**2).sum(1) / total
+    if not names and not pairs:
+        return Dependence([], [], False, 1.0)
     rare = np.concatenate([_rarity(singles), _rarity(products)])
     best, best_null = rare[:, 0].max(), rare[:, 1:].max(0)
     exceeding = int((best_null >= best).sum())

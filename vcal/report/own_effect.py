@@ -103,7 +103,7 @@ def _as_described(found: str, best: Rival, plan: Plan) -> str:
     assert isinstance(effect, Empirical)
     shape = fit.shapes.get(len(fit.model.effects) - 1, {})
     lines, terms = effect.code(plan, shape, lambda name: _read(name, plan))
-    values = {p.name: value for key, p, value, _ in fit.parameter_values() if key == effect.key}
+    values = {p.name: value for _, p, value, _ in fit.values_of(len(fit.model.effects) - 1)}
     needed = dict.fromkeys([*effect.needs, *effect.depends_on(plan, shape)])
     parameters = [
         f'vcal.Parameter("{p.name}", "{p.unit}", sigma={max(2.0 * abs(values[p.name]), 1.0):.3g})'
