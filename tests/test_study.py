@@ -38,6 +38,10 @@ class Wobble(Effect):
 
     def response(self, plan, shape):
         return {("EZX", "size"): jnp.sin(plan.x("X"))}
+
+    @classmethod
+    def candidates(cls, setup):
+        yield cls(placement="X")
 '''
 
 

@@ -28,7 +28,7 @@ Override = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Replace a key of the study file; repeatable."),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of all random draws.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of all random draws.")]
 NoiseFactor = Annotated[
     float, typer.Option(help="Multiplies the noise that the instrument declares.")
 ]
@@ -269,7 +269,7 @@ def design(
 ) -> None:
     """Make a measurement plan better before measuring; OUT is a study of the designed plan.
 
-    What may vary, and what is made small, is said in the table [design] of the study file. With
+    What may vary, and what is made small, is said in the table ``design`` of the study file. With
     --next the plan or the data stay, and OUT holds the rows to measure next: those that make the
     criterion smallest or, where the loop cannot decide between two effects, tell them apart.
     """
@@ -307,7 +307,7 @@ def reproduce(
         Path | None, typer.Option("--out", help="Folder for the results; a new one.")
     ] = None,
     draws: Annotated[int | None, typer.Option(help="Tests of the long campaign.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all random draws.")] = 0,
+    seed: Seed = 0,
 ) -> None:
     """Do a published campaign again; write its numbers beside those that were printed."""
     start()
@@ -346,7 +346,7 @@ def effects(
         typer.Option(help="Write pages with pictures into this folder: of all, or of this one."),
     ] = None,
 ) -> None:
-    """List the effects that the loop knows, or explain one."""
+    """List the effects of the catalogue, or explain one."""
     from ..effects import CATALOGUE, effect_class
     from .folders import example
     from .show import show_catalogue, show_effect

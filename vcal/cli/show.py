@@ -12,7 +12,7 @@ from rich.text import Text
 from ..effects.base import Effect, Setup
 from ..instruments.conditions import file_name
 from ..io import Study, read_header
-from ..io.study import DataSet
+from ..io.study import DataSet, looked_for
 from ..loop.candidates import candidates
 from ..loop.closure import Closure, Errors
 from ..loop.heldout import Rms
@@ -149,7 +149,8 @@ def show_catalogue(catalogue: Iterable[type[Effect]]) -> None:
     table.add_column("effect")
     table.add_column("what it is")
     for effect in catalogue:
-        table.add_row(Text(effect.name), Text(effect.summary))
+        only = "" if looked_for(effect) else " (to be declared only)"
+        table.add_row(Text(effect.name), Text(effect.summary + only))
     _console().print(table)
 
 
@@ -159,6 +160,8 @@ def show_effect(effect: type[Effect], example: tuple[Effect, Setup] | None) -> N
     console.print(Text(f"{effect.name}: {effect.summary}", style="bold"), soft_wrap=True)
     console.print(Text(f"\n{inspect.cleandoc(effect.__doc__ or '')}\n"), soft_wrap=True)
     console.print(Text(f"Disturbs the {effect.where}; {effect.kind}."))
+    if not looked_for(effect):
+        console.print(Text("The loop does not look for it: it can be declared in a study."))
     if example is None:
         return
     instance, setup = example

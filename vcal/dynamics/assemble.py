@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..arrays import Array
-from ..spatial import skew
+from ..spatial import require_float64, skew
 from .bodies import GROUND, Machine
 
 
@@ -52,8 +52,9 @@ class Structure(eqx.Module):
 def assemble(machine: Machine, positions: Float[Array, " axes"] | None = None) -> Structure:
     """The matrices at given axis positions, m, in the order of `Machine.axes`; zero without.
 
-    Masses, stiffnesses and places may be traced.
+    Masses, stiffnesses and places may be traced. Raises `RuntimeError` in float32.
     """
+    require_float64()
     q = jnp.zeros(len(machine.axes)) if positions is None else jnp.asarray(positions)
     screws = [d.axis for d in machine.drives if d.stiffness is not None]
     bodies = 6 * len(machine.bodies)

@@ -8,7 +8,7 @@ from ..errors import StudyError
 from .base import Effect
 
 CATALOGUE: Catalogue[type[Effect]] = Catalogue("effect")
-"""Every effect the loop may name, by identifier."""
+"""Every effect that may be declared, and of these all that the loop may name, by identifier."""
 
 register = CATALOGUE.register
 effect_class = CATALOGUE.named
@@ -27,7 +27,7 @@ def load_effects(path: Path) -> list[type[Effect]]:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise StudyError(
             f"{path}: cannot be run: {type(error).__name__}: {error}; mend the file"
         ) from error

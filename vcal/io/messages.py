@@ -124,6 +124,8 @@ def _line(
     elif kind == "literal_error":
         expected = context["expected"]
         found += nearest(str(at(raw, loc)), re.findall(r"'([^']*)'", expected))
+    elif kind == "too_short":
+        expected, do = f"at least {context['min_length']}", "add what is missing"
     elif kind == "too_long":
         expected = f"{context['max_length']} values"
     else:

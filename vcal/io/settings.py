@@ -204,8 +204,8 @@ class LoopSettings(Table):
 
     alpha: float = Field(default=0.01, gt=0, lt=1)
     """Share of clean measurements in which the whole loop may name an effect."""
-    seed: int = Field(default=0, ge=0)
-    effects: tuple[str, ...] | None = None
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    effects: tuple[str, ...] | None = Field(default=None, min_length=1)
     """Identifiers of the effects to try; all of the catalogue by default."""
     draws: int = Field(default=500, ge=1)
     """Null draws behind a significance."""

@@ -51,6 +51,8 @@ def parse_with(text: str, catalogue: Catalogue, setup: Setup, data: str = "data.
             found = f"{key} a second time" if key in row else repr(pair)
             raise refusal(file, "values", found, "KEY=VALUE, every key once", "correct it")
         row[key] = _value(value)
+        if isinstance(row[key], float) and not math.isfinite(row[key]):
+            raise refusal(file, f"key {key}", value, "a finite number", "correct the value")
     if name not in catalogue:
         raise unknown_effect(name, catalogue, file, "name")
     try:

@@ -12,6 +12,7 @@ import numpy as np
 from ..catalogue import nearest
 from ..chain import Chain, chain_from_dh, chain_from_string
 from ..effects.base import Effect
+from ..effects.registry import CATALOGUE
 from ..errors import StudyError
 from ..instruments import INSTRUMENTS
 from ..instruments.base import Column, Instrument, InstrumentSettings, TableInstrument
@@ -25,8 +26,9 @@ from ..spatial import require_float64
 from .declared import catalogue_with, declared_effects, unknown_effect
 from .family import geometric_errors
 from .folder import Folder
-from .messages import listed, refusal
+from .messages import listed, refusal, source
 from .must_see import check_seen
+from .own_effects import check_own
 from .settings import (
     AnySettings,
     LoopSettings,
@@ -38,6 +40,12 @@ from .settings import (
 from .table import Table
 
 _FEWEST_ROWS = 3
+_LEAST_SHARE = 0.002
+"""Of the travel, over which a measurement has to go."""
+_QUANTITY = re.compile(
+    r"payload_kg|speed_rpm|approach_rad|T_gradient_\w+|v_\w+_m_s|a_\w+_m_s2|since_\w+_mm"
+)
+"""Columns that effects ask for; where they are there, they are numbers."""
 _JOINT_COLUMN = re.compile(r"q(\d+)_(?:cmd|read)_deg")
 
 
@@ -154,9 +162,7 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
     folder = Folder(path.parent)
     folder.path(file)
     catalogue = catalogue_with(folder, settings.model.effects_file)
-    for i, name in enumerate(settings.loop.effects or ()):
-        if name not in catalogue:
-            raise unknown_effect(name, catalogue, file, f"loop.effects.{i}")
+    _check_wanted(settings.loop.effects or (), catalogue, file, given)
     chain = build_chain(settings.machine, file)
     sets = _data_sets(settings, chain, folder, file)
     instrument, plan, readings = _together(sets, chain)
@@ -171,6 +177,9 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
     model = model.with_effects(
         *declared_effects(settings.model.effect, catalogue, model.setup(plan), file, files)
     )
+    if settings.model.effects_file is not None:
+        own = {name: kind for name, kind in catalogue.items() if name not in CATALOGUE}
+        check_own(settings.model.effects_file, own, model.setup(plan), plan)
     _check_size(model, plan, listed(files.values()))
     _check_seen(settings, sets, file)
     return Study(
@@ -187,6 +196,43 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         catalogue=catalogue,
         hashes=folder.hashes,
     )
+
+
+def looked_for(kind: type[Effect]) -> bool:
+    """Whether the loop may name an effect; others can only be declared."""
+    return kind.kind == "systematic" and kind.candidates.__func__ is not Effect.candidates.__func__
+
+
+def _check_wanted(
+    names: Sequence[str],
+    catalogue: Mapping[str, type[Effect]],
+    file: str,
+    overrides: Mapping[str, str],
+) -> None:
+    """Effects that are to be tried must be known, and such as the loop looks for."""
+    for i, name in enumerate(names):
+        if name in catalogue and looked_for(catalogue[name]):
+            continue
+        where = source(file, "loop.effects", overrides)
+        choice = {n: kind for n, kind in catalogue.items() if looked_for(kind)}
+        if name in catalogue:
+            raise refusal(
+                where,
+                f"key loop.effects.{i}",
+                f"{name!r}, which can only be declared",
+                f"one of {listed(sorted(choice), 60)}",
+                "leave it out",
+            )
+        plain = name.partition(":")[0]
+        if plain in choice:
+            raise refusal(
+                where,
+                f"key loop.effects.{i}",
+                repr(name),
+                f"the name alone, {plain!r}: the loop tries it at every place",
+                "correct the name",
+            )
+        raise unknown_effect(name, choice, where, f"loop.effects.{i}")
 
 
 def build_chain(machine: MachineSettings, file: str) -> Chain:
@@ -299,6 +345,14 @@ def _data_set(
     readings = None
     if measured:
         readings = instrument.measured(table)
+        if (np.ptp(readings, axis=0) == 0.0).all() and readings.any():
+            raise refusal(
+                table.name,
+                "columns of the readings",
+                "the same numbers in every row",
+                f"the readings of a {settings.kind}, which differ from place to place",
+                "export the readings again",
+            )
         instrument = instrument.start(chain, plan, readings)
     return DataSet(name, table_name, settings, instrument, chain, plan, readings)
 
@@ -374,6 +428,14 @@ def _check_points(
     columns = _positions(chain, own) if linear else list(own)
     columns += [Column(name=f"tcp_{c}_mm", low=-1e6, high=1e6) for c in "xyz"]
     table = folder.table(name, columns, _condition)
+    if table.rows < _FEWEST_ROWS:
+        raise refusal(
+            name,
+            f"row {table.rows} (line {table.lines[-1]})",
+            f"{table.rows} check point(s)",
+            f"at least {_FEWEST_ROWS}, not on a line: alignment alone takes out six numbers",
+            "add points, or remove the file",
+        )
     _check_conditions(table, chain)
     # Check points belong to the machine: what an instrument derives for itself is not in them.
     plan = linear_plan(chain, table) if linear else instrument.plan(chain, table)
@@ -417,7 +479,7 @@ def _condition(name: str) -> Column | None:
         return Column(name=name, low=-50.0, high=150.0)
     if name in GROUPS:
         return Column(name=name, low=0, integer=True)
-    if name == "t_s" or name.startswith("dir_"):
+    if name == "t_s" or name.startswith("dir_") or _QUANTITY.fullmatch(name):
         return Column(name=name)
     if _JOINT_COLUMN.fullmatch(name):
         return Column(name=name, low=-720.0, high=720.0)
@@ -442,6 +504,29 @@ def _check_conditions(table: Table, chain: Chain) -> None:
                 found, expected = f"{values[row]:g}", "+1 or -1, the last direction of travel"
                 raise table.refusal(row, name, found, expected, "correct the value")
         _check_travel(table, name, chain)
+    _check_extent(table, chain)
+
+
+def _check_extent(table: Table, chain: Chain) -> None:
+    """Positions in another unit than mm fill a thousandth of the travel."""
+    columns = {
+        f"{axis.lower()}_mm": j.travel * 1e3
+        for axis, j in zip(chain.axes, chain.joints, strict=True)
+    }
+    if not columns or not all(name in table for name in columns):
+        return
+    shares = [np.ptp(table[name]) / np.ptp(travel) for name, travel in columns.items()]
+    if 0.0 < max(shares) < _LEAST_SHARE:
+        low = min(table[name].min() for name in columns)
+        high = max(table[name].max() for name in columns)
+        raise refusal(
+            table.name,
+            f"columns {listed(columns)}",
+            f"positions from {low:.4g} to {high:.4g}, at most {100 * max(shares):.2g} % of the "
+            "travel",
+            "millimetres over more of it",
+            "correct the unit of the positions or of machine.travel_mm",
+        )
 
 
 def _check_travel(table: Table, name: str, chain: Chain) -> None:

@@ -137,6 +137,10 @@ class Closure:
         listed = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
         if self.interrupted:
             return f"Interrupted before the search ended; found by then: {listed or 'nothing'}."
+        tried = set(self.settings.get("effects", ()))
+        tested = {kind.kind for screening in self.screenings for kind in screening.kinds}
+        if self.verdict == "nothing_missing" and tried and tested and not tried & tested:
+            return "Nothing could be tested: the data say nothing about any effect that was tried."
         if self.verdict == "nothing_missing":
             return "The declared model explains the measurement: nothing is missing."
         if self.verdict == "named":

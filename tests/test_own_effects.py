@@ -1,0 +1,180 @@
+"""Effects of a user's own file that cannot be used, and searches that could test nothing."""
+
+import re
+
+import numpy as np
+import pytest
+
+from vcal.cli.closing import close_study
+from vcal.errors import StudyError
+from vcal.io import load_study
+from vcal.io.simulated import parse_with
+
+OWN = '''\
+import vcal
+
+
+class QuillSag(vcal.Effect):
+    """The quill sags in proportion to its overhang."""
+
+    name = "quill_sag"
+
+    @property
+    def parameters(self):
+        return (vcal.Parameter("k", "um/m", sigma=20.0),)
+
+    @property
+    def needs(self):
+        return ("Z",)
+
+    def response(self, plan, shape):
+        return {("EYZ", "k"): plan.x("Z")}
+
+    @classmethod
+    def candidates(cls, setup):
+        yield cls(placement="Z")
+'''
+RESPONSE, PARAMETERS = (
+    'return {("EYZ", "k"): plan.x("Z")}',
+    '(vcal.Parameter("k", "um/m", sigma=20.0),)',
+)
+SHAPE = '(vcal.Parameter("k", "um", sigma=5.0), vcal.Parameter("at", "mm", shape=True))'
+WRONG = {
+    "no dict": (RESPONSE, "return None", "response: found NoneType, expected a dict"),
+    "two values": (RESPONSE, 'return {("EYZ", "k"): [1.0, 2.0]}', "one number for each of the 48"),
+    "unknown port": (
+        RESPONSE,
+        'return {("EYQ", "k"): plan.x("Z")}',
+        "the port 'EYQ', expected",
+    ),
+    "unknown parameter": (RESPONSE, 'return {("EYZ", "q"): plan.x("Z")}', "the parameter 'q'"),
+    "no pair": (RESPONSE, 'return {"EYZ": plan.x("Z")}', "the key 'EYZ', expected (port, param"),
+    "not finite": (RESPONSE, 'return {("EYZ", "k"): plan.x("Z") * float("nan")}', "nan for"),
+    "misspelled": (RESPONSE, 'return plan.nosuch("Z")', "response: found AttributeError: "),
+    "unknown axis": (RESPONSE, 'return {("EYZ", "k"): plan.x("W")}', "response: found ValueError"),
+    "unknown unit": ('"um/m"', '"furlong"', "parameters: found k: unit 'furlong'"),
+    "negative sigma": ("sigma=20.0", "sigma=-20.0", "a sigma of at least 0"),
+    "text for a parameter": (PARAMETERS, '("k",)', "parameters: found ('k',), expected a tuple"),
+    "no parameters": ("def parameters", "def parametres", "body: found no parameters"),
+    "no candidates": ('yield cls(placement="Z")', "return None", "candidates: found TypeError"),
+    "no scan": (PARAMETERS, SHAPE, "scan: found no numbers for at"),
+    "needs a text": ('return ("Z",)', 'return "Z"', "needs: found 'Z', expected a tuple"),
+    "no effect": ('yield cls(placement="Z")', "yield 3", "candidates: found 3, expected effects"),
+}
+
+
+def with_own(folder, text):
+    (folder / "own.py").write_text(text, encoding="utf-8")
+    path = folder / "setup.toml"
+    text = path.read_text(encoding="utf-8") + '\n[model]\neffects_file = "own.py"\n'
+    path.write_text(text, encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_class_that_cannot_be_used(small_tracker_study, case):
+    old, new, expected = WRONG[case]
+    assert old in OWN
+    with pytest.raises(StudyError) as caught:
+        load_study(with_own(small_tracker_study, OWN.replace(old, new)))
+    message = str(caught.value)
+    assert message.startswith("own.py, class QuillSag, ") and message.endswith("mend the class")
+    assert expected in message
+
+
+def test_a_class_that_can(small_tracker_study):
+    assert "quill_sag" in load_study(with_own(small_tracker_study, OWN)).catalogue
+
+
+def test_a_file_that_ends_the_program(small_tracker_study):
+    folder = with_own(small_tracker_study, OWN + "\nimport sys\nsys.exit(3)\n")
+    with pytest.raises(StudyError, match=re.escape("own.py: cannot be run: SystemExit: 3")):
+        load_study(folder)
+
+
+# --- what is to be tried --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("effects", "expected"),
+    [
+        ([], "key loop.effects: found [], expected at least 1"),
+        (["repeatability"], "found 'repeatability', which can only be declared"),
+        (["backlash:Y"], "found 'backlash:Y', expected the name alone, 'backlash'"),
+        (["backlsh"], "did you mean 'backlash'?"),
+    ],
+)
+def test_effects_that_cannot_be_tried(small_tracker_study, effects, expected):
+    text = "[" + ", ".join(f'"{name}"' for name in effects) + "]"
+    with pytest.raises(StudyError) as caught:
+        load_study(small_tracker_study, [f"loop.effects={text}"])
+    assert expected in str(caught.value)
+    assert str(caught.value).startswith(f"setup.toml (override loop.effects={text}), key ")
+
+
+def test_none_of_the_effects_can_be_tested(small_tracker_study):
+    study = load_study(small_tracker_study, ['loop.effects=["spindle_growth"]'])
+    expected = r"found none that could be tested \(spindle_growth: the data have no speed_rpm\)"
+    with pytest.raises(StudyError, match=expected):
+        close_study(study, study.measurement, lambda text: None)
+
+
+def edited(folder, column, change, file="data.csv"):
+    path = folder / file
+    head, *rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+    place = head.index(column)
+    for row in rows:
+        row[place] = change(row[place])
+    path.write_text("\n".join(",".join(row) for row in (head, *rows)) + "\n", encoding="utf-8")
+
+
+def test_what_does_not_vary_is_not_said_to_be_absent(small_tracker_study):
+    for axis in "xyz":
+        edited(small_tracker_study, f"T_{axis}_degC", lambda cell: "20")
+    study = load_study(small_tracker_study, ['loop.effects=["scale_growth"]', "loop.draws=20"])
+    closure = close_study(study, study.measurement, lambda text: None)
+    assert closure.sentence.startswith("Nothing could be tested")
+
+
+# --- readings and positions that cannot be --------------------------------------------------------
+
+
+def test_positions_in_metres(small_tracker_study):
+    for axis in "xyz":
+        edited(small_tracker_study, f"{axis}_mm", lambda cell: f"{float(cell) / 1000:.9g}")
+    with pytest.raises(StudyError, match=r"data.csv, columns x_mm, y_mm, z_mm: found positions"):
+        load_study(small_tracker_study)
+
+
+def test_readings_that_are_all_the_same(small_tracker_study):
+    for name in ("range_mm", "azimuth_rad", "elevation_rad"):
+        edited(small_tracker_study, name, lambda cell: "1")
+    with pytest.raises(StudyError, match="found the same numbers in every row"):
+        load_study(small_tracker_study)
+
+
+def test_a_column_that_effects_ask_for_holds_numbers(small_tracker_study):
+    edited(small_tracker_study, "T_x_degC", lambda cell: "5 kg")
+    path = small_tracker_study / "data.csv"
+    path.write_text(path.read_text().replace("T_x_degC", "payload_kg", 1))
+    with pytest.raises(StudyError, match="row 1 .*column payload_kg: found '5 kg', expected a num"):
+        load_study(small_tracker_study)
+
+
+def test_too_few_check_points(small_tracker_study):
+    columns = "x_mm,y_mm,z_mm,tcp_x_mm,tcp_y_mm,tcp_z_mm"
+    rows = ["100,100,100,100,100,-50", "200,100,100,200,100,-50"]
+    for count in (1, 2):
+        text = "\n".join([columns, *rows[:count]]) + "\n"
+        (small_tracker_study / "check.csv").write_text(text)
+        with pytest.raises(StudyError, match=rf"check.csv, row {count} .*expected at least 3"):
+            load_study(small_tracker_study)
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_a_size_that_is_no_number(small_tracker_study, value):
+    study = load_study(small_tracker_study)
+    setup = study.model.setup(study.plan)
+    with pytest.raises(StudyError, match=f"key size_um: found {value}, expected a finite number"):
+        parse_with(f"backlash:Y:size_um={value}", study.catalogue, setup)
+    assert np.isfinite(study.measurement.readings).all()

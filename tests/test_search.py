@@ -1,0 +1,215 @@
+"""The parts of the loop where something once went wrong: what is tried, judged, kept and told."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import vcal.loop.search
+from known import Known
+from vcal import Effect, Measurement, Parameter, Prior, close_loop, identify
+from vcal.distributions import Normal
+from vcal.loop import screen as screening
+from vcal.loop.heldout import heldout_rms, improvement
+from vcal.loop.screen import Peak, Screen, screen
+from vcal.loop.search import Added, Search, _shortlist
+from vcal.loop.state import fitted
+from vcal.loop.unexplained import dependence
+
+
+@pytest.fixture(scope="module")
+def tracker(tmp_path_factory) -> Known:
+    return Known("laser_tracker", tmp_path_factory.mktemp("search"))
+
+
+def noisy(it: Known, seed: int, *effects: Effect) -> Measurement:
+    sigma = it.instrument.noise(it.plan, it.measurement.readings)
+    noise = sigma * np.random.default_rng(seed).standard_normal(sigma.shape)
+    return Measurement(it.plan, it.readings(*effects) + noise)
+
+
+def bare(it: Known, text: str) -> Effect:
+    return dataclasses.replace(it.effect(text), given=())
+
+
+def searching(it: Known) -> Search:
+    return Search(None, [], 0.01, 50, 0, it.room, lambda text: None)
+
+
+class Bump(Effect):
+    """A bump in time, narrow enough to lie within one fold."""
+
+    name = "bump"
+
+    @property
+    def parameters(self):
+        return (Parameter("a", "um", sigma=20.0), Parameter("at", "s", shape=True))
+
+    def response(self, plan, shape):
+        t = plan.covariate("t")
+        return {("tool.Z", "a"): jnp.exp(-0.5 * ((t - shape["at"]) / 10.0) ** 2)}
+
+    def scan(self, plan):
+        t = np.asarray(plan.covariate("t"))
+        return {"at": np.linspace(t.min(), t.max(), 61)}
+
+
+class Blind(Bump):
+    """Sees nothing on this plan."""
+
+    name = "blind"
+
+    def response(self, plan, shape):
+        return {}
+
+
+# --- what is tried --------------------------------------------------------------------------------
+
+
+def test_the_best_candidate_is_refitted_however_many_are_close():
+    def peak(name: str, log_bayes: float) -> Peak:
+        effect = SimpleNamespace(name=name, odds=1.0)
+        return Peak(effect, {}, np.zeros(1), 20.0, log_bayes, 1)  # type: ignore[arg-type]
+
+    others = [peak(f"kind {k}", 2.5 + 0.1 * k) for k in range(14)]
+    peaks = sorted([peak("best", 10.0), *others], key=lambda p: -p.log_bayes)
+    state = SimpleNamespace(refine=lambda p: p)
+    once = {p.effect.name: 1 for p in peaks}
+    chosen = _shortlist(state, peaks[:1], peaks, once)  # type: ignore[arg-type]
+    assert [p.effect.name for p in chosen] == ["best", *(f"kind {k}" for k in range(13, 2, -1))]
+
+
+def test_a_candidate_that_sees_nothing_is_unseen(tracker):
+    state = Screen(identify(tracker.model, noisy(tracker, 1), room=tracker.room), 20, 0)
+    found = screen(state, [Blind(), bare(tracker, "backlash:Y:size_um=1")])
+    assert [effect.name for effect in found.unseen] == ["blind"]
+    assert [kind.kind for kind in found.kinds] == ["backlash"]
+
+
+def test_evidence_does_not_depend_on_chunks(tracker, monkeypatch):
+    true = tracker.effect("screw_cyclic:X:sine_um=8,cosine_um=4,pitch_mm=10")
+    state = Screen(identify(tracker.model, noisy(tracker, 9, true), room=tracker.room), 20, 0)
+    effect = dataclasses.replace(true, given=())
+    whole = state.test(effect)
+    monkeypatch.setattr(screening, "_CHUNK", 7)
+    parts = state.test(effect)
+    assert whole is not None and parts is not None
+    np.testing.assert_allclose(parts.bayes, whole.bayes, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(parts.null, whole.null, rtol=1e-5)
+
+
+def test_no_covariate_that_varies_is_no_dependence(tracker, monkeypatch):
+    fit = identify(tracker.model, noisy(tracker, 1), room=tracker.room)
+    monkeypatch.setattr("vcal.loop.unexplained.distinct_covariates", lambda plan: {})
+    found = dependence(fit, 20, 0)
+    assert found == ([], [], False, 1.0)
+
+
+# --- what judges it -------------------------------------------------------------------------------
+
+
+def test_a_shape_that_one_fold_sees_stays_in_its_scan(tracker):
+    """Without that fold nothing tells the moment: it may be any, but none outside of the scan."""
+    place, t = len(tracker.model.effects), np.asarray(tracker.plan.covariate("t"))
+    at = float(t[len(t) // 5 - 4])
+    true = dataclasses.replace(Bump(), given=(("a", 60.0, 0.0), ("at", at, 0.0)))
+    measurement = noisy(tracker, 8, true)
+    before = identify(tracker.model, measurement, room=tracker.room)
+    start = {"theta": np.pad(before.theta, (0, 1)), "shapes": {place: {"at": at}}}
+    after = identify(tracker.model.with_effects(Bump()), measurement, room=tracker.room, **start)
+    assert after.converged and after.determined and after.chi2 < before.chi2
+    # The moment is linearised: not exact, but of the size of the effect.
+    assert heldout_rms(after).value < 2.0 * heldout_rms(before).value
+    fall, error = improvement(before, after)  # blocks of both fits are the same
+    assert np.isfinite([fall, error]).all()
+
+
+def test_a_pitch_counts_where_it_lies_in_a_falling_scan(tracker):
+    effect = bare(tracker, "screw_cyclic:X:sine_um=1,cosine_um=1,pitch_mm=10")
+    pitches = effect.scan(tracker.plan)["pitch"]
+    assert pitches[0] > pitches[-1]
+    place, true = (
+        len(tracker.model.effects),
+        dataclasses.replace(
+            effect, given=(("sine", 8.0, 0.0), ("cosine", 4.0, 0.0), ("pitch", 10.0, 0.0))
+        ),
+    )
+    fit = identify(
+        tracker.model.with_effects(effect),
+        noisy(tracker, 2, true),
+        shapes={place: {"pitch": 0.01}},
+        room=tracker.room,
+    )
+    h = fit.jacobian.T @ fit.jacobian + np.diag(fit.precision)
+    # In the middle of its scan, and well known: nothing of it lies outside.
+    expected = 0.5 * np.log(2.0 * np.pi) - np.log(len(pitches))
+    assert fit.log_scan(place, h) == pytest.approx(expected, abs=1e-6)
+
+
+# --- what is kept ---------------------------------------------------------------------------------
+
+
+def test_an_interruption_leaves_what_is_in_the_model(tracker, monkeypatch):
+    x, y = (bare(tracker, f"backlash:{axis}:size_um=1") for axis in "XY")
+    measurement = noisy(tracker, 3, tracker.effect("backlash:Y:size_um=12"))
+    state = fitted(tracker.model.with_effects(x, y), measurement, None, tracker.room)
+    best = SimpleNamespace(best=SimpleNamespace(log_shape=0.0))
+    run = searching(tracker)
+    run.history = [Added(e, best, 0.001, 0.1, 1.0) for e in (x, y)]  # type: ignore[arg-type]
+
+    def interrupted(*args):
+        raise KeyboardInterrupt
+
+    reached = []
+    with monkeypatch.context() as patch:
+        patch.setattr(vcal.loop.search, "fitted", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run.prune(state, reached.append)
+    assert run.rejected == [] and reached == []
+    after = run.prune(state, reached.append)
+    assert reached == [after] and [item.effect.key for item in run.added(after)] == ["backlash Y"]
+    assert [(r.effect, r.placement) for r in run.rejected] == [("backlash", "X")]
+
+
+def test_a_wider_prior_replaces_a_declared_one(tracker):
+    true = tracker.effect("backlash:Y:size_um=120")
+    narrow = dataclasses.replace(true, given=(), priors=(Prior("size", Normal(0.0, 10.0)),))
+    model = tracker.model.with_effects(narrow)
+    state = fitted(model, noisy(tracker, 4, true), None, tracker.room)
+    grown = searching(tracker)._at_its_size(state)
+    ((_, _, size, u),) = grown.fit.values_of(len(tracker.model.effects))
+    assert size == pytest.approx(120.0, abs=4.0 * u)
+
+
+# --- what is told ---------------------------------------------------------------------------------
+
+
+def test_two_effects_of_one_key_have_values_of_their_own(tracker):
+    """Warming up of X along itself and across: one key, and a time constant each."""
+    along, across = (bare(tracker, f"warm_up:X:component={c},tau_h=0.1") for c in ("EXX", "EYX"))
+    assert along.key == across.key
+    places = len(tracker.model.effects), len(tracker.model.effects) + 1
+    shapes = {places[0]: {"tau": 100.0}, places[1]: {"tau": 300.0}}
+    model = tracker.model.with_effects(along, across)
+    fit = identify(model, noisy(tracker, 5), shapes=shapes, room=tracker.room)
+    for place, effect in zip(places, (along, across), strict=True):
+        values = fit.values_of(place)
+        assert [p.name for _, p, _, _ in values] == [p.name for p in effect.parameters]
+        assert values[1][2] * 3600.0 == pytest.approx(fit.shapes[place]["tau"])
+
+
+def test_a_run_of_circles_alone_can_name(tmp_path):
+    """One run is held out in parts: there is no other to foretell it."""
+    from test_r_test import circles, write
+    from vcal import load_study
+
+    table = circles(samples=120, levels=(0.5,), spike=(2.0, 0.1), seed=1)
+    one = {name: np.asarray(column)[np.asarray(table["run"]) == table["run"][0]]
+           for name, column in table.items()}  # fmt: skip
+    study = load_study(write(tmp_path / "one", one) / "setup.toml")
+    folds, _ = study.instrument.folds(study.plan)
+    assert set(folds) == set(range(5)) and (np.diff(folds) >= 0).all()
+    closure = close_loop(study.model, study.measurement, draws=100)
+    assert any(e.effect.name == "reversal_spike" for e in closure.effects)

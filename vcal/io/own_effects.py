@@ -1,0 +1,118 @@
+"""Effects of a user's own file, tried once before any work is done with them."""
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..effects.base import Effect, Setup
+from ..effects.data_set import in_setup
+from ..errors import StudyError
+from ..parameters import Parameter
+from ..plan import Plan
+from ..units import si_factor
+from .messages import listed, refusal
+
+_DO = "mend the class"
+
+
+def check_own(file: str, classes: Mapping[str, type[Effect]], setup: Setup, plan: Plan) -> None:
+    """Every instance that the loop would try, made and asked for its response once.
+
+    Raises `StudyError` that names the class and its method where it fails, or gives something that
+    cannot be used: parameters without unit, ports that do not exist, values that are no numbers.
+    """
+    for kind in classes.values():
+        _check(file, kind, setup, plan)
+
+
+def _check(file: str, kind: type[Effect], setup: Setup, plan: Plan) -> None:
+    name = f"class {kind.__name__}"
+
+    def attempt(method: str, expected: str, run: Callable[[], Any]) -> Any:
+        try:
+            return run()
+        except StudyError:
+            raise
+        except Exception as error:
+            found = f"{type(error).__name__}: {error}"
+            raise refusal(file, f"{name}, {method}", found, expected, _DO) from error
+
+    def refuse(method: str, found: str, expected: str) -> StudyError:
+        return refusal(file, f"{name}, {method}", found, expected, _DO)
+
+    if inspect.isabstract(kind):
+        missing = listed(sorted(kind.__abstractmethods__))
+        raise refuse("body", f"no {missing}", "parameters and response")
+    made = attempt("candidates", "effects, as in `yield cls()`", lambda: in_setup(kind, setup))
+    for effect in made:
+        if not isinstance(effect, Effect):
+            raise refuse("candidates", repr(effect), "effects, as in `yield cls()`")
+        parameters = attempt(
+            "parameters", "a tuple of vcal.Parameter", lambda e=effect: e.parameters
+        )
+        _check_parameters(parameters, refuse)
+        needs = attempt("needs", "a tuple of names", lambda e=effect: e.needs)
+        if isinstance(needs, str) or not all(isinstance(need, str) for need in needs):
+            raise refuse("needs", repr(needs), 'a tuple of names, as in ("T_x",)')
+        if not plan.has(*needs):
+            continue
+        grids = attempt("scan", "a dict {shape: values}", lambda e=effect: e.scan(plan))
+        shape = {}
+        for p in effect.shapes:
+            grid = np.asarray(grids.get(p.name, ()))
+            if grid.ndim != 1 or not len(grid) or not np.isfinite(grid).all():
+                raise refuse("scan", f"no numbers for {p.name}", "the values to try, in SI")
+            shape[p.name] = float(grid[len(grid) // 2])
+        expected = "a dict {(port, parameter): one number per row}"
+        response = attempt("response", expected, lambda e=effect, s=shape: e.response(plan, s))
+        if not isinstance(response, Mapping):
+            raise refuse("response", f"{type(response).__name__}", expected)
+        for key, column in response.items():
+            _check_column(key, column, effect, setup, plan, refuse)
+
+
+def _check_parameters(parameters: Any, refuse: Callable[[str, str, str], StudyError]) -> None:
+    expected = "a tuple of vcal.Parameter, each with a name of its own"
+    if not isinstance(parameters, tuple) or not all(isinstance(p, Parameter) for p in parameters):
+        raise refuse("parameters", repr(parameters), expected)
+    names = [p.name for p in parameters]
+    if not parameters or len(set(names)) < len(names):
+        raise refuse("parameters", listed(names), expected)
+    for p in parameters:
+        try:
+            si_factor(p.unit)
+        except ValueError as error:
+            raise refuse("parameters", f"{p.name}: {error}", 'a unit such as "um/K"') from error
+        if not p.sigma >= 0.0 or not math.isfinite(p.mean):
+            found = f"{p.name} with mean {p.mean:g} and sigma {p.sigma:g}"
+            raise refuse("parameters", found, "a finite mean and a sigma of at least 0")
+
+
+def _check_column(
+    key: Any,
+    column: Any,
+    effect: Effect,
+    setup: Setup,
+    plan: Plan,
+    refuse: Callable[[str, str, str], StudyError],
+) -> None:
+    amplitudes = [p.name for p in effect.amplitudes]
+    if not (isinstance(key, tuple) and len(key) == 2):
+        raise refuse("response", f"the key {key!r}", "(port, parameter)")
+    port, name = key
+    if port not in setup.layout:
+        raise refuse("response", f"the port {port!r}", f"one of {listed(setup.layout.names, 60)}")
+    if name not in amplitudes:
+        raise refuse("response", f"the parameter {name!r}", f"one of {listed(amplitudes)}")
+    try:
+        values = np.broadcast_to(np.asarray(column, float), (plan.rows,))
+    except (TypeError, ValueError) as error:
+        found = f"{error} for {key!r}"
+        raise refuse("response", found, f"one number for each of the {plan.rows} rows") from error
+    if not np.isfinite(values).all():
+        row = int(np.argmin(np.isfinite(values)))
+        found = f"{values[row]} for {key!r} in row {row + 1}"
+        raise refuse("response", found, "finite numbers")
