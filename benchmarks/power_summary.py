@@ -147,9 +147,21 @@ def case_row(name: str, lines: list[dict]) -> dict:
     }
 
 
-def share(part: list[dict], wanted: set[str]) -> list[int]:
-    """(how many of, all)."""
-    return [sum(outcome(x) in wanted for x in part), len(part)]
+def wilson(k: int, n: int) -> tuple[float, float]:
+    """95 % interval of a share (Wilson's)."""
+    z, p = 1.96, k / n
+    centre, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return (centre - half) / (1 + z * z / n), (centre + half) / (1 + z * z / n)
+
+
+def counts(k: int, n: int) -> list[float]:
+    """How many of how many, and the 95 % interval of the share."""
+    return [k, n, *(float(f"{v:.3g}") for v in wilson(k, n))] if n else [k, n]
+
+
+def share(part: list[dict], wanted: set[str]) -> list[float]:
+    """`counts` of some outcomes."""
+    return counts(sum(outcome(x) in wanted for x in part), len(part))
 
 
 def clean_row(lines: list[dict], group: str, instrument: str) -> dict:
@@ -221,7 +233,7 @@ def summary(lines: Sequence[dict]) -> dict:
     return {
         "sets": len(lines),
         "summary": {
-            "clean_named": [sum(bool(x["found"]) for x in nothing), len(nothing)],
+            "clean_named": counts(sum(bool(x["found"]) for x in nothing), len(nothing)),
             "clean_unexplained": share(nothing, {"unexplained"}),
             "far_right": share(seen, CERTAIN),
             "far_wrong": share(seen, {"wrong"}),
@@ -229,19 +241,17 @@ def summary(lines: Sequence[dict]) -> dict:
             "far_unexplained": share(seen, {"unexplained"}),
             "far_nothing": share(seen, {"nothing"}),
             "far_failed": share(seen, {"failed"}),
-            "far_other_component": [sum(map(other_component, seen)), len(seen)],
+            "far_other_component": counts(sum(map(other_component, seen)), len(seen)),
             "far_error_ratio": median(ratios),
-            "far_worse_than_nothing": [sum(map(worse_than_nothing, lines)), len(lines)],
+            "far_worse_than_nothing": counts(sum(map(worse_than_nothing, lines)), len(lines)),
             "outside_wrong": share(outside, {"wrong"}),
             "outside_another_first": share(outside, {"another first"}),
             "outside_unexplained": share(outside, {"unexplained"}),
-            "outside_pointed": [
+            "outside_pointed": counts(
                 sum(outcome(x) == "unexplained" and pointed(x) for x in outside), len(outside)
-            ],
+            ),
             "pairs_both": share(pairs, CERTAIN),
-            "at_the_limit": [
-                sum(x["p"] <= 0.01 for x in at_limit), len(at_limit)
-            ],
+            "at_the_limit": counts(sum(x["p"] <= 0.01 for x in at_limit), len(at_limit)),
         },
         "clean": clean,
         "cases": [
@@ -264,13 +274,6 @@ CURVES = (
     ("unexplained", ("unexplained",), "tab:purple"),
     ("nothing", ("nothing",), "0.4"),
 )
-
-
-def wilson(k: int, n: int) -> tuple[float, float]:
-    """95 % interval of a share."""
-    z, p = 1.96, k / n
-    centre, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return (centre - half) / (1 + z * z / n), (centre + half) / (1 + z * z / n)
 
 
 def picture(found: dict, path: Path) -> None:

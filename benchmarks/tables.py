@@ -26,10 +26,13 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _of(pair: list[int]) -> str:
-    """k of n, with the share."""
-    k, n = pair
-    return f"{k} of {n}" + (f" ({100 * k / n:.1f} %)" if n else "")
+def _of(pair: list[float]) -> str:
+    """k of n, with the share and its 95 % interval."""
+    k, n, *interval = pair
+    if not n:
+        return "not made"
+    low, high = (100 * v for v in interval)
+    return f"{k} of {n}: {100 * k / n:.1f} % ({low:.1f} to {high:.1f} %)"
 
 
 def power(found: dict) -> str:
