@@ -157,7 +157,7 @@ def test_gradient_against_finite_differences(request, kind, goal):
     assert slope == pytest.approx(float(found), rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_points_and_station_by_the_whole_covariance(few_points, tmp_path):
     out = tmp_path / "out"
     printed = design(

@@ -41,7 +41,7 @@ def test_the_next_pose_is_better_than_fifty_at_random(few_poses):
     assert order == sorted(order)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_next_pose_shares_the_balls(few_poses, tmp_path):
     """Old and new poses in one study, judged by the engine."""
     out = tmp_path / "out"
