@@ -178,3 +178,26 @@ def test_a_size_that_is_no_number(small_tracker_study, value):
     with pytest.raises(StudyError, match=f"key size_um: found {value}, expected a finite number"):
         parse_with(f"backlash:Y:size_um={value}", study.catalogue, setup)
     assert np.isfinite(study.measurement.readings).all()
+
+
+def test_columns_that_were_exchanged(small_tracker_study):
+    path = small_tracker_study / "data.csv"
+    head, rows = path.read_text(encoding="utf-8").split("\n", 1)
+    exchanged = {"azimuth_rad": "elevation_rad", "elevation_rad": "azimuth_rad"}
+    head = ",".join(exchanged.get(name, name) for name in head.split(","))
+    path.write_text(f"{head}\n{rows}", encoding="utf-8")
+    study = load_study(small_tracker_study, ["loop.draws=20", 'loop.effects=["backlash"]'])
+    closure = close_study(study, study.measurement, lambda text: None)
+    assert any("mm, which no machine is off by" in note for note in closure.notes)
+
+
+def test_what_is_there_twice(small_tracker_study):
+    path = small_tracker_study / "setup.toml"
+    row = '\n[[model.effect]]\nname = "backlash"\nplacement = "Y"\nsize_um = 3\n'
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text + row + row, encoding="utf-8")
+    with pytest.raises(StudyError, match="the same effect at the same place a second time"):
+        load_study(small_tracker_study)
+    path.write_text(text + '\n[data]\ndata = "."\n', encoding="utf-8")
+    with pytest.raises(StudyError, match="found a folder, expected a CSV table"):
+        load_study(small_tracker_study)

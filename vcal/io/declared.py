@@ -98,7 +98,17 @@ def declared_effects(
                 "no such key, as this effect belongs to the machine",
                 "remove it",
             )
-        found.append(OfDataSet.of(effect, own.data_set) if own.data_set else effect)
+        placed = OfDataSet.of(effect, own.data_set) if own.data_set else effect
+        names = [p.name for p in placed.parameters]
+        if any(e.key == placed.key and [p.name for p in e.parameters] == names for e in found):
+            raise refusal(
+                file,
+                f"key {where.key} ({placed.key})",
+                "the same effect at the same place a second time",
+                "one [[model.effect]] for each",
+                "remove one of them",
+            )
+        found.append(placed)
     return tuple(found)
 
 

@@ -25,7 +25,7 @@ class Folder:
             raise refusal(
                 name,
                 "file",
-                f"no such file in {self.root}",
+                "a folder" if path.is_dir() else f"no such file in {self.root}",
                 expected,
                 "add the file or correct its name",
             )

@@ -303,6 +303,14 @@ def _data_sets(
                 f"another name than {listed(chain.axes)}",
                 "rename the data set",
             )
+        if any(row.file == other.file for other in settings.data[:i]):
+            raise refusal(
+                file,
+                f"key data.{i}.file",
+                f"{row.file!r} a second time",
+                "a table of its own for every data set, as its readings would count twice",
+                "correct the name, or remove the row",
+            )
         own = chain
         if row.tool_offset_mm is not None:
             offset = np.array(row.tool_offset_mm) * 1e-3

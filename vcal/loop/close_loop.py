@@ -28,6 +28,8 @@ from .state import (
 )
 from .unexplained import from_structure
 
+_NO_MACHINE_UM = 2000.0
+"""What remains of a fit beyond which the data are not what they are said to be, um."""
 CERTAIN = 0.95
 """Posterior probability from which an effect is named rather than called ambiguous."""
 _MANY = 50.0
@@ -254,6 +256,12 @@ def _notes(scales: Mapping[str, float], state: State, run: Search) -> list[str]:
         for shape, probability in item.weighed.other_shapes
     ]
     notes += confounded(state.fit.measurement.plan, betraying)
+    worst = fit_rms(state.fit).value
+    if worst > _NO_MACHINE_UM and chi2_per_dof(state.fit) > 1e4:
+        notes.append(
+            f"what remains is {worst / 1e3:.3g} mm, which no machine is off by: compare the "
+            "columns, signs and units of the first rows with what was measured"
+        )
     if not state.fit.converged:
         notes.append("the final fit did not converge: its numbers are not to be relied on")
     return notes
