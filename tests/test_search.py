@@ -13,6 +13,7 @@ from vcal import Effect, Measurement, Parameter, Prior, close_loop, identify
 from vcal.distributions import Normal
 from vcal.loop import screen as screening
 from vcal.loop.heldout import heldout_rms, improvement
+from vcal.loop.rivals import refit_all
 from vcal.loop.screen import Peak, Screen, screen
 from vcal.loop.search import Added, Search, _shortlist
 from vcal.loop.state import fitted
@@ -105,6 +106,26 @@ def test_no_covariate_that_varies_is_no_dependence(tracker, monkeypatch):
     monkeypatch.setattr("vcal.loop.unexplained.distinct_covariates", lambda plan: {})
     found = dependence(fit, 20, 0)
     assert found == ([], [], False, 1.0)
+
+
+def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
+    """120 um of a backlash that is expected to be 20: unlikely as such, but not excluded."""
+    measurement = noisy(tracker, 4, tracker.effect("backlash:Y:size_um=120"))
+    base = identify(tracker.model, measurement, room=tracker.room)
+    effect = bare(tracker, "backlash:Y:size_um=1")
+    state = Screen(base, 20, 0)
+    (peak,) = state.test(effect).peaks(1)
+    (rival,) = refit_all(base, [peak], {"backlash": 2}, base.used, tracker.room)
+    (size,) = rival.sizes
+    surprise = 0.5 * (size**2 - 1.0)
+    assert surprise > np.log(20.0)
+    assert rival.leniency == pytest.approx(surprise - np.log(20.0))
+    expected = rival.log_bayes + np.log(0.5) + rival.leniency
+    assert rival.log_weight == pytest.approx(expected)
+    small = identify(tracker.model, noisy(tracker, 4, tracker.effect("backlash:Y:size_um=12")))
+    (peak,) = Screen(small, 20, 0).test(effect).peaks(1)
+    (rival,) = refit_all(small, [peak], {"backlash": 2}, small.used, tracker.room)
+    assert rival.leniency == 0.0
 
 
 # --- what judges it -------------------------------------------------------------------------------

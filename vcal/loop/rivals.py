@@ -16,6 +16,8 @@ from .screen import Peak
 _TOLD = 1.0
 """What one candidate must leave of the other, as chi-square in units of the noise, for the data to
 tell the two apart."""
+_SURPRISE = math.log(20.0)
+"""Most that a size beyond its prior may count against a rival, as log odds."""
 _SHAPE_TOLD = 0.02
 """Probability from which another shape of the same effect is told."""
 _SAME_SHAPE = 2.0
@@ -43,6 +45,10 @@ class Rival:
     """Change of the Bayesian information criterion; negative is better."""
     log_shape: float = 0.0
     """What is known of its shape beyond the fit: a share of `log_bayes`."""
+    leniency: float = 0.0
+    """What its size being larger than expected costs `log_bayes` beyond `_SURPRISE`. How large an
+    effect may be is known roughly: enough to prefer one rival, not to exclude another.
+    """
 
     @property
     def sizes(self) -> np.ndarray:
@@ -52,8 +58,8 @@ class Rival:
 
     @property
     def log_weight(self) -> float:
-        """Log of the posterior odds."""
-        return self.log_bayes + self.log_prior
+        """Log of the posterior odds among rivals."""
+        return self.log_bayes + self.log_prior + self.leniency
 
 
 @dataclass(frozen=True)
@@ -117,7 +123,9 @@ def refit_all(
         added = slice(first, first + len(peak.effect.amplitudes))
         gain = fit.log_evidence(noise) + over_scales(fit, added, noise) - reference
         shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
-        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape))
+        surprise = 0.5 * np.maximum(fit.theta[added] ** 2 - 1.0, 0.0).sum()
+        lenient = max(0.0, float(surprise) - _SURPRISE)
+        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape, lenient))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
 

@@ -169,7 +169,7 @@ class Search:
             fall, error = improvement(fit, rival.fit, noise)
             share = rms_fall(state.fit, after)
             poor = chi2_per_dof(after) > _POOR and (state.noise is None or persists(after))
-            if odds[id(rival)] <= nothing:
+            if odds[id(rival)] - rival.leniency <= nothing:
                 self._reject(rival, own, "its evidence does not pay for the search")
             elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(
