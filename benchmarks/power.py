@@ -247,6 +247,17 @@ def limits_in(lines: Sequence[dict]) -> dict:
     return found
 
 
+def commit_of(root: Path) -> str:
+    """The commit that is checked out there, with a + where its programs differ; empty without git."""
+    git = ["git", "-C", str(root)]
+    head = subprocess.run(
+        [*git, "rev-parse", "--short=7", "HEAD"], capture_output=True, text=True, check=False
+    )
+    programs = ["vcal", "tests/oracle", "benchmarks/*.py"]
+    same = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", *programs], check=False)
+    return head.stdout.strip() + ("+" if head.stdout and same.returncode else "")
+
+
 def forget_programs() -> None:
     """Before the process has more mappings than Linux allows, which would end it."""
     import jax
@@ -275,6 +286,7 @@ def work(options: argparse.Namespace, part: int) -> None:
     ]
     sets = range(options.first_seed, options.first_seed + options.sets)
     waiting = [job for job in jobs(names, options.multiples, sets) if job not in done]
+    commit = commit_of(HERE.parent)
     # All sets of one seed and case by one worker: they share detection limits.
     mine = [job for job in waiting if hash((job[0].split("/")[0], job[2])) % options.jobs == part]
     for name, multiple, seed in mine:
@@ -285,7 +297,7 @@ def work(options: argparse.Namespace, part: int) -> None:
         except Exception as error:  # a set that fails is a finding, and must not end the campaign
             line = {"case": name, "multiple": multiple, "seed": seed, "limit": [],
                     "verdict": "failed", "why": f"{type(error).__name__}: {error}"}  # fmt: skip
-        append(options.lines, line)
+        append(options.lines, line | {"commit": commit})
         forget_programs()
         found = [f["key"] for f in line.get("found", [])]
         print(name, multiple, seed, line["verdict"], found, line.get("seconds"), flush=True)

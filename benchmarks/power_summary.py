@@ -232,6 +232,7 @@ def summary(lines: Sequence[dict]) -> dict:
     at_limit = [x for x in group["catalogue"] if x["multiple"] == 1.0 and "p" in x]
     return {
         "sets": len(lines),
+        "commits": sorted({x["commit"] for x in lines if x.get("commit")}),
         "summary": {
             "clean_named": counts(sum(bool(x["found"]) for x in nothing), len(nothing)),
             "clean_unexplained": share(nothing, {"unexplained"}),

@@ -61,6 +61,7 @@ def power(found: dict) -> str:
         ],
         ["after above uncompensated by more than u", "none", _of(s["far_worse_than_nothing"])],
     ]
+    rows.append(["made by the commits", "", ", ".join(found["commits"])])
     return table(["", "wanted", "found"], rows)
 
 
