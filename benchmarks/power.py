@@ -248,14 +248,16 @@ def limits_in(lines: Sequence[dict]) -> dict:
 
 
 def commit_of(root: Path) -> str:
-    """The commit that is checked out there, with a + where its programs differ; empty without git."""
+    """The commit checked out there, with a + where its programs differ; empty without git."""
     git = ["git", "-C", str(root)]
     head = subprocess.run(
         [*git, "rev-parse", "--short=7", "HEAD"], capture_output=True, text=True, check=False
     )
+    if head.returncode:
+        return ""
     programs = ["vcal", "tests/oracle", "benchmarks/*.py"]
     same = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", *programs], check=False)
-    return head.stdout.strip() + ("+" if head.stdout and same.returncode else "")
+    return head.stdout.strip() + ("+" if same.returncode else "")
 
 
 def forget_programs() -> None:
