@@ -13,7 +13,7 @@ from vcal import Effect, Measurement, Parameter, Prior, close_loop, identify
 from vcal.distributions import Normal
 from vcal.loop import screen as screening
 from vcal.loop.heldout import heldout_rms, improvement
-from vcal.loop.rivals import refit_all
+from vcal.loop.rivals import Names, refit_all
 from vcal.loop.screen import Peak, Screen, screen
 from vcal.loop.search import Added, Search, _shortlist
 from vcal.loop.state import fitted
@@ -126,6 +126,21 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     (peak,) = Screen(small, 20, 0).test(effect).peaks(1)
     (rival,) = refit_all(small, [peak], {"backlash": 2}, small.used, tracker.room)
     assert rival.leniency == 0.0
+
+
+def test_names_are_ranked_by_all_their_places_however_unlikely():
+    def rival(key: str, log_weight: float):
+        return SimpleNamespace(effect=SimpleNamespace(key=key), log_weight=log_weight)
+
+    one, twin, other, hopeless = (
+        rival("a X", 9.5), rival("a Z", 9.5), rival("b", 10.0), rival("c", -2000.0)
+    )  # fmt: skip
+    classes = [[other], [one, twin], [hopeless]]
+    ranked = Names.of(classes).ranked()  # type: ignore[arg-type]
+    assert [r for r, _ in ranked] == [one, twin, other, hopeless]
+    assert ranked[0][1] == pytest.approx(9.5 + np.log(2.0))
+    assert ranked[2][1] == pytest.approx(10.0)
+    assert ranked[3][1] < -600.0
 
 
 # --- what judges it -------------------------------------------------------------------------------

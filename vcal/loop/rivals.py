@@ -262,7 +262,9 @@ class Names:
         """All rivals with the log odds of their name, that of the most probable name first."""
         top = max(rival.log_weight for members in self.members.values() for rival in members)
         order = sorted(self.weights, key=lambda key: -self.weights[key])
-        return [(r, top + math.log(self.weights[key])) for key in order for r in self.members[key]]
+        # A name may be so unlikely that its odds are zero in floating point.
+        odds = {key: top + math.log(max(self.weights[key], 1e-300)) for key in order}
+        return [(rival, odds[key]) for key in order for rival in self.members[key]]
 
 
 def classes_of(base: Fit, rivals: Sequence[Rival]) -> list[list[Rival]]:
