@@ -21,10 +21,23 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if hasattr(config, "workerinput"):
         threadpool_limits(1)
-    jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir("xla")))
-    jax.config.update("jax_compilation_cache_max_size", 2**33)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    for name, value in _programs(config).items():
+        jax.config.update(name, value)
+
+
+def _programs(config: pytest.Config) -> dict[str, str | int | float]:
+    return {
+        "jax_compilation_cache_dir": str(config.cache.mkdir("xla")),
+        "jax_compilation_cache_max_size": 2**33,
+        "jax_persistent_cache_min_compile_time_secs": 0.1,
+        "jax_persistent_cache_min_entry_size_bytes": 0,
+    }
+
+
+@pytest.fixture(scope="session")
+def programs(pytestconfig) -> dict[str, str]:
+    """Environment in which another process keeps its compiled programs where the tests do."""
+    return {name.upper(): str(value) for name, value in _programs(pytestconfig).items()}
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -140,6 +140,7 @@ def test_better_than_plain_least_squares(given, nominal):
         assert plain[1].aligned_um > plain[0].aligned_um
 
 
+@pytest.mark.slow
 def test_plain_least_squares_by_drawing(given, nominal):
     """Machines, distances and noise drawn by numpy; lstsq of order one."""
     (found,) = plain_least_squares(given, nominal, "S", (1,))
@@ -220,7 +221,7 @@ def test_the_engine_has_the_same_posterior(given, nominal):
     np.testing.assert_allclose(np.sqrt(np.diag(C)), np.sqrt(np.diag(theory)), rtol=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_better_design_by_gradient(given, nominal):
     """Judged on machines that the search never saw, with exact kinematics."""
     found = optimise(given, nominal, "S", FREEDOMS["poses, balls within 60 mm"], starts=2)

@@ -125,7 +125,18 @@ TABLES = {
         both(lines(lambda found: [found[0], "", *found[1:]]), cell(3, "range_mm", "no")),
         ("data.csv, row 2 (line 4), column range_mm", "'no'"),
     ),
-    "semicolons": (SEMICOLONS, ("data.csv, column x_mm", "separate the columns by commas")),
+    "semicolons, a cell too many": (
+        both(lines(lambda found: [*found[:4], found[4] + ",1", *found[5:]]), SEMICOLONS),
+        ("data.csv, row 4 (line 5)", "found 16 cells", "15 as in the header, separated by semicol"),
+    ),
+    "thousands": (
+        both(cell(5, "range_mm", "1.234|5"), SEMICOLONS, replace("|", ",", "data.csv")),
+        ("data.csv, row 5 (line 6), column range_mm", "found '1.234,5'"),
+    ),
+    "decimal commas between commas": (
+        replace(".", ",", "data.csv"),
+        ("data.csv, row 1 (line 2)", "want semicolons between the columns"),
+    ),
     "missing position": (
         drop_column("x_mm"),
         ("data.csv, column x_mm", "no such column", "expected a column of this name"),

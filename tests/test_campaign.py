@@ -62,7 +62,7 @@ def test_a_draw_is_identified_as_alone(kind, known):
         assert distance(batch, linear, fit.theta) > distance(batch, found.theta, fit.theta)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_arm_is_identified_with_a_curvature_of_its_own(known):
     it = known["reflectors"]
     batch, simulator = prepare_batch(it.model, it.plan), prepare(it.model, it.plan)
@@ -161,7 +161,7 @@ def test_monte_carlo_and_gum_agree_where_all_is_linear(known):
     np.testing.assert_allclose(told.budget.u[: len(fit)], fit * scale, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_what_is_not_identified_moves_what_is(known):
     it = known["laser_tracker"]
     unknown = it.effect("backlash:Y:size_um=0")

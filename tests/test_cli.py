@@ -144,6 +144,15 @@ def test_check(small_tracker_study):
     assert "candidates of" in shown and "backlash" in shown
     assert "not testable payload_sag: wants payload_kg" in shown
     assert shown.endswith("not testable spindle_growth: wants speed_rpm")
+    assert "constant dir_x: what depends on its change" in shown
+
+
+def test_check_names_what_did_not_vary(small_tracker_study):
+    data = small_tracker_study / "data.csv"
+    table = {**read_table(data, []), "payload_kg": np.full(48, 7.0)}
+    vcal.io.write_table(data, table | {"T_y_degC": np.full(48, 21.0)})
+    shown = " ".join(run("check", small_tracker_study).output.split())
+    assert "constant dir_x, T_y_degC, payload_kg: what depends on their change is not seen" in shown
 
 
 def test_check_names_what_cannot_be_tested(small_tracker_study):
@@ -153,6 +162,13 @@ def test_check_names_what_cannot_be_tested(small_tracker_study):
     shown = " ".join(run("check", small_tracker_study).output.split())
     assert "not testable" in shown
     assert "backlash, lateral_reversal, angular_reversal: " in shown
+
+
+def test_check_sees_a_column_in_another_case(small_tracker_study):
+    data = small_tracker_study / "data.csv"
+    vcal.io.write_table(data, {**read_table(data, []), "Payload_kg": np.arange(48.0)})
+    shown = " ".join(run("check", small_tracker_study).output.split())
+    assert "payload_sag: wants payload_kg (rename Payload_kg)" in shown
 
 
 def test_check_with_overrides(small_arm_study):
@@ -427,6 +443,7 @@ def test_an_output_that_cannot_be_written(small_tracker_study, monkeypatch):
     assert told == "vcal: /nowhere/out: Permission denied\n"
 
 
+@pytest.mark.slow
 def test_demo(tmp_path):
     """The first thing a user runs: in a process of its own, in an empty folder."""
     cache = tmp_path / "cache"

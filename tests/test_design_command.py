@@ -193,7 +193,7 @@ def test_the_largest_uncertainty(few_poses, tmp_path):
     assert found["designed"]["criterion"] < found["nominal"]["criterion"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_determinant(few_poses, tmp_path):
     out = tmp_path / "out"
     design(

@@ -154,7 +154,7 @@ class Step(vcal.Effect):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_effect_that_cannot_be_differentiated(few_points, tmp_path, monkeypatch):
     monkeypatch.setattr("vcal.design.following.CANDIDATES", 4)
     copy = declare(few_points, tmp_path, "")

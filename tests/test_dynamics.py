@@ -286,6 +286,7 @@ def test_slow_circles_bend_as_the_compliance_says():
     np.testing.assert_allclose(E, np.asarray(compliance(s))[:, 0], rtol=2e-3, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_gradient_through_a_circle():
     """Stiffness, mass, place of the drive, gain and delay, through one full turn in time."""
     t = 1e-3 * np.arange(140)

@@ -73,6 +73,7 @@ def test_the_parts_add_up(given, small):
     assert left.rms[0] < left.rms[1]
 
 
+@pytest.mark.slow
 def test_priors_have_to_agree(given, small):
     model, plan = measured_by(given, small, "S")
     (errors, *rest) = model.effects

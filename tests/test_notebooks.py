@@ -23,7 +23,9 @@ def test_notebook_is_stripped(path):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path, tmp_path):
+def test_notebook_runs(path, tmp_path, programs, monkeypatch):
+    for key, value in programs.items():
+        monkeypatch.setenv(key, value)  # a kernel is a process of its own
     notebook = nbformat.read(path, as_version=4)
     client = NotebookClient(
         notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": tmp_path}}

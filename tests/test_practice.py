@@ -11,7 +11,6 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 pytestmark = [
     pytest.mark.practice,
-    pytest.mark.slow,
     pytest.mark.skipif(not DATA.is_dir(), reason="no measurement data beside the checkout"),
 ]
 
@@ -33,6 +32,7 @@ def named(closure):
     return [f"{item.effect.name} {item.placement}".strip() for item in closure.effects]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "verdict", "effects", "limit_um"),
     [
@@ -70,6 +70,7 @@ def test_practice_case(case, verdict, effects, limit_um):
         assert (values["sine"] ** 2 + values["cosine"] ** 2) ** 0.5 == pytest.approx(6, abs=0.5)
 
 
+@pytest.mark.slow
 def test_a_dent_is_unexplained():
     closure = closed(DATA / "practice" / "06_tracker_dent")
     assert closure.verdict == "unexplained"
@@ -84,6 +85,7 @@ def test_a_dent_is_unexplained():
     assert what.size_um == pytest.approx(18, abs=5)
 
 
+@pytest.mark.slow
 def test_a_growing_head_is_named_without_a_rival():
     closure = closed(DATA / "practice" / "10_frame_head_growth")
     assert closure.verdict == "named"
@@ -96,6 +98,7 @@ def test_a_growing_head_is_named_without_a_rival():
     assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.slow
 def test_a_matrix_of_crosstalk():
     closure = closed(DATA / "practice" / "08_rtest_crosstalk")
     assert closure.verdict == "named" and named(closure) == ["acceleration_crosstalk"]
@@ -106,6 +109,7 @@ def test_a_matrix_of_crosstalk():
         assert abs(value - true[i][j]) <= 2 * u
 
 
+@pytest.mark.slow
 def test_quadrant_peaks_beside_a_declared_matrix():
     closure = closed(DATA / "practice" / "09_rtest_reversal")
     assert closure.verdict == "named" and named(closure) == ["reversal_spike"]
@@ -117,6 +121,7 @@ def test_quadrant_peaks_beside_a_declared_matrix():
         assert abs(values[name][0] - true) <= 4 * values[name][1]
 
 
+@pytest.mark.slow
 def test_arm_by_its_commanded_joints():
     closure = closed(DATA / "real" / "irb120")
     names = named(closure)
@@ -134,6 +139,7 @@ def test_arm_by_its_commanded_joints():
     assert first <= 155
 
 
+@pytest.mark.campaign
 def test_arm_by_its_read_back_joints():
     closure = closed(DATA / "real" / "irb120", ["instrument.joints=read"])
     names = named(closure)

@@ -170,7 +170,7 @@ def test_initial_errors_come_out_as_printed(results):
     assert 0.0 < p.quantile(0.5) < p.quantile(0.95) < p.edges[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_more_tests_begin_with_the_same_ones(results):
     for name, trials in results.few.items():
         few, many = trials.ensemble.values, results.many[name].ensemble.values

@@ -236,6 +236,7 @@ def test_two_effects_of_one_key_have_values_of_their_own(tracker):
         assert values[1][2] * 3600.0 == pytest.approx(fit.shapes[place]["tau"])
 
 
+@pytest.mark.slow
 def test_a_run_of_circles_alone_can_name(tmp_path):
     """One run is held out in parts: there is no other to foretell it."""
     from test_r_test import circles, write

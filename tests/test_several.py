@@ -126,6 +126,7 @@ def write_beams(folder, case, sigma=0.5e-6):
 # --- one estimate of all -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_joint_estimate_is_that_of_both_informations(clean, clean_fit):
     """Information of the two fits added, the prior that they share counted once."""
     folder, _ = clean
@@ -288,6 +289,7 @@ def backlash(tmp_path_factory):
     return study, closure, page
 
 
+@pytest.mark.slow
 def test_an_effect_of_the_machine_is_named_once(backlash):
     study, closure, _ = backlash
     assert closure.verdict == "named"
@@ -302,6 +304,7 @@ def test_an_effect_of_the_machine_is_named_once(backlash):
         assert after.sets[name].chi2_per_dof < 1.2 < before.sets[name].chi2_per_dof
 
 
+@pytest.mark.slow
 def test_the_page_tells_the_data_sets_apart(backlash):
     study, closure, page = backlash
     text = page.read_text(encoding="utf-8")

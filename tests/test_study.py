@@ -162,6 +162,19 @@ def test_further_columns(small_tracker_study):
     assert not plan.has("remark")
 
 
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_tables_of_spreadsheets_with_decimal_commas(small_tracker_study, mark):
+    data = small_tracker_study / "data.csv"
+    expected = read_table(data, [])
+    text = data.read_text(encoding="utf-8").replace(",", mark).replace(".", ",")
+    data.write_text("\ufeff" + text.replace("\n", "\r\n"), encoding="utf-8", newline="")
+    found = read_table(data, [])
+    assert list(found) == list(expected) and mark in data.read_text(encoding="utf-8")
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values)
+    assert load_study(small_tracker_study).plan.rows == 48
+
+
 def test_tables_survive_a_round_trip(tmp_path):
     columns = {"run": np.array([0, 1]), "x_mm": np.array([1.0 / 3.0, -1e-7])}
     write_table(tmp_path / "t.csv", columns)

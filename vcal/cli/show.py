@@ -1,7 +1,7 @@
 """What commands print: compact text on stdout, the details are in the files they write."""
 
 import inspect
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..loop.candidates import candidates
 from ..loop.closure import Closure, Errors
 from ..loop.heldout import Rms
 from ..measurement import Measurement
+from ..plan import Plan
 from ..report.derived import missing_columns, parameters
 
 _MOST = 6
@@ -117,6 +118,7 @@ def show_study(study: Study) -> None:
 def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
     """Instrument and table of a data set, which is named where there are several."""
     rows, of = one.plan.rows, f" of {one.name}" if one.name else ""
+    header = read_header(study.folder / one.file)
     return [
         (f"instrument{of}", one.settings.kind),
         (
@@ -125,8 +127,19 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
             if one.readings is not None
             else f"{rows} rows without readings: a plan",
         ),
-        (f"columns{of}", ", ".join(read_header(study.folder / one.file))),
+        (f"columns{of}", ", ".join(header)),
+        *_constant(one.plan, header, of),
     ]
+
+
+def _constant(plan: Plan, header: Collection[str], of: str) -> list[tuple[str, str]]:
+    """Recorded columns that effects could depend on, but that are the same in every row."""
+    still = (name for name in (*plan.axes, *plan.covariates) if np.ptp(plan.values(name)) == 0)
+    columns = [c for c in (file_name(name, plan.axes) for name in still) if c in header]
+    if not columns:
+        return []
+    whose = "their" if columns[1:] else "its"
+    return [(f"constant{of}", f"{', '.join(columns)}: what depends on {whose} change is not seen")]
 
 
 def _size(effect: Effect) -> str:

@@ -1,6 +1,7 @@
 """Tables in CSV files, checked cell by cell."""
 
 import csv
+import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +12,9 @@ from ..catalogue import nearest
 from ..errors import StudyError
 from ..instruments.base import Column
 from .messages import listed, refusal
+
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+"""What may separate cells, by name: the first of them that the header has."""
 
 
 class Table(dict[str, np.ndarray]):
@@ -57,6 +61,9 @@ def read_table(
     labels: Sequence[str] = (),
 ) -> Table:
     """Columns of a CSV file with a header line, as float64 in the units of the file.
+
+    Cells are separated by commas; where the header has none, by semicolons or tabs, and numbers may
+    then have a decimal comma (as spreadsheets write them in many countries).
 
     `columns` must be there and are checked against their declarations; `optional` gives the
     declaration of a column that need not be there; `labels` are columns of text. Any further column
@@ -122,8 +129,10 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
         )
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            found = [(reader.line_num, row) for row in reader if any(c.strip() for c in row)]
+            text = file.read()
+        mark = _separator(text)
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark)
+        found = [(reader.line_num, row) for row in reader if any(c.strip() for c in row)]
     except (UnicodeDecodeError, csv.Error) as error:
         raise refusal(
             name, "file", f"unreadable text ({error})", "a CSV table in UTF-8", "save it again so"
@@ -131,6 +140,8 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
     if not found:
         raise refusal(name, "file", "nothing in it", "a header line and rows", "write the table")
     (line, cells), *rows = found
+    if mark != ",":
+        rows = [(number, [_decimal_point(cell) for cell in row]) for number, row in rows]
     header = tuple(cell.strip() for cell in cells)
     for column in header:
         if header.count(column) > 1:
@@ -150,16 +161,31 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
                 f"row {number} (line {line}), column "
                 + (header[len(row)] if len(row) < len(header) else "after the last one"),
                 f"{len(row)} cells{last}",
-                f"{len(header)} as in the header, separated by commas",
-                "complete the row or remove it",
+                f"{len(header)} as in the header, separated by {SEPARATORS[mark]}",
+                "complete the row or remove it"
+                + (
+                    "; numbers with decimal commas want semicolons between the columns"
+                    if mark == "," and len(row) > len(header)
+                    else ""
+                ),
             )
     return header, [line for line, _ in rows], [row for _, row in rows]
 
 
+def _separator(text: str) -> str:
+    """What separates the cells: a comma, or what the header has instead."""
+    header = next((line for line in text.splitlines() if line.strip()), "")
+    return next((mark for mark in SEPARATORS if mark in header), ",")
+
+
+def _decimal_point(cell: str) -> str:
+    """The cell with a point for a single decimal comma, where it is a number then."""
+    point = cell.replace(",", ".", 1)
+    return cell if math.isnan(_number(point)) else point
+
+
 def _missing(file: str, name: str, header: Sequence[str], free: Sequence[str]) -> StudyError:
     do = "add the column or correct its name"
-    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-        do = "separate the columns by commas"
     found = f"no such column{nearest(name, free)} among {listed(header)}"
     return refusal(file, f"column {name}", found, "a column of this name", do)
 

@@ -66,4 +66,7 @@ def _column(name: str, lacking: tuple[str, ...], plan: Plan) -> str:
     if lacking != plan.sets:
         return f"{column} (not in {', '.join(lacking)})"
     # A time that begins anew with every run is there, and is another one.
-    return f"{column} through all runs" if f"{name}_run" in plan.covariates else column
+    if f"{name}_run" in plan.covariates:
+        return f"{column} through all runs"
+    other = next((c for c in plan.covariates if c.casefold() == column.casefold()), None)
+    return f"{column} (rename {other})" if other else column
