@@ -17,7 +17,7 @@ from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify
 from vcal.effects.registry import load_effects
 from vcal.loop.empirical import EMPIRICAL, Interaction, Kink, LocalBump, Since
 from vcal.loop.heldout import improvement, predictive_deviance
-from vcal.loop.rivals import fits_better, refit_all
+from vcal.loop.rivals import Rival, fits_better, in_doubt, refit_all
 from vcal.loop.scales import log_gain, log_mixture, over_scales
 from vcal.loop.screen import Screen
 from vcal.report.own_effect import own_effect
@@ -201,11 +201,11 @@ def test_evidence_of_a_time_constant_at_the_end_of_its_scan(tracker, size):
     assert found + base.log_evidence() + scale[0] - scale[1] == pytest.approx(exact, abs=0.4)
 
 
-def rival(chi2: float, weight: float, parameters: int, size: float = 0.5):
-    """As much of a rival as the preference looks at."""
+def rival(chi2: float, weight: float, parameters: int, surprise: float = 0.0):
+    """As much of a rival as the preference looks at, with odds of one beforehand."""
     fit = SimpleNamespace(chi2=chi2, dof=100.0)
     effect = SimpleNamespace(parameters=(None,) * parameters)
-    return SimpleNamespace(fit=fit, effect=effect, log_weight=weight, sizes=np.array([size]))
+    return Rival(effect, fit, weight, 0.0, 0.0, surprise=surprise)
 
 
 @pytest.mark.parametrize(
@@ -215,13 +215,28 @@ def rival(chi2: float, weight: float, parameters: int, size: float = 0.5):
         (rival(109.0, 18.0, 3), False),
         (rival(103.0, 14.0, 3), True),  # far less likely, with as many parameters
         (rival(103.0, 14.0, 4), False),  # for its parameters
-        (rival(103.0, 14.0, 3, size=-2.0), False),  # for its size
+        (rival(103.0, 14.0, 3, surprise=1.5), False),  # for its size
+        (rival(103.0, 8.0, 3, surprise=1.5), True),  # for more than its size
+        (rival(103.0, 8.0, 3, surprise=9.5), False),
         (rival(99.0, 14.0, 3), False),  # fits better
     ],
 )
 def test_when_a_description_is_preferred_to_a_name(other, preferred):
     assert fits_better(rival(100.0, 18.0, 3), [other]) == preferred
     assert not fits_better(rival(100.0, 18.0, 3), [other, rival(100.0, 18.0, 1)])
+
+
+@pytest.mark.parametrize(
+    ("description", "doubt"),
+    [
+        (rival(98.0, 16.0, 2), True),
+        (rival(98.0, 14.0, 2), False),  # the effect is clearly likelier
+        (rival(99.5, 17.0, 2), False),  # fits no better
+        (rival(103.0, 19.0, 2), False),
+    ],
+)
+def test_when_a_description_puts_a_name_in_doubt(description, doubt):
+    assert in_doubt(description, rival(100.0, 18.0, 2)) == doubt
 
 
 # --- held-out readings ----------------------------------------------------------------------------

@@ -116,9 +116,11 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     state = Screen(base, 20, 0)
     (peak,) = state.test(effect).peaks(1)
     (rival,) = refit_all(base, [peak], {"backlash": 2}, base.used, tracker.room)
-    (size,) = rival.sizes
+    last = len(rival.fit.model.entries)
+    size = rival.fit.theta[last - 1]
     surprise = 0.5 * (size**2 - 1.0)
     assert surprise > np.log(20.0)
+    assert rival.surprise == pytest.approx(surprise)
     assert rival.leniency == pytest.approx(surprise - np.log(20.0))
     expected = rival.log_bayes + np.log(0.5) + rival.leniency
     assert rival.log_weight == pytest.approx(expected)

@@ -26,8 +26,8 @@ _FITS_AS_WELL = 10.0
 """Chi-square in units of the noise by which an empirical description must fit better than an effect
 to be preferred to it ..."""
 _LIKELIER = math.log(20.0)
-"""... unless it has no fewer parameters, fits no worse and has log odds over it of so much, and not
-because the effect is larger than expected."""
+"""... unless it has no fewer parameters, fits no worse and has log odds over it of so much, where the
+effect is given back what it loses by being larger than expected."""
 
 
 @dataclass(frozen=True)
@@ -45,16 +45,15 @@ class Rival:
     """Change of the Bayesian information criterion; negative is better."""
     log_shape: float = 0.0
     """What is known of its shape beyond the fit: a share of `log_bayes`."""
-    leniency: float = 0.0
-    """What its size being larger than expected costs `log_bayes` beyond `_SURPRISE`. How large an
-    effect may be is known roughly: enough to prefer one rival, not to exclude another.
-    """
+    surprise: float = 0.0
+    """What its size being larger than expected costs `log_bayes`."""
 
     @property
-    def sizes(self) -> np.ndarray:
-        """Its amplitudes in solver units: the standard deviations of their priors."""
-        last = len(self.fit.model.entries)
-        return self.fit.theta[last - len(self.effect.amplitudes) : last]
+    def leniency(self) -> float:
+        """What that costs beyond `_SURPRISE`: how large an effect may be is known roughly, enough
+        to prefer one rival, not to exclude another.
+        """
+        return max(0.0, self.surprise - _SURPRISE)
 
     @property
     def log_weight(self) -> float:
@@ -123,9 +122,8 @@ def refit_all(
         added = slice(first, first + len(peak.effect.amplitudes))
         gain = fit.log_evidence(noise) + over_scales(fit, added, noise) - reference
         shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
-        surprise = 0.5 * np.maximum(fit.theta[added] ** 2 - 1.0, 0.0).sum()
-        lenient = max(0.0, float(surprise) - _SURPRISE)
-        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape, lenient))
+        surprise = float(0.5 * np.maximum(fit.theta[added] ** 2 - 1.0, 0.0).sum())
+        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape, surprise))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
 
@@ -178,14 +176,26 @@ def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
 
     def better(rival: Rival) -> bool:
         gained = rival.fit.chi2 - best.fit.chi2
+        at_its_size = rival.log_bayes + rival.log_prior + rival.surprise
         return gained > _FITS_AS_WELL * noise or (
             gained >= 0.0
-            and np.abs(rival.sizes).max() <= 1.0
             and len(best.effect.parameters) >= len(rival.effect.parameters)
-            and best.log_weight > rival.log_weight + _LIKELIER
+            and best.log_weight > at_its_size + _LIKELIER
         )
 
     return all(map(better, others))
+
+
+def in_doubt(description: Rival, best: Rival) -> bool:
+    """Whether an empirical description puts an effect in doubt: it fits better, by more than
+    nothing that the data can tell, and the effect is not clearly likelier. One that fits the same
+    is no rival: what a physical effect describes as well needs no description of its own.
+    """
+    noise = max(1.0, best.fit.chi2 / best.fit.dof)
+    return (
+        best.fit.chi2 - description.fit.chi2 > _TOLD * noise
+        and best.log_weight < description.log_weight + _LIKELIER
+    )
 
 
 def _same_shape(a: Fit, b: Fit) -> bool:
@@ -280,8 +290,14 @@ def classes_of(base: Fit, rivals: Sequence[Rival]) -> list[list[Rival]]:
     return classes
 
 
-def weigh(classes: Sequence[Sequence[Rival]], best: Rival) -> Weighed:
-    """Posterior probabilities of the rivals (`classes_of`), seen from one of them."""
+def weigh(
+    classes: Sequence[Sequence[Rival]], best: Rival, described: Rival | None = None
+) -> Weighed:
+    """Posterior probabilities of the rivals (`classes_of`), seen from one of them; among them an
+    empirical description, where it puts the best in doubt.
+    """
+    if described is not None and in_doubt(described, best):
+        classes = [*classes, [described]]
     names = Names.of(classes, best)
     weights, members_of = names.weights, names.members
     top = max(rival.log_weight for members in classes for rival in members)

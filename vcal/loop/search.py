@@ -140,9 +140,10 @@ class Search:
         odds = {id(r): weight for r, weight in ranked}
         significant = [r for r, _ in ranked if own[id(r.effect)] <= self.alpha]
         best = next((r for r in rivals if isinstance(r.effect, Empirical)), None)
+        if best is not None and own[id(best.effect)] > self.alpha:
+            best = None
         if (
             best is not None
-            and own[id(best.effect)] <= self.alpha
             and (not significant or best.log_weight > odds[id(significant[0])])
             # What a physical effect describes as well needs no description of its own.
             and fits_better(best, significant)
@@ -184,7 +185,7 @@ class Search:
                 self._reject(rival, own, f"a far likelier one {why}")
                 refused = refused or rival
             else:
-                weighed = weigh(classes, rival)
+                weighed = weigh(classes, rival, best)
                 p = own[id(rival.effect)]
                 self.progress(f"round {number}: adding {rival.effect.key}")
                 refitted = self._at_its_size(fitted(rival.fit.model, measurement, after, self.room))
