@@ -26,8 +26,8 @@ _FITS_AS_WELL = 10.0
 """Chi-square in units of the noise by which an empirical description must fit better than an effect
 to be preferred to it ..."""
 _LIKELIER = math.log(20.0)
-"""... unless it has no fewer parameters, fits no worse and has log odds over it of so much, where the
-effect is given back what it loses by being larger than expected."""
+"""... unless it has no fewer parameters, fits no worse and has log odds over it of so much, without
+what the effect loses by being larger than expected."""
 
 
 @dataclass(frozen=True)
