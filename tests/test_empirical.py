@@ -237,6 +237,9 @@ def test_when_a_description_is_preferred_to_a_name(other, preferred):
 )
 def test_when_a_description_puts_a_name_in_doubt(description, doubt):
     assert in_doubt(description, rival(100.0, 18.0, 2)) == doubt
+    # What the effect loses by its size does not speak for a description.
+    assert in_doubt(description, rival(100.0, 8.0, 2, surprise=10.0)) == doubt
+    assert in_doubt(rival(98.0, 14.0, 2), rival(100.0, 8.0, 2, surprise=1.0))
 
 
 # --- held-out readings ----------------------------------------------------------------------------

@@ -60,6 +60,11 @@ class Rival:
         """Log of the posterior odds among rivals."""
         return self.log_bayes + self.log_prior + self.leniency
 
+    @property
+    def log_weight_at_its_size(self) -> float:
+        """The same were its size as expected: against descriptions, which may have any."""
+        return self.log_bayes + self.log_prior + self.surprise
+
 
 @dataclass(frozen=True)
 class Weighed:
@@ -176,11 +181,10 @@ def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
 
     def better(rival: Rival) -> bool:
         gained = rival.fit.chi2 - best.fit.chi2
-        at_its_size = rival.log_bayes + rival.log_prior + rival.surprise
         return gained > _FITS_AS_WELL * noise or (
             gained >= 0.0
             and len(best.effect.parameters) >= len(rival.effect.parameters)
-            and best.log_weight > at_its_size + _LIKELIER
+            and best.log_weight > rival.log_weight_at_its_size + _LIKELIER
         )
 
     return all(map(better, others))
@@ -188,13 +192,13 @@ def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
 
 def in_doubt(description: Rival, best: Rival) -> bool:
     """Whether an empirical description puts an effect in doubt: it fits better, by more than
-    nothing that the data can tell, and the effect is not clearly likelier. One that fits the same
-    is no rival: what a physical effect describes as well needs no description of its own.
+    nothing that the data can tell, and the effect is not clearly likelier, its size apart. One that
+    fits the same is no rival: what a physical effect describes as well needs no description.
     """
     noise = max(1.0, best.fit.chi2 / best.fit.dof)
     return (
         best.fit.chi2 - description.fit.chi2 > _TOLD * noise
-        and best.log_weight < description.log_weight + _LIKELIER
+        and best.log_weight_at_its_size < description.log_weight + _LIKELIER
     )
 
 
