@@ -133,6 +133,10 @@ TABLES = {
         both(cell(5, "range_mm", "1.234|5"), SEMICOLONS, replace("|", ",", "data.csv")),
         ("data.csv, row 5 (line 6), column range_mm", "found '1.234,5'"),
     ),
+    "thousands beside decimal points": (
+        both(cell(5, "range_mm", "1|234"), SEMICOLONS, replace("|", ",", "data.csv")),
+        ("data.csv, row 5 (line 6), column range_mm", "found '1,234'"),
+    ),
     "decimal commas between commas": (
         replace(".", ",", "data.csv"),
         ("data.csv, row 1 (line 2)", "want semicolons between the columns"),

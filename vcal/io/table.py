@@ -63,7 +63,7 @@ def read_table(
     """Columns of a CSV file with a header line, as float64 in the units of the file.
 
     Cells are separated by commas; where the header has none, by semicolons or tabs, and numbers may
-    then have a decimal comma (as spreadsheets write them in many countries).
+    then have a decimal comma (as spreadsheets write them in many countries), in all the table.
 
     `columns` must be there and are checked against their declarations; `optional` gives the
     declaration of a column that need not be there; `labels` are columns of text. Any further column
@@ -140,7 +140,8 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
     if not found:
         raise refusal(name, "file", "nothing in it", "a header line and rows", "write the table")
     (line, cells), *rows = found
-    if mark != ",":
+    # Beside decimal points, a comma would be one of thousands.
+    if mark != "," and not any("." in c and math.isfinite(_number(c)) for _, r in rows for c in r):
         rows = [(number, [_decimal_point(cell) for cell in row]) for number, row in rows]
     header = tuple(cell.strip() for cell in cells)
     for column in header:
