@@ -15,9 +15,10 @@ from known import Known
 from oracle import make_case, write_study
 from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify, load_study
 from vcal.effects.registry import load_effects
+from vcal.loop.close_loop import _separation
 from vcal.loop.empirical import EMPIRICAL, Interaction, Kink, LocalBump, Since
 from vcal.loop.heldout import improvement, predictive_deviance
-from vcal.loop.rivals import Rival, fits_better, in_doubt, refit_all
+from vcal.loop.rivals import Rival, Weighed, fits_better, in_doubt, refit_all
 from vcal.loop.scales import log_gain, log_mixture, over_scales
 from vcal.loop.screen import Screen
 from vcal.report.own_effect import own_effect
@@ -240,6 +241,18 @@ def test_when_a_description_puts_a_name_in_doubt(description, doubt):
     # What the effect loses by its size does not speak for a description.
     assert in_doubt(description, rival(100.0, 8.0, 2, surprise=10.0)) == doubt
     assert in_doubt(rival(98.0, 14.0, 2), rival(100.0, 8.0, 2, surprise=1.0))
+
+
+@pytest.mark.parametrize(
+    ("rival", "expected"),
+    [
+        ("local_bump", "measure at further values of X, between and beyond those there are"),
+        ("backlash", "vary X independently of what betrays backlash X"),
+    ],
+)
+def test_what_would_tell_a_description_from_an_effect(rival, expected):
+    best = SimpleNamespace(effect=SimpleNamespace(betrayed_by=("X",)))
+    assert _separation(Weighed(best, 0.3, [], [(rival, "X", 0.7)])) == expected
 
 
 # --- held-out readings ----------------------------------------------------------------------------

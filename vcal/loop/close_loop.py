@@ -15,6 +15,7 @@ from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from .closure import Closure, Errors, FoundEffect, SetErrors, Verdict
 from .confounded import confounded
+from .empirical import EMPIRICAL
 from .heldout import check_rms, fit_rms, heldout_rms
 from .rivals import Weighed
 from .search import Added, Search, place_of
@@ -189,6 +190,10 @@ def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
 def _separation(weighed: Weighed) -> str:
     rivals = weighed.alternatives[:2]
     own = weighed.best.effect
+    if rivals and rivals[0][0] in {kind.name for kind in EMPIRICAL}:
+        # A description depends on the same; between the positions and times measured it differs.
+        betrays = ", ".join(own.betrayed_by) or "its own covariate"
+        return f"measure at further values of {betrays}, between and beyond those there are"
     other = " and ".join(f"{name} {place}".strip() for name, place, _ in rivals)
     betrays = ", ".join(own.betrayed_by) or "its own covariate"
     return f"vary {betrays} independently of what betrays {other}"

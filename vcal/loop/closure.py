@@ -146,7 +146,11 @@ class Closure:
         if self.verdict == "named":
             return f"The declared model lacked {listed}."
         if self.verdict == "ambiguous":
-            return f"The declared model lacks something: most likely {listed}, but not for certain."
+            likely = all(
+                2.0 * p < 1.0 for found in self.effects for *_, p in found.alternatives
+            )  # else a rival is the likelier one
+            how = "most likely" if likely else "it may be"
+            return f"The declared model lacks something: {how} {listed}, but not for certain."
         found = f"Found {listed}; the rest is unexplained" if names else "Unexplained"
         return f"{found}: {self._remainder()}."
 
