@@ -6,6 +6,7 @@ derivatives, screening, evidence, reporting - is the engine's work.
 """
 
 import abc
+import functools
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -140,17 +141,18 @@ class Effect(eqx.Module):
         del setup
         return ()
 
-    @property
+    @functools.cached_property
     def amplitudes(self) -> tuple[Parameter, ...]:
         """The parameters that enter linearly, with the declared values in place."""
-        return tuple(p for p in self._declared_parameters() if not p.shape)
+        return tuple(p for p in self._declared if not p.shape)
 
-    @property
+    @functools.cached_property
     def shapes(self) -> tuple[Parameter, ...]:
         """The parameters that enter non-linearly, with the declared values in place."""
-        return tuple(p for p in self._declared_parameters() if p.shape)
+        return tuple(p for p in self._declared if p.shape)
 
-    def _declared_parameters(self) -> tuple[Parameter, ...]:
+    @functools.cached_property
+    def _declared(self) -> tuple[Parameter, ...]:
         known = self.parameters
         given = {name: (mean, sigma) for name, mean, sigma in self.given}
         priors = {name: prior for prior in self.priors for name in prior.names}

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from ..arrays import Array
@@ -87,9 +88,9 @@ class GeometricErrors(Effect):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         columns = {}
         for m in self.motions:
-            values = m.basis.functions(plan.x(m.axis))
-            for k, label in enumerate(m.basis.labels):
-                columns[m.name, f"{m.name}.{label}"] = values[:, k]
+            functions = jnp.unstack(m.basis.functions(plan.x(m.axis)), axis=1)
+            for label, values in zip(m.basis.labels, functions, strict=True):
+                columns[m.name, f"{m.name}.{label}"] = values
         for e in self.locations:
             for port, factor in e.column:
                 columns[port, e.name] = factor * plan.x(e.axis)
@@ -132,8 +133,11 @@ class GeometricOrder(Effect):
         return (self.axis,)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        values = self.basis.functions(plan.x(self.axis))
-        return {(self.motion, label): values[:, k] for k, label in enumerate(self.basis.labels)}
+        functions = jnp.unstack(self.basis.functions(plan.x(self.axis)), axis=1)
+        return {
+            (self.motion, label): values
+            for label, values in zip(self.basis.labels, functions, strict=True)
+        }
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
