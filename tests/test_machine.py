@@ -24,6 +24,7 @@ from vcal.dynamics import (
     set_phasors,
     task,
 )
+from vcal.dynamics.unknowns import CentreShift, Delay, DriveFactor, SpringFactor
 from vcal.errors import StudyError
 from vcal.io.machine import load_machine
 from vcal.reproduce.acceleration.measured import MATRIX_U, fit_matrix, measure
@@ -94,8 +95,17 @@ BAD = {
     "axis": ('axis = "Y"', 'axis = "X"', "key drive.1.axis: found 'X' again"),
     "motor": ("motor_mass_kg = 220\n", "", "key drive.0.motor_mass_kg: found none beside a screw"),
     "delay": ("delay_ms = 0.2", "delay_ms = 0.6", "less than two sample times"),
+    "held": ("[0, 500, 600]", "[500, 500, 600]", "springs that hold axis X along its travel, with"),
+    "swapped": ("[tool_point]", '[tool_point]\ntool = "X"\nwork = "Z"',
+                "a tool point that moves against the workpiece by [-1.0, 0.0, 0.0] per"),
+    "one body": ("[tool_point]", '[tool_point]\ntool = "Z"\nwork = "Z"', "[0.0, 0.0, 0.0]"),
+    "ground": ('["bed", "ground"]', '["ground", "ground"]', "found 'ground' twice"),
+    "nan": ("[0, 0, -250]", "[nan, 0, -250]", "found NaN, expected a finite number"),
+    "damper": ("stiffness_N_per_um = [0, 500, 600]",
+               "stiffness_N_per_um = [0, 500, 600]\ndamping_Ns_per_mm = [0, -5, 0]",
+               "damping_Ns_per_mm.1: found -5"),
     "gains": ("position_gain_per_s = 140", "position_gain_per_s = [100, 120]", "found 2 values"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -208,6 +218,32 @@ def test_phasors_of_circles_with_one_speed(catalogue):
     np.testing.assert_allclose(left, 0.0, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("unknown", "message"),
+    [
+        (SpringFactor("carriages of x"), r"found 'carriages of x' \(did you mean"),
+        (DriveFactor("Q"), "machine's drives with a screw, X, Y, Z"),
+        (CentreShift("headstock", "X"), "machine's bodies, bed, X, Y, Z"),
+        (CentreShift("Z", "x"), "machine's directions, X, Y, Z"),
+    ],
+)
+def test_unknowns_of_what_is_not_there(catalogue, unknown, message):
+    machine, controller, loop = catalogue
+    with pytest.raises(ValueError, match=message):
+        task(machine, controller, [unknown], seen_by(loop, 0))
+
+
+def test_the_delay_that_is_told_is_the_one_applied(catalogue):
+    """No force acts before its sample, or later than the last one that is kept."""
+    machine, controller, _ = catalogue
+    delay = Delay(sigma_ms=0.5)
+    for z in (-3.0, -1.0, 0.0, 0.2, 3.0):
+        _, applied = delay.apply(machine, controller, z)
+        told = 1e-3 * float(delay.value(z, controller)) + float(controller.delay)
+        assert told == pytest.approx(float(applied.delay), abs=1e-12)
+        assert 0.0 <= told < 2.0 * controller.sample_time
+
+
 @pytest.mark.slow
 def test_errors_of_the_probes_are_eliminated(catalogue, truth):
     """The cost is that of the best matrix S, found here by plain least squares."""
@@ -234,7 +270,8 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
 def test_many_machines(catalogue):
     """Errors are as large as their uncertainties say, and machine i is machine i."""
     machine, controller, _ = catalogue
-    noise = Noise(0.02e-6, 0.25e-6, 240)
+    # Noise of the scales, which is in the error as well, of a size that counts there.
+    noise = Noise(0.2e-6, 0.25e-6, 240)
     circles = circle_set(RADIUS_M, LEVELS)
     done, few = (
         campaign(machine, controller, UNKNOWNS, circles, noise, draws=draws, seed=5,

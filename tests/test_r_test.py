@@ -9,6 +9,7 @@ import vcal
 from oracle import PLANES, measure_circles
 from vcal import Measurement, close_loop, load_study, predict
 from vcal.circles import FAR, fit_circle
+from vcal.dynamics import measured_phasors
 from vcal.dynamics.evaluate import evaluate, even_ellipse
 from vcal.errors import StudyError
 from vcal.identify import identify
@@ -187,7 +188,7 @@ def test_uncertainty_of_the_device(tmp_path):
 
 def test_both_evaluations(study):
     """The publication's plane and ellipse, and the fit of everything."""
-    found = evaluate(study.measurement)
+    found = evaluate(study.measurement, study.instrument)
     assert found.runs.shape == (30, 3, 3)
     np.testing.assert_allclose(found.mean, E, atol=0.05)
     # Every circle shows two elements of cross-talk and two of in-talk.
@@ -198,14 +199,14 @@ def test_both_evaluations(study):
     assert spread[0.5] / spread[4.5] == pytest.approx(9.0, rel=0.6)
     clean = circles(noise=0.0)
     read = dataclasses.replace(study).instrument.measured(clean)
-    exact = evaluate(Measurement(study.instrument.plan(study.chain, clean), read))
+    exact = evaluate(Measurement(study.instrument.plan(study.chain, clean), read), study.instrument)
     np.testing.assert_allclose(exact.mean, E, atol=2e-3)
 
 
 def test_planes_that_are_missing(tmp_path):
     s = load_study(write(tmp_path / "two", circles(planes=("XY", "ZX"))))
     with pytest.raises(ValueError, match=r"found circles in XY, XZ, expected some in XY, YZ and"):
-        evaluate(s.measurement)
+        evaluate(s.measurement, s.instrument)
 
 
 def test_an_even_ellipse():
@@ -272,10 +273,13 @@ def test_the_loop_names_clocks_and_gratings(tmp_path, key, name, true, more):
 NEST = np.array([[0.8, 0.0, 0.6], [-0.4, 0.69, 0.6], [-0.4, -0.69, 0.6]])
 
 
-@pytest.mark.parametrize("tip", [pytest.param(None, marks=pytest.mark.slow), 1.5])
-def test_probes_on_a_sphere(study, tmp_path, tip):
-    """Against the contact of two spheres, found by bisection."""
+@pytest.mark.parametrize(
+    ("tip", "place"), [pytest.param(None, 0.0, marks=pytest.mark.slow), (1.5, 300.0)]
+)
+def test_probes_on_a_sphere(study, tmp_path, tip, place):
+    """Against the contact of two spheres, found by bisection, wherever in the machine it is."""
     table = circles(levels=(4.5,), noise=0.0)
+    table["x_int_mm"] = table["x_int_mm"] + place
     seen = np.column_stack([table.pop(f"{c}_ext_mm") for c in "xyz"])
     directions = NEST / np.linalg.norm(NEST, axis=1, keepdims=True)
     if tip is None:
@@ -297,6 +301,45 @@ def test_probes_on_a_sphere(study, tmp_path, tip):
     np.testing.assert_allclose(found, E, atol=2e-3)
     left = np.asarray(s.measurement.readings) - np.asarray(predict(fit.model, s.plan, fit.theta))
     assert np.abs(left).max() < 2e-9
+    for take in (evaluate, measured_phasors):
+        with pytest.raises(ValueError, match="found readings of probes, expected coordinates"):
+            take(s.measurement, s.instrument)
+
+
+# --- set points ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t | {"sense": -t["sense"]}, "run 0: found the scale of Y -?180 degrees behind"),
+        (lambda t: t | {"sense": 0 * t["sense"]}, "run 0: .*found the sense 0"),
+        (lambda t: t | {"t_s": t["t_s"] - np.pi / 2 / np.sqrt(4.5 / 2e-3)},
+         "run 0: found the scale of X -90 degrees behind its set point"),
+    ],
+)  # fmt: skip
+def test_circles_that_are_not_the_ones_asked_for(tmp_path, change, message):
+    table = change(circles(levels=(4.5,)))
+    s = load_study(write(tmp_path / "other", table))
+    with pytest.raises(ValueError, match=message):
+        measured_phasors(s.measurement, s.instrument)
+
+
+def test_scales_of_undeclared_noise(study):
+    silent = dataclasses.replace(study.instrument, internal_sigma=0.0)
+    with pytest.raises(ValueError, match="found no internal_sigma_um"):
+        measured_phasors(study.measurement, silent)
+
+
+def test_an_axis_that_gives_way_is_at_rest(tmp_path):
+    """A held axis that the others push by some micrometres."""
+    table = circles(levels=(4.5,), planes=("XY",))
+    push = 5e-3 * np.cos(np.sqrt(4.5 / 2e-3) * table["t_s"])
+    pushed = table | {c: table[c] + push for c in ("z_int_mm", "z_ext_mm")}
+    one, other = (load_study(write(tmp_path / n, t)) for n, t in (("a", table), ("b", pushed)))
+    assert (np.asarray(other.plan.covariate("a_Z")) == 0.0).all()
+    # Both readings have it.
+    np.testing.assert_allclose(other.measurement.readings, one.measurement.readings, atol=1e-10)
 
 
 # --- files ---------------------------------------------------------------------------------------
@@ -334,6 +377,9 @@ def test_readings_do_not_hold_the_noise_of_the_positions(study):
          r"run 3, column plane: found ZX, while Y, Z move"),
         (lambda t: {k: v * 4 if k.endswith("int_mm") else v for k, v in t.items()},
          r"run 0: found a circle of 8 mm, expected about radius_mm = 2"),
+        (lambda t: t | {"t_s": 1e3 * t["t_s"]},
+         r"run 0, column a_set_m_s2: found 4.5, while the axes travel 2 mm at .*4.5e-06 m/s"),
+        (lambda t: t | {"a_set_m_s2": 0 * t["t_s"] + 1.0}, r"column a_set_m_s2: found 1, while"),
         (lambda t: t | {"x_ext_mm": t["x_ext_mm"] + 2.5}, r"column x_ext_mm: found 4.* to 3;"),
     ],
 )  # fmt: skip

@@ -14,8 +14,9 @@ from jaxtyping import Float
 FAR = 1.0
 """What counts as the distance, m, since a reversal that never was: finite, for its derivatives."""
 _STEPS = 20
-_STILL = 1e-3
-"""Amplitude over that of the circle from which on an axis is at rest."""
+_STILL = 0.02
+"""Amplitude over that of the circle below which an axis is at rest: a held axis gives way to what
+the others do to it, by some micrometres."""
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,8 @@ def campaign(
         jnp.asarray(blank),
         jnp.zeros((len(circles), 3), complex),
         jnp.full(blank.shape, each * noise.internal),
-        jnp.full(len(circles), each * noise.external),
+        # The noise of the scales is in the error as well.
+        jnp.full(len(circles), each * np.hypot(noise.internal, noise.external)),
     )
     given = task(machine, controller, unknowns, seen, matrix_u=matrix_u, quick=True)
     root = jax.random.key(seed)

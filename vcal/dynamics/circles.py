@@ -22,6 +22,8 @@ from .setpoints import SetCircle
 
 _ALIKE = 1e-3
 """Relative difference up to which two speeds count as one."""
+_LEAD, _LAG = 20.0, 150.0
+"""Degrees by which a scale may be ahead of its set point, and behind it."""
 
 
 class Phasors(eqx.Module):
@@ -74,8 +76,15 @@ def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
     """Those of an R-test that reads coordinates.
 
     Set points are circles of the commanded radius that begin with the time of a run, as a trace of
-    the controller does.
+    the controller does. Raises `ValueError` for readings of probes, for scales of undeclared noise,
+    and where the scales do not follow such circles.
     """
+    instrument.check_coordinates()
+    if instrument.internal_sigma == 0.0:
+        raise ValueError(
+            "[instrument]: found no internal_sigma_um, expected the noise of the scales, by which "
+            "their readings count; declare it"
+        )
     plan = measurement.plan
     run, t = np.asarray(plan.groups["run"]), np.asarray(plan.covariate("t_run"))
     position, external = np.asarray(plan.position), np.asarray(measurement.readings)
@@ -99,7 +108,11 @@ def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
         internal, error = np.split(cosine - 1j * sine, [position.shape[1]])
         sense = int(np.asarray(plan.covariate("sense"))[mine][0])
         plane = PLANES[int(np.asarray(plan.groups["plane"])[mine][0])]
-        asked = SetCircle(plane, sense, instrument.radius, 1.0).phasor(plan.axes)
+        try:
+            asked = SetCircle(plane, sense, instrument.radius, level[number]).phasor(plan.axes)
+        except ValueError as error:
+            raise ValueError(f"run {number}: {error}") from error
+        _check_follows(number, plan.axes, circle.moving, internal, asked)
         found["omega"].append(omega)
         found["asked"].append(asked)
         found["internal"].append(np.where(circle.moving, internal, 0.0))
@@ -115,3 +128,25 @@ def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
         internal_u=jnp.asarray(each[:, None] * known),
         error_u=jnp.asarray(each * instrument.sigma),
     )
+
+
+def _check_follows(
+    run: int,
+    axes: tuple[str, ...],
+    moving: np.ndarray,
+    internal: Complex[np.ndarray, " axes"],
+    asked: Complex[np.ndarray, " axes"],
+) -> None:
+    """Raise `ValueError` where a scale leads its set point, or is further behind than half a turn
+    less some: the circle then has another sense, or begins elsewhere.
+    """
+    for axis, part in zip(np.array(axes)[moving], (internal / np.where(asked, asked, 1.0))[moving],
+                          strict=True):  # fmt: skip
+        lag = -np.degrees(np.angle(part))
+        if not -_LEAD <= lag <= _LAG:
+            raise ValueError(
+                f"run {run}: found the scale of {axis} {lag:.0f} degrees behind its set point, "
+                "expected a circle x_1 = r cos, x_2 = sense r sin, with the first axis of XY, YZ "
+                "or ZX at its largest where the time of the run begins; correct the column sense, "
+                "or count t_s from there"
+            )

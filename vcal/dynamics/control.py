@@ -10,6 +10,7 @@ force acts one delay after the sample.
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Float
 
 from ..arrays import Array
@@ -17,7 +18,11 @@ from .assemble import Structure
 
 
 class Controller(eqx.Module):
-    """Gains of all axes, each an array (axes,)."""
+    """Gains of all axes, each an array (axes,).
+
+    Raises `ValueError` for a delay below zero, or of two sample times or more: forces of more than
+    two samples are not kept.
+    """
 
     position_gain: Float[Array, " axes"]
     """Kv, 1/s."""
@@ -28,9 +33,19 @@ class Controller(eqx.Module):
     feed_forward: Float[Array, " axes"]
     """Share f of the set velocity that is added to the velocity command."""
     delay: Float[Array, ""]
-    """From a sample to its force, s."""
+    """From a sample to its force, s; less than two sample times."""
     sample_time: float = eqx.field(static=True)
     """s."""
+
+    def __check_init__(self):
+        if isinstance(self.delay, Tracer):
+            return
+        delay, T = np.asarray(self.delay), self.sample_time
+        if not (T > 0.0 and (delay >= 0.0).all() and (delay < 2.0 * T).all()):
+            raise ValueError(
+                f"controller: found a delay of {1e3 * delay} ms at a sample time of {1e3 * T:g} "
+                "ms, expected none below zero, and less than two sample times; correct one of them"
+            )
 
     @classmethod
     def of(

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..circles import fit_circle
+from ..instruments.r_test import RTest
 from ..measurement import Measurement
 
 _AXES = "XYZ"
@@ -49,12 +50,15 @@ class Evaluated:
         return found
 
 
-def evaluate(measurement: Measurement, acceleration: Acceleration = "actual") -> Evaluated:
+def evaluate(
+    measurement: Measurement, instrument: RTest, acceleration: Acceleration = "actual"
+) -> Evaluated:
     """Both fits for every run of an R-test that reads coordinates.
 
-    Raises `ValueError` unless circles of all three planes are there, as every plane gives two of
-    the six elements of cross-talk, and the in-talk needs all of them.
+    Raises `ValueError` for readings of probes, and unless circles of all three planes are there, as
+    every plane gives two of the six elements of cross-talk, and the in-talk needs all of them.
     """
+    instrument.check_coordinates()
     plan = measurement.plan
     run, t = np.asarray(plan.groups["run"]), np.asarray(plan.covariate("t_run"))
     position, external = np.asarray(plan.position), np.asarray(measurement.readings)

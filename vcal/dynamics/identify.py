@@ -50,6 +50,8 @@ class Identified:
     """Of z; the prior's is the identity."""
     machine: Machine
     controller: Controller
+    declared: Controller
+    """What was known of it before."""
     matrix: Float[np.ndarray, "3 axes"]
     """E of the identified machine, m per m/s^2."""
     matrix_u: Float[np.ndarray, "3 axes"]
@@ -63,14 +65,16 @@ class Identified:
     @property
     def values(self) -> Float[np.ndarray, " k"]:
         """In the unit of every unknown."""
-        return np.array([float(u.value(z)) for u, z in zip(self.unknowns, self.z, strict=True)])
+        return self._at(self.z)
 
     def interval(self, k: float = 2.0) -> Float[np.ndarray, "k 2"]:
         """Values at z - k u and z + k u."""
         u = np.sqrt(np.diag(self.covariance))
-        ends = ([float(w.value(z)) for w, z in zip(self.unknowns, self.z + s * k * u, strict=True)]
-                for s in (-1.0, 1.0))  # fmt: skip
-        return np.array(list(ends)).T
+        return np.array([self._at(self.z - k * u), self._at(self.z + k * u)]).T
+
+    def _at(self, z: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        pairs = zip(self.unknowns, z, strict=True)
+        return np.array([float(unknown.value(each, self.declared)) for unknown, each in pairs])
 
     @property
     def told(self) -> Float[np.ndarray, " k"]:
@@ -151,8 +155,11 @@ def task(
 ) -> Task:
     """`matrix_u` is the standard uncertainty of an element of the probes' matrix: for the standard
     uncertainty u of a coordinate at the end of the range R, u / R. With `quick`, answers are
-    good to eight digits: for campaigns.
+    good to eight digits: for campaigns. Raises `ValueError` for an unknown of what the machine has
+    not.
     """
+    for unknown in unknowns:
+        unknown.check(machine)
     # Circles of one acceleration differ in their angular velocity by the noise of its estimate.
     omega, place = np.unique(np.round(np.asarray(seen.omega), 3), return_inverse=True)
     means = np.array([np.asarray(seen.omega)[place == i].mean() for i in range(len(omega))])
@@ -182,9 +189,15 @@ _solve = eqx.filter_jit(solve)
 def identify_machine(given: Task, seen: Phasors) -> Identified:
     """Unknowns and the matrix E that follows, with their covariance.
 
-    The result says by its `status` whether the search converged.
+    The result says by its `status` whether the search converged. Raises `ValueError` where it
+    could not begin.
     """
     found = _solve(given, seen)
+    if found.status == Status.NON_FINITE:
+        raise ValueError(
+            "found differences over their uncertainties that are no numbers at the catalogue's "
+            "values; expected a machine that circles, and uncertainties above zero"
+        )
     z, covariance = np.asarray(found.value), np.asarray(found.covariance)
     machine, controller = applied(given.unknowns, given.machine, given.controller, jnp.asarray(z))
 
@@ -201,6 +214,7 @@ def identify_machine(given: Task, seen: Phasors) -> Identified:
         covariance,
         machine,
         controller,
+        given.controller,
         np.asarray(matrix(jnp.asarray(z))),
         np.sqrt(variance),
         float(residual @ residual),

@@ -26,6 +26,8 @@ class SetCircle:
     """One circle of the R-test: x_1 = r cos(omega t), x_2 = sense r sin(omega t) in its plane.
 
     In the plane ``"ZX"`` the first axis is Z, as in eqs. (3) and (4) of Nguyen et al. (2012).
+    Raises `ValueError` for a sense other than 1 and -1, and for a radius or an acceleration that is
+    not above zero.
     """
 
     plane: str
@@ -34,6 +36,16 @@ class SetCircle:
     """m."""
     acceleration: float
     """r omega^2, m/s^2."""
+
+    def __post_init__(self):
+        if self.sense not in (1, -1):
+            raise ValueError(f"circle in {self.plane}: found the sense {self.sense}, expected 1 or "
+                             "-1; correct it")  # fmt: skip
+        if not (self.radius > 0.0 and self.acceleration > 0.0):
+            raise ValueError(
+                f"circle in {self.plane}: found a radius of {1e3 * self.radius:g} mm and "
+                f"{self.acceleration:g} m/s^2, expected both above zero; correct them"
+            )
 
     @property
     def omega(self) -> float:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from ..arrays import Array
+from ..catalogue import nearest
 from .bodies import Machine, Scalar
 from .control import Controller
 
@@ -36,8 +37,14 @@ class Unknown(eqx.Module):
         """Of `value`."""
 
     @abc.abstractmethod
-    def value(self, z: Scalar) -> Scalar:
-        """The quantity at z standard deviations of the prior from the catalogue's, in `unit`."""
+    def value(self, z: Scalar, controller: Controller) -> Scalar:
+        """The quantity at z standard deviations of the prior from the catalogue's, in `unit`; of
+        what is declared of the controllers, it is the difference that `apply` makes.
+        """
+
+    def check(self, machine: Machine) -> None:
+        """Raise `ValueError` where the machine has nothing of that name."""
+        del machine
 
     @abc.abstractmethod
     def apply(
@@ -56,7 +63,8 @@ class _Factor(Unknown):
     def unit(self) -> str:
         return "1"
 
-    def value(self, z: Scalar) -> Scalar:
+    def value(self, z: Scalar, controller: Controller) -> Scalar:
+        del controller
         return jnp.exp(self.spread * z)
 
 
@@ -69,8 +77,11 @@ class SpringFactor(_Factor):
     def name(self) -> str:
         return f"stiffness of {self.spring}"
 
+    def check(self, machine):
+        _known(self, self.spring, [spring.name for spring in machine.springs], "springs")
+
     def apply(self, machine, controller, z):
-        factor = self.value(z)
+        factor = self.value(z, controller)
         springs = tuple(
             dataclasses.replace(s, stiffness=s.stiffness * factor, turning=s.turning * factor)
             if s.name == self.spring
@@ -89,9 +100,13 @@ class DriveFactor(_Factor):
     def name(self) -> str:
         return f"stiffness of drive {self.axis}"
 
+    def check(self, machine):
+        screws = [drive.axis for drive in machine.drives if drive.stiffness is not None]
+        _known(self, self.axis, screws, "drives with a screw")
+
     def apply(self, machine, controller, z):
         drives = tuple(
-            dataclasses.replace(d, stiffness=d.stiffness * self.value(z))
+            dataclasses.replace(d, stiffness=d.stiffness * self.value(z, controller))
             if d.axis == self.axis and d.stiffness is not None
             else d
             for d in machine.drives
@@ -107,7 +122,8 @@ class DampingFactor(_Factor):
         return "damping"
 
     def apply(self, machine, controller, z):
-        return dataclasses.replace(machine, loss=machine.loss * self.value(z)), controller
+        loss = machine.loss * self.value(z, controller)
+        return dataclasses.replace(machine, loss=loss), controller
 
 
 class CentreShift(Unknown):
@@ -125,11 +141,16 @@ class CentreShift(Unknown):
     def unit(self) -> str:
         return "mm"
 
-    def value(self, z):
+    def value(self, z, controller):
+        del controller
         return self.sigma_mm * z
 
+    def check(self, machine):
+        _known(self, self.body, [body.name for body in machine.bodies], "bodies")
+        _known(self, self.along, list("XYZ"), "directions")
+
     def apply(self, machine, controller, z):
-        shift = 1e-3 * self.value(z) * jnp.eye(3)["XYZ".index(self.along)]
+        shift = 1e-3 * self.value(z, controller) * jnp.eye(3)["XYZ".index(self.along)]
         bodies = tuple(
             dataclasses.replace(b, centre=b.centre + shift) if b.name == self.body else b
             for b in machine.bodies
@@ -150,18 +171,29 @@ class Delay(Unknown):
     def unit(self) -> str:
         return "ms"
 
-    def value(self, z):
-        return self.sigma_ms * z
+    def value(self, z, controller):
+        return 1e3 * (self._applied(controller, z) - controller.delay)
 
     def apply(self, machine, controller, z):
-        later = controller.delay + 1e-3 * self.value(z)
+        return machine, dataclasses.replace(controller, delay=self._applied(controller, z))
+
+    def _applied(self, controller: Controller, z: Scalar) -> Scalar:
+        later = controller.delay + 1e-3 * self.sigma_ms * z
         # A force before its sample there is not; the latest is the last one that is kept. The
         # ends are rounded off, or a search would be caught in their corners.
         T, latest = controller.sample_time, 1.999 * controller.sample_time
         soft = _ROUNDED * T
         later = soft * jax.nn.softplus(later / soft)
-        later = latest - soft * jax.nn.softplus((latest - later) / soft)
-        return machine, dataclasses.replace(controller, delay=later)
+        return latest - soft * jax.nn.softplus((latest - later) / soft)
+
+
+def _known(unknown: Unknown, name: str, known: Sequence[str], what: str) -> None:
+    if name not in known:
+        raise ValueError(
+            f"unknown {unknown.name!r}: found {name!r}{nearest(name, known)}, expected one of the "
+            f"machine's {what}, {', '.join(dict.fromkeys(known)) or 'of which it has none'}; "
+            "correct the name"
+        )
 
 
 def applied(

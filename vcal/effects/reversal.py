@@ -120,6 +120,8 @@ class ReversalSpike(Effect):
 
     s is the distance travelled since the reversal. Until the drive has built up the force that
     overcomes friction in the new direction, the axis lags (ISO 230-4 shows it as quadrant peaks).
+    Where positions are those that the scales read, as in an R-test, it is only that part of the lag
+    which the scales do not see: wind-up of a screw behind the motor's encoder, bending of a slide.
     Placed on one axis, or on all of them with one size and one decay.
     """
 

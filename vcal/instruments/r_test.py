@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, Self
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -32,6 +33,8 @@ PLANES = ("XY", "YZ", "ZX")
 """Planes of circles, in the order of their numbers in a plan."""
 _SLACK = 0.02
 """Of a turn, that may be missing where the last row stands short of the first."""
+_WITHIN = 3.0
+"""Factor within which the circle that was travelled is the commanded one."""
 _DERIVED = tuple(f"{kind}_{axis}" for kind in ("a", "v", "dir", "since") for axis in _XYZ)
 _OWN = ("run", "plane", "sense", "a_set_m_s2", "t_s")
 
@@ -118,12 +121,14 @@ class ProbeMatrix(Effect):
         return tuple(Parameter(f"S_{i}{j}", "um/m", sigma=size) for i in _XYZ for j in _XYZ)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {(f"sphere.{i}", f"S_{i}{j}"): plan.x(j) for i in _XYZ for j in _XYZ}
+        place = dict(zip(_XYZ, jnp.unstack(_in_the_nest(plan), axis=1), strict=True))
+        return {(f"sphere.{i}", f"S_{i}{j}"): place[j] for i in _XYZ for j in _XYZ}
 
 
 @register
 class RTest(TableInstrument):
-    """Sphere centre seen by the probes, p = tool point + offset of the run, x, y, z of the machine.
+    """Sphere centre seen by the probes, p = tool point - middle of the run's circle + offset of the
+    run, x, y, z of the machine.
 
     The axis positions are those read by the machine's scales, so that the tool point differs from
     them by the errors of the structure. As coordinates the reading is p. As probes it is, with n_k
@@ -214,13 +219,14 @@ class RTest(TableInstrument):
         read, position = np.asarray(plan.position), np.zeros((plan.rows, len(chain.axes)))
         for number in np.unique(run):
             mine = np.flatnonzero(run == number)
-            circle = self._circle(number, t[mine], read[mine], plane[mine], chain.axes)
+            a_set = np.asarray(covariates["a_set_m_s2"])[mine]
+            circle = self._circle(number, t[mine], read[mine], plane[mine], a_set, chain.axes)
             position[mine] = circle.position(t[mine])
             values = circle.acceleration(t[mine])
             if self.nominal:
                 place = position[mine] - circle.centre
                 far = np.linalg.norm(place, axis=1, keepdims=True)
-                values = -covariates["a_set_m_s2"][mine][:, None] * place / far
+                values = -a_set[:, None] * place / far
             found = {
                 "a": values,
                 "v": circle.velocity(t[mine]),
@@ -231,6 +237,15 @@ class RTest(TableInstrument):
                 for i, axis in enumerate(chain.axes):
                     derived[f"{kind}_{axis}"][mine] = columns[:, i]
         return Plan(plan.axes, position, covariates | derived, dict(plan.groups) | {"plane": plane})
+
+    def check_coordinates(self) -> None:
+        """Raise `ValueError` where the readings are those of probes."""
+        if self.probes is not None:
+            raise ValueError(
+                "[instrument]: found readings of probes, expected coordinates of the sphere; "
+                "identify acceleration_crosstalk, which takes both, or turn the readings into "
+                "coordinates"
+            )
 
     def circles(self, plan: Plan) -> dict[int, Circle]:
         """The circle that the axes travelled in every run."""
@@ -265,8 +280,11 @@ class RTest(TableInstrument):
         read = {name: readings[:, i] * 1e3 for i, name in enumerate(names)}
         return {**own, **shown, **read}
 
+    def rows(self, plan: Plan) -> Any:
+        return jnp.asarray(plan.position) - _in_the_nest(plan)
+
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
-        seen = tool + Vector.of(ports["sphere"])
+        seen = tool - Vector.of(row) + Vector.of(ports["sphere"])
         if self.probes is None:
             return list(seen.parts)
         along = [Vector.of(n).dot(seen) for n in self.probes]
@@ -301,6 +319,7 @@ class RTest(TableInstrument):
         t: Float[np.ndarray, " n"],
         position: Float[np.ndarray, "n axes"],
         plane: np.ndarray,
+        a_set: Float[np.ndarray, " n"],
         axes: Sequence[str],
     ) -> Circle:
         where = f"data, run {run}"
@@ -329,12 +348,29 @@ class RTest(TableInstrument):
                 "expected the plane of the two axes that do; correct the column"
             )
         ratio = float(circle.amplitude.max()) / self.radius
-        if not 0.3 < ratio < 3.0:
+        if not 1.0 / _WITHIN < ratio < _WITHIN:
             raise StudyError(
                 f"{where}: found a circle of {1e3 * ratio * self.radius:.3g} mm, expected about "
                 f"radius_mm = {1e3 * self.radius:g}; correct the key, or the unit of the columns"
             )
+        a = circle.omega**2 * float(circle.amplitude.max())
+        wrong = ~((a_set > a / _WITHIN) & (a_set < a * _WITHIN))
+        if wrong.any():
+            raise StudyError(
+                f"{where}, column a_set_m_s2: found {a_set[wrong][0]:g}, while the axes travel "
+                f"{1e3 * circle.amplitude.max():.3g} mm at {circle.omega / 2.0 / np.pi:.3g} turns "
+                f"per second, {a:.3g} m/s^2; expected about the same; correct the column, or the "
+                "unit of t_s"
+            )
         return circle
+
+
+def _in_the_nest(plan: Plan) -> Float[Array, "n 3"]:
+    """Axis positions from the middle of what each run travels, where the probes are at zero."""
+    x = jnp.asarray(plan.position)
+    runs, run = np.unique(np.asarray(plan.groups["run"]), return_inverse=True)
+    low, high = (find(x, run, len(runs)) for find in (jax.ops.segment_min, jax.ops.segment_max))
+    return x - (0.5 * (low + high))[run]
 
 
 _COORDINATES = ("x_ext_mm", "y_ext_mm", "z_ext_mm")

@@ -34,10 +34,17 @@ from .settings import read_setup
 
 Triple = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Strength = tuple[NotNegative, NotNegative, NotNegative]
+_EXACT = 1e-6
+_HELD = 1e-3
+"""Of the largest stiffness, from which springs hold an axis along its travel."""
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False
+    )
 
 
 class BodySettings(_Table):
@@ -62,11 +69,11 @@ class SpringSettings(_Table):
     on: str | None = None
     """What the points ride with; the first body's link by default."""
     points_mm: Annotated[tuple[Triple, ...], Field(min_length=1)]
-    stiffness_N_per_um: Triple  # noqa: N815
+    stiffness_N_per_um: Strength  # noqa: N815
     """Of one point, along X, Y, Z."""
-    turning_Nm_per_mrad: Triple = (0.0, 0.0, 0.0)  # noqa: N815
+    turning_Nm_per_mrad: Strength = (0.0, 0.0, 0.0)  # noqa: N815
     """Of one point, about X, Y, Z."""
-    damping_Ns_per_mm: Triple = (0.0, 0.0, 0.0)  # noqa: N815
+    damping_Ns_per_mm: Strength = (0.0, 0.0, 0.0)  # noqa: N815
     """Viscous, of one point, beside the damping of all."""
 
 
@@ -165,8 +172,8 @@ class Described(NamedTuple):
 def load_machine(path: Path | str, overrides: Sequence[str] = ()) -> Described:
     """Read a description, check it, and put the controllers in.
 
-    Raises `StudyError` for every mistake in the file, for a body that nothing holds, and for a loop
-    that is unstable.
+    Raises `StudyError` for every mistake in the file, for a body that nothing holds, for an axis
+    that cannot travel or moves nothing, and for a loop that is unstable.
     """
     path = Path(path)
     raw, given = read_setup(path, overrides)
@@ -180,6 +187,7 @@ def load_machine(path: Path | str, overrides: Sequence[str] = ()) -> Described:
         check_supported(structure, [body.name for body in machine.bodies])
     except ValueError as error:
         raise StudyError(f"{path.name}, {error}") from error
+    _check_travel(machine, structure, path.name)
     machine = _damped(machine, structure, found)
     structure = assemble(machine)
     controller = _controller(found.controller, structure, path.name)
@@ -222,6 +230,14 @@ def _machine(found: MachineDescription, file: str) -> Machine:
     for i, spring in enumerate(found.spring):
         for name in spring.between:
             _known(name, (*links, GROUND), f"spring.{i}.between", file)
+        if spring.between[0] == spring.between[1]:
+            raise refusal(
+                file,
+                f"key spring.{i}.between",
+                f"{spring.between[0]!r} twice",
+                "two bodies, or a body and 'ground'",
+                "correct one of the names",
+            )
         first = spring.between[0] if spring.between[0] != GROUND else spring.between[1]
         link = spring.on or links[first]
         _known(link, (BED, *chain.axes), f"spring.{i}.on", file)
@@ -279,6 +295,42 @@ def _machine(found: MachineDescription, file: str) -> Machine:
         0.0,
         _friction(found, drives, file),
     )
+
+
+def _check_travel(machine: Machine, structure: Structure, file: str) -> None:
+    """Refuse a machine whose axes the springs hold, or whose scales or tool point do not follow."""
+    travel, stiffness = np.asarray(structure.travel), np.asarray(structure.stiffness)
+    holding = np.einsum("na,nm,ma->a", travel, stiffness, travel)
+    most = float(np.diag(stiffness).max())
+    tool, scale = np.asarray(structure.tool) @ travel, np.asarray(structure.scale) @ travel
+    for i, axis in enumerate(structure.axes):
+        if holding[i] > _HELD * most:
+            raise refusal(
+                file,
+                "table spring",
+                f"springs that hold axis {axis} along its travel, with {1e-6 * holding[i]:.4g} "
+                "N/um",
+                "that nothing but its drive does",
+                f"put 0 in their stiffness along {axis}",
+            )
+        own = np.eye(len(structure.axes))[i]
+        for found, expected, what, keys in (
+            (scale[:, i], own, "scales that read", "drive.*.base"),
+            (
+                tool[:, i],
+                np.asarray(machine.chain.joint(axis).direction),
+                "a tool point that moves against the workpiece by",
+                "tool_point.tool and tool_point.work",
+            ),
+        ):
+            if np.abs(found - expected).max() > _EXACT:
+                raise refusal(
+                    file,
+                    f"keys {keys}",
+                    f"{what} {np.round(found, 6).tolist()} per travel of {axis}",
+                    f"{expected.tolist()}",
+                    "correct the bodies that they belong to",
+                )
 
 
 def _friction(

@@ -16,6 +16,7 @@ _MOST_LINES = 5
 _EXPECTED = {
     "bool_type": "true or false",
     "dict_type": "a table",
+    "finite_number": "a finite number",
     "float_type": "a number",
     "int_type": "a whole number",
     "list_type": "a list in square brackets",

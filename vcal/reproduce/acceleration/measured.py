@@ -109,4 +109,4 @@ def fit_matrix(run: RTestRun, chain: Chain, *, device: bool = True) -> Joint:
 
 def both_ways(run: RTestRun) -> dict[str, Evaluated]:
     """The publication's evaluation with actual and with nominal accelerations."""
-    return {kind: evaluate(run.measurement, kind) for kind in ("actual", "nominal")}
+    return {kind: evaluate(run.measurement, run.instrument, kind) for kind in ("actual", "nominal")}

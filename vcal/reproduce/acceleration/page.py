@@ -167,7 +167,7 @@ def _identified(r: Results, pictures: tuple[Picture, ...]) -> Section:
             (
                 unknown.name,
                 unit(unknown.unit) or "× catalogue",
-                number(float(unknown.value(z))),
+                number(float(unknown.value(z, f.declared))),
                 number(value, 4),
                 f"{number(low, 4)} … {number(high, 4)}",
                 percent(told) if told >= 0.001 else DASH,
