@@ -223,6 +223,8 @@ def summary(lines: Sequence[dict]) -> dict:
                 clean.append(clean_row(good, name, at))
     far = [x for x in group["catalogue"] if x["multiple"] >= FAR]
     seen = [x for x in far if outcome(x) != "not detectable"]
+    warming = [x for x in group["warming up"] if x["multiple"] >= FAR]
+    warming = [x for x in warming if outcome(x) != "not detectable"]
     outside = [x for x in group["outside"] if x["multiple"] >= FAR]
     outside = [x for x in outside if outcome(x) != "not detectable"]
     pairs = [x for x in group["pairs"] if outcome(x) != "not detectable"]
@@ -243,6 +245,11 @@ def summary(lines: Sequence[dict]) -> dict:
             "far_nothing": share(seen, {"nothing"}),
             "far_failed": share(seen, {"failed"}),
             "far_other_component": counts(sum(map(other_component, seen)), len(seen)),
+            "warming_right": share(warming, CERTAIN),
+            "warming_wrong": share(warming, {"wrong"}),
+            "warming_listed": counts(
+                sum(bool(x["found"]) and listed_as_rival(x) for x in warming), len(warming)
+            ),
             "far_error_ratio": median(ratios),
             "far_worse_than_nothing": counts(sum(map(worse_than_nothing, lines)), len(lines)),
             "outside_wrong": share(outside, {"wrong"}),

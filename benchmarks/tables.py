@@ -45,6 +45,9 @@ def power(found: dict) -> str:
         ["another first of several", "", _of(s["far_another_first"])],
         ["unexplained", "", _of(s["far_unexplained"])],
         ["nothing", "", _of(s["far_nothing"])],
+        ["while the machine just warms up: right name", "", _of(s["warming_right"])],
+        ["for certain a wrong one", "", _of(s["warming_wrong"])],
+        ["the true one among those it may be", "", _of(s["warming_listed"])],
         [
             "at the limit: the screening says that something is missing",
             "50 %",
