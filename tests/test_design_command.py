@@ -16,6 +16,7 @@ from vcal.design import covariance, expected_rms, volumetric_gram
 from vcal.design.judged import grid_points
 from vcal.design.optimise import Compiled, optimise
 from vcal.design.spaces import SPACES
+from vcal.report.place import Place
 
 pytestmark = pytest.mark.usefixtures("kept_programs")
 
@@ -438,6 +439,33 @@ def test_written_twice(designed, few_poses, tmp_path):
     shutil.copytree(designed[0], out)
     design(few_poses, out, *FREE)
     assert (out / "plan.csv").read_text() == (designed[0] / "plan.csv").read_text()
+
+
+def test_a_plan_that_was_filled_in_is_not_replaced(designed, few_poses, tmp_path):
+    """Known before the work, for another design and for the next measurement alike."""
+    out = tmp_path / "again"
+    shutil.copytree(designed[0], out)
+    for name in ("plan.csv", "setup.toml"):
+        (out / name).write_text((out / name).read_text(encoding="utf-8") + "# mine\n")
+    before = {p.name: p.read_bytes() for p in out.iterdir()}
+    for options in ((), ("--next",)):
+        message = design(few_poses, out, *options, code=2).stderr
+        assert "found plan.csv, setup.toml, not as the earlier report left them" in message
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == before
+
+
+def test_a_study_made_around_the_next_measurement_is_not_replaced(few_poses, tmp_path):
+    def make(work):
+        (work / "plan.csv").write_text("x_mm\n", encoding="utf-8")
+        (work / "result.json").write_text('{"schema": "vcal-design/1", "files": ["plan.csv"]}')
+        return ["plan.csv", "result.json"]
+
+    out = tmp_path / "next"
+    Place(record="result.json", schema="vcal-design/").fill(out, make)
+    (out / "setup.toml").write_text("mine", encoding="utf-8")
+    message = design(few_poses, out, code=2).stderr
+    assert "found setup.toml, not as the earlier report left it" in message
+    assert (out / "setup.toml").read_text(encoding="utf-8") == "mine"
 
 
 def test_optimise_keeps_a_plan_that_is_good(designed):

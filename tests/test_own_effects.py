@@ -5,10 +5,13 @@ import re
 import numpy as np
 import pytest
 
+import vcal.cli.closing
+from designing import run
 from vcal.cli.closing import close_study
 from vcal.errors import StudyError
 from vcal.io import load_study
 from vcal.io.simulated import parse_with
+from vcal.report.place import Place
 
 OWN = '''\
 import vcal
@@ -90,6 +93,33 @@ def test_a_file_that_ends_the_program(small_tracker_study):
     folder = with_own(small_tracker_study, OWN + "\nimport sys\nsys.exit(3)\n")
     with pytest.raises(StudyError, match=re.escape("own.py: cannot be run: SystemExit: 3")):
         load_study(folder)
+
+
+def test_a_file_in_the_folder_of_the_report(small_tracker_study, monkeypatch):
+    """Started from that of an earlier report: neither edited nor as it was left may it go."""
+
+    def unexpected(*args, **kwargs):
+        raise AssertionError("the loop was run")
+
+    monkeypatch.setattr(vcal.cli.closing, "close_loop", unexpected)
+    out = small_tracker_study / "out"
+
+    def make(work):
+        (work / "own_effect.py").write_text(OWN, encoding="utf-8")
+        (work / "report.json").write_text('{"schema": "vcal-report/1", "files": ["own_effect.py"]}')
+        return ["own_effect.py", "report.json"]
+
+    Place(record="report.json", schema="vcal-report/").fill(out, make)
+    setup = small_tracker_study / "setup.toml"
+    text = setup.read_text(encoding="utf-8") + '\n[model]\neffects_file = "out/own_effect.py"\n'
+    setup.write_text(text, encoding="utf-8")
+    told = run("loop", setup, "--out", out, code=2).stderr
+    assert f"{out}, output folder: found own_effect.py, which the study reads, expected" in told
+    (out / "own_effect.py").write_text(OWN + "# mine\n", encoding="utf-8")
+    told = run("loop", setup, "--out", out, code=2).stderr
+    assert f"{out}, output folder: found own_effect.py, not as the earlier report left it" in told
+    assert "rename or move what is to be kept, or choose another folder" in told
+    assert (out / "own_effect.py").read_text(encoding="utf-8") == OWN + "# mine\n"
 
 
 # --- what is to be tried --------------------------------------------------------------------------

@@ -93,6 +93,7 @@ KEYS = {
     "notes": list,
     "interrupted": bool,
     "files": list,
+    "sha256": dict,
 }
 
 
@@ -400,21 +401,84 @@ def contents(folder):
     return {p.name: p.read_bytes() for p in folder.iterdir()}
 
 
-def test_earlier_report_is_replaced_and_other_files_are_not(closed, quick, tmp_path):
+def test_earlier_report_is_replaced_and_other_files_are_not(closed, quick, tmp_path, monkeypatch):
     _, study, closure = closed
     out = tmp_path / "report"
-    write_report(closure, study, out)
+    with monkeypatch.context() as earlier:
+        pictures = [Picture(name, "noise", "a picture", b"\x89PNG") for name in ("one", "stale")]
+        earlier.setattr(write, "pictures", lambda *_: pictures)
+        write_report(closure, study, out)
     (out / "notes.txt").write_text("mine", encoding="utf-8")
     old = strict(out / "report.json")
-    (out / "stale.png").write_bytes(b"")
-    (out / "report.json").write_text(
-        json.dumps(old | {"files": [*old["files"], "stale.png"]}), encoding="utf-8"
-    )
+    assert set(old["sha256"]) == set(old["files"])
     write_report(closure, study, out, command="again")
-    assert set(contents(out)) == {*old["files"], "notes.txt"}
+    assert set(contents(out)) == {*old["files"], "notes.txt"} - {"stale.png"}
     assert strict(out / "report.json")["command"] == "again"
     assert (out / "notes.txt").read_text(encoding="utf-8") == "mine"
     assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+@pytest.mark.parametrize("name", ["compensation.csv", "index.html", "report.json", "own_effect.py"])
+def test_what_was_changed_since_is_not_replaced(closed, quick, tmp_path, name):
+    _, study, closure = closed
+    out = tmp_path / "report"
+    write_report(closure, study, out)
+    if name == "report.json":
+        text = json.dumps(strict(out / name) | {"notes": ["mine"]})
+    else:  # the report has no own_effect.py of its own here: that of a user is as dear
+        text = "mine"
+    (out / name).write_text(text, encoding="utf-8")
+    before = contents(out)
+    for refused in (lambda: check_folder(out), lambda: write_report(closure, study, out)):
+        with pytest.raises(StudyError) as caught:
+            refused()
+        expected = f"found {name}, not as the earlier report left it, expected only files that"
+        assert expected in str(caught.value) and str(caught.value).startswith(f"{out}, ")
+    assert contents(out) == before
+    (out / name).rename(out / "mine")
+    if name == "report.json":  # without it, the folder holds no report
+        (out / name).write_bytes(written_anew(closure, study, tmp_path)[name])
+    write_report(closure, study, out)
+    assert (out / "mine").read_text(encoding="utf-8") == text
+
+
+def written_anew(closure, study, tmp_path):
+    write_report(closure, study, tmp_path / "anew")
+    return contents(tmp_path / "anew")
+
+
+def test_what_is_changed_while_the_report_is_made(closed, quick, tmp_path, monkeypatch):
+    _, study, closure = closed
+    out = tmp_path / "report"
+    write_report(closure, study, out)
+
+    def meanwhile(*_):
+        (out / "effects.csv").write_text("mine", encoding="utf-8")
+        return []
+
+    monkeypatch.setattr(write, "pictures", meanwhile)
+    with pytest.raises(StudyError, match=r"found effects.csv, not as the earlier report left it"):
+        write_report(closure, study, out)
+    assert (out / "effects.csv").read_text(encoding="utf-8") == "mine"
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+def test_a_record_without_sums(closed, quick, tmp_path):
+    """Of an older vcal: only what nobody edits is known to be as it was left."""
+    _, study, closure = closed
+    out = tmp_path / "report"
+    write_report(closure, study, out)
+    record = strict(out / "report.json")
+    del record["sha256"]
+    (out / "report.json").write_text(json.dumps(record), encoding="utf-8")
+    with pytest.raises(StudyError) as caught:
+        write_report(closure, study, out)
+    expected = "found compensation.csv, effects.csv, which may have been changed since the earlier "
+    assert expected + "report left them" in str(caught.value)
+    for name in ("compensation.csv", "effects.csv"):
+        (out / name).unlink()
+    write_report(closure, study, out)
+    assert set(strict(out / "report.json")["sha256"]) == set(record["files"])
 
 
 @pytest.mark.parametrize("moves", [1, 4, 6, 10])

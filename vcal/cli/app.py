@@ -28,6 +28,14 @@ Override = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Replace a key of the study file; repeatable."),
 ]
+ReportFolder = Annotated[
+    Path,
+    typer.Option(
+        "--out",
+        help="Folder for the report: a new one, or that of an earlier report, which is replaced "
+        "unless something in it was changed.",
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of all random draws.")]
 NoiseFactor = Annotated[
     float, typer.Option(help="Multiplies the noise that the instrument declares.")
@@ -68,7 +76,7 @@ def _options(
 @guarded
 def loop(
     setup: Setup,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the report; a new one.")],
+    out: ReportFolder,
     alpha: Annotated[
         float | None, typer.Option(help="Share of clean measurements that may get a name.")
     ] = None,
@@ -103,9 +111,7 @@ def loop(
 @app.command()
 @guarded
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="Folder for the report; a new one.")] = Path(
-        "vcal-demo"
-    ),
+    out: ReportFolder = Path("vcal-demo"),
 ) -> None:
     """Close the loop on the measurement that comes with vcal, which hides an effect."""
     from ..demo import FOLDER
@@ -126,6 +132,7 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
     check_folder(out)  # before the work, not after it
     with working("reading the study") as progress:
         study = load_study(setup, overrides)
+        check_folder(out, (study.folder / name for name in study.hashes))
         if study.measurement is None:
             raise StudyError(
                 f"{study.sets[0].file}, header: found no column of readings, that is, a "
@@ -196,7 +203,7 @@ def simulate(
 @guarded
 def uncertainty(
     setup: Setup,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the report; a new one.")],
+    out: ReportFolder,
     draws: Annotated[
         str, typer.Option(metavar="N|adaptive", help="Machines to draw, or until it is stable.")
     ] = "20000",
@@ -252,7 +259,14 @@ def uncertainty(
 @guarded
 def design(
     setup: Setup,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the design; a new one.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            help="Folder for the design: a new one, or that of an earlier design, which is "
+            "replaced unless something in it was changed.",
+        ),
+    ],
     following: Annotated[
         bool, typer.Option("--next", help="Say what to measure next, on top of the data.")
     ] = False,
@@ -304,7 +318,12 @@ def reproduce(
         str | None, typer.Argument(help="What to reproduce; without it, what there is.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for the results; a new one.")
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Folder for the results: a new one, or that of earlier results, which are "
+            "replaced unless something in it was changed.",
+        ),
     ] = None,
     draws: Annotated[int | None, typer.Option(help="Tests of the long campaign.")] = None,
     seed: Seed = 0,

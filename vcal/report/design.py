@@ -9,7 +9,7 @@ from typing import Any
 from ..design.following import Following
 from ..design.optimise import Designed
 from ..design.seen import Seen
-from ..io.designed import write_designed, write_plan
+from ..io.designed import ARTEFACT, PLAN, SETUP, write_designed, write_plan
 from ..io.study import Study
 from .design_page import design_page
 from .design_pictures import design_pictures
@@ -18,14 +18,14 @@ from .following_page import following_page, following_pictures, following_record
 from .picture import Picture
 from .place import Place
 
-_PLACE = Place(record="result.json", schema="vcal-design/")
+_PLACE = Place(record="result.json", schema="vcal-design/", sometimes=(PLAN, ARTEFACT, SETUP))
 
 
 def check_design_folder(out: Path | str) -> None:
     """Refuse a place that a designed measurement must not be written to.
 
-    Raises `StudyError` for a file, and for a folder that holds something but no earlier report of
-    this kind.
+    Raises `StudyError` for a file, for a folder that holds something but no earlier report of this
+    kind, and for one in which a file was changed since, such as a plan with readings.
     """
     _PLACE.check(Path(out))
 

@@ -102,7 +102,8 @@ def write_effects(
     """Pages of effects and a list of them in the folder `out`; returns the path of the list, or of
     the page where there is one only.
 
-    Raises `StudyError` where `out` is a file, or a folder with other things in it.
+    Raises `StudyError` where `out` is a file, or a folder with other things or with changed pages
+    in it.
     """
 
     def make(work: Path) -> Sequence[str]:

@@ -21,8 +21,8 @@ _PLACE = Place(record="result.json", schema="vcal-uncertainty/", beside=DRAWS)
 def check_virtual_folder(out: Path | str) -> None:
     """Refuse a place that the report of a virtual calibration must not be written to.
 
-    Raises `StudyError` for a file, and for a folder that holds something but no earlier report of
-    this kind and no unfinished campaign.
+    Raises `StudyError` for a file, for a folder that holds something but no earlier report of this
+    kind and no unfinished campaign, and for one in which a file was changed since.
     """
     _PLACE.check(Path(out))
 

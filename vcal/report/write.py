@@ -2,9 +2,10 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from ..io.messages import listed, refusal
 from ..io.study import Study
 from ..loop.closure import Closure
 from .compensation import compensation_csv, effects_csv, error_motion_tables
@@ -14,15 +15,27 @@ from .pictures import pictures
 from .place import Place
 from .record import record
 
-_PLACE = Place(record="report.json", schema="vcal-report/")
+_PLACE = Place(record="report.json", schema="vcal-report/", sometimes=(FILE,))
 
 
-def check_folder(out: Path | str) -> None:
-    """Refuse a place that a report must not be written to.
+def check_folder(out: Path | str, reads: Iterable[Path] = ()) -> None:
+    """Refuse a place that a report must not be written to; `reads` are the files of the study.
 
-    Raises `StudyError` for a file, and for a folder that holds something but no earlier report.
+    Raises `StudyError` for a file, for a folder that holds something but no earlier report, and
+    for one in which the report would replace what was changed since, or what the study reads.
     """
-    _PLACE.check(Path(out))
+    out = Path(out)
+    _PLACE.check(out)
+    replaced = {(out / name).resolve() for name in _PLACE.files(out)}
+    used = sorted(path.name for path in reads if path.resolve() in replaced)
+    if used:
+        raise refusal(
+            str(out),
+            "output folder",
+            f"{listed(used)}, which the study reads",
+            "no file of the study among those to be replaced",
+            "rename or move it and name it so in the study, or choose another folder",
+        )
 
 
 def write_report(
@@ -37,7 +50,7 @@ def write_report(
     temporary folder and moved at the end: on failure or interruption `out` stays as it was.
 
     `command` and `seconds` (how long the loop took) are quoted. Raises `StudyError` where `out` is
-    a file, or a folder with other things in it (`check_folder`).
+    a file, or a folder with other things or with changed files in it (`check_folder`).
     """
     out = Path(out)
     _PLACE.fill(out, lambda work: _make(closure, study, work, command, seconds))

@@ -88,7 +88,8 @@ def known(name: str, reproductions: Mapping[str, Reproduction[Any]]) -> Reproduc
 def check_place(name: str, out: Path | str) -> None:
     """Refuse a folder that the results must not be written to.
 
-    Raises `StudyError` for a file, and for a folder with anything but results of this reproduction.
+    Raises `StudyError` for a file, and for a folder with anything but results of this reproduction,
+    as they were left.
     """
     _place(name).check(Path(out))
 
