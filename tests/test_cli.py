@@ -192,6 +192,9 @@ def test_init_writes_a_study_that_can_be_used(tmp_path, instrument):
     assert [p.name for p in folder.parent.iterdir()] == ["study"]
     before = sorted(folder.iterdir())
     assert "found a folder that is not empty" in refused("init", folder)
+    # True of these data, not of others that are simulated from the study, which copy its comments.
+    assert "nothing is missing from it" in printed
+    assert "nothing is missing" not in (folder / "setup.toml").read_text(encoding="utf-8")
     assert sorted(folder.iterdir()) == before
 
 

@@ -163,6 +163,7 @@ def init(
 
     names = write_start(instrument, folder)
     typer.echo(f"Wrote {folder}: {', '.join(names)}.")
+    typer.echo("Its data were simulated from the declared model: nothing is missing from it.")
     typer.echo(f"Put your machine and data in, then: vcal check {folder / 'setup.toml'}")
 
 
