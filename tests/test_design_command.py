@@ -33,6 +33,7 @@ def designed(few_poses, tmp_path_factory):
 def test_the_folder_is_a_study(designed, few_poses):
     out, printed = designed
     found = strict(out / "result.json")
+    assert found["sentence"].count(" µm with ") == 2  # both numbers have their unit
     assert found["sentence"] in printed.output and str(out / "index.html") in printed.output
     assert sorted(found["files"]) == sorted(p.name for p in out.iterdir())
     assert {"setup.toml", "plan.csv", "artefact.csv", "places.png"} <= set(found["files"])

@@ -21,7 +21,9 @@ def design_sentence(done: Designed) -> str:
     what = f"{criterion.words[0].upper()}{criterion.words[1:]}"
     if done.best is done.nominal:
         return f"The search found nothing better than the plan as it is: {before} {words}."
-    return f"{what}: {before} with the plan as it is, {after} {words} with the designed one."
+    return (
+        f"{what}: {before} {words} with the plan as it is, {after} {words} with the designed one."
+    )
 
 
 def design_notes(done: Designed) -> list[str]:
