@@ -178,6 +178,8 @@ def test_an_effect_of_ones_own_to_start_from(closed, tmp_path, direction, count)
     what = Unexplained(["X", "T_Y", "t"], [0.5, 0.2, 0.1], [], direction, 12.0, 0.5, 1e-9, "a test")
     text = own_effect(dataclasses.replace(closure, verdict="unexplained", unexplained=what))
     assert text is not None
+    (told,) = (line for line in text.splitlines() if "p-value" in line)
+    assert "taken from these data" in told and "too small" in told and len(told) <= 100
     (tmp_path / "own_effect.py").write_text(text)
     (cls,) = load_effects(tmp_path / "own_effect.py")
     setup = Setup(study.chain, study.model.layout, study.plan, study.model.effects)

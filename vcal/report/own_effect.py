@@ -14,6 +14,7 @@ _HEAD = '''"""An effect of your own, to start from.
 
 {found}
 
+Its form and numbers were taken from these data: tested on them again, its p-value is too small.
 Give it a name and a reason, correct `response`, and name this file in the study:
 
     [model]
