@@ -34,6 +34,8 @@ from vcal.io.settings import (
     MachineSettings,
     SmoothSettings,
 )
+from vcal.loop.closure import Errors
+from vcal.loop.heldout import Rms
 
 DEMO = Path(vcal.__file__).parent / "demo"
 STARTS = ("laser_tracker", "ball_array", "reflectors", "laser_frame", "r_test")
@@ -392,6 +394,25 @@ def test_simulate_then_loop(tmp_path, small_tracker_study):
     # A report may replace an earlier one, but nothing else, and that is known before the work.
     (tmp_path / "deep" / "mine.txt").write_text("mine")
     assert "found other files (mine.txt" in refused("loop", made, "--out", tmp_path / "deep")
+
+
+def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatch):
+    backlash = SimpleNamespace(name="backlash")
+    found = SimpleNamespace(
+        effect=backlash, placement="Y", p_value=0.002, status="named", separation=""
+    )
+    errors = Errors(Rms(5.2312, 1.26), None, Rms(0.9412, 0.183), Rms(0.9, 0.1), 1.0)
+    closure = SimpleNamespace(
+        sentence="A sentence.", effects=[found], errors={"after": errors}, suspected=[], notes=[]
+    )
+    rows = [("size_um", 11.98765, "um", 0.6123)]
+    monkeypatch.setattr(vcal.cli.show, "parameters", lambda *_: rows)
+    vcal.cli.show.show_closure(closure)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "backlash Y: size_um = 12.0 ± 1.2 um (k = 2), p = 0.002, named" in shown
+    assert "rms error, µm, ± one standard uncertainty after" in shown
+    assert "check points, aligned 5.2 ± 1.3" in shown
+    assert "held-out readings 0.94 ± 0.18" in shown
 
 
 @pytest.mark.parametrize(

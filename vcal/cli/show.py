@@ -19,6 +19,7 @@ from ..loop.heldout import Rms
 from ..measurement import Measurement
 from ..plan import Plan
 from ..report.derived import missing_columns, parameters
+from ..report.text import COVERAGE, with_uncertainty
 
 _MOST = 6
 
@@ -29,13 +30,13 @@ def show_closure(closure: Closure) -> None:
     console.print(Text(closure.sentence, style="bold"))
     for found in closure.effects:
         values = ", ".join(
-            f"{name} = {value:.4g} ± {2 * u:.2g} {unit}".rstrip()
+            f"{name} = {with_uncertainty(value, COVERAGE * u)} {unit}".rstrip()
             for name, value, unit, u in parameters(closure, found)
         )
         console.print(
             Text(
                 f"  {found.effect.name} {found.placement}".rstrip()
-                + f": {values} (k = 2), p = {found.p_value:.2g}, {found.status}"
+                + f": {values} (k = {COVERAGE:g}), p = {found.p_value:.2g}, {found.status}"
             ),
             soft_wrap=True,
         )
@@ -53,7 +54,7 @@ def show_closure(closure: Closure) -> None:
 
 def _errors_table(errors: Mapping[Any, Errors]) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
-    table.add_column("rms error, µm")
+    table.add_column("rms error, µm,\n± one standard uncertainty")
     for name in errors:
         table.add_column(name, justify="right")
 
@@ -73,7 +74,7 @@ def _errors_table(errors: Mapping[Any, Errors]) -> Table:
 
 
 def _rms(rms: Rms | None) -> str:
-    return "" if rms is None else f"{rms.value:.3g} ± {rms.u:.1g}"
+    return "" if rms is None else with_uncertainty(rms.value, rms.u)
 
 
 def show_study(study: Study) -> None:
