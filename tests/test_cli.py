@@ -283,6 +283,21 @@ def test_simulate_makes_a_study_of_the_same_kind(tmp_path, small_tracker_study):
 
 
 @pytest.mark.slow
+def test_simulate_with_a_key_replaced(tmp_path, small_tracker_study):
+    """The study beside the data is that which they were made with."""
+    more = ("--set", "name=mine", "--set", "instrument.range_sigma_um=40")
+    for name, options in (("as it is", ()), ("replaced", more)):
+        run("simulate", small_tracker_study, "--out", tmp_path / name, *options)
+    before, after = (load_study(tmp_path / name) for name in ("as it is", "replaced"))
+    assert (after.name, after.one.settings.range_sigma_um) == ("mine", 40.0)
+    assert before.one.settings.range_sigma_um != 40.0
+    off = after.measurement.readings - before.measurement.readings
+    assert 20e-6 < off[:, 0].std() < 80e-6 and np.abs(off[:, 1:]).max() < 1e-9
+    told = refused("simulate", small_tracker_study, "--out", tmp_path / "x", "--set", "nam=mine")
+    assert "the unknown key 'nam' (did you mean 'name'?)" in told
+
+
+@pytest.mark.slow
 def test_simulate_depends_on_the_seed_alone(tmp_path, small_ball_study):
     def made(name, *more):
         run("simulate", small_ball_study, "--out", tmp_path / name, *more)

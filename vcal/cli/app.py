@@ -183,6 +183,7 @@ def simulate(
     ] = None,
     seed: Seed = 0,
     noise_factor: NoiseFactor = 1.0,
+    override: Override = None,
 ) -> None:
     """Make data as of a machine drawn from its priors, at the positions of a study."""
     start()
@@ -190,10 +191,17 @@ def simulate(
     from ..io.simulated import parse_with, write_simulated
 
     with working("simulating"):
-        study = load_study(setup)
+        study = load_study(setup, override or [])
         place, data = study.model.setup(study.plan), study.one.file
         effects = [parse_with(text, study.catalogue, place, data) for text in with_ or []]
-        result = write_simulated(study, out, effects=effects, seed=seed, noise_factor=noise_factor)
+        result = write_simulated(
+            study,
+            out,
+            effects=effects,
+            seed=seed,
+            noise_factor=noise_factor,
+            overrides=override or [],
+        )
     typer.echo(f"Wrote {out}: {result.measurement.rows} rows of a machine drawn with seed {seed}.")
     for effect in effects:
         values = (f"{p.label} = {value:.4g}" for p, value in result.values(effect))

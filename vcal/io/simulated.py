@@ -5,12 +5,13 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+import tomli_w
 from pydantic import ValidationError
 
 from ..effects.base import Effect, Setup
@@ -19,7 +20,7 @@ from ..instruments.conditions import linear_plan, linear_plan_table
 from ..simulate import Simulated, scattered, simulate
 from .declared import Catalogue, declared_effects, unknown_effect
 from .messages import refusal
-from .settings import EffectSettings
+from .settings import EffectSettings, read_setup
 from .study import Study
 from .table import read_header, read_table, write_table
 
@@ -88,13 +89,15 @@ def write_simulated(
     effects: Sequence[Effect] = (),
     seed: int = 0,
     noise_factor: float = 1.0,
+    overrides: Mapping[str, Any] | Sequence[str] = (),
 ) -> Simulated:
     """Write a folder like that of `study`, with data of a machine drawn from its priors.
 
     The study file and the tables it names are copied as they are; the data are replaced by what the
     instrument would read, the check points of linear axes by the true tool points at random
     positions over the travel, and ``truth.json`` says what was put in: `effects` beside the
-    declared model, which no other file tells. The result depends on `seed` alone.
+    declared model, which no other file tells. The result depends on `seed` alone. With `overrides`,
+    those the study was read with, the study file is written anew, without its comments.
 
     Raises `StudyError` where `out` is there and not empty, there are several data sets, a table
     lies outside the folder of the study, the factor is not a number of at least 0, or a position
@@ -139,6 +142,8 @@ def write_simulated(
             (work / name).parent.mkdir(parents=True, exist_ok=True)
             if name not in tables:
                 shutil.copyfile(study.folder / name, work / name)
+        if overrides:
+            (work / study.path.name).write_text(_setup(study, overrides), encoding="utf-8")
         for name, table in tables.items():
             (work / name).parent.mkdir(parents=True, exist_ok=True)
             write_table(work / name, table)
@@ -169,6 +174,15 @@ def publish(work: Path, out: Path) -> None:
     if out.is_dir():
         out.rmdir()
     work.replace(out)
+
+
+def _setup(study: Study, overrides: Mapping[str, Any] | Sequence[str]) -> str:
+    """The study file with overrides put in: what the data were made with."""
+    raw, _ = read_setup(study.path, overrides)
+    head = (
+        f"# Written by `vcal simulate` from {study.path.name}, with what --set replaced in it.\n\n"
+    )
+    return head + tomli_w.dumps(raw)
 
 
 def _data(study: Study, result: Simulated) -> dict[str, np.ndarray]:
