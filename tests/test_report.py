@@ -14,9 +14,11 @@ from oracle import error_motions, make_case
 from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
 from vcal.effects import Setup, load_effects
 from vcal.instruments.conditions import file_column
+from vcal.loop.recorded import correlation
 from vcal.loop.stray import Stray
 from vcal.loop.unexplained import Interval, Unexplained
 from vcal.plan import Plan
+from vcal.plots.residuals import unexplained_views
 from vcal.plots.views import residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.derived import parameters
@@ -66,6 +68,21 @@ def strict(path):
         raise AssertionError(f"{word} is not JSON")
 
     return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def test_a_column_that_does_not_vary_is_like_no_other(closed):
+    """Of two data sets the covariate of one may be the same wherever the other's is there."""
+    fit = closed[2].after
+    n = fit.measurement.rows
+    x, still = np.arange(float(n)), np.where(np.arange(n) < n // 2, np.nan, 3.0)
+    late = np.where(np.isfinite(still), x, np.nan)
+    assert correlation(np.full(n, 3.0), x) == correlation(x, np.full(n, 3.0)) == 0.0
+    assert correlation(x, 1.0 - 2.0 * x) == pytest.approx(1.0)
+    jump = np.where(np.arange(n) < n // 2, 0.0, 3.0)
+    plan = dataclasses.replace(fit.measurement.plan, covariates={"late": late, "jump": jump})
+    seen = dataclasses.replace(fit, measurement=dataclasses.replace(fit.measurement, plan=plan))
+    what = Unexplained(["late", "jump"], [0.5, 0.4], [], "Z", 4.0, 0.5, 1e-4, "so")
+    assert unexplained_views(seen, what) == ["late", "jump"]
 
 
 # --- the record --------------------------------------------------------------------------------

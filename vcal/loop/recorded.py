@@ -31,4 +31,11 @@ def _same(x: np.ndarray, y: np.ndarray) -> bool:
     there = np.isfinite(x)
     if not np.array_equal(there, np.isfinite(y)):
         return False
-    return bool(abs(np.corrcoef(x[there], y[there])[0, 1]) >= 0.9999)
+    return correlation(x[there], y[there]) >= 0.9999
+
+
+def correlation(x: np.ndarray, y: np.ndarray) -> float:
+    """Size of the correlation of two columns; zero where one of them does not vary."""
+    if np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
+        return 0.0
+    return float(abs(np.corrcoef(x, y)[0, 1]))

@@ -9,7 +9,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
 from ..fit import Fit
-from ..loop.recorded import distinct_covariates
+from ..loop.recorded import correlation, distinct_covariates
 from ..loop.unexplained import Unexplained, bins, displacements
 from .style import (
     AFTER,
@@ -284,4 +284,4 @@ def _dots(
 
 def _alike(a: np.ndarray, b: np.ndarray) -> bool:
     there = np.isfinite(a) & np.isfinite(b)
-    return bool(there.any() and abs(np.corrcoef(a[there], b[there])[0, 1]) > 0.999)
+    return bool(there.any()) and correlation(a[there], b[there]) > 0.999
