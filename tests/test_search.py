@@ -17,7 +17,7 @@ from vcal.loop.rivals import Names, refit_all
 from vcal.loop.screen import Peak, Screen, screen
 from vcal.loop.search import Added, Search, _shortlist
 from vcal.loop.state import fitted
-from vcal.loop.unexplained import dependence
+from vcal.loop.unexplained import dependence, from_structure
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +99,22 @@ def test_evidence_does_not_depend_on_chunks(tracker, monkeypatch):
     assert whole is not None and parts is not None
     np.testing.assert_allclose(parts.bayes, whole.bayes, rtol=0, atol=1e-9)
     np.testing.assert_allclose(parts.null, whole.null, rtol=1e-5)
+
+
+def test_a_handful_of_numbers_depends_on_nothing(tracker):
+    """Numbers that are a product of two covariates by chance: dozens of them are looked at."""
+    fit = identify(tracker.model, noisy(tracker, 1), room=tracker.room)
+    x, y = (np.asarray(tracker.plan.x(axis)) for axis in "XY")
+    product = ((x - x.mean()) / x.std() * (y - y.mean()) / y.std())[:, None]
+    tilted = dataclasses.replace(fit, residual=fit.residual + 20e-6 * product)
+    tilted = dataclasses.replace(
+        tilted, whitened=np.einsum("nij,nj->ni", fit.whitener, tilted.residual).reshape(-1)
+    )
+    assert dependence(tilted, 50, 0).p_value < 0.05
+    few = dataclasses.replace(tilted)
+    few.__dict__["dof"] = 9.0  # as if so much less were left
+    assert dependence(few, 50, 0) == ([], [], False, 1.0)
+    assert from_structure(few, 1.4, 0.01, 50, 0) is None
 
 
 def test_no_covariate_that_varies_is_no_dependence(tracker, monkeypatch):

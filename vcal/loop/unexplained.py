@@ -21,6 +21,9 @@ _BINS = 10
 _CLEARLY = 1.2
 """What a covariate must describe of the variance, over what an empirical effect does, to be told
 first: that says where."""
+_FEWEST = 10.0
+"""Degrees of freedom from which it is asked what the residual depends on: a covariate has ten bins,
+and of dozens of products one describes a handful of numbers whatever they are."""
 _SPREAD = 25.0
 """chi2 per degree of freedom, against the declared noise, from which something must be missing even
 if nothing that is recorded tells it; noise that is declared too small is no such thing.
@@ -95,8 +98,11 @@ class Dependence(NamedTuple):
 
 def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     """Shares of the tool point's residual variance that are described by ten bins of each
-    covariate, and by products of two, against what chance gives in `draws` null residuals.
+    covariate, and by products of two, against what chance gives in `draws` null residuals. Nothing
+    where too few degrees of freedom are left to tell.
     """
+    if fit.dof < _FEWEST:
+        return Dependence([], [], False, 1.0)
     state = Screen(fit, draws, seed)
     used = fit.used
     ports = fit.port_jacobian[used][:, :, fit.model.layout.slice("tool")][:, :, :3]
