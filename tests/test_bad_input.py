@@ -197,6 +197,15 @@ TABLES = {
         cell(3, "dir_x", "0"),
         ("data.csv, row 3 (line 4), column dir_x", "found 0", "expected +1 or -1"),
     ),
+    "as many readings as unknowns, but for a row": (
+        lines(lambda found: found[:4]),
+        (
+            "data.csv, row 3 (the last one)",
+            "found 9 readings (3 rows of 3) for 6 parameters without a prior (station)",
+            "more than 9 readings",
+            "measure more rows",
+        ),
+    ),
     "direction of an unknown axis": (
         replace("dir_z", "dir_w", "data.csv"),
         ("data.csv, header, column dir_w", "unknown axis 'W'", "one of dir_x, dir_y, dir_z"),
@@ -274,6 +283,15 @@ def test_family_tables(small_tracker_study, case):
 
 
 BALLS = {
+    "a single pose of three balls": (
+        lines(lambda found: found[:4]),
+        (
+            "data.csv, row 3 (the last one)",
+            "found 9 readings (3 rows of 3) for 6 parameters without a prior (artefact_pose)",
+            "more than 9 readings",
+            "measure more rows",
+        ),
+    ),
     "no artefact": (remove("artefact.csv"), ("artefact.csv, file", "no such file")),
     "no index": (drop_column("ball"), ("data.csv, column ball", "no such column")),
     "repeated index": (
@@ -374,7 +392,7 @@ ARMS = {
                 )
             ),
         ),
-        ("data.csv, row 3", "found 9 readings", "for 11 parameters without a prior", "at least 11"),
+        ("data.csv, row 3", "found 9 readings", "for 11 parameters without a prior", "more than 14"),
     ),
 }
 

@@ -180,7 +180,7 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
     if settings.model.effects_file is not None:
         own = {name: kind for name, kind in catalogue.items() if name not in CATALOGUE}
         check_own(settings.model.effects_file, own, model.setup(plan), plan)
-    _check_size(model, plan, listed(files.values()))
+    _check_size(model, plan, listed(files.values()), measurement is not None)
     _check_seen(settings, sets, file)
     return Study(
         name=settings.name or path.resolve().parent.name,
@@ -563,16 +563,25 @@ def _check_travel(table: Table, name: str, chain: Chain) -> None:
         )
 
 
-def _check_size(model: Model, plan: Plan, data: str) -> None:
+def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
+    """What has no prior must be told by the readings, and by those that were taken even without one
+    of the rows: nothing else says how they scatter.
+    """
     flat = [entry for entry in model.entries if not entry.parameter.informed]
-    readings = plan.rows * len(model.instrument.readings)
-    if len(flat) > readings:
-        keys = listed(dict.fromkeys(entry.key for entry in flat))
-        raise refusal(
-            data,
-            f"row {plan.rows} (the last one)",
-            f"{readings} readings ({plan.rows} rows of {len(model.instrument.readings)}) for "
-            f"{len(flat)} parameters without a prior ({keys})",
-            f"at least {len(flat)} readings",
-            "measure more rows, or give a prior (a *_sigma) to what is known",
-        )
+    width = len(model.instrument.readings)
+    readings = int(model.instrument.present(plan).sum())
+    needed = len(flat) + width + 1 if measured and flat else len(flat)
+    if readings >= needed:
+        return
+    keys = listed(dict.fromkeys(entry.key for entry in flat))
+    raise refusal(
+        data,
+        f"row {plan.rows} (the last one)",
+        f"{readings} readings ({plan.rows} rows of {width}) for {len(flat)} parameters without a "
+        f"prior ({keys})",
+        f"more than {needed - 1} readings, so that without any one row they are still more than the "
+        "parameters"
+        if measured
+        else f"at least {needed} readings",
+        "measure more rows, or give a prior (a *_sigma) to what is known",
+    )
