@@ -14,6 +14,8 @@ from oracle import error_motions, make_case
 from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
 from vcal.effects import Setup, load_effects
 from vcal.instruments.conditions import file_column
+from vcal.loop.components import Component
+from vcal.loop.empirical import LocalBump
 from vcal.loop.recorded import correlation
 from vcal.loop.stray import Stray
 from vcal.loop.unexplained import Interval, Unexplained
@@ -23,6 +25,8 @@ from vcal.plots.views import residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.derived import parameters
 from vcal.report.own_effect import own_effect
+from vcal.report.page import _tried as tried
+from vcal.report.page import page
 from vcal.report.pictures import Picture
 
 SEARCHED = ("backlash", "lateral_reversal", "screw_cyclic", "thermal_tilt", "artefact_bending")
@@ -325,6 +329,70 @@ def test_page_is_self_contained_and_says_what_matters(written):
         assert words in plain
     anchors = {t[1:] for t in targets if t.startswith("#")}
     assert anchors == set(re.findall(r'id="([^"]*)"', page))
+
+
+def test_what_was_significant_is_added_or_told_why_not(closed):
+    _, study, closure = closed
+    first = closure.screenings[0]
+    alpha = closure.settings["alpha"]
+    beyond = {k.kind for k in first.kinds if first.corrected(k) <= alpha}
+    others = beyond & set(SEARCHED) - {"backlash"}  # without descriptions: those are for comparison
+    told = {r.effect: r.reason for r in (*closure.rejected, *closure.passed_over)}
+    assert others and others <= told.keys()
+    assert "not significant any more beside what was added" in told.values()
+    # The same search, had it ended with a description.
+    dent = LocalBump(port="tool.Z", unit="um", placement="X")
+    rival = SimpleNamespace(effect=dent)
+    what = Unexplained([], [], [], "Z", 4.0, 0.5, 1e-4, "so", empirical=rival)  # type: ignore[arg-type]
+    ended = dataclasses.replace(
+        closure, verdict="unexplained", effects=[], unexplained=what, screenings=[first], rejected=[]
+    )
+    (backlash,) = (r for r in ended.passed_over if r.effect == "backlash")
+    assert backlash.placement == "Y" and backlash.p_value <= alpha
+    assert backlash.reason == "empirical: local error: describes the residual better"
+    rows = record(ended, study)["rejected"]
+    assert {row["effect"] for row in rows} == others | {"backlash"}
+    assert not any(r.effect == "backlash" for r in closure.passed_over)
+
+
+def test_one_p_value_of_what_was_found(closed):
+    closure = closed[2]
+    p_value = 1.25e-33  # not that of the step of the scan that is next to it
+    found = dataclasses.replace(closure.effects[0], p_value=p_value)
+    lines = tried(dataclasses.replace(closure, effects=[found]))
+    (line,) = (line for line in lines if line["kind"] == "backlash")
+    assert line["p"][0] == text.probability(p_value)
+    assert line["p"][1] != line["p"][0]
+
+
+def test_effects_that_were_searched_for(closed, written):
+    """Without artefact nothing looks for its bending: it was asked for, no more."""
+    content = strict(written / "report.json")
+    assert content["settings"]["effects_asked_for"] == list(SEARCHED)
+    searched = content["settings"]["effects"]
+    assert set(searched) == {kind.kind for s in closed[2].screenings for kind in s.kinds} & set(
+        SEARCHED
+    )
+    assert "backlash" in searched and "artefact_bending" not in searched
+    page = (written / "index.html").read_text(encoding="utf-8")
+    assert f"<td>effects searched for</td><td>{', '.join(searched)}</td>" in page
+
+
+def test_what_is_said_of_the_noise_agrees_with_its_table(closed):
+    _, study, closure = closed
+    as_declared = dataclasses.replace(
+        closure,
+        noise_scale=1.0,
+        noise_scales={"": 1.0},
+        noise_components=(Component("range", 1.05, 0.03), Component("elevation", 1.102, 0.0314)),
+    )
+    said = page(as_declared, study, [], [])
+    assert "All readings taken together, the scatter of the residuals agrees with" in said
+    assert "more than three standard uncertainties: elevation 1.10 ± 0.031 (" in said
+    quiet = dataclasses.replace(as_declared, noise_components=as_declared.noise_components[:1])
+    said = page(quiet, study, [], [])
+    assert "<p>The scatter of the residuals agrees with the declared noise" in said
+    assert "three standard uncertainties" not in said
 
 
 def test_compensation_table_is_right(closed, written):

@@ -10,6 +10,7 @@ from ..instruments.conditions import file_column
 from ..measurement import CheckPoints
 from .candidates import Untestable
 from .components import Component
+from .empirical import Empirical
 from .heldout import Rms
 from .screen import Screening
 from .stray import Stray
@@ -129,6 +130,43 @@ class Closure:
             "noise": noise / before,
             "rest": (after - noise - described) / before,
         }
+
+    @property
+    def searched(self) -> list[str]:
+        """Those of the effects asked for that were screened: that have a place on this instrument,
+        find the columns they need, and are not spanned by the declared model.
+        """
+        screened = {kind.kind for screening in self.screenings for kind in screening.kinds}
+        return [name for name in self.settings.get("effects", ()) if name in screened]
+
+    @property
+    def passed_over(self) -> list[Rejected]:
+        """Kinds of effects that were significant in some round, the last of which counts, but were
+        neither added nor worth a refit, so that `rejected` has none of them.
+        """
+        known = {f.effect.name for f in self.effects} | {r.effect for r in self.rejected}
+        found: dict[str, Rejected] = {}
+        for i, screening in enumerate(self.screenings):
+            for kind in screening.kinds:
+                p_value, best = screening.corrected(kind), kind.peaks[0].effect
+                told = kind.kind in known or isinstance(best, Empirical)
+                if p_value <= self.settings["alpha"] and not told:
+                    why = self._why_passed_over(i)
+                    found[kind.kind] = Rejected(kind.kind, best.placement, p_value, why)
+        return list(found.values())
+
+    def _why_passed_over(self, number: int) -> str:
+        """Why the rest of a round, from 0, was not looked at."""
+        if number < len(self.screenings) - 1:
+            return "not significant any more beside what was added"
+        if self.interrupted:
+            return "the search was interrupted"
+        if number < len(self.effects):
+            return "less likely than what was added"
+        if self.unexplained is not None and self.unexplained.empirical is not None:
+            summary = self.unexplained.empirical.effect.summary
+            return f"{summary}: describes the residual better"
+        return "its evidence is far behind that of others"
 
     @property
     def sentence(self) -> str:

@@ -31,6 +31,9 @@ _TITLES = {
 _HARDLY = 0.05
 """Share of information below which the data have said practically nothing."""
 
+_APART = 3.0
+"""Standard uncertainties from which the scatter of a kind of reading is not as declared."""
+
 
 def page(
     closure: Closure,
@@ -73,7 +76,7 @@ def page(
                 "p": text.probability(r.p_value),
                 "reason": r.reason,
             }
-            for r in closure.rejected
+            for r in (*closure.rejected, *closure.passed_over)
         ],
         untestable=_untestable(closure),
         unseen=_unseen(closure),
@@ -97,6 +100,7 @@ def page(
             if not math.isnan(part.u)
         ],
         noise_as_declared=closure.noise_scale == 1.0,
+        noise_apart=_noise_apart(closure),
         noise_larger=closure.noise_scale > 1.0,
         noise_by_set=[
             f"{name} {text.number(scale, 3)}"
@@ -106,7 +110,7 @@ def page(
         clustered=bool((after.clusters >= 0).any()),
         files=sorted(study.hashes.items()),
         settings={k: v for k, v in plain(closure.settings).items() if k != "effects"},
-        catalogue=", ".join(closure.settings.get("effects", [])),
+        searched=", ".join(closure.searched) or "none",
         study_settings=json.dumps(plain(study.as_dict), indent=1, ensure_ascii=False),
         versions=versions(),
         command=command,
@@ -169,6 +173,18 @@ def _data_sets(closure: Closure, study: Study) -> list[dict[str, Any]]:
         for one in study.sets
         if one.name
     ]
+
+
+def _noise_apart(closure: Closure) -> list[str]:
+    """Kinds of reading that scatter differently from what is declared where, all taken together,
+    nothing does.
+    """
+    found = []
+    for part in closure.noise_components:
+        whole = closure.noise_scales.get(part.name.partition(" ")[0], closure.noise_scale)
+        if whole == 1.0 and abs(part.factor - 1.0) > _APART * part.u:
+            found.append(f"{part.name} {text.number(part.factor)} ± {text.number(part.u, 2)}")
+    return found
 
 
 def _row(closure: Closure, row: int) -> str:
@@ -288,10 +304,22 @@ def _summary(name: str) -> str:
     return known.summary if known else ""
 
 
+def _judged(closure: Closure) -> dict[tuple[int, str], float]:
+    """p-values by round and kind that the page tells elsewhere too: those of the shapes between
+    the steps of a scan, by which effects and descriptions are judged.
+    """
+    found = {(i, one.effect.name): one.p_value for i, one in enumerate(closure.effects)}
+    what = closure.unexplained
+    if what is not None and what.empirical is not None:
+        found[len(closure.screenings) - 1, what.empirical.effect.name] = what.p_value
+    return found
+
+
 def _tried(closure: Closure) -> list[dict[str, Any]]:
     """One line per kind of effect: its best place and its significance in every round."""
     lines: dict[str, dict[str, Any]] = {}
     added = [found.effect.name for found in closure.effects]
+    judged = _judged(closure)
     limit = -math.log10(closure.settings["alpha"])
     for i, screening in enumerate(closure.screenings):
         for kind in screening.kinds:
@@ -308,8 +336,12 @@ def _tried(closure: Closure) -> list[dict[str, Any]]:
                     "order": -minus_log10_p(screening, kind),
                 },
             )
-            line["p"][i] = text.probability(screening.corrected(kind))
-            line["significant"][i] = minus_log10_p(screening, kind) >= limit
+            significant = minus_log10_p(screening, kind) >= limit
+            p_value = screening.corrected(kind)
+            # What was found beside other effects than those of this round has its own.
+            p_value = judged.get((i, kind.kind), p_value) if significant else p_value
+            line["p"][i] = text.probability(p_value)
+            line["significant"][i] = significant
     return sorted(lines.values(), key=lambda line: line["order"])
 
 

@@ -34,7 +34,7 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
         figure = plots.search(
             closure.screenings,
             [found.effect.name for found in closure.effects],
-            {tried.effect for tried in closure.rejected},
+            {tried.effect for tried in (*closure.rejected, *closure.passed_over)},
             float(closure.settings["alpha"]),
         )
         caption = (

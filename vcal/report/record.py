@@ -58,14 +58,19 @@ def record(
                 "p_value": tried.p_value,
                 "reason": tried.reason,
             }
-            for tried in closure.rejected
+            for tried in (*closure.rejected, *closure.passed_over)
         ],
         "untestable": [
             {"effect": item.effect, "placement": item.placement, "reason": _reason(item, plan)}
             for item in closure.untestable
         ],
         "unseen": list(dict.fromkeys(closure.unseen)),
-        "settings": {**closure.settings, "study": study.as_dict},
+        "settings": {
+            **closure.settings,
+            "effects": closure.searched,
+            "effects_asked_for": closure.settings.get("effects", []),
+            "study": study.as_dict,
+        },
         "versions": versions(),
         "seconds": seconds,
         "input_files": dict(study.hashes),
