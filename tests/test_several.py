@@ -10,15 +10,27 @@ import pytest
 
 from joint import alone, at_temperatures, write_joint
 from oracle import as_study, make_case, tool_point
-from vcal import Effect, Measurement, Parameter, StudyError, close_loop, identify, load_study
+from vcal import (
+    CATALOGUE,
+    Effect,
+    Measurement,
+    Parameter,
+    StudyError,
+    close_loop,
+    identify,
+    load_study,
+)
 from vcal.effects.geometric import GeometricErrors
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.loop.candidates import candidates
-from vcal.loop.heldout import check_rms, heldout_residuals, heldout_rms
+from vcal.loop.close_loop import _foretold
+from vcal.loop.heldout import Rms, check_rms, heldout_residuals, heldout_rms, rms_fall
 from vcal.loop.recorded import distinct_covariates
 from vcal.loop.screen import Screen
-from vcal.loop.state import fitted
+from vcal.loop.state import chi2_per_dof, fitted
 from vcal.loop.stray import stray_rows
+from vcal.loop.together import alone as alone_fit
+from vcal.loop.together import contradiction
 from vcal.loop.unexplained import dependence, from_structure
 from vcal.plan import DATA_SET, of_set
 from vcal.report import write_report
@@ -331,7 +343,9 @@ def test_an_effect_of_an_instrument_is_named_for_its_data_set(tmp_path):
     expected = 20.0 * np.array([np.cos(np.deg2rad(40)), np.sin(np.deg2rad(40))])
     for (_, value, unit, u), true_value in zip(found.parameters, expected, strict=True):
         assert unit == "urad" and abs(value - true_value) < 3.0 * u
-    write_report(closure, study, tmp_path / "report")  # the picture shows the rows of one set
+    # The picture shows the rows of one set, and the gain is that of one.
+    page = write_report(closure, study, tmp_path / "report").read_text(encoding="utf-8")
+    assert " when it was added (in the data set tracker)." in page
 
 
 @pytest.mark.slow
@@ -370,6 +384,64 @@ def test_noise_that_one_data_set_declares_too_small_names_nothing(clean):
     factors = {part.name: part.factor for part in closure.noise_components}
     assert factors["tracker range"] == pytest.approx(1.0, abs=0.2)
     assert any("balls X" in note for note in closure.notes)
+
+
+@pytest.fixture(scope="module")
+def two_machines(tmp_path_factory):
+    """What two machines of one family gave, said to be of one."""
+    cases = {"first": tracker_case(5), "second": tracker_case(6)}
+    return load_study(write_joint(tmp_path_factory.mktemp("several") / "machines", cases))
+
+
+def test_two_machines_are_not_one(two_machines):
+    study = two_machines
+    fit = identify(study.model, study.measurement, room=ROOM)
+    said = contradiction(fit, fit, ROOM)
+    joint = chi2_per_dof(fit)
+    assert f"do not fit one machine: chi² per degree of freedom is {joint:.3g} where" in said
+    for name, rows in study.plan.parts.items():
+        one = alone_fit(fit, rows, ROOM)
+        assert (one.used == rows).all() and len(one.theta) == len(fit.theta) - 6  # a station
+        assert chi2_per_dof(one) < 1.3 < 0.5 * joint
+        assert f"{name} {chi2_per_dof(one):.3g}" in said
+    # With their difference in the model they are one.
+    assert contradiction(fit, one, ROOM) == ""
+
+
+def test_data_sets_of_one_machine_do_not_contradict_each_other(clean, clean_fit):
+    assert contradiction(clean_fit, clean_fit, ROOM) == ""
+    (rows,) = (clean[1].plan.in_set("balls"),)
+    single = dataclasses.replace(
+        clean_fit, measurement=Measurement(clean[1].plan.part("balls"), clean_fit.residual[rows])
+    )
+    assert contradiction(single, single, ROOM) == ""
+
+
+@pytest.mark.slow
+def test_the_loop_says_that_two_machines_are_not_one(two_machines):
+    closure = closed(two_machines, effects=[CATALOGUE["range_scale"]])
+    assert "do not fit one machine" in closure.notes[0]
+
+
+def test_an_effect_of_one_data_set_gains_there(clean, clean_fit):
+    """The other data set is foretold better; that speaks for no effect of this one's instrument."""
+    rows = clean[1].plan.in_set("tracker")
+    worse = dataclasses.replace(clean_fit, residual=clean_fit.residual.copy())
+    worse.residual[~rows] *= 2.0
+    worse = dataclasses.replace(
+        worse, whitened=np.einsum("nij,nj->ni", worse.whitener, worse.residual).reshape(-1)
+    )
+    assert rms_fall(worse, clean_fit) == rms_fall(worse, clean_fit, ~rows) > 0.3
+    assert rms_fall(worse, clean_fit, rows) < 0.1
+
+
+def test_held_out_readings_that_are_foretold_worse_are_told():
+    (said,) = _foretold(Rms(25.6, 0.5), Rms(27.2, 0.8), True)
+    assert "(27.2 ± 0.8 µm) than before (25.6 ± 0.5 µm): what was found" in said
+    (said,) = _foretold(Rms(25.6, 0.5), Rms(27.2, 0.8), False)
+    assert "the noise that was found" in said
+    for after in (Rms(26.4, 0.8), Rms(20.0, 0.5), Rms(np.nan, np.nan)):
+        assert _foretold(Rms(25.6, 0.5), after, True) == []
 
 
 # --- covariates ----------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -16,7 +17,7 @@ from ..model import Model
 from .closure import Closure, Errors, FoundEffect, SetErrors, Verdict
 from .confounded import confounded
 from .empirical import EMPIRICAL
-from .heldout import check_rms, fit_rms, heldout_rms
+from .heldout import Rms, check_rms, fit_rms, heldout_rms
 from .rivals import Weighed
 from .search import Added, Search, place_of
 from .state import (
@@ -27,6 +28,7 @@ from .state import (
     noise_scale,
     noise_scales,
 )
+from .together import contradiction
 from .unexplained import from_structure
 
 _NO_MACHINE_UM = 2000.0
@@ -153,14 +155,16 @@ def _finish(
         verdict = "ambiguous"
     elif found:
         verdict = "named"
+    wrong: dict[Literal["uncompensated", "before", "after"], Errors] = {
+        "uncompensated": errors(nominal, run.check),
+        "before": errors(before, run.check),
+        "after": errors(after, run.check),
+    }
+    apart = "" if interrupted else contradiction(before, after, run.room)
     return Closure(
         verdict=verdict,
         effects=found,
-        errors={
-            "uncompensated": errors(nominal, run.check),
-            "before": errors(before, run.check),
-            "after": errors(after, run.check),
-        },
+        errors=wrong,
         before=before,
         after=after,
         nominal=nominal,
@@ -177,8 +181,24 @@ def _finish(
         noise_uneven=state.noise is not None and state.noise.uneven,
         settings=settings,
         interrupted=interrupted,
-        notes=_notes(scales, state, run),
+        notes=[
+            *([apart] if apart else []),
+            *_foretold(wrong["before"].heldout, wrong["after"].heldout, bool(found)),
+            *_notes(scales, state, run),
+        ],
     )
+
+
+def _foretold(before: Rms, after: Rms, found: bool) -> list[str]:
+    """That held-out readings speak against what was found, where they do."""
+    if not after.value - before.value > math.hypot(before.u, after.u):
+        return []
+    what = "what was found describes" if found else "the noise that was found suits"
+    return [
+        f"held-out readings are foretold worse after closing the loop ({after.value:.3g} ± "
+        f"{after.u:.1g} µm) than before ({before.value:.3g} ± {before.u:.1g} µm): {what} the "
+        "readings that were fitted, no more, and is not to be relied on"
+    ]
 
 
 def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:

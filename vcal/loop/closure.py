@@ -59,7 +59,7 @@ class FoundEffect:
     delta_bic: float
     heldout_gain: float
     """Share by which the held-out rms fell when it was added, of several data sets that where it
-    fell most."""
+    fell most; an effect of the instrument of one has that of its own."""
     equivalent: list[str]
     alternatives: list[tuple[str, str, float]]
     separation: str

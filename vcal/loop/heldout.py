@@ -247,13 +247,15 @@ def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, flo
     return float(fall.sum()), float(error)
 
 
-def rms_fall(before: Fit, after: Fit) -> float:
-    """Fall of the held-out rms as a share, of several data sets that where it fell most."""
+def rms_fall(before: Fit, after: Fit, rows: np.ndarray | bool = True) -> float:
+    """Fall of the held-out rms as a share, of several data sets that where it fell most, if they
+    have any of `rows` (n,).
+    """
     a, b = heldout_residuals(before), heldout_residuals(after)
     shares = [-math.inf]
     for inside in before.measurement.plan.parts.values():
         left, right = (np.where(inside[:, None], residual, np.nan) for residual in (a, b))
-        if np.isfinite(left).any():
+        if (inside & rows).any() and np.isfinite(left).any():
             was, now = rms(squared_errors(before, left)), rms(squared_errors(after, right))
             shares.append(1.0 - now.value / was.value)
     return max(shares)

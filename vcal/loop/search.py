@@ -168,7 +168,8 @@ class Search:
             after = at_declared(rival.fit, state, self.room)
             noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
             fall, error = improvement(fit, rival.fit, noise)
-            share = rms_fall(state.fit, after)
+            # The readings of another instrument are no witness for an effect of this one.
+            share = rms_fall(state.fit, after, np.asarray(rival.effect.rows(measurement.plan)))
             poor = chi2_per_dof(after) > _POOR and (state.noise is None or persists(after))
             if odds[id(rival)] - rival.leniency <= nothing:
                 self._reject(rival, own, "its evidence does not pay for the search")

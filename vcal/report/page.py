@@ -247,6 +247,10 @@ def _parameter(name: str, value: float, unit: str, u: float) -> dict[str, str]:
 
 
 def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
+    parts = closure.after.measurement.plan.parts
+    rows = np.asarray(found.effect.rows(closure.after.measurement.plan))
+    own = [name for name, inside in parts.items() if (inside & rows).any()]
+    of = " (in the data set where it fell most)" if own[1:] else f" (in the data set {own[0]})"
     return {
         "title": f"{found.effect.name} {found.placement}".strip(),
         "summary": found.effect.summary,
@@ -254,7 +258,10 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
         "p": text.probability(found.p_value),
         "log_evidence": text.number(found.log_evidence),
         "delta_bic": text.number(found.delta_bic),
-        "gain": text.percent(found.heldout_gain),
+        "gain": ("fell by " if found.heldout_gain >= 0.0 else "rose by ")
+        + text.percent(abs(found.heldout_gain))
+        + " when it was added"
+        + (of if parts.keys() - {""} and len(parts) > 1 else ""),
         "parameters": [_parameter(*row) for row in parameters(closure, found)],
         "equivalent": found.equivalent,
         "alternatives": [
