@@ -392,7 +392,12 @@ ARMS = {
                 )
             ),
         ),
-        ("data.csv, row 3", "found 9 readings", "for 11 parameters without a prior", "more than 14"),
+        (
+            "data.csv, row 3",
+            "found 9 readings",
+            "for 11 parameters without a prior",
+            "more than 14",
+        ),
     ),
 }
 

@@ -345,7 +345,12 @@ def test_what_was_significant_is_added_or_told_why_not(closed):
     rival = SimpleNamespace(effect=dent)
     what = Unexplained([], [], [], "Z", 4.0, 0.5, 1e-4, "so", empirical=rival)  # type: ignore[arg-type]
     ended = dataclasses.replace(
-        closure, verdict="unexplained", effects=[], unexplained=what, screenings=[first], rejected=[]
+        closure,
+        verdict="unexplained",
+        effects=[],
+        unexplained=what,
+        screenings=[first],
+        rejected=[],
     )
     (backlash,) = (r for r in ended.passed_over if r.effect == "backlash")
     assert backlash.placement == "Y" and backlash.p_value <= alpha

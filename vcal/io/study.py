@@ -579,8 +579,8 @@ def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
         f"row {plan.rows} (the last one)",
         f"{readings} readings ({plan.rows} rows of {width}) for {len(flat)} parameters without a "
         f"prior ({keys})",
-        f"more than {needed - 1} readings, so that without any one row they are still more than the "
-        "parameters"
+        f"more than {needed - 1} readings, so that without any one row they are still more than "
+        "the parameters"
         if measured
         else f"at least {needed} readings",
         "measure more rows, or give a prior (a *_sigma) to what is known",
