@@ -179,7 +179,8 @@ class Search:
                 )
                 refused = refused or rival
             elif poor and share < _PRACTICAL and not _in_the_prior(fit, rival.fit, noise):
-                self._reject(rival, own, f"held-out rms falls by {100 * share:.1f} % only")
+                way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
+                self._reject(rival, own, f"held-out rms {way}")
                 refused = refused or rival
             elif ranked[0][1] - odds[id(rival)] > _CONTRADICTED:
                 why = "is not significant itself" if refused is None else "does not hold"
