@@ -151,7 +151,8 @@ def wilson(k: int, n: int) -> tuple[float, float]:
     """95 % interval of a share (Wilson's)."""
     z, p = 1.96, k / n
     centre, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return (centre - half) / (1 + z * z / n), (centre + half) / (1 + z * z / n)
+    low, high = (centre - half) / (1 + z * z / n), (centre + half) / (1 + z * z / n)
+    return max(low, 0.0), min(high, 1.0)
 
 
 def counts(k: int, n: int) -> list[float]:

@@ -133,7 +133,7 @@ def test_undeclared_shapes_are_drawn(known):
 QUANTITIES = ParameterErrors(), ErrorMotionErrors(nodes=3)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_monte_carlo_and_gum_agree_where_all_is_linear(known):
     it = known["laser_tracker"]
     points = it.plan.take(np.arange(0, it.plan.rows, 6))

@@ -121,7 +121,7 @@ def test_quadrant_peaks_beside_a_declared_matrix():
         assert abs(values[name][0] - true) <= 4 * values[name][1]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_arm_by_its_commanded_joints():
     closure = closed(DATA / "real" / "irb120")
     names = named(closure)
