@@ -298,7 +298,7 @@ def test_an_arm(tmp_path):
     np.testing.assert_allclose(own / size, np.asarray(C)[:k, :k] / size, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_plan_has_no_loop(designed, tmp_path):
     printed = design(designed[0], tmp_path / "out", "--next").output
     assert "There are no readings yet" in printed

@@ -97,7 +97,10 @@ DECLARED_ONLY = ("head_temperature", "tool_interface")
 # --- derivatives ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if n == "joint_compliance" else ()) for n in CATALOGUE],
+)
 def test_effect_columns_against_finite_differences(name, known, frame, r_test, touched):
     """Terms times port Jacobian: the derivative of `predict`, shape parameters included."""
     tested = 0

@@ -211,6 +211,7 @@ def test_a_size_that_is_no_number(small_tracker_study, value):
     assert np.isfinite(study.measurement.readings).all()
 
 
+@pytest.mark.slow
 def test_columns_that_were_exchanged(small_tracker_study):
     path = small_tracker_study / "data.csv"
     head, rows = path.read_text(encoding="utf-8").split("\n", 1)

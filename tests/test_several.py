@@ -183,6 +183,7 @@ def test_check_points_gain_by_the_second_data_set(tmp_path):
     assert together < 1.02 * min(tracker, balls)
 
 
+@pytest.mark.slow
 def test_one_data_set_is_what_it_is_by_itself(tmp_path):
     """A study with a single [[data]] row gives the numbers of one with [instrument]."""
     folder = write_joint(tmp_path / "one", {"balls": ball_case(5)})
@@ -332,6 +333,7 @@ def test_the_page_tells_the_data_sets_apart(backlash):
     assert reasons["drift", "X"] == "the data have no t_s shared by the data sets"
 
 
+@pytest.mark.slow
 def test_an_effect_of_an_instrument_is_named_for_its_data_set(tmp_path):
     true = [{"effect": "encoder_eccentricity", "amplitude_urad": 20, "phase_deg": 40}]
     cases = {"tracker": tracker_case(8, true), "balls": ball_case(8)}
