@@ -121,8 +121,10 @@ class ProbeMatrix(Effect):
         return tuple(Parameter(f"S_{i}{j}", "um/m", sigma=size) for i in _XYZ for j in _XYZ)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        place = dict(zip(_XYZ, jnp.unstack(_in_the_nest(plan), axis=1), strict=True))
-        return {(f"sphere.{i}", f"S_{i}{j}"): place[j] for i in _XYZ for j in _XYZ}
+        place = jnp.unstack(jnp.asarray(plan.position) - _middle(plan), axis=1)
+        return {
+            (f"sphere.{i}", f"S_{i}{j}"): x for i in _XYZ for j, x in zip(_XYZ, place, strict=True)
+        }
 
 
 @register
@@ -281,7 +283,7 @@ class RTest(TableInstrument):
         return {**own, **shown, **read}
 
     def rows(self, plan: Plan) -> Any:
-        return jnp.asarray(plan.position) - _in_the_nest(plan)
+        return _middle(plan)
 
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
         seen = tool - Vector.of(row) + Vector.of(ports["sphere"])
@@ -365,12 +367,12 @@ class RTest(TableInstrument):
         return circle
 
 
-def _in_the_nest(plan: Plan) -> Float[Array, "n 3"]:
-    """Axis positions from the middle of what each run travels, where the probes are at zero."""
+def _middle(plan: Plan) -> Float[Array, "n 3"]:
+    """Axis positions in the middle of what each run travels, where the probes are at zero."""
     x = jnp.asarray(plan.position)
     runs, run = np.unique(np.asarray(plan.groups["run"]), return_inverse=True)
     low, high = (find(x, run, len(runs)) for find in (jax.ops.segment_min, jax.ops.segment_max))
-    return x - (0.5 * (low + high))[run]
+    return (0.5 * (low + high))[run]
 
 
 _COORDINATES = ("x_ext_mm", "y_ext_mm", "z_ext_mm")
