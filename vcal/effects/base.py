@@ -126,6 +126,14 @@ class Effect(eqx.Module):
         del plan
         return {}
 
+    def edges(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        """Values of shape parameters without a derivative (SI, in order) at which the response in
+        some row changes: between two of them all say the same. None where the scan has all there
+        are.
+        """
+        del plan
+        return {}
+
     def shape_odds(
         self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
     ) -> float:

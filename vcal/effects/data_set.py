@@ -85,6 +85,9 @@ class OfDataSet(Effect):
         # Of the effect's own rows: a scan spans what was covered, the time of a run say.
         return self.effect.scan(plan.part(self.data_set))
 
+    def edges(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        return self.effect.edges(plan.part(self.data_set))
+
     def shape_odds(
         self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
     ) -> float:

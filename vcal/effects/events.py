@@ -18,7 +18,8 @@ class Jump(Effect):
     """A step at an unknown moment: the tool point, or the instrument's frame, is displaced after.
 
     Deviation = (t > t0) times a translation (tool) or a translation and a rotation (frame). The
-    moment is scanned over the gaps between successive rows; it has no derivative.
+    moment is scanned over the gaps between successive rows; it has no derivative. Its uncertainty
+    is that of which gap it is, and of where in it.
     """
 
     name = "jump"
@@ -46,12 +47,15 @@ class Jump(Effect):
         return {(port, port.split(".")[1]): after for port in self.ports}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        t = np.unique(np.asarray(plan.covariate("t")))
+        t = self.edges(plan)["at"]
         if len(t) < 2:
             return {"at": t}
         gaps = 0.5 * (t[1:] + t[:-1])
         # At most 200 moments: neighbours this close give nearly the same step.
         return {"at": gaps[np.unique(np.linspace(0, len(gaps) - 1, 200).astype(int))]}
+
+    def edges(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        return {"at": np.unique(np.asarray(plan.covariate("t")))}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:

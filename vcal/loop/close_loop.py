@@ -28,6 +28,7 @@ from .state import (
     noise_scale,
     noise_scales,
 )
+from .steps import uncertainties
 from .together import contradiction
 from .unexplained import from_structure
 
@@ -118,10 +119,11 @@ def close_loop(
         return _finish(run, nominal, before, state, settings, interrupted)
 
 
-def _found(item: Added, after: Fit) -> FoundEffect:
+def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
     """The report of an added effect, with its parameters from the final fit."""
     effect, weighed = item.effect, item.weighed
     place = place_of(item, after.model.effects)
+    stepped = uncertainties(state, place, room)
     certain = weighed.probability >= CERTAIN
     same = [k for k in weighed.equivalent if k.split(" ")[0] == effect.name]
     places = sorted({effect.placement, *(k.partition(" ")[2] for k in same)})
@@ -129,7 +131,10 @@ def _found(item: Added, after: Fit) -> FoundEffect:
         effect=effect,
         status="named" if certain else "ambiguous",
         placement="|".join(places),
-        parameters=[(p.name, value, p.unit, u) for _, p, value, u in after.values_of(place)],
+        parameters=[
+            (p.name, value, p.unit, stepped[p.name] / p.si if p.name in stepped else u)
+            for _, p, value, u in after.values_of(place)
+        ],
         p_value=item.p_value,
         log_evidence=weighed.best.log_bayes,
         delta_bic=weighed.best.delta_bic,
@@ -147,7 +152,7 @@ def _finish(
     noise = noise_scale(state.fit, np.ones(state.fit.measurement.rows, bool))
     scales = noise_scales(state.fit)
     after = at_noise_found(state, run.room)
-    found = [_found(item, after) for item in run.added(state)]
+    found = [_found(item, after, state, run.room) for item in run.added(state)]
     verdict: Verdict | None = None if interrupted else "nothing_missing"
     if run.unexplained is not None:
         verdict = "unexplained"

@@ -216,9 +216,17 @@ class Screen:
 
     def refine(self, peak: Peak, rounds: int = 3) -> Peak:
         """The peak moved to the best point between its neighbours in the scan (no refit)."""
-        grids = effect_grids(peak.effect, self.fit)
+        grids = dict(effect_grids(peak.effect, self.fit))
         names = [p.name for p in peak.effect.shapes if p.smooth]
-        if not names:
+        # Without a derivative: all values there are between the neighbours.
+        between = {}
+        for name, edges in peak.effect.edges(self.fit.measurement.plan).items():
+            every = 0.5 * (edges[1:] + edges[:-1])
+            if len(every) > len(grids[name]):
+                low, high = _neighbours(grids[name], peak.shape[name])
+                between[name] = every[(every >= low) & (every <= high)]
+                grids[name] = every
+        if not names and not between:
             return peak
         shape = dict(peak.shape)
         width = {
@@ -229,11 +237,11 @@ class Screen:
         }
         offset = math.log(math.prod(len(grid) for grid in grids.values()))
         best = peak
-        for _ in range(rounds):
+        for _ in range(rounds if names else 1):
             axes = [
                 np.clip(shape[n] + width[n] * np.linspace(-1, 1, 9), grids[n].min(), grids[n].max())
                 if n in names
-                else np.array([shape[n]])
+                else between.get(n, np.array([shape[n]]))
                 for n in shape
             ]
             mesh = np.array(list(itertools.product(*axes)))
@@ -257,6 +265,18 @@ class Screen:
                 together - float(bayes[i]),
             )
         return best
+
+    def log_bayes(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Gain in log evidence with these values of its shape parameters (g,) each."""
+        size = len(next(iter(grid.values())))
+        pieces = [
+            self._test_chunk(
+                effect, {n: v[start : start + _CHUNK] for n, v in grid.items()}, null=False
+            )
+            for start in range(0, size, _CHUNK)
+        ]
+        stat, g, s = (np.concatenate([p[i] for p in pieces if p is not None]) for i in (0, 3, 4))
+        return self._log_bayes(stat, g, s)
 
     def _test_chunk(self, effect: Effect, grid: Mapping[str, np.ndarray], null: bool = True):
         c = len(effect.amplitudes)
@@ -328,6 +348,13 @@ class Screen:
         declared too small or too large then changes nothing.
         """
         return minus_log_beta_tail(stat / cost, self.count, rank)
+
+
+def _neighbours(grid: np.ndarray, value: float) -> tuple[float, float]:
+    """The steps of a scan before and after the one nearest to a value."""
+    order = np.sort(grid)
+    i = int(np.argmin(np.abs(order - value)))
+    return float(order[max(i - 1, 0)]), float(order[min(i + 1, len(order) - 1)])
 
 
 def effect_grids(effect: Effect, fit: Fit) -> Mapping[str, np.ndarray]:
