@@ -39,8 +39,13 @@ def distance(batch, a, b):
 # --- batches ---
 
 
-@pytest.mark.parametrize("kind", ["laser_tracker", "ball_array"])
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("laser_tracker", marks=pytest.mark.campaign),
+        pytest.param("ball_array", marks=pytest.mark.slow),
+    ],
+)
 def test_a_draw_is_identified_as_alone(kind, known):
     it = known[kind]
     batch, simulator = prepare_batch(it.model, it.plan), prepare(it.model, it.plan)

@@ -232,8 +232,10 @@ def test_the_loop_names_the_matrix(study):
         assert abs(v - E[i, j]) < 4 * u
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.campaign)],
+)
 def test_the_loop_names_quadrant_peaks(tmp_path, seed):
     rows = "[[model.effect]]\nname = 'acceleration_crosstalk'\n"
     rows += f"matrix_um_s2_per_m = {E.tolist()}\n"
