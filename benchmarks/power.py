@@ -323,6 +323,11 @@ def main() -> None:
         work(options, options.part)
         return
     options.lines.parent.mkdir(parents=True, exist_ok=True)
+    in_parallel(__file__, options.jobs)
+
+
+def in_parallel(script: str, jobs: int) -> None:
+    """Run a script again, in single-threaded processes that are each told their --part."""
     environment = dict(
         os.environ,
         PYTHONHASHSEED="0",
@@ -330,10 +335,9 @@ def main() -> None:
         OMP_NUM_THREADS="1",
         XLA_FLAGS="--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
     )
-    command = [sys.executable, __file__, *sys.argv[1:]]
+    command = [sys.executable, script, *sys.argv[1:]]
     running = [
-        subprocess.Popen([*command, "--part", str(part)], env=environment)
-        for part in range(options.jobs)
+        subprocess.Popen([*command, "--part", str(part)], env=environment) for part in range(jobs)
     ]
     try:
         codes = [process.wait() for process in running]

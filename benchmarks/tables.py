@@ -164,6 +164,16 @@ def power_strays(found: dict) -> str:
     return table(head.split(","), rows)
 
 
+def several(found: dict) -> str:
+    outcomes = ["right", "right first", "another first", "wrong", "unexplained", "nothing"]
+    rows = (
+        [r["case"], str(r["sets"]), *(str(r["outcomes"].get(o, 0)) for o in outcomes),
+         str(r["contradiction"])]
+        for r in found["rows"]
+    )  # fmt: skip
+    return table(["case", "sets", *outcomes, "told not to fit one machine"], rows)
+
+
 def speed(found: dict) -> str:
     rows = (
         [
@@ -315,6 +325,7 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "power_cases": ("power", power_cases),
     "power_outside": ("power", power_outside),
     "power_strays": ("power", power_strays),
+    "several": ("several", several),
     "practice": ("practice", practice),
     "speed": ("speed", speed),
     "batch": ("batch", batch),
