@@ -71,7 +71,7 @@ def test_front():
     assert [d.rms_um for d in more.front] == [2.0, 1.3]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_small_trade(given):
     """What is said of a design is what the theory says of its poses; every step gains."""
     done = trade(given, knowns=("S",), shapes={5: (4, 3)}, scatter=14, starts=1)["S"]

@@ -19,7 +19,7 @@ from vcal.loop.closure import FoundEffect
 pytestmark = pytest.mark.usefixtures("kept_programs")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_next_pose_is_better_than_fifty_at_random(few_poses):
     _, task = task_of(few_poses, small=("design.grid=[4,3,3]",))
     done = follow(task, 1, starts=2, steps=30)

@@ -175,7 +175,7 @@ def test_the_mixture_of_a_fit_is_that_of_fits_with_other_priors(tracker):
     assert over_scales(whole, slice(first, first + 1)) == pytest.approx(expected, abs=1e-3)
 
 
-@pytest.mark.parametrize("size", [8.0, 25.0])
+@pytest.mark.parametrize("size", [pytest.param(8.0, marks=pytest.mark.slow), 25.0])
 def test_evidence_of_a_time_constant_at_the_end_of_its_scan(tracker, size):
     """A drift, taken for a warming-up: against the mean over all time constants, each as known."""
     true = tracker.effect(f"drift:Y:rate_EZY_um_per_h={size * 10}")

@@ -266,7 +266,7 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
         assert cost == pytest.approx(least + (bare[0] ** 2).sum() + float(z @ z), rel=digits)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_many_machines(catalogue):
     """Errors are as large as their uncertainties say, and machine i is machine i."""
     machine, controller, _ = catalogue

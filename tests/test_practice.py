@@ -32,18 +32,21 @@ def named(closure):
     return [f"{item.effect.name} {item.placement}".strip() for item in closure.effects]
 
 
-@pytest.mark.slow
+CAMPAIGN, SLOW = pytest.mark.campaign, pytest.mark.slow
+
+
 @pytest.mark.parametrize(
     ("case", "verdict", "effects", "limit_um"),
     [
-        ("01_tracker_clean", "nothing_missing", [], 0.82),
-        ("02_tracker_backlash", "named", ["backlash Y"], 1.08),
-        ("03_tracker_screw", "named", ["screw_cyclic X"], 1.36),
-        ("04_balls_scale_growth", "named", ["scale_growth X"], 4.2),
-        ("05_balls_clean", "nothing_missing", [], 4.8),
-        ("07_balls_two_effects", "named", ["backlash X", "thermal_tilt Y"], 5.0),
+        pytest.param("01_tracker_clean", "nothing_missing", [], 0.82, marks=CAMPAIGN),
+        pytest.param("02_tracker_backlash", "named", ["backlash Y"], 1.08, marks=SLOW),
+        pytest.param("03_tracker_screw", "named", ["screw_cyclic X"], 1.36, marks=CAMPAIGN),
+        pytest.param("04_balls_scale_growth", "named", ["scale_growth X"], 4.2, marks=SLOW),
+        pytest.param("05_balls_clean", "nothing_missing", [], 4.8, marks=CAMPAIGN),
+        pytest.param("07_balls_two_effects", "named", ["backlash X", "thermal_tilt Y"], 5.0,
+                     marks=SLOW),
     ],
-)
+)  # fmt: skip
 def test_practice_case(case, verdict, effects, limit_um):
     closure = closed(DATA / "practice" / case)
     assert closure.verdict == verdict

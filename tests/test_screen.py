@@ -53,7 +53,7 @@ def screened(it: Known, measurement: Measurement, draws: int = 200, seed: int = 
         ("laser_tracker", "station_drift"),
         ("laser_tracker", "cross_axis:Y:component=EZY,other=X"),
         pytest.param("ball_array", "backlash:X", marks=pytest.mark.slow),
-        ("ball_array", "thermal_tilt:Y:component=EAY"),
+        pytest.param("ball_array", "thermal_tilt:Y:component=EAY", marks=pytest.mark.slow),
         ("ball_array", "ball_error:ball 4"),
         ("ball_array", "artefact_expansion"),
     ],

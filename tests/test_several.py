@@ -350,7 +350,7 @@ def test_an_effect_of_an_instrument_is_named_for_its_data_set(tmp_path):
     assert " when it was added (in the data set tracker)." in page
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_before_and_after_warming_up(tmp_path):
     """X grows by 3 um/(m K). At one temperature that is a slope of EXX; at two it is not."""
     true = [{"effect": "scale_growth", "axis": "X", "um_per_m_K": 3}]
@@ -395,6 +395,7 @@ def two_machines(tmp_path_factory):
     return load_study(write_joint(tmp_path_factory.mktemp("several") / "machines", cases))
 
 
+@pytest.mark.slow
 def test_two_machines_are_not_one(two_machines):
     study = two_machines
     fit = identify(study.model, study.measurement, room=ROOM)
@@ -419,7 +420,7 @@ def test_data_sets_of_one_machine_do_not_contradict_each_other(clean, clean_fit)
     assert contradiction(single, single, ROOM) == ""
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_loop_says_that_two_machines_are_not_one(two_machines):
     closure = closed(two_machines, effects=[CATALOGUE["range_scale"]])
     assert "do not fit one machine" in closure.notes[0]
