@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from power import ALPHA, DRAWS, FIRST_SEED, append, commit_of, in_parallel, known, limits_in
-from power_summary import is_of
+from power_summary import outcome
 
 HERE = Path(__file__).resolve().parent
 LINES = HERE / "results" / "several.jsonl"
@@ -101,8 +101,8 @@ def _rows(case, which: slice):
     return dataclasses.replace(case, data={k: np.asarray(v)[which] for k, v in case.data.items()})
 
 
-def one_set(case: str, seed: int, limits: dict) -> dict:
-    """Make a study of two data sets and close the loop on it."""
+def one_set(case: str, seed: int, limits: dict) -> dict | None:
+    """Make a study of two data sets and close the loop on it; None where the size is not known."""
     import vcal
     from joint import write_joint
     from vcal.loop.together import contradiction
@@ -111,7 +111,7 @@ def one_set(case: str, seed: int, limits: dict) -> dict:
     line: dict = {"case": case, "seed": seed}
     wanted = made(case, seed, limits)
     if wanted is None:
-        return line | {"verdict": "not made"}
+        return None
     with tempfile.TemporaryDirectory() as folder:
         study = vcal.load_study(write_joint(Path(folder) / "joint", wanted[0]) / "setup.toml")
     closure = vcal.close_loop(
@@ -146,29 +146,18 @@ def work(options: argparse.Namespace) -> None:
             if time.monotonic() > end:
                 return
             line = one_set(case, seed, limits)
+            if line is None:
+                continue
             append(LINES, line | {"commit": commit})
             print(case, seed, line["verdict"], [f["key"] for f in line.get("found", [])],
                   line.get("contradiction"), line.get("seconds"), flush=True)  # fmt: skip
-
-
-def outcome(line: dict) -> str:
-    """*right*, *right first* (the first of several it may be), *another first*, *wrong*,
-    *unexplained* or *nothing*, as for one data set.
-    """
-    keys, found = [key for key, *_ in line["truth"]], line["found"]
-    off = [f for f in found if not any(is_of(key, f) for key in keys)]
-    if off:
-        return "wrong" if any(f["status"] == "named" for f in off) else "another first"
-    if not found:
-        return "unexplained" if line["verdict"] == "unexplained" else "nothing"
-    return "right" if all(f["status"] == "named" for f in found) else "right first"
 
 
 def summary(lines: Sequence[dict]) -> dict:
     """Sets, outcomes and contradictions told, by case."""
     rows = []
     for case in cases():
-        mine = [line for line in lines if line["case"] == case and line["verdict"] != "not made"]
+        mine = [line for line in lines if line["case"] == case]
         counts: dict[str, int] = {}
         for line in mine:
             counts[outcome(line)] = counts.get(outcome(line), 0) + 1
