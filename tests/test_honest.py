@@ -212,6 +212,8 @@ def test_conditions_that_went_together(tracker):
     t = np.asarray(plan.covariate("t"))
     drifting = dataclasses.replace(plan, covariates={**plan.covariates, "T_Y": 20.0 + 1e-3 * t})
     (said,) = confounded(drifting, ["T_Y", "t"])
+    # Written as a sentence, it must not begin with the name of a column.
+    assert said.startswith("the columns ")
     assert "T_y_degC" in said and "t_s" in said and "vary" in said
     swinging = {**plan.covariates, **{n: 20.0 + np.sin(t / t.max() * 20.0 + k)
                                       for k, n in enumerate(("T_X", "T_Y", "T_Z"))}}  # fmt: skip

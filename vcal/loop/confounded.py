@@ -38,8 +38,8 @@ def confounded(plan: Plan, names: Iterable[str]) -> list[str]:
         if linked:
             columns = [file_column(n, plan.axes)[0] for n in (name, *linked)]
             found.append(
-                f"{', '.join(columns[:-1])} and {columns[-1]} went together (correlation "
-                f"{min(linked.values()):.2f} or more): what depends on one of them looks as if it "
-                "depended on the others; vary them independently to tell"
+                f"the columns {', '.join(columns[:-1])} and {columns[-1]} went together "
+                f"(correlation {min(linked.values()):.2f} or more): what depends on one of them "
+                "looks as if it depended on the others; vary them independently to tell"
             )
     return found
