@@ -11,6 +11,7 @@ import power
 import power_summary
 from power_cases import ENTRIES, OUTSIDE, drawn, make, unresolved_degree, world_of
 
+from vcal import close_loop
 from vcal.identify import identify
 
 SEED = 20_000
@@ -92,3 +93,20 @@ def test_every_set_has_its_place_once():
         mine = [job for job in found if job[0] == name]
         assert len(mine) == (20 if entry.clean else 2 * len(entry.multiples))
     assert {kind.name for kind in OUTSIDE} <= {k.name for e in ENTRIES.values() for k in e.kinds}
+
+
+@pytest.mark.slow
+def test_two_effects_that_one_description_fits_better_than_each():
+    """An error that grows with Y from one moment on stands for a tilt and a part of the backlash:
+    both together are better than it.
+    """
+    entry = ENTRIES["laser_tracker/backlash and thermal_tilt"]
+    world = world_of(entry.instrument, SEED + 5)
+    made = make(entry, world, drawn(entry, world), [4.632, 7.689])
+    study = power.load(made.case)
+    told = []
+    closure = close_loop(study.model, study.measurement, draws=200, progress=told.append)
+    assert {e.effect.key for e in closure.effects} == {term.key for term in made.terms}
+    assert closure.unexplained is None
+    # It is a description that ends the first search, and the second one begins without any.
+    assert told.count("round 1: screening") == 2

@@ -9,15 +9,13 @@ from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
 from ..fit import Fit
-from ..identify import identify
-from .scales import over_scales
+from ..identify import declared_whitener, identify
+from .scales import leniency, over_scales, surprise
 from .screen import Peak
 
 _TOLD = 1.0
 """What one candidate must leave of the other, as chi-square in units of the noise, for the data to
 tell the two apart."""
-_SURPRISE = math.log(20.0)
-"""Most that a size beyond its prior may count against a rival, as log odds."""
 _SHAPE_TOLD = 0.02
 """Probability from which another shape of the same effect is told."""
 _SAME_SHAPE = 2.0
@@ -50,10 +48,8 @@ class Rival:
 
     @property
     def leniency(self) -> float:
-        """What that costs beyond `_SURPRISE`: how large an effect may be is known roughly, enough
-        to prefer one rival, not to exclude another.
-        """
-        return max(0.0, self.surprise - _SURPRISE)
+        """What that costs beyond what it may."""
+        return leniency(self.surprise)
 
     @property
     def log_weight(self) -> float:
@@ -127,8 +123,8 @@ def refit_all(
         added = slice(first, first + len(peak.effect.amplitudes))
         gain = fit.log_evidence(noise) + over_scales(fit, added, noise) - reference
         shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
-        surprise = float(0.5 * np.maximum(fit.theta[added] ** 2 - 1.0, 0.0).sum())
-        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape, surprise))
+        beyond = float(surprise(fit.theta[added]))
+        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape, beyond))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
 
@@ -188,6 +184,29 @@ def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
         )
 
     return all(map(better, others))
+
+
+def likelier_together(fit: Fit, found: Sequence[tuple[int, Rival]], description: Rival) -> bool:
+    """Whether several effects (their places in the model of `fit`, and what spoke for each) fit
+    better than an empirical description does and are clearly likelier, their sizes apart.
+    """
+    noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
+    gain = fit.log_evidence(noise) - description.fit.log_evidence(noise)
+    for place, rival in [*found, (len(description.fit.model.effects) - 1, description)]:
+        its, sign = (description.fit, -1.0) if rival is description else (fit, 1.0)
+        counts = [len(e.amplitudes) for e in its.model.effects]
+        mine = slice(sum(counts[:place]), sum(counts[: place + 1]))
+        more = over_scales(its, mine, noise) + rival.log_shape + rival.log_prior
+        gain += sign * (more + leniency(float(surprise(its.theta[mine]))))
+    by = (_declared_chi2(description.fit) - _declared_chi2(fit)) / noise**2
+    return gain > _LIKELIER and by > _FITS_AS_WELL
+
+
+def _declared_chi2(fit: Fit) -> float:
+    """Chi-square with the declared noise, whatever noise the fit is with."""
+    whitener = declared_whitener(fit.model, fit.measurement)
+    residual = np.einsum("nij,nj->ni", whitener, fit.residual)[fit.used]
+    return float((residual**2).sum())
 
 
 def in_doubt(description: Rival, best: Rival) -> bool:

@@ -6,6 +6,8 @@ that says nothing. Therefore the prior is a mixture: sigma times 1, 1/2, 1/4, ..
 one factor for all amplitudes of an effect.
 """
 
+import math
+
 import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import logsumexp
@@ -14,6 +16,23 @@ from ..fit import Fit
 
 _SQUARED = 4.0 ** -np.arange(11.0)
 """Squares of the factors, down to a thousandth."""
+
+_SURPRISE = math.log(20.0)
+"""Most that a size beyond its prior may count against a rival, as log odds."""
+
+
+def surprise(sizes: np.ndarray) -> np.ndarray:
+    """What it costs the log evidence that amplitudes (..., c), in prior standard deviations, are
+    larger than expected.
+    """
+    return 0.5 * np.maximum(np.square(sizes) - 1.0, 0.0).sum(-1)
+
+
+def leniency(surprise: float) -> float:
+    """What that costs beyond `_SURPRISE`: how large an effect may be is known roughly, enough to
+    prefer one rival, not to exclude another.
+    """
+    return max(0.0, surprise - _SURPRISE)
 
 
 def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -> np.ndarray:

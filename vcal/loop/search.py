@@ -13,7 +13,16 @@ from .candidates import Untestable, candidates
 from .closure import Rejected
 from .empirical import EMPIRICAL, Empirical
 from .heldout import improvement, rms_fall
-from .rivals import Names, Rival, Weighed, classes_of, fits_better, refit_all, weigh
+from .rivals import (
+    Names,
+    Rival,
+    Weighed,
+    classes_of,
+    fits_better,
+    likelier_together,
+    refit_all,
+    weigh,
+)
 from .scales import over_scales
 from .screen import Peak, Screen, Screening, screen
 from .serial import Serial, gain_beside, persists, serial
@@ -68,6 +77,8 @@ class Search:
         self.refused: Effect | None = None
         """What was significant in the last round, and did not hold."""
         self._again = _AGAIN
+        self._describing = True
+        """Whether empirical descriptions are candidates."""
 
     def added(self, state: State) -> list[Added]:
         """What was added and is in the model as far as it has come."""
@@ -89,6 +100,10 @@ class Search:
         before = state
         if self.unexplained is not None:
             state = self.beside_empirical(state)
+            several = self.instead_of_description(state, most)
+            if several is not None:
+                reached(several)
+                return self.rounds(several, most, reached)
         elif len(self.added(state)) > 1:
             for item in self.added(state):
                 reached(state := self.anew(state, item))
@@ -106,7 +121,8 @@ class Search:
         fit, measurement = state.scored, state.fit.measurement
         self.progress(f"round {number}: screening")
         tried, self.untestable = candidates(state.model, measurement, self.classes)
-        empirical, _ = candidates(state.model, measurement, EMPIRICAL)
+        kinds = EMPIRICAL if self._describing else ()
+        empirical, _ = candidates(state.model, measurement, kinds)
         screen_state = Screen(fit, self.draws, self.seed + number)
         screening = screen(screen_state, [*tried, *empirical])
         self.screenings.append(screening)
@@ -250,6 +266,37 @@ class Search:
         self.rejected.append(_dropped(item, "beside the others it is something else"))
         self.refused = None
         return bare if found is None else found
+
+    def instead_of_description(self, state: State, most: int) -> State | None:
+        """Several effects that together describe better what one description, which fits better
+        than each of them, ended the search with; None where there are none.
+
+        One after the other they are added as if nothing could be described, and must then fit
+        better and be clearly likelier than the description.
+        """
+        described = self.unexplained.empirical if self.unexplained is not None else None
+        if described is None:
+            return None
+        kept = (list(self.history), list(self.rejected), list(self.screenings), self.refused,
+                self.unexplained)  # fmt: skip
+        self.unexplained, self._describing = None, False
+        found, begun = state, len(self.added(state))
+        better = False
+        try:
+            while len(self.added(found)) < most:
+                further = self.step(found)
+                if further is None:
+                    break
+                found = further
+            items = self.added(found)[begun:]
+            weighed = [(place_of(item, found.model.effects), item.weighed.best) for item in items]
+            better = len(items) > 1 and likelier_together(found.scored, weighed, described)
+        finally:
+            self._describing = True
+            if not better:
+                (self.history, self.rejected, self.screenings, self.refused,
+                 self.unexplained) = kept  # fmt: skip
+        return found if better else None
 
     def beside_empirical(self, state: State) -> State:
         """Do without the effects that are superfluous beside the empirical description that ended
