@@ -18,7 +18,7 @@ from vcal.loop.components import components
 from vcal.loop.confounded import confounded
 from vcal.loop.screen import Screen, minus_log_beta_tail, screen
 from vcal.loop.serial import serial
-from vcal.loop.stray import scattered, stray_rows
+from vcal.loop.stray import displaced, scattered, stray_rows
 
 FACTORS = np.array([1.0, 0.7, 2.5])
 
@@ -180,6 +180,40 @@ def test_a_local_error_is_no_stray_reading(tracker):
     fit = identify(tracker.model, with_noise(tracker, noise))
     assert set(near) & {s.row for s in stray_rows(fit, lambda: (fit, np.ones(len(x))))} == set()
     assert not scattered(fit, list(near)) and scattered(fit, [3, 40, 71])
+
+
+def test_what_stays_displaced_is_no_stray_reading(tracker):
+    """The last three readings, all displaced alike: something moved. In between, or displaced one
+    here and one there, they may be stray.
+    """
+    n = tracker.plan.rows
+    last, between = [n - 3, n - 2, n - 1], [n - 12, n - 11, n - 10]
+    shift = np.zeros((n, 3))
+    shift[last + between] = [0.0, 30.0, 0.0]
+    port = tracker.model.layout.index("tool.Y")
+    at = identify(tracker.model, with_noise(tracker, white(tracker, 13)))
+    noise = white(tracker, 13)
+    noise += (
+        np.einsum("nij,nj->ni", at.whitener, at.port_jacobian[:, :, port]) * shift[:, 1:2] * 1e-6
+    )
+    keep = np.ones(n, bool)
+    keep[last + between] = False
+    fit = identify(tracker.model, with_noise(tracker, noise), keep=keep)
+    # A good reading before them that is suspected with them is none either.
+    assert displaced(fit, [*between, n - 4, *last]) == {n - 4, *last}
+    assert displaced(fit, [*between, *last[1:]]) == displaced(fit, between) == set()
+    noise[last] *= np.array([[1.0], [-1.0], [1.0]])
+    fit = identify(tracker.model, with_noise(tracker, noise), keep=keep)
+    assert displaced(fit, [*between, *last]) == set()
+
+
+def test_a_displacement_near_the_end_is_named(tracker):
+    n = tracker.plan.rows
+    t = np.asarray(tracker.plan.covariate("t"))
+    jump = tracker.effect(f"jump:tool:Y_um=60,at_s={0.5 * (t[n - 4] + t[n - 3])}")
+    closure = closed(tracker, with_noise(tracker, white(tracker, 14), jump))
+    assert closure.effects[0].effect.name == "jump"
+    assert closure.suspected == []
 
 
 # --- few readings, and covariates that went together ---------------------------------------------

@@ -13,7 +13,7 @@ from ..measurement import Measurement
 from ..model import Model
 from ..robust import identify_robust
 from .components import Components, components
-from .stray import Stray, scattered, stray_rows
+from .stray import Stray, displaced, scattered, stray_rows
 
 _SEARCHES = 4
 """Stray readings hide others: how often they are looked for anew without those found."""
@@ -59,9 +59,11 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
         options |= {"theta": start.theta, "shapes": start.shapes}
     fit = whole = identify(model, measurement, **options)
     strays: list[Stray] = []
+    moved: set[int] = set()
     for _ in range(_SEARCHES):
         options |= {"theta": fit.theta, "shapes": fit.shapes}
         found = stray_rows(fit, partial(identify_robust, model, measurement, **options))
+        found = [s for s in found if s.row not in moved]
         if not found:
             break
         strays += found
@@ -73,6 +75,12 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
         options["keep"] = keep = keep.copy()
         keep[[s.row for s in found]] = False
         fit = identify(model, measurement, **options)
+        if more := displaced(fit, [s.row for s in strays]):
+            moved |= more
+            strays = [s for s in strays if s.row not in more]
+            options["keep"] = keep = keep.copy()
+            keep[sorted(more)] = whole_keep[sorted(more)]
+            fit = identify(model, measurement, **options)
     scored, noise = fit, None
     if (fit.clusters >= 0).any():
         for _ in range(2):

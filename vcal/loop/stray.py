@@ -9,6 +9,7 @@ from scipy.special import gammainccinv
 from scipy.stats import hypergeom
 
 from ..fit import Fit
+from ..identify import declared_whitener
 from .recorded import distinct_covariates
 from .screen import minus_log_chi2_tail
 from .unexplained import bins
@@ -19,6 +20,10 @@ as much as those that are taken for a structure."""
 _FEW = 3
 _MOST = 0.05
 """More suspected rows than this share are a structure, not stray readings."""
+_LASTING = 3
+"""As many suspected rows one after the other, and all displaced alike, are no stray readings."""
+_ALIKE = 0.2
+"""Displaced alike: one displacement of the tool leaves less of their chi-square than this."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,40 @@ def scattered(fit: Fit, found: Sequence[int]) -> bool:
     if len(found) > max(_FEW, _MOST * len(rows)):
         return False
     return len(found) <= _FEW or not _gathered(fit, rows, found)
+
+
+def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
+    """Those of these rows, left out of the fit, that a displaced tool explains: three or more at
+    the end or at the beginning of a pose, a run or a data set, all displaced alike.
+
+    Something moved there. A reading that does not belong is alone, or good ones of the same pose
+    follow it.
+    """
+    plan = fit.measurement.plan
+    suspected = np.isin(np.arange(plan.rows), found)
+    whitener = declared_whitener(fit.model, fit.measurement)
+    residual = np.einsum("nij,nj->ni", whitener, fit.residual)
+    tool = fit.port_jacobian[:, :, fit.model.layout.slice("tool")][:, :, :3]
+    ports = np.einsum("nij,njp->nip", whitener, tool)
+
+    def alike(rows: np.ndarray) -> bool:
+        columns, data = ports[rows].reshape(-1, 3), residual[rows].ravel()
+        left = data - columns @ np.linalg.lstsq(columns, data)[0]
+        return bool(left @ left < _ALIKE * (data @ data))
+
+    lasting: set[int] = set()
+    for inside in plan.parts.values():
+        rows = np.flatnonzero((fit.used | suspected) & inside)
+        for group in (None, *plan.groups):
+            index = np.zeros(len(rows)) if group is None else np.asarray(plan.groups[group])[rows]
+            for mine in np.split(rows, np.flatnonzero(np.diff(index)) + 1):
+                good = np.flatnonzero(~suspected[mine])
+                first, last = (good[0], good[-1] + 1) if len(good) else (0, 0)
+                # Good readings beside the step may be suspected too: any part of it may be it.
+                for side in (mine[:first], mine[last:][::-1]):
+                    if any(alike(side[:k]) for k in range(_LASTING, len(side) + 1)):
+                        lasting |= set(side.tolist())
+    return lasting
 
 
 def _outstanding(fit: Fit, weights: np.ndarray) -> list[Stray]:
