@@ -150,6 +150,14 @@ def told(study, before, terms, keep):
     return fit
 
 
+def declared_chi2(fit) -> float:
+    """Chi-square of the readings used, with the declared noise."""
+    from vcal.identify import declared_whitener
+
+    whitener = declared_whitener(fit.model, fit.measurement)
+    return float((np.einsum("nij,nj->ni", whitener, fit.residual)[fit.used] ** 2).sum())
+
+
 def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     """Make a set, close the loop on it, and compare with a fit that was told the truth."""
     from power_cases import drawn, make, world_of
@@ -223,6 +231,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
         keep[strays] = False
         fit = told(study, closure.before, made.terms, keep)
         line["rms"]["told"] = rms(errors(fit, study.check))
+        line["chi2_over_told"] = round(declared_chi2(closure.after) - declared_chi2(fit), 3)
     if strays:
         listed = {s.row for s in closure.suspected}
         line["strays"] = [len(strays), len(listed & set(strays)), len(listed - set(strays))]

@@ -36,6 +36,8 @@ something else, for certain; *unexplained* and *nothing*: no name. Beside a name
 be called unexplained."""
 FAR = 3.0
 """Detection limits from which a name must be right."""
+TOLD_APART = 9.0
+"""Chi-square by which readings that fit the truth better tell it from something else."""
 CERTAIN = {"right", "right first"}
 
 
@@ -87,6 +89,13 @@ def pointed(line: dict) -> bool:
     """Whether an *unexplained* tells a covariate first that the effect depends on."""
     wanted = set(line["covariates"])
     return bool(wanted & set(line.get("unexplained", {}).get("depends_on", [])[:1]))
+
+
+def told_apart(line: dict) -> bool:
+    """Whether the readings themselves speak for the true effect: what was found leaves chi-square
+    that is larger by more than nine.
+    """
+    return line["chi2_over_told"] > TOLD_APART
 
 
 def ratio(line: dict) -> float | None:
@@ -226,6 +235,7 @@ def summary(lines: Sequence[dict]) -> dict:
     seen = [x for x in far if outcome(x) != "not detectable"]
     warming = [x for x in group["warming up"] if x["multiple"] >= FAR]
     warming = [x for x in warming if outcome(x) != "not detectable"]
+    other = [x for x in warming if outcome(x) not in CERTAIN and "chi2_over_told" in x]
     outside = [x for x in group["outside"] if x["multiple"] >= FAR]
     outside = [x for x in outside if outcome(x) != "not detectable"]
     pairs = [x for x in group["pairs"] if outcome(x) != "not detectable"]
@@ -251,6 +261,7 @@ def summary(lines: Sequence[dict]) -> dict:
             "warming_listed": counts(
                 sum(bool(x["found"]) and listed_as_rival(x) for x in warming), len(warming)
             ),
+            "warming_told_apart": counts(sum(told_apart(x) for x in other), len(other)),
             "far_error_ratio": median(ratios),
             "far_worse_than_nothing": counts(sum(map(worse_than_nothing, lines)), len(lines)),
             "outside_wrong": share(outside, {"wrong"}),

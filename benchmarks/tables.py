@@ -49,6 +49,11 @@ def power(found: dict) -> str:
         ["for certain a wrong one", "", _of(s["warming_wrong"])],
         ["the true one among those it may be", "", _of(s["warming_listed"])],
         [
+            "not right, though the readings fit the truth better by more than 9 in chi2",
+            "",
+            _of(s["warming_told_apart"]),
+        ],
+        [
             "at the limit: the screening says that something is missing",
             "50 %",
             _of(s["at_the_limit"]),
