@@ -150,12 +150,18 @@ def told(study, before, terms, keep):
     return fit
 
 
-def declared_chi2(fit) -> float:
-    """Chi-square of the readings used, with the declared noise."""
-    from vcal.identify import declared_whitener
+def over_told(after, fit) -> float:
+    """Chi-square with the declared noise of what was found, above that of the fit that was told,
+    over the readings that both use.
+    """
+    from vcal.identify import identify
 
-    whitener = declared_whitener(fit.model, fit.measurement)
-    return float((np.einsum("nij,nj->ni", whitener, fit.residual)[fit.used] ** 2).sum())
+    keep, room = after.used & fit.used, len(after.model.entries) + 16
+    after, fit = (
+        identify(f.model, f.measurement, theta=f.theta, shapes=f.shapes, keep=keep, room=room)
+        for f in (after, fit)
+    )
+    return after.chi2 - fit.chi2
 
 
 def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
@@ -231,7 +237,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
         keep[strays] = False
         fit = told(study, closure.before, made.terms, keep)
         line["rms"]["told"] = rms(errors(fit, study.check))
-        line["chi2_over_told"] = round(declared_chi2(closure.after) - declared_chi2(fit), 3)
+        line["chi2_over_told"] = round(over_told(closure.after, fit), 3)
     if strays:
         listed = {s.row for s in closure.suspected}
         line["strays"] = [len(strays), len(listed & set(strays)), len(listed - set(strays))]
