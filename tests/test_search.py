@@ -12,6 +12,8 @@ from known import Known
 from vcal import Effect, Measurement, Parameter, Prior, close_loop, identify
 from vcal.distributions import Normal
 from vcal.loop import screen as screening
+from vcal.loop.close_loop import still_rejected
+from vcal.loop.closure import Rejected
 from vcal.loop.heldout import heldout_rms, improvement
 from vcal.loop.rivals import Names, refit_all
 from vcal.loop.screen import Peak, Screen, screen
@@ -225,6 +227,12 @@ def test_an_interruption_leaves_what_is_in_the_model(tracker, monkeypatch):
     after = run.prune(state, reached.append)
     assert reached == [after] and [item.effect.key for item in run.added(after)] == ["backlash Y"]
     assert [(r.effect, r.placement) for r in run.rejected] == [("backlash", "X")]
+
+
+def test_what_a_later_round_adds_is_not_rejected_too(tracker):
+    later, never = (Rejected("backlash", axis, 0.001, "does not hold") for axis in "XY")
+    found = [SimpleNamespace(effect=bare(tracker, "backlash:X:size_um=1"))]
+    assert still_rejected([later, never], found) == [never]  # type: ignore[arg-type]
 
 
 def test_a_wider_prior_replaces_a_declared_one(tracker):

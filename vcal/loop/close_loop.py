@@ -14,7 +14,7 @@ from ..identify import declared_whitener
 from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
-from .closure import Closure, Errors, FoundEffect, SetErrors, Verdict
+from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .confounded import confounded
 from .empirical import EMPIRICAL
 from .heldout import Rms, check_rms, fit_rms, heldout_rms
@@ -176,7 +176,7 @@ def _finish(
         check=run.check,
         unexplained=run.unexplained,
         suspected=state.strays,
-        rejected=run.rejected,
+        rejected=still_rejected(run.rejected, found),
         untestable=run.untestable,
         unseen=run.unseen,
         screenings=run.screenings,
@@ -192,6 +192,12 @@ def _finish(
             *_notes(scales, state, run),
         ],
     )
+
+
+def still_rejected(rejected: Iterable[Rejected], found: Iterable[FoundEffect]) -> list[Rejected]:
+    """Without those that a later round added after all."""
+    added = {(item.effect.name, item.effect.placement) for item in found}
+    return [r for r in rejected if (r.effect, r.placement) not in added]
 
 
 def _foretold(before: Rms, after: Rms, found: bool) -> list[str]:
