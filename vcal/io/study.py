@@ -1,7 +1,6 @@
 """A study: everything in one folder, read, checked and built."""
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,8 +14,7 @@ from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
 from ..errors import StudyError
 from ..instruments import INSTRUMENTS
-from ..instruments.base import Column, Instrument, InstrumentSettings, TableInstrument
-from ..instruments.conditions import GROUPS, linear_plan
+from ..instruments.base import Instrument, InstrumentSettings, TableInstrument
 from ..instruments.several import DataSet as Member
 from ..instruments.several import several, with_tool
 from ..measurement import CheckPoints, Measurement
@@ -29,6 +27,7 @@ from .folder import Folder
 from .messages import listed, refusal, source
 from .must_see import check_seen
 from .own_effects import check_own
+from .runs import check_points, run_table
 from .settings import (
     AnySettings,
     LoopSettings,
@@ -37,16 +36,6 @@ from .settings import (
     read_setup,
     validate,
 )
-from .table import Table
-
-_FEWEST_ROWS = 3
-_LEAST_SHARE = 0.002
-"""Of the travel, over which a measurement has to go."""
-_QUANTITY = re.compile(
-    r"payload_kg|speed_rpm|approach_rad|T_gradient_\w+|v_\w+_m_s|a_\w+_m_s2|since_\w+_mm"
-)
-"""Columns that effects ask for; where they are there, they are numbers."""
-_JOINT_COLUMN = re.compile(r"q(\d+)_(?:cmd|read)_deg")
 
 
 @dataclass(frozen=True)
@@ -192,7 +181,7 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         model=model,
         plan=plan,
         measurement=measurement,
-        check=_check_points(settings, chain, sets, folder),
+        check=_checked(settings, chain, sets, folder),
         catalogue=catalogue,
         hashes=folder.hashes,
     )
@@ -347,7 +336,7 @@ def _data_set(
     key: str = "",
 ) -> DataSet:
     """One data set; `key` is where the study file has it."""
-    table, measured = _data(table_name, settings, chain, folder, file, key)
+    table, measured = run_table(table_name, settings, chain, folder, file, key)
     instrument = INSTRUMENTS[settings.kind].build(settings, chain, table, folder.table)
     plan = instrument.plan(chain, table)
     readings = None
@@ -392,175 +381,15 @@ def _check_seen(settings: AnySettings, sets: Sequence[DataSet], file: str) -> No
         check_seen(errors, one.chain, one.instrument, one.plan, file, key)
 
 
-def _data(
-    name: str,
-    settings: InstrumentSettings,
-    chain: Chain,
-    folder: Folder,
-    file: str,
-    key: str,
-) -> tuple[Table, bool]:
-    """The checked data table, and whether it holds readings."""
-    kind = INSTRUMENTS[settings.kind]
-    header = folder.header(name)
-    plain = kind.columns(settings, chain.axes, readings=False)
-    full = kind.columns(settings, chain.axes, readings=True)
-    reading_names = {c.name for c in full} - {c.name for c in plain}
-    measured = not reading_names or any(column in reading_names for column in header)
-    _check_machine(settings.kind, chain, plain, file, f"{key}instrument.kind")
-    places = [] if kind.positioned else _positions(chain, plain)
-    columns = [*places, *(full if measured else plain)]
-    table = folder.table(name, columns, _condition, labels=kind.labels)
-    if table.rows < _FEWEST_ROWS:
-        raise refusal(
-            name,
-            f"row {table.rows} (line {table.lines[-1]}), column {columns[0].name}",
-            f"the end of the table after {table.rows} row(s)",
-            f"at least {_FEWEST_ROWS} rows",
-            "measure more points",
-        )
-    _check_conditions(table, chain)
-    return table, measured
-
-
-def _check_points(
+def _checked(
     settings: AnySettings, chain: Chain, sets: Sequence[DataSet], folder: Folder
 ) -> CheckPoints | None:
+    """The check points, where there are any: those that are named, or a ``check.csv``."""
     given = settings.data.check if isinstance(settings, StudySettings) else settings.check
     name = given or "check.csv"
     if given is None and not folder.has(name):
         return None
-    instrument = sets[0].instrument
-    own = instrument.columns(sets[0].settings, chain.axes, readings=False)
-    linear = _is_linear(chain)
-    columns = _positions(chain, own) if linear else list(own)
-    columns += [Column(name=f"tcp_{c}_mm", low=-1e6, high=1e6) for c in "xyz"]
-    table = folder.table(name, columns, _condition)
-    if table.rows < _FEWEST_ROWS:
-        raise refusal(
-            name,
-            f"row {table.rows} (line {table.lines[-1]})",
-            f"{table.rows} check point(s)",
-            f"at least {_FEWEST_ROWS}, not on a line: alignment alone takes out six numbers",
-            "add points, or remove the file",
-        )
-    _check_conditions(table, chain)
-    # Check points belong to the machine: what an instrument derives for itself is not in them.
-    plan = linear_plan(chain, table) if linear else instrument.plan(chain, table)
-    return CheckPoints(plan, np.column_stack([table[f"tcp_{c}_mm"] for c in "xyz"]) * 1e-3)
-
-
-def _is_linear(chain: Chain) -> bool:
-    """Whether it was given as a chain of linear axes, whose positions are in ``x_mm``, ..."""
-    return set(chain.axes) <= set("XYZ")
-
-
-def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
-    """Position columns that the instrument's own columns leave to the machine."""
-    names = {column.name for column in own}
-    linear = [f"{axis.lower()}_mm" for axis in chain.axes] if _is_linear(chain) else []
-    return [Column(name=name, low=-1e6, high=1e6) for name in linear if name not in names]
-
-
-def _check_machine(kind: str, chain: Chain, own: Sequence[Column], file: str, key: str) -> None:
-    """An instrument that reads joint angles needs an arm, any other one the axes X, Y and Z."""
-    joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
-    if joints:
-        fits = all(joint.kind == "revolute" for joint in chain.joints)
-        expected = "an arm of revolute [[machine.joint]] rows"
-    else:
-        fits = set(chain.axes) == set("XYZ")
-        expected = "a machine.chain with the axes X, Y and Z"
-    if not fits:
-        raise refusal(
-            file,
-            f"key {key}",
-            f"{kind!r} on a machine with {chain.text!r}",
-            f"{expected} for this instrument",
-            "change the instrument or the machine",
-        )
-
-
-def _condition(name: str) -> Column | None:
-    """What is known of a column that need not be there."""
-    if name.startswith("T_") and name.endswith("_degC"):
-        return Column(name=name, low=-50.0, high=150.0)
-    if name in GROUPS:
-        return Column(name=name, low=0, integer=True)
-    if name == "t_s" or name.startswith("dir_") or _QUANTITY.fullmatch(name):
-        return Column(name=name)
-    if _JOINT_COLUMN.fullmatch(name):
-        return Column(name=name, low=-720.0, high=720.0)
-    return None
-
-
-def _check_conditions(table: Table, chain: Chain) -> None:
-    """Directions are +1 or -1 of an axis there is; positions lie within the travel."""
-    for name, values in table.items():
-        axis = name.removeprefix("dir_").upper()
-        if name.startswith("dir_") and _is_linear(chain):
-            if axis not in chain.axes:
-                raise refusal(
-                    table.name,
-                    f"header, column {name}",
-                    f"a direction of the unknown axis {axis!r}",
-                    f"one of {listed(f'dir_{a.lower()}' for a in chain.axes)}",
-                    "rename or remove the column",
-                )
-            if (bad := np.abs(values) != 1.0).any():
-                row = int(np.argmax(bad))
-                found, expected = f"{values[row]:g}", "+1 or -1, the last direction of travel"
-                raise table.refusal(row, name, found, expected, "correct the value")
-        _check_travel(table, name, chain)
-    _check_extent(table, chain)
-
-
-def _check_extent(table: Table, chain: Chain) -> None:
-    """Positions in another unit than mm fill a thousandth of the travel."""
-    columns = {
-        f"{axis.lower()}_mm": j.travel * 1e3
-        for axis, j in zip(chain.axes, chain.joints, strict=True)
-    }
-    if not columns or not all(name in table for name in columns):
-        return
-    shares = [np.ptp(table[name]) / np.ptp(travel) for name, travel in columns.items()]
-    if 0.0 < max(shares) < _LEAST_SHARE:
-        low = min(table[name].min() for name in columns)
-        high = max(table[name].max() for name in columns)
-        raise refusal(
-            table.name,
-            f"columns {listed(columns)}",
-            f"positions from {low:.4g} to {high:.4g}, at most {100 * max(shares):.2g} % of the "
-            "travel",
-            "millimetres over more of it",
-            "correct the unit of the positions or of machine.travel_mm",
-        )
-
-
-def _check_travel(table: Table, name: str, chain: Chain) -> None:
-    if match := _JOINT_COLUMN.fullmatch(name):
-        place, unit = int(match[1]) - 1, math.radians(1.0)
-        key = f"machine.joint.{place}"
-    elif name.removesuffix("_mm").upper() in chain.axes and name.endswith("_mm"):
-        place, unit = chain.axes.index(name.removesuffix("_mm").upper()), 1e-3
-        key = f"machine.travel_mm.{chain.axes[place]}"
-    else:
-        return
-    if not 0 <= place < len(chain.joints):
-        return
-    low, high = chain.joints[place].travel / unit
-    # A file of ten digits may round a position at the end of the travel to just beyond it.
-    slack = 1e-9 * max((abs(b) for b in (low, high) if math.isfinite(b)), default=0.0)
-    bad = (table[name] < low - slack) | (table[name] > high + slack)
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise table.refusal(
-            row,
-            name,
-            f"{table[name][row]:.10g}, outside the travel",
-            f"{low:.10g} to {high:.10g} ({key})",
-            "correct the position or the travel",
-        )
+    return check_points(name, sets[0].instrument, sets[0].settings, chain, folder)
 
 
 def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
