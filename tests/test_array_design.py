@@ -110,7 +110,8 @@ def by_readings(seen, model, covariance_of_balls, fresh):
     return np.eye(k) + J.T @ np.linalg.solve(V, J)
 
 
-@pytest.mark.parametrize("fresh", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("fresh", [False, True])
 def test_elimination_against_the_readings_covariance(fresh):
     chain, errors = machine()
     poses = design(1)

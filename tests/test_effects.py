@@ -94,12 +94,14 @@ def touched(known):
 DECLARED_ONLY = ("head_temperature", "tool_interface")
 """Influences of a laser frame that the loop does not look for."""
 
+OF_AN_ARM = ("joint_compliance", "readback_lag")
+
 # --- derivatives ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.slow if n == "joint_compliance" else ()) for n in CATALOGUE],
+    [pytest.param(n, marks=pytest.mark.slow if n in OF_AN_ARM else ()) for n in CATALOGUE],
 )
 def test_effect_columns_against_finite_differences(name, known, frame, r_test, touched):
     """Terms times port Jacobian: the derivative of `predict`, shape parameters included."""

@@ -82,7 +82,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, marks=pytest.mark.slow if c in ("kink", "since") else ()) for c in CASES],
+)
 def test_what_no_effect_has_is_described(tracker, tmp_path, case):
     """The description tells on what it depends; the file for an effect of one's own holds it."""
     formula, port, unit_, size, cls, on = CASES[case]
@@ -175,7 +178,8 @@ def test_the_mixture_of_a_fit_is_that_of_fits_with_other_priors(tracker):
     assert over_scales(whole, slice(first, first + 1)) == pytest.approx(expected, abs=1e-3)
 
 
-@pytest.mark.parametrize("size", [pytest.param(8.0, marks=pytest.mark.slow), 25.0])
+@pytest.mark.parametrize("size", [8.0, 25.0])
+@pytest.mark.slow
 def test_evidence_of_a_time_constant_at_the_end_of_its_scan(tracker, size):
     """A drift, taken for a warming-up: against the mean over all time constants, each as known."""
     true = tracker.effect(f"drift:Y:rate_EZY_um_per_h={size * 10}")

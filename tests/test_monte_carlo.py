@@ -468,6 +468,7 @@ print(hashlib.sha256(b"".join(number.tobytes() for number in numbers)).hexdigest
 """
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_devices():
     flags = "--xla_force_host_platform_device_count=2"
     found = subprocess.run(

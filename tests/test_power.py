@@ -16,11 +16,7 @@ from vcal.identify import identify
 
 SEED = 20_000
 ALONE = sorted(name for name, entry in ENTRIES.items() if entry.group == "catalogue")
-QUICK = {
-    "laser_tracker/payload_sag",
-    "laser_frame/refraction",
-    "ball_array/probe_lobing",
-}
+QUICK = {"laser_tracker/payload_sag", "laser_frame/refraction"}
 
 
 @pytest.mark.parametrize(

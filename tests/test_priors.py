@@ -43,6 +43,7 @@ def screw(tracker):
     return tracker.effect("screw_cyclic:X")
 
 
+SLOW = pytest.mark.slow
 UNIVARIATE = [
     Normal(3.0, 2.0),
     StudentT(3.0, 2.0, 5),
@@ -58,7 +59,14 @@ UNIVARIATE = [
 ]
 
 
-@pytest.mark.parametrize("law", UNIVARIATE, ids=lambda d: d.name)
+@pytest.mark.parametrize(
+    "law",
+    [
+        pytest.param(law, marks=() if isinstance(law, Normal | Triangular | Empirical) else SLOW)
+        for law in UNIVARIATE
+    ],
+    ids=lambda law: law.name,
+)
 def test_machines_are_drawn_from_the_declared_distribution(law, screw):
     effect = dataclasses.replace(screw, priors=(Prior("sine", law),))
     own = effect.amplitudes[0]

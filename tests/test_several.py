@@ -371,6 +371,7 @@ def test_before_and_after_warming_up(tmp_path):
         assert closed(study).effects == []
 
 
+@pytest.mark.slow
 def test_noise_that_one_data_set_declares_too_small_names_nothing(clean):
     """Readings of the balls scatter 1.5 times as declared: that is said, and nothing is blamed."""
     study = clean[1]
