@@ -15,7 +15,7 @@ from vcal import CATALOGUE, Measurement, close_loop, load_study
 from vcal.identify import declared_covariances, identify
 from vcal.loop.candidates import candidates
 from vcal.loop.components import components
-from vcal.loop.confounded import confounded
+from vcal.loop.confounded import confounded, unrecorded_time
 from vcal.loop.screen import Screen, minus_log_beta_tail, screen
 from vcal.loop.serial import serial
 from vcal.loop.stray import displaced, scattered, stray_rows
@@ -253,6 +253,23 @@ def test_conditions_that_went_together(tracker):
                                       for k, n in enumerate(("T_X", "T_Y", "T_Z"))}}  # fmt: skip
     assert confounded(dataclasses.replace(plan, covariates=swinging), ["T_Y"]) == []
     assert confounded(plan, ["dir_Y"]) == []
+
+
+def test_time_that_was_not_recorded(tracker):
+    """What depends on the sequence may depend on time: the effects that wait for it are told."""
+    plan, classes = tracker.plan, [CATALOGUE[n] for n in ("warm_up", "thermal_tilt", "jump")]
+    timeless = dataclasses.replace(
+        plan,
+        covariates={n: x for n, x in plan.covariates.items() if n not in ("t", "T_X")},
+        groups=dict(plan.groups) | {"run": np.arange(plan.rows) // 10},
+    )
+    for of, wanting in ((plan, 0), (timeless, 1)):
+        measurement = Measurement(of, tracker.measurement.readings)
+        _, untestable = candidates(tracker.model, measurement, classes)
+        said = unrecorded_time(of, "run", untestable)
+        assert len(said) == wanting and unrecorded_time(of, "X", untestable) == []
+    assert "what depends on run" in said[0] and "(column t_s)" in said[0]
+    assert "jump, warm_up could not be tested" in said[0]
 
 
 # --- candidates that are less than the best of their kind ----------------------------------------

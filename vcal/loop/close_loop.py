@@ -15,7 +15,7 @@ from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
-from .confounded import confounded
+from .confounded import confounded, unrecorded_time
 from .empirical import EMPIRICAL
 from .heldout import Rms, check_rms, fit_rms, heldout_rms
 from .rivals import Weighed
@@ -291,7 +291,11 @@ def _notes(scales: Mapping[str, float], state: State, run: Search) -> list[str]:
         for item in run.added(state)
         for shape, probability in item.weighed.other_shapes
     ]
-    notes += confounded(state.fit.measurement.plan, betraying)
+    plan = state.fit.measurement.plan
+    notes += confounded(plan, betraying)
+    if run.unexplained is not None:
+        for name in run.unexplained.depends_on[:1]:
+            notes += unrecorded_time(plan, name, run.untestable)
     worst = fit_rms(state.fit).value
     if worst > _NO_MACHINE_UM and chi2_per_dof(state.fit) > 1e4:
         notes.append(

@@ -1,4 +1,4 @@
-"""Covariates that went together, so that no reading tells which of them mattered."""
+"""Covariates of which no reading tells which mattered: they went together, or only one is known."""
 
 from collections.abc import Iterable
 
@@ -6,9 +6,12 @@ import numpy as np
 
 from ..instruments.conditions import file_column
 from ..plan import Plan
+from .candidates import Untestable
 
 _TOGETHER = 0.95
 """Least correlation of covariates that count as one."""
+_SEQUENCE = ("order", "pose", "run")
+"""What counts up with time."""
 
 
 def confounded(plan: Plan, names: Iterable[str]) -> list[str]:
@@ -43,3 +46,16 @@ def confounded(plan: Plan, names: Iterable[str]) -> list[str]:
                 "looks as if it depended on the others; vary them independently to tell"
             )
     return found
+
+
+def unrecorded_time(plan: Plan, name: str, untestable: Iterable[Untestable]) -> list[str]:
+    """That what depends on the sequence may depend on time, where nobody recorded the time."""
+    wanting = {u.effect for u in untestable if [missing for missing, _ in u.missing] == ["t"]}
+    if name not in _SEQUENCE or not wanting:
+        return []
+    column, time = (file_column(n, plan.axes)[0] for n in (name, "t"))
+    return [
+        f"what depends on {column} may depend on time, which was not recorded: "
+        f"{', '.join(sorted(wanting))} could not be tested; record the time of every reading "
+        f"(column {time})"
+    ]
