@@ -79,6 +79,10 @@ class Search:
         self._again = _AGAIN
         self._describing = True
         """Whether empirical descriptions are candidates."""
+        self._description: Rival | None = None
+        """The one that ended the search, in whatever words what is unexplained is told."""
+        self._outdone: list[Rejected] = []
+        """What was rejected for its sake."""
 
     def added(self, state: State) -> list[Added]:
         """What was added and is in the model as far as it has come."""
@@ -164,6 +168,7 @@ class Search:
             # What a physical effect describes as well needs no description of its own.
             and fits_better(best, significant)
         ):
+            self._description = best
             self.unexplained = described(
                 fit,
                 state.scored,
@@ -174,8 +179,10 @@ class Search:
                 self.draws,
                 self.seed + number,
             )
+            known = len(self.rejected)
             for rival in significant:
                 self._reject(rival, own, f"{best.effect.summary}: describes the residual better")
+            self._outdone = self.rejected[known:]
             return None
         # That nothing is missing is as likely beforehand as all kinds of effects together.
         nothing = math.log(len(screening.kinds))
@@ -274,12 +281,12 @@ class Search:
         One after the other they are added as if nothing could be described, and must then fit
         better and be clearly likelier than the description.
         """
-        described = self.unexplained.empirical if self.unexplained is not None else None
-        if described is None:
+        if self.unexplained is None or self._description is None:
             return None
         kept = (list(self.history), list(self.rejected), list(self.screenings), self.refused,
                 self.unexplained)  # fmt: skip
         self.unexplained, self._describing = None, False
+        self.rejected = [r for r in self.rejected if r not in self._outdone]
         found, begun = state, len(self.added(state))
         better = False
         try:
@@ -290,7 +297,7 @@ class Search:
                 found = further
             items = self.added(found)[begun:]
             weighed = [(place_of(item, found.model.effects), item.weighed.best) for item in items]
-            better = len(items) > 1 and likelier_together(found.scored, weighed, described)
+            better = len(items) > 1 and likelier_together(found.scored, weighed, self._description)
         finally:
             self._describing = True
             if not better:
