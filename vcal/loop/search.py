@@ -45,6 +45,8 @@ fits as the one and holds as the other is something else."""
 _REFITS = 12
 _WIDENINGS, _WIDER = 4, 4.0
 """How often, and by how much, the prior of an added effect grows that is larger than expected."""
+_INSTEAD = 1
+"""How often several effects may take the place of a description that ended the search."""
 _AGAIN = 2
 """How often the search goes on after an effect was replaced."""
 
@@ -77,6 +79,7 @@ class Search:
         self.refused: Effect | None = None
         """What was significant in the last round, and did not hold."""
         self._again = _AGAIN
+        self._instead = _INSTEAD
         self._describing = True
         """Whether empirical descriptions are candidates."""
         self._description: Rival | None = None
@@ -281,7 +284,7 @@ class Search:
         One after the other they are added as if nothing could be described, and must then fit
         better and be clearly likelier than the description.
         """
-        if self.unexplained is None or self._description is None:
+        if self.unexplained is None or self._description is None or not self._instead:
             return None
         kept = (list(self.history), list(self.rejected), list(self.screenings), self.refused,
                 self.unexplained)  # fmt: skip
@@ -303,7 +306,10 @@ class Search:
             if not better:
                 (self.history, self.rejected, self.screenings, self.refused,
                  self.unexplained) = kept  # fmt: skip
-        return found if better else None
+        if not better:
+            return None
+        self._instead -= 1
+        return found
 
     def beside_empirical(self, state: State) -> State:
         """Do without the effects that are superfluous beside the empirical description that ended

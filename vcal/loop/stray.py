@@ -23,7 +23,9 @@ _MOST = 0.05
 _LASTING = 3
 """As many suspected rows one after the other, and all displaced alike, are no stray readings."""
 _ALIKE = 0.2
-"""Displaced alike: one displacement of the tool leaves less of their chi-square than this."""
+"""Displaced alike: one displacement of the tool leaves less than this of their chi-square, of both
+per degree of freedom.
+"""
 
 
 @dataclass(frozen=True)
@@ -69,14 +71,17 @@ def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
     plan = fit.measurement.plan
     suspected = np.isin(np.arange(plan.rows), found)
     whitener = declared_whitener(fit.model, fit.measurement)
+    present = fit.model.instrument.present(plan)
     residual = np.einsum("nij,nj->ni", whitener, fit.residual)
     tool = fit.port_jacobian[:, :, fit.model.layout.slice("tool")][:, :, :3]
     ports = np.einsum("nij,njp->nip", whitener, tool)
 
     def alike(rows: np.ndarray) -> bool:
         columns, data = ports[rows].reshape(-1, 3), residual[rows].ravel()
-        left = data - columns @ np.linalg.lstsq(columns, data)[0]
-        return bool(left @ left < _ALIKE * (data @ data))
+        moved, _, rank, _ = np.linalg.lstsq(columns, data)
+        left = data - columns @ moved
+        n = int(present[rows].sum())
+        return bool(n > rank and left @ left * n < _ALIKE * (data @ data) * (n - rank))
 
     lasting: set[int] = set()
     for inside in plan.parts.values():
