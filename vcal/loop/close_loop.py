@@ -10,7 +10,6 @@ from threadpoolctl import threadpool_limits
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
 from ..fit import Fit
-from ..identify import declared_whitener
 from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
@@ -31,6 +30,7 @@ from .state import (
 from .steps import uncertainties
 from .together import contradiction
 from .unexplained import from_structure
+from .whitened import declared_residual
 
 _NO_MACHINE_UM = 2000.0
 """What remains of a fit beyond which the data are not what they are said to be, um."""
@@ -249,8 +249,7 @@ def _by_set(fit: Fit) -> dict[str, SetErrors]:
     plan = fit.measurement.plan
     if not plan.sets:
         return {}
-    whitener = declared_whitener(fit.model, fit.measurement)
-    squares = (np.einsum("nij,nj->ni", whitener, fit.residual) ** 2).sum(1)
+    squares = (declared_residual(fit) ** 2).sum(1)
     found = {}
     for name, inside in plan.parts.items():
         _, dof = fit.chi2_and_dof(inside)

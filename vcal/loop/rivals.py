@@ -9,9 +9,10 @@ from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
 from ..fit import Fit
-from ..identify import declared_whitener, identify
+from ..identify import identify
 from .scales import leniency, over_scales, surprise
 from .screen import Peak
+from .whitened import declared_chi2
 
 _TOLD = 1.0
 """What one candidate must leave of the other, as chi-square in units of the noise, for the data to
@@ -198,15 +199,8 @@ def likelier_together(fit: Fit, found: Sequence[tuple[int, Rival]], description:
         mine = slice(sum(counts[:place]), sum(counts[: place + 1]))
         more = over_scales(its, mine, noise) + rival.log_shape + rival.log_prior
         gain += sign * (more + leniency(float(surprise(its.theta[mine]))))
-    by = (_declared_chi2(description.fit) - _declared_chi2(fit)) / noise**2
+    by = (declared_chi2(description.fit) - declared_chi2(fit)) / noise**2
     return gain > _LIKELIER and by > _FITS_AS_WELL
-
-
-def _declared_chi2(fit: Fit) -> float:
-    """Chi-square with the declared noise, whatever noise the fit is with."""
-    whitener = declared_whitener(fit.model, fit.measurement)
-    residual = np.einsum("nij,nj->ni", whitener, fit.residual)[fit.used]
-    return float((residual**2).sum())
 
 
 def in_doubt(description: Rival, best: Rival) -> bool:

@@ -14,6 +14,7 @@ from ..model import Model
 from ..robust import identify_robust
 from .components import Components, components
 from .stray import Stray, displaced, scattered, stray_rows
+from .whitened import declared_chi2
 
 _SEARCHES = 4
 """Stray readings hide others: how often they are looked for anew without those found."""
@@ -171,9 +172,7 @@ def _clustered_whitener(fit: Fit) -> np.ndarray:
 
 def chi2_per_dof(fit: Fit) -> float:
     """chi2 per degree of freedom against the declared noise."""
-    whitener = declared_whitener(fit.model, fit.measurement)
-    residual = np.einsum("nij,nj->ni", whitener, fit.residual)[fit.used]
-    return float((residual**2).sum() / fit.dof)
+    return declared_chi2(fit) / fit.dof
 
 
 def noise_scale(fit: Fit, rows: np.ndarray) -> float:

@@ -13,6 +13,7 @@ from ..identify import declared_whitener
 from .recorded import distinct_covariates
 from .screen import minus_log_chi2_tail
 from .unexplained import bins
+from .whitened import declared_residual
 
 _CHANCE = 1e-3
 """Probability that any row of a clean measurement is suspected; that rows at random places gather
@@ -72,7 +73,7 @@ def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
     suspected = np.isin(np.arange(plan.rows), found)
     whitener = declared_whitener(fit.model, fit.measurement)
     present = fit.model.instrument.present(plan)
-    residual = np.einsum("nij,nj->ni", whitener, fit.residual)
+    residual = declared_residual(fit)
     tool = fit.port_jacobian[:, :, fit.model.layout.slice("tool")][:, :, :3]
     ports = np.einsum("nij,njp->nip", whitener, tool)
 

@@ -1,0 +1,18 @@
+"""Residuals in units of the declared noise, whatever noise a fit is with."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..fit import Fit
+from ..identify import declared_whitener
+
+
+def declared_residual(fit: Fit) -> Float[np.ndarray, "n m"]:
+    """W (y - h) of every row, also of those that were left out."""
+    whitener = declared_whitener(fit.model, fit.measurement)
+    return np.einsum("nij,nj->ni", whitener, fit.residual)
+
+
+def declared_chi2(fit: Fit) -> float:
+    """Sum of their squares over the rows that were used."""
+    return float((declared_residual(fit)[fit.used] ** 2).sum())
