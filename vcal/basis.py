@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .arrays import Array
+from .arrays import Array, namespace
 from .distributions import Uniform, Univariate
 
 
@@ -81,15 +81,16 @@ class Fourier(Basis):
 
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
         if not self.labels:
-            return jnp.zeros((*jnp.shape(x), 0))
+            return np.zeros((*np.shape(x), 0))
         low, high = self.travel
         u = ((2.0 * x - low - high) / (high - low))[..., None]
         # All columns at once: a family of a machine has a hundred of them to compile.
         kind = np.array([label[0] for label in self.labels])
-        angle = self.waves * (jnp.pi * u)
-        straight = jnp.where(np.array(self.labels) == "a1", u, 1.0)
-        wave = jnp.where(kind == "b", jnp.sin(angle), jnp.cos(angle))
-        return jnp.where(kind == "a", straight, wave)
+        angle = self.waves * (np.pi * u)
+        xp = namespace(angle)
+        straight = xp.where(np.array(self.labels) == "a1", u, 1.0)
+        wave = xp.where(kind == "b", xp.sin(angle), xp.cos(angle))
+        return xp.where(kind == "a", straight, wave)
 
 
 class Matern(Basis):
@@ -123,8 +124,8 @@ class Matern(Basis):
         self.labels = tuple(f"k{i}" for i in range(kept))
 
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
-        distance = jnp.sqrt(5.0) * jnp.abs(x[:, None] - self.nodes) / self.length
-        kernel = (1.0 + distance + distance**2 / 3.0) * jnp.exp(-distance)
+        distance = np.sqrt(5.0) * abs(x[:, None] - self.nodes) / self.length
+        kernel = (1.0 + distance + distance**2 / 3.0) * namespace(distance).exp(-distance)
         return kernel @ self.weights
 
 
@@ -145,10 +146,11 @@ class Legendre(Basis):
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
         low, high = self.travel
         u = (2.0 * x - low - high) / (high - low)
-        values = [jnp.ones_like(u), u]
+        xp = namespace(u)
+        values = [xp.ones_like(u), u]
         for n in range(1, max(self.degrees)):
             values.append(((2 * n + 1) * u * values[n] - n * values[n - 1]) / (n + 1))
-        return jnp.stack([values[degree] for degree in self.degrees], -1)
+        return xp.stack([values[degree] for degree in self.degrees], -1)
 
 
 class Constant(Basis):

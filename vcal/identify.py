@@ -12,7 +12,6 @@ import dataclasses
 import math
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,6 +34,7 @@ from .model import (
     port_values,
 )
 from .plan import Plan
+from .programs import compiled_soon
 from .spatial import require_float64
 
 _SLOTS = 32
@@ -133,7 +133,7 @@ def _solve_with(
     )
 
 
-@eqx.filter_jit
+@compiled_soon
 def _solve(
     chain: Chain,
     instrument: Instrument,
@@ -146,7 +146,7 @@ def _solve(
     return s.value, s.status, s.steps, s.cost, s.rank, s.condition
 
 
-@eqx.filter_jit
+@compiled_soon
 def _evaluate(chain: Chain, instrument: Instrument, plan, problem: Problem, theta: Array):
     ports = port_values(problem.terms, theta, problem.terms.offset.shape[1])
     predicted, by_port = observe_with_jacobian(

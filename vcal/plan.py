@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .arrays import Array
+from .arrays import Array, namespace
 
 DATA_SET = "data_set"
 """Group with the place of every row's data set in `Plan.sets`."""
@@ -120,14 +120,14 @@ class Plan(eqx.Module):
 
         What only others have is left out.
         """
-        here = jnp.asarray(self.groups[DATA_SET]) == self.sets.index(name)
+        here = self.groups[DATA_SET] == self.sets.index(name)
         prefix, tables = of_set(name, ""), []
         owned = (DATA_SET, *(of_set(s, "") for s in self.sets))
         for table in (self.covariates, self.groups):
             own = {k: v for k, v in table.items() if not k.startswith(owned)}
             for key, values in table.items():
                 if key.startswith(prefix):
-                    own[key.removeprefix(prefix)] = jnp.where(here, jnp.asarray(values), 0)
+                    own[key.removeprefix(prefix)] = namespace(here, values).where(here, values, 0)
             tables.append(own)
         return Plan(self.axes, self.position, *tables)
 

@@ -3,10 +3,9 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup
@@ -32,7 +31,8 @@ class BallError(Effect):
         return ("ball",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        here = jnp.where(jnp.asarray(plan.groups["ball"]) == self.ball, 1.0, 0.0)
+        touched = plan.groups["ball"] == self.ball
+        here = namespace(touched).where(touched, 1.0, 0.0)
         return {(f"ball.{c}", c): here for c in "XYZ"}
 
     @classmethod
@@ -53,10 +53,11 @@ def beam_deflection(along: Array, supports: tuple[float, float]) -> Array:
     left = 1.0 - right
 
     def free(s):
-        ramp_a, ramp_b = jnp.maximum(s - a, 0.0), jnp.maximum(s - b, 0.0)
+        xp = namespace(s)
+        ramp_a, ramp_b = xp.maximum(s - a, 0.0), xp.maximum(s - b, 0.0)
         return s**4 / 24.0 - left * ramp_a**3 / 6.0 - right * ramp_b**3 / 6.0
 
-    ya, yb = free(jnp.asarray(a)), free(jnp.asarray(b))
+    ya, yb = free(np.asarray(a)), free(np.asarray(b))
     return free(along) - ya - (yb - ya) * (along - a) / (b - a)
 
 
@@ -90,12 +91,13 @@ class ArtefactBending(Effect):
         return ("along_beam", "tilt")
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        line = beam_deflection(jnp.linspace(0.0, 1.0, 201), self.supports)
-        w = beam_deflection(jnp.asarray(plan.covariate("along_beam")), self.supports)
-        w = w / jnp.max(jnp.abs(line))
+        line = beam_deflection(np.linspace(0.0, 1.0, 201), self.supports)
+        w = beam_deflection(plan.covariate("along_beam"), self.supports)
+        w = w / np.max(np.abs(line))
         gravity = [plan.covariate(f"gravity_{c}") for c in "xyz"]
         lengthwise = sum(g * u for g, u in zip(gravity, self.beam, strict=True))
-        across = jnp.sqrt(jnp.maximum(1.0 - jnp.asarray(lengthwise) ** 2, 0.0))
+        xp = namespace(lengthwise)
+        across = xp.sqrt(xp.maximum(1.0 - lengthwise**2, 0.0))
         name = self.parameters[0].name
         return {
             (f"ball.{c}", name): w * (g * across if self.down else g - lengthwise * u)

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from ..arrays import Array
@@ -121,7 +120,7 @@ class ToolOffset(Effect):
         return tuple(Parameter(c, "um", sigma=100.0) for c in "XYZ")
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        one = jnp.ones(plan.rows)
+        one = np.ones(plan.rows)
         return {(f"tool.{c}", c): one for c in "XYZ"}
 
     @classmethod

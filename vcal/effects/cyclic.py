@@ -3,10 +3,9 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup, along
@@ -52,8 +51,9 @@ class ScrewCyclic(Effect):
         return (self.placement,)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        phase = 2.0 * jnp.pi * plan.x(self.placement) / shape["pitch"]
-        return {(self.port, "sine"): jnp.sin(phase), (self.port, "cosine"): jnp.cos(phase)}
+        phase = 2.0 * np.pi * plan.x(self.placement) / shape["pitch"]
+        xp = namespace(phase)
+        return {(self.port, "sine"): xp.sin(phase), (self.port, "cosine"): xp.cos(phase)}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         covered = float(np.ptp(np.asarray(plan.x(self.placement)))) or 1.0
@@ -111,8 +111,9 @@ class ScaleInterpolation(Effect):
         return (self.placement,)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        phase = 2.0 * jnp.pi * plan.x(self.placement) / shape["period"]
-        return {(self.port, "sine"): jnp.sin(phase), (self.port, "cosine"): jnp.cos(phase)}
+        phase = 2.0 * np.pi * plan.x(self.placement) / shape["period"]
+        xp = namespace(phase)
+        return {(self.port, "sine"): xp.sin(phase), (self.port, "cosine"): xp.cos(phase)}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         covered = float(np.ptp(np.asarray(plan.x(self.placement))))
@@ -150,10 +151,11 @@ class GearHarmonic(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         phase = self.order * plan.x(self.placement)
+        xp = namespace(phase)
         port = f"EC{self.placement}"
         return {
-            (port, f"sine{self.order}"): jnp.sin(phase),
-            (port, f"cosine{self.order}"): jnp.cos(phase),
+            (port, f"sine{self.order}"): xp.sin(phase),
+            (port, f"cosine{self.order}"): xp.cos(phase),
         }
 
     @classmethod

@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan, of_set
 from .base import Effect, Response, Setup
@@ -70,9 +69,9 @@ class OfDataSet(Effect):
         return tuple(of_set(self.data_set, name) for name in self.effect.betrayed_by)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        here = jnp.asarray(self.rows(plan))
+        here = self.rows(plan)
         return {
-            (of_set(self.data_set, port), amplitude): jnp.where(here, column, 0.0)
+            (of_set(self.data_set, port), amplitude): namespace(column).where(here, column, 0.0)
             for (port, amplitude), column in self.effect.response(
                 plan.of(self.data_set), shape
             ).items()

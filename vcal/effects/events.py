@@ -3,10 +3,9 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup
@@ -43,7 +42,8 @@ class Jump(Effect):
         return ("t",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        after = jnp.where(plan.covariate("t") > shape["at"], 1.0, 0.0)
+        later = plan.covariate("t") > shape["at"]
+        after = namespace(later).where(later, 1.0, 0.0)
         return {(port, port.split(".")[1]): after for port in self.ports}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:

@@ -1,12 +1,12 @@
 """The geometric errors of ISO 230-1: six error motions per joint and the location errors."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..basis import Basis, Constant, Legendre
 from ..chain import Chain
 from ..distributions import Univariate
@@ -88,8 +88,8 @@ class GeometricErrors(Effect):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         columns = {}
         for m in self.motions:
-            functions = jnp.unstack(m.basis.functions(plan.x(m.axis)), axis=1)
-            for label, values in zip(m.basis.labels, functions, strict=True):
+            functions = m.basis.functions(plan.x(m.axis))
+            for label, values in zip(m.basis.labels, _columns(functions), strict=True):
                 columns[m.name, f"{m.name}.{label}"] = values
         for e in self.locations:
             for port, factor in e.column:
@@ -133,7 +133,7 @@ class GeometricOrder(Effect):
         return (self.axis,)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        functions = jnp.unstack(self.basis.functions(plan.x(self.axis)), axis=1)
+        functions = _columns(self.basis.functions(plan.x(self.axis)))
         return {
             (self.motion, label): values
             for label, values in zip(self.basis.labels, functions, strict=True)
@@ -169,3 +169,8 @@ def _resolved_degree(basis: Basis, low: float, high: float) -> int:
         if np.linalg.norm(p - q @ (q.T @ p)) > 0.1 * np.linalg.norm(p):
             return degree - 1
     return 11
+
+
+def _columns(values: Float[Array, "n k"]) -> Sequence[Float[Array, " n"]]:
+    """One by one."""
+    return namespace(values).unstack(values, axis=1)

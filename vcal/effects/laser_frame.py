@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from ..arrays import Array
@@ -164,7 +163,7 @@ class HeadTemperature(Effect):
         return (Parameter("sensor", "K", sigma=0.15), Parameter("chain", "K", sigma=0.06))
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        grown = jnp.full(plan.rows, -self.growth * 1e-6)
+        grown = np.full(plan.rows, -self.growth * 1e-6)
         return {("head.Z", "sensor"): grown, ("head.Z", "chain"): grown}
 
 
@@ -181,7 +180,7 @@ class ToolInterface(Effect):
         return tuple(Parameter(c, "um", sigma=0.1) for c in "XYZ")
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {(f"head.{c}", c): jnp.ones(plan.rows) for c in "XYZ"}
+        return {(f"head.{c}", c): np.ones(plan.rows) for c in "XYZ"}
 
 
 @register
@@ -225,4 +224,4 @@ def _both(sigma: float) -> tuple[Parameter, ...]:
 
 
 def _fresh(plan: Plan) -> Response:
-    return {(f"read.{name}", name): jnp.ones(plan.rows) for name in "uv"}
+    return {(f"read.{name}", name): np.ones(plan.rows) for name in "uv"}

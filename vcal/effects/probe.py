@@ -2,9 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
-import jax.numpy as jnp
-
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup
@@ -34,11 +32,12 @@ class ProbeLobing(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         phi = plan.covariate("approach_rad")
-        ways = {"tool.X": jnp.cos(phi), "tool.Y": jnp.sin(phi)}
+        xp = namespace(phi)
+        ways = {"tool.X": xp.cos(phi), "tool.Y": xp.sin(phi)}
         sizes = {
-            "radius": jnp.ones_like(phi),
-            "sine3": jnp.sin(3.0 * phi),
-            "cosine3": jnp.cos(3.0 * phi),
+            "radius": xp.ones_like(phi),
+            "sine3": xp.sin(3.0 * phi),
+            "cosine3": xp.cos(3.0 * phi),
         }
         return {(port, name): way * size for port, way in ways.items()
                 for name, size in sizes.items()}  # fmt: skip

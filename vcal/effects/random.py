@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
+import numpy as np
 
 from ..arrays import Array
 from ..parameters import Parameter
@@ -29,7 +29,7 @@ class Repeatability(Effect):
         return (Parameter("size", self.unit, sigma=1.0 if self.unit == "um" else 10.0),)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {(self.port, "size"): jnp.ones(plan.rows)}
+        return {(self.port, "size"): np.ones(plan.rows)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:

@@ -3,10 +3,9 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup, across, along
@@ -141,11 +140,12 @@ class ReversalSpike(Effect):
         return tuple(f"{kind}_{axis}" for axis in self.axes for kind in ("since", "dir"))
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {
-            (f"tool.{axis}", "size"): -plan.covariate(f"dir_{axis}")
-            * jnp.exp(-plan.covariate(f"since_{axis}") / shape["decay"])
-            for axis in self.axes
-        }
+        found = {}
+        for axis in self.axes:
+            away = plan.covariate(f"since_{axis}") / shape["decay"]
+            left = namespace(away).exp(-away)
+            found[f"tool.{axis}", "size"] = -plan.covariate(f"dir_{axis}") * left
+        return found
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         # An axis at rest is far from any reversal.

@@ -4,10 +4,9 @@ from collections.abc import Iterable, Mapping
 from typing import Literal
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup
@@ -45,8 +44,8 @@ class PayloadSag(Effect):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         length, axis = self.high - self.low, self.placement
         out = plan.x(axis) - self.low if self.clamped == "low" else self.high - plan.x(axis)
-        s = jnp.clip(jnp.asarray(out) / length, 0.0, 1.0)
-        load = jnp.asarray(plan.covariate("payload_kg"))
+        s = namespace(out).clip(out / length, 0.0, 1.0)
+        load = plan.covariate("payload_kg")
         away = 1.0 if self.clamped == "low" else -1.0
         # A positive rotation about X lifts what is at +Y, one about Y lowers what is at +X.
         turn, sign = ("A", -away) if axis == "Y" else ("B", away)

@@ -3,11 +3,10 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup
@@ -50,12 +49,12 @@ class SpindleGrowth(Effect):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         # Superposition of the steps of the speed: each is answered by 1 - exp(-(t - t_k) / tau).
         steps = np.diff(self.history.share, prepend=0.0)
-        t, grown = plan.covariate("t"), 0.0
+        t, grown = plan.covariate("t"), np.zeros(())
         for at, step in zip(self.history.t, steps, strict=True):
             if step != 0.0:
-                since = jnp.maximum(t - at, 0.0)
-                grown = grown - step * jnp.expm1(-since / shape["tau"])
-        return {("tool.Z", "size"): jnp.asarray(grown)}
+                since = namespace(t).maximum(t - at, 0.0) / shape["tau"]
+                grown = grown - step * namespace(since).expm1(-since)
+        return {("tool.Z", "size"): grown}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         span = float(np.ptp(np.asarray(plan.covariate("t")))) or 1.0

@@ -3,10 +3,9 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup, across, along
@@ -173,8 +172,8 @@ class WarmUp(Effect):
         return ("t",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        elapsed = plan.covariate("t") - self.start
-        return {(self.port, f"size_{self.port}"): 1.0 - jnp.exp(-elapsed / shape["tau"])}
+        elapsed = (plan.covariate("t") - self.start) / shape["tau"]
+        return {(self.port, f"size_{self.port}"): 1.0 - namespace(elapsed).exp(-elapsed)}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         span = float(np.ptp(np.asarray(plan.covariate("t")))) or 1.0

@@ -3,9 +3,8 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
-import jax.numpy as jnp
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import COMPONENTS
@@ -32,7 +31,7 @@ class RangeScale(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         r = plan.covariate("range")
-        return {("read.range", "offset"): jnp.ones_like(r), ("read.range", "scale"): r}
+        return {("read.range", "offset"): namespace(r).ones_like(r), ("read.range", "scale"): r}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
@@ -60,7 +59,8 @@ class EncoderEccentricity(Effect):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         angle = plan.covariate(self.angle)
         port = f"read.{self.angle}"
-        return {(port, "sine"): jnp.sin(angle), (port, "cosine"): jnp.cos(angle)}
+        xp = namespace(angle)
+        return {(port, "sine"): xp.sin(angle), (port, "cosine"): xp.cos(angle)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
@@ -92,9 +92,10 @@ class TrackerAxes(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         elevation = plan.covariate("elevation")
+        xp = namespace(elevation)
         return {
-            ("read.azimuth", "tilt"): jnp.tan(elevation),
-            ("read.azimuth", "collimation"): 1.0 / jnp.cos(elevation),
+            ("read.azimuth", "tilt"): xp.tan(elevation),
+            ("read.azimuth", "collimation"): 1.0 / xp.cos(elevation),
         }
 
     @classmethod

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-import jax.numpy as jnp
+import numpy as np
 
 from ..arrays import Array
 from ..effects.base import Effect, Response
@@ -32,7 +32,7 @@ class Station(Effect):
         return pose_parameters()
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        one = jnp.ones(plan.rows)
+        one = np.ones(plan.rows)
         return {(f"frame.{c}", c): one for c in COMPONENTS}
 
 

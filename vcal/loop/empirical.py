@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..effects.base import Effect, Response, Setup
 from ..parameters import Parameter
 from ..plan import Plan
@@ -102,7 +101,7 @@ class LocalBump(Empirical):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         u = (plan.x(self.placement) - shape["centre"]) / shape["width"]
-        return {(self.port, "height"): jnp.exp(-0.5 * u * u)}
+        return {(self.port, "height"): namespace(u).exp(-0.5 * u * u)}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         low, high = _range(plan, self.placement)
@@ -143,7 +142,8 @@ class Kink(Empirical):
         )
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {(self.port, "slope"): jnp.maximum(plan.x(self.placement) - shape["at"], 0.0)}
+        beyond = plan.x(self.placement) - shape["at"]
+        return {(self.port, "slope"): namespace(beyond).maximum(beyond, 0.0)}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         low, high = _range(plan, self.placement)
@@ -295,9 +295,10 @@ class Since(Empirical):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         x, after = plan.x(self.placement), plan.covariate("t") - shape["at"]
+        xp = namespace(x, after)
         return {
-            (self.port, "step"): jnp.where(after > 0.0, x, 0.0),
-            (self.port, "ramp"): x * jnp.maximum(after, 0.0),
+            (self.port, "step"): xp.where(after > 0.0, x, 0.0),
+            (self.port, "ramp"): x * xp.maximum(after, 0.0),
         }
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
