@@ -3,6 +3,8 @@
 import dataclasses
 from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -116,6 +118,32 @@ def test_effect_columns_against_finite_differences(name, known, frame, r_test, t
         for effect in found[:: max(1, len(found) // 2)]:
             _check_columns(it, effect)
             tested += 1
+    assert tested or CATALOGUE[name].kind == "random"
+
+
+@pytest.mark.parametrize("name", [name for name in CATALOGUE if name not in OF_AN_ARM])
+def test_response_by_numpy_and_by_jax(name, known, frame, r_test, touched):
+    """Of numbers numpy's, with nothing to compile; of arrays of JAX the same, but for what sines of
+    many turns round.
+    """
+    tested = 0
+    for it in (*known.values(), frame, r_test, touched):
+        plan = jax.tree.map(np.asarray, it.plan)
+        setup = dataclasses.replace(it.setup, plan=plan)
+        effects = list(CATALOGUE[name].candidates(setup))
+        if it is frame and name in DECLARED_ONLY:
+            effects = [CATALOGUE[name]()]
+        effects = [effect for effect in effects if plan.has(*effect.needs)]
+        for effect in effects[:: max(1, len(effects) // 2)]:
+            shape = {k: grid[len(grid) // 2] for k, grid in effect.scan(plan).items()}
+            plain = effect.response(plan, shape)
+            same = effect.response(jax.tree.map(jnp.asarray, plan), shape)
+            assert plain.keys() == same.keys()
+            for key, column in plain.items():
+                assert not isinstance(column, jax.Array), key
+                scale = float(np.max(np.abs(column))) or 1.0
+                np.testing.assert_allclose(column, same[key], rtol=1e-12, atol=1e-11 * scale)
+            tested += len(plain)
     assert tested or CATALOGUE[name].kind == "random"
 
 

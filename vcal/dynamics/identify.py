@@ -21,6 +21,7 @@ from jaxtyping import Complex, Float
 
 from ..arrays import Array
 from ..least_squares import Status
+from ..programs import compiled_soon
 from ..trust_region import Found, within_prior
 from .assemble import Structure, assemble
 from .bodies import Machine
@@ -183,7 +184,7 @@ def _residual(z: Array, args: tuple[Task, Phasors]) -> Array:
     return given.residual(z, seen)
 
 
-_solve = eqx.filter_jit(solve)
+_solve = compiled_soon(solve)
 
 
 def identify_machine(given: Task, seen: Phasors) -> Identified:

@@ -1,0 +1,53 @@
+"""Programs of single fits: what they compute, where they may be called, options that go away."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from vcal import programs
+from vcal.arrays import namespace
+from vcal.programs import compiled_soon
+
+
+@pytest.fixture
+def fresh_options():
+    """The compiler is asked anew, before and after."""
+    programs._options.cache_clear()
+    yield
+    programs._options.cache_clear()
+
+
+def powers(x, twice: bool):
+    return jnp.sin(x) ** (2 if twice else 1), "of a sine"
+
+
+def test_they_compute_what_is_written():
+    x = np.linspace(-3.0, 3.0, 101)
+    for twice in (False, True):
+        found, what = compiled_soon(powers)(x, twice)
+        np.testing.assert_allclose(found, np.sin(x) ** (1 + twice), rtol=1e-14, atol=1e-300)
+        assert what == "of a sine"
+    assert compiled_soon(powers).__name__ == "powers"
+
+
+def test_they_are_no_part_of_another_program():
+    with pytest.raises(ValueError, match="top-level"):
+        jax.jit(lambda x: compiled_soon(powers)(x, True)[0])(jnp.ones(3))
+
+
+def test_an_option_that_the_compiler_no_longer_knows_is_left_out(monkeypatch, fresh_options):
+    monkeypatch.setattr(programs, "_OPTIONS", programs._OPTIONS | {"xla_no_such_option": 1})
+    known = programs._options()
+    assert "xla_no_such_option" not in known
+    # Today's compiler knows the others: where it does not, they do not halve anything any more.
+    assert len(known) == len(programs._OPTIONS) - 1
+    assert float(compiled_soon(powers)(np.zeros(1), False)[0][0]) == 0.0
+
+
+def test_numpy_outside_of_programs_and_jax_inside():
+    assert namespace(np.ones(3), 1.0) is np
+    assert namespace(np.ones(3), jnp.ones(3)) is jnp
+    seen = []
+    jax.jit(lambda x: seen.append(namespace(1.0, x)) or x)(np.ones(3))
+    assert seen == [jnp]
