@@ -1,4 +1,4 @@
-"""Programs of single fits: what they compute, where they may be called, options that go away."""
+"""Programs that no other one contains: what they compute, and options that go away."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ import pytest
 
 from vcal import programs
 from vcal.arrays import namespace
-from vcal.programs import compiled_soon
+from vcal.programs import outer_filter_jit, outer_jit
 
 
 @pytest.fixture
@@ -25,15 +25,19 @@ def powers(x, twice: bool):
 def test_they_compute_what_is_written():
     x = np.linspace(-3.0, 3.0, 101)
     for twice in (False, True):
-        found, what = compiled_soon(powers)(x, twice)
+        found, what = outer_filter_jit(powers)(x, twice)
         np.testing.assert_allclose(found, np.sin(x) ** (1 + twice), rtol=1e-14, atol=1e-300)
         assert what == "of a sine"
-    assert compiled_soon(powers).__name__ == "powers"
+    assert outer_filter_jit(powers).__name__ == "powers"
+    found = outer_jit(lambda x: powers(x, True)[0])(x)
+    np.testing.assert_allclose(found, np.sin(x) ** 2, rtol=1e-14, atol=1e-300)
 
 
 def test_they_are_no_part_of_another_program():
     with pytest.raises(ValueError, match="top-level"):
-        jax.jit(lambda x: compiled_soon(powers)(x, True)[0])(jnp.ones(3))
+        jax.jit(lambda x: outer_filter_jit(powers)(x, True)[0])(jnp.ones(3))
+    with pytest.raises(ValueError, match="top-level"):
+        jax.jit(outer_jit(lambda x: 2.0 * x))(jnp.ones(3))
 
 
 def test_an_option_that_the_compiler_no_longer_knows_is_left_out(monkeypatch, fresh_options):
@@ -42,7 +46,7 @@ def test_an_option_that_the_compiler_no_longer_knows_is_left_out(monkeypatch, fr
     assert "xla_no_such_option" not in known
     # Today's compiler knows the others: where it does not, they do not halve anything any more.
     assert len(known) == len(programs._OPTIONS) - 1
-    assert float(compiled_soon(powers)(np.zeros(1), False)[0][0]) == 0.0
+    assert float(outer_filter_jit(powers)(np.zeros(1), False)[0][0]) == 0.0
 
 
 def test_numpy_outside_of_programs_and_jax_inside():

@@ -34,7 +34,7 @@ from .model import (
     port_values,
 )
 from .plan import Plan
-from .programs import compiled_soon
+from .programs import outer_filter_jit
 from .spatial import require_float64
 
 _SLOTS = 32
@@ -133,7 +133,7 @@ def _solve_with(
     )
 
 
-@compiled_soon
+@outer_filter_jit
 def _solve(
     chain: Chain,
     instrument: Instrument,
@@ -146,7 +146,7 @@ def _solve(
     return s.value, s.status, s.steps, s.cost, s.rank, s.condition
 
 
-@compiled_soon
+@outer_filter_jit
 def _evaluate(chain: Chain, instrument: Instrument, plan, problem: Problem, theta: Array):
     ports = port_values(problem.terms, theta, problem.terms.offset.shape[1])
     predicted, by_port = observe_with_jacobian(

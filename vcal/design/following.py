@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from ..arrays import Array
 from ..errors import StudyError
+from ..programs import outer_jit
 from .optimise import Compiled, Task, Value, check_finite, prior_value, require_traceable, traceable
 from .plan_space import PlanSpace, joint_information
 from .search import search
@@ -98,7 +99,7 @@ def follow(
     progress("judging the best")
     told = None
     if separating is not None:
-        told = jax.jit(separating.lambdas) if differentiable else separating.lambdas
+        told = outer_jit(separating.lambdas) if differentiable else separating.lambdas
     candidates = []
     for z, start in ends:
         placed = space.settled(space.placed(jnp.asarray(z)))
@@ -145,7 +146,7 @@ def _each(
 ) -> Float[np.ndarray, " n"]:
     if not compile_it:
         return np.array([float(function(z)) for z in points])
-    compiled = jax.jit(function)
+    compiled = outer_jit(function)
     return np.array([float(compiled(z)) for z in points])
 
 

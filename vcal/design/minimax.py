@@ -16,6 +16,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from ..arrays import Array
+from ..programs import outer_jit
 
 
 @dataclass(frozen=True)
@@ -57,10 +58,10 @@ def minimax(
     """
     z = np.asarray(start, float)
     A, b = (np.zeros((0, len(z))), np.zeros(0)) if at_least is None else at_least
-    value_of = jax.jit(criteria) if slopes is None else criteria
+    value_of = outer_jit(criteria) if slopes is None else criteria
     first = np.asarray(value_of(z))
     if slopes is None:
-        slopes = jax.jit((jax.jacfwd if len(z) < len(first) else jax.jacrev)(criteria))
+        slopes = outer_jit((jax.jacfwd if len(z) < len(first) else jax.jacrev)(criteria))
     if not np.isfinite(first).all():
         raise ValueError("found a criterion that is not finite at the start, expected a number")
     slack = 1e-9

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from ..arrays import Array
 from ..errors import StudyError
+from ..programs import outer_jit
 from .criteria import MICRO, Criterion, Judged, averaged
 from .judged import prior_covariance
 from .plan_space import NOT_TRACED, PlanSpace, starts_of
@@ -86,7 +87,7 @@ class Compiled:
     def __init__(self, task: Task, held: Sequence[np.ndarray] | None = None):
         self.task = task
         self.held = held
-        self._value = jax.jit(self._valued)
+        self._value = outer_jit(self._valued)
 
     def covariances(self, placed: Any, weights: Float[Array, " g"]) -> list[Float[Array, "k k"]]:
         """Of the amplitudes of every family."""
@@ -132,7 +133,7 @@ def prior_value(task: Task) -> Value | None:
     known = [p for p in priors if p is not None]
     if len(known) < len(priors):
         return None
-    return _value(jax.jit(lambda: _values(task, known))())
+    return _value(outer_jit(lambda: _values(task, known))())
 
 
 def optimise(

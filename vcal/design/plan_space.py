@@ -16,6 +16,7 @@ from ..errors import StudyError
 from ..instruments.base import TableInstrument
 from ..model import Model
 from ..plan import Plan
+from ..programs import outer_jit
 
 Goal = Literal["volume", "largest", "determinant"]
 
@@ -229,7 +230,7 @@ def joint_information(space: PlanSpace, placed: Any, model: Model) -> Float[np.n
         jax.eval_shape(told, placed)
     except NOT_TRACED:
         return np.asarray(told(placed))
-    return np.asarray(jax.jit(told)(placed))
+    return np.asarray(outer_jit(told)(placed))
 
 
 def path_m(position: Float[np.ndarray, "n axes"]) -> float:

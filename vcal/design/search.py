@@ -10,6 +10,8 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
+from ..programs import outer_jit
+
 
 @dataclass(frozen=True)
 class Found:
@@ -46,7 +48,7 @@ def search(
     other for ever in its batched linear algebra. Ends where a step gains less than the relative
     `tolerance`, or after `steps`. Raises `ValueError` where the criterion is not finite at a start.
     """
-    both = criterion if with_slope else jax.jit(jax.value_and_grad(criterion))
+    both = criterion if with_slope else outer_jit(jax.value_and_grad(criterion))
 
     def one(start: np.ndarray) -> Found:
         first, _ = both(start)

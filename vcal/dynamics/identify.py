@@ -21,7 +21,7 @@ from jaxtyping import Complex, Float
 
 from ..arrays import Array
 from ..least_squares import Status
-from ..programs import compiled_soon
+from ..programs import outer_filter_jit
 from ..trust_region import Found, within_prior
 from .assemble import Structure, assemble
 from .bodies import Machine
@@ -184,7 +184,7 @@ def _residual(z: Array, args: tuple[Task, Phasors]) -> Array:
     return given.residual(z, seen)
 
 
-_solve = compiled_soon(solve)
+_solve = outer_filter_jit(solve)
 
 
 def identify_machine(given: Task, seen: Phasors) -> Identified:

@@ -24,6 +24,7 @@ from ..arrays import Array
 from ..batch import identify_alone, identify_damped, identify_one, prepare_batch
 from ..model import Model, Shapes
 from ..plan import Plan
+from ..programs import outer_jit
 from ..simulate import draw, prepare
 from .ensemble import Ensemble
 from .intervals import Kind
@@ -244,7 +245,7 @@ class _Evaluate:
         if programs is None:
             # Closed over, so that what is the same in all draws is a constant to the compiler.
             fixed = partial(function, self.content, self.key)
-            return jax.jit(side_by_side(fixed, together))
+            return outer_jit(side_by_side(fixed, together))
         name = way.__name__, self.tolerance, together
         shared = programs.of(function, self.content, name, partial(side_by_side, together=together))
         return partial(shared, self.key)

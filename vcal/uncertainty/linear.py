@@ -22,6 +22,7 @@ from jaxtyping import Float
 
 from ..arrays import Array
 from ..model import effect_terms, observe_with_jacobian, port_values
+from ..programs import outer_jit
 from ..simulate import ideal_readings
 from .budget import Budget, Source
 from .outputs import Output
@@ -149,7 +150,7 @@ def _derivatives(
         return jnp.concatenate([jnp.ravel(v[o.name]) for m, v in values for o in m.outputs])
 
     at = jnp.concatenate([true, found])
-    push = jax.jit(lambda unit: jax.jvp(judged, (at,), (unit,)))
+    push = outer_jit(lambda unit: jax.jvp(judged, (at,), (unit,)))
     value, _ = push(jnp.zeros(len(at)))
     slopes = np.stack([np.asarray(push(unit)[1]) for unit in jnp.eye(len(at))], 1)
     return np.asarray(value), slopes[:, : len(true)], slopes[:, len(true) :]

@@ -14,13 +14,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..arrays import Array
+from ..programs import outer_filter_jit
 
 Vector = Callable[[Float[Array, " k"]], Float[Array, " m"]]
 """All outputs in a row, of all inputs in a row."""
@@ -117,12 +117,12 @@ def second_order(
     return Taylor(a, H, T, t, skewness, excess)
 
 
-@eqx.filter_jit
+@outer_filter_jit
 def _first(function: Vector, x: Array) -> tuple[Array, Array]:
     return function(x), jax.jacfwd(function)(x)
 
 
-@eqx.filter_jit
+@outer_filter_jit
 def _second(function: Vector, x: Array, root: Array) -> tuple[Array, Array, Array, Array]:
     def moved(z: Array) -> Array:
         return function(x + root @ z)
