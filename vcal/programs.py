@@ -43,7 +43,7 @@ def outer_jit(function: Callable[_P, _T], **how: Any) -> Callable[_P, _T]:
 
 
 def outer_filter_jit(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """The same of `equinox.filter_jit`, to decorate with; nothing is compiled before a first call."""
+    """The same of `equinox.filter_jit`, to decorate with; compiles nothing before a first call."""
 
     @functools.cache
     def program() -> Callable[_P, _T]:
