@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from .arrays import Array, namespace
 from .distributions import Uniform, Univariate
+from .record import Record
 
 
 @functools.cache
@@ -26,7 +27,7 @@ def unit_uniform() -> Uniform:
         return Uniform(-1.0, 1.0)
 
 
-class Basis(eqx.Module):
+class Basis(Record):
     """Functions of one position with independent, zero-mean coefficients."""
 
     sigma: eqx.AbstractVar[np.ndarray]

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .arrays import Array
+from .record import Record
 from .rigid import (
     ARRAYS,
     COMPONENTS,
@@ -35,7 +36,7 @@ from .rigid import (
 _DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
 
-class Joint(eqx.Module):
+class Joint(Record):
     """One joint: what it does nominally, and where its six error ports act."""
 
     name: str = eqx.field(static=True)
@@ -69,7 +70,7 @@ class _Hinge(NamedTuple):
     """Point about which its error rotation turns."""
 
 
-class Chain(eqx.Module):
+class Chain(Record):
     """The joints from the workpiece to the tool, split at the bed.
 
     `tool_side` and `workpiece_side` are ordered from the bed outwards and index `joints`.

@@ -22,6 +22,7 @@ from .instruments.base import Instrument
 from .parameters import Parameter
 from .plan import Plan, joined
 from .ports import PortLayout
+from .record import Record
 from .rigid import Rotation, Scalar, Vector, exp, left_jacobian_matrix
 from .spatial import require_float64, rotation, skew
 
@@ -52,7 +53,7 @@ class Entry:
     """Identifier of the effect with placement."""
 
 
-class Model(eqx.Module):
+class Model(Record):
     """Chain + Instrument + Effects."""
 
     chain: Chain

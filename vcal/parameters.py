@@ -9,6 +9,7 @@ import equinox as eqx
 import numpy as np
 
 from .distributions import Distribution, Univariate
+from .record import Record
 from .units import in_name, si_factor
 
 
@@ -82,7 +83,7 @@ class Parameter:
         return replace(self, mean=mean, sigma=sigma, law=None)
 
 
-class Prior(eqx.Module):
+class Prior(Record):
     """What is known of parameters of one effect before any measurement: a distribution.
 
     ``Prior("alpha", Uniform(8, 12))`` or, for several that depend on each other,

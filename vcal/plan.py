@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .arrays import Array, namespace
+from .record import Record
 
 DATA_SET = "data_set"
 """Group with the place of every row's data set in `Plan.sets`."""
@@ -18,7 +19,7 @@ def of_set(name: str, what: str) -> str:
     return f"{name}:{what}"
 
 
-class Plan(eqx.Module):
+class Plan(Record):
     """Positions and conditions of all observations of a run, in the order of time.
 
     A pytree of arrays with a leading row axis (n). A covariate that was not recorded is absent; an

@@ -18,10 +18,11 @@ from .effects.base import Effect
 from .model import Model, Shapes, Terms, concatenate, effect_terms
 from .plan import Plan
 from .ports import PortLayout
+from .record import Record
 from .rigid import Scalar
 
 
-class PortColumn(eqx.Module):
+class PortColumn(Record):
     """One port: offset + theta[parameter] @ values."""
 
     port: int = eqx.field(static=True)
@@ -42,7 +43,7 @@ class PortColumn(eqx.Module):
         return value + (self.offset[0] if self.uniform else self.offset)
 
 
-class _Moving(eqx.Module):
+class _Moving(Record):
     """An effect whose shape parameters differ from draw to draw."""
 
     effect: Effect
@@ -52,7 +53,7 @@ class _Moving(eqx.Module):
     """Place of its first amplitude."""
 
 
-class PortMap(eqx.Module):
+class PortMap(Record):
     """The ports of every row as a function of the amplitudes, and of shapes that are not fixed."""
 
     columns: tuple[PortColumn, ...]

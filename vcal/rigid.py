@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .arrays import Array
+from .record import Record
 from .spatial import rotation, skew
 
 Scalar = float | Array
@@ -50,7 +51,7 @@ def _times(a: Scalar, b: Scalar) -> Scalar:
     return a * b
 
 
-class Vector(eqx.Module):
+class Vector(Record):
     """Three components."""
 
     x: Scalar
@@ -100,7 +101,7 @@ class Vector(eqx.Module):
         return jnp.stack([jnp.asarray(c) for c in self.parts])
 
 
-class Rotation(eqx.Module):
+class Rotation(Record):
     """A rotation matrix by its rows."""
 
     rows: tuple[Vector, ...]

@@ -18,10 +18,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Float, PRNGKeyArray
 
 from ..arrays import Array
+from ..record import Record
 from .scores import score_coefficients
 
 
-class Distribution(eqx.Module):
+class Distribution(Record):
     """Base class of all distributions; subclasses are final.
 
     Class attribute: `name`, the identifier used in study files and tables.

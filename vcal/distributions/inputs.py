@@ -12,6 +12,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 from ..arrays import Array
 from ..catalogue import nearest
+from ..record import Record
 from .base import Distribution
 from .copula import GaussianCopula
 
@@ -19,7 +20,7 @@ Correlation = Mapping[tuple[str, str], float]
 """(name, name) -> correlation of the normal scores of two univariate inputs."""
 
 
-class Inputs(eqx.Module):
+class Inputs(Record):
     """Named quantities with a joint distribution; flattened, k numbers in a row.
 
     `distributions` gives every input its distribution, univariate (its value is a number) or

@@ -11,6 +11,7 @@ from ..arrays import Array
 from ..chain import Chain
 from ..parameters import Parameter
 from ..plan import Plan
+from ..record import Record
 from .base import Effect, Response, Setup
 from .registry import register
 
@@ -44,7 +45,7 @@ def _geometry(chain: Chain, position: Array) -> tuple[Array, Array, Array]:
     return jax.vmap(one)(position)
 
 
-class _Levers(eqx.Module):
+class _Levers(Record):
     """Independent torque patterns of one joint: levers @ weights, fixed by the plan they are
     derived from, so that other plans use the same parameters.
     """

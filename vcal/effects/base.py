@@ -21,6 +21,7 @@ from ..chain import Chain
 from ..parameters import Parameter, Prior
 from ..plan import Plan
 from ..ports import PortLayout
+from ..record import Record
 
 Response = Mapping[tuple[str, str], Float[Array, "..."]]
 """(port, amplitude) -> deviation of that port per SI unit of that amplitude, one value per row."""
@@ -55,7 +56,7 @@ class Setup:
     """The same for every data set with its own instrument, where there are several."""
 
 
-class Effect(eqx.Module):
+class Effect(Record):
     """Base class of all effects; subclasses are final.
 
     Class attributes: `name` (the identifier used in files and reports), `summary` (one line), and

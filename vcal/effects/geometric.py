@@ -12,13 +12,14 @@ from ..chain import Chain
 from ..distributions import Univariate
 from ..parameters import Parameter
 from ..plan import Plan
+from ..record import Record
 from .base import Effect, Response, Setup
 from .registry import register
 
 TRANSLATIONS = "XYZ"
 
 
-class ErrorMotion(eqx.Module):
+class ErrorMotion(Record):
     """One error motion of one joint: a port, the axis it depends on, and its family."""
 
     name: str = eqx.field(static=True)
@@ -32,7 +33,7 @@ class ErrorMotion(eqx.Module):
         return "um" if self.name[1] in TRANSLATIONS else "urad"
 
 
-class LocationError(eqx.Module):
+class LocationError(Record):
     """Squareness of a linear axis: a tilt of its direction, E(A|B|C)0(axis), ISO 230-1.
 
     The axis moves along axis + tilt x axis: with EC0Y, y moves by (-EC0Y y, y, 0).

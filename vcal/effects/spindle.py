@@ -2,18 +2,18 @@
 
 from collections.abc import Iterable, Mapping
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
+from ..record import Record
 from .base import Effect, Response, Setup
 from .registry import register
 
 
-class _History(eqx.Module):
+class _History(Record):
     """Speed over time as it was recorded: from every time on, until the next."""
 
     t: Float[np.ndarray, " k"]

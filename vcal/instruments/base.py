@@ -4,7 +4,6 @@ import abc
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
@@ -14,6 +13,7 @@ from ..catalogue import Catalogue
 from ..chain import Chain
 from ..effects.base import Artefact, Effect
 from ..plan import Plan
+from ..record import Record
 from ..rigid import Rotation, Scalar, Vector
 
 
@@ -45,7 +45,7 @@ class InstrumentSettings(BaseModel):
     kind: str
 
 
-class Instrument(eqx.Module):
+class Instrument(Record):
     """Base class of all instruments.
 
     An instrument is the geometry between the tool point and a reading, for one observation

@@ -5,10 +5,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import StudyError
+from ..record import Record
 from .base import Column, Loader
 
 
-class PsdMap(eqx.Module):
+class PsdMap(Record):
     """error(u, v) of both readings, bilinear between the points of a rectangular grid, m."""
 
     u: Float[np.ndarray, " i"]
