@@ -100,7 +100,8 @@ def limit_of(entry, world, sized, kind, term_at: int) -> float:
     from vcal.identify import identify
     from vcal.loop.candidates import candidates
     from vcal.loop.empirical import EMPIRICAL
-    from vcal.loop.screen import Screen, screen
+    from vcal.loop.screen import Screen
+    from vcal.loop.screening import screen
 
     made = make(entry, world, [sized[term_at]], [kind.large], noise=0.0)
     study = load(made.case)

@@ -14,9 +14,11 @@ from oracle import make_case, write_study
 from vcal import CATALOGUE, Measurement, close_loop, load_study
 from vcal.identify import declared_covariances, identify
 from vcal.loop.candidates import candidates
+from vcal.loop.chance import minus_log_beta_tail
 from vcal.loop.components import components
 from vcal.loop.confounded import confounded, unrecorded_time
-from vcal.loop.screen import Screen, minus_log_beta_tail, screen
+from vcal.loop.screen import Screen
+from vcal.loop.screening import screen
 from vcal.loop.serial import serial
 from vcal.loop.stray import displaced, scattered, stray_rows
 

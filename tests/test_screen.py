@@ -12,9 +12,11 @@ from scipy.stats import binom, chi2
 from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, identify
 from vcal.loop.candidates import candidates
+from vcal.loop.chance import minus_log_chi2_tail
 from vcal.loop.empirical import LocalBump
 from vcal.loop.rivals import classes_of, refit, refit_all, weigh
-from vcal.loop.screen import Peak, Screen, minus_log_chi2_tail, screen
+from vcal.loop.screen import Peak, Screen
+from vcal.loop.screening import screen
 from vcal.loop.stray import stray_rows
 from vcal.robust import identify_robust
 
@@ -65,17 +67,19 @@ def test_statistic_is_the_drop_of_the_cost_of_a_refit(kind, text, known):
     state = screened(it, measurement, draws=5)
     effect = it.effect(text)
     tested = state.test(effect)
-    assert tested.rank[0] == len(effect.amplitudes)
+    assert tested.drops.rank[0] == len(effect.amplitudes)
     flat = tuple((p.name, 0.0, math.inf) for p in effect.amplitudes)
     model = it.model.with_effects(dataclasses.replace(effect, given=flat))
     fit = identify(model, measurement, room=it.room)
     before, after = (f.chi2 + f.theta**2 @ f.precision for f in (state.fit, fit))
-    assert tested.stat[0] == pytest.approx(before - after, rel=2e-3, abs=1e-3)
+    assert tested.drops.stat[0] == pytest.approx(before - after, rel=2e-3, abs=1e-3)
     first = len(it.model.entries)
     scale = [p.scale / p.sigma for p in effect.amplitudes]
     expected = fit.theta[first:] * scale
     sigma = np.sqrt(np.diag(fit.covariance))[first:] * scale
-    np.testing.assert_allclose(tested.amplitudes[0], expected, rtol=0, atol=0.01 * sigma.min())
+    np.testing.assert_allclose(
+        tested.drops.amplitudes[0], expected, rtol=0, atol=0.01 * sigma.min()
+    )
     np.testing.assert_allclose(
         np.diag(np.linalg.inv(state.information(state.columns(effect, {})))), sigma**2, rtol=1e-3
     )

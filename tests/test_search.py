@@ -9,14 +9,17 @@ import pytest
 
 import vcal.loop.search
 from known import Known
-from vcal import Effect, Measurement, Parameter, Prior, close_loop, identify
+from vcal import CATALOGUE, Effect, Measurement, Parameter, Prior, close_loop, identify
 from vcal.distributions import Normal
 from vcal.loop import screen as screening
+from vcal.loop.candidates import candidates
 from vcal.loop.close_loop import still_rejected
 from vcal.loop.closure import Rejected
 from vcal.loop.heldout import heldout_rms, improvement
 from vcal.loop.rivals import Names, refit_all
-from vcal.loop.screen import Peak, Screen, screen
+from vcal.loop.scan import Responses
+from vcal.loop.screen import Peak, Screen
+from vcal.loop.screening import screen
 from vcal.loop.search import Added, Search, _shortlist
 from vcal.loop.state import fitted
 from vcal.loop.unexplained import dependence, from_structure
@@ -100,7 +103,30 @@ def test_evidence_does_not_depend_on_chunks(tracker, monkeypatch):
     parts = state.test(effect)
     assert whole is not None and parts is not None
     np.testing.assert_allclose(parts.bayes, whole.bayes, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(parts.null, whole.null, rtol=1e-5)
+    assert parts.drops.null.keys() == whole.drops.null.keys()
+    for rank, drop in whole.drops.null.items():
+        np.testing.assert_allclose(parts.drops.null[rank], drop, rtol=1e-5)
+
+
+def test_candidates_are_tested_together_as_alone(tracker):
+    """Twice, the second time with what was kept of the first, and with room for a part of it."""
+    true = tracker.effect("screw_cyclic:X:sine_um=8,cosine_um=4,pitch_mm=10")
+    fit = identify(tracker.model, noisy(tracker, 9, true), room=tracker.room)
+    some = [c for c in CATALOGUE.values() if c.name in ("backlash", "cross_axis", "drift")]
+    tried, _ = candidates(fit.model, fit.measurement, [type(true), *some])
+    assert len({len(effect.amplitudes) for effect in tried}) > 1
+    responses = Responses(fit.measurement.plan, 4_000_000)
+    once, again = (Screen(fit, 20, 0, responses).tests(tried) for _ in range(2))
+    for effect, first, second in zip(tried, once, again, strict=True):
+        alone = Screen(fit, 20, 0).test(effect)
+        assert alone is not None and first is not None and second is not None
+        np.testing.assert_allclose(first.drops.stat, alone.drops.stat, rtol=1e-9)
+        np.testing.assert_allclose(first.bayes, alone.bayes, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(second.drops.stat, first.drops.stat)
+        assert first.drops.null.keys() == alone.drops.null.keys()
+        for rank, drop in alone.drops.null.items():  # these in single precision
+            np.testing.assert_allclose(first.drops.null[rank], drop, rtol=1e-4, atol=1e-6)
+    assert 0 < len(responses._kept) < len(tried)  # not all of them had room
 
 
 def test_a_handful_of_numbers_depends_on_nothing(tracker):

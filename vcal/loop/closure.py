@@ -12,7 +12,7 @@ from .candidates import Untestable
 from .components import Component
 from .empirical import Empirical
 from .heldout import Rms
-from .screen import Screening
+from .screening import Screening
 from .stray import Stray
 from .unexplained import Unexplained
 

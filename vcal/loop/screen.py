@@ -5,21 +5,21 @@ with columns C has the score s = C'r and the information G = C'C - C'J H^-1 J'C;
 drop of the cost if it were added. The same statistic is computed for residuals drawn under the
 hypothesis that nothing is missing, r* = e - J H^-1 (J'e + L^(1/2) z): noise *and* parameters from
 their prior.
-The largest of each kind of effect is corrected within that kind first, then over the kinds.
 """
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.special import betainc, betaln, gammaincc, gammaln
 
 from ..effects.base import Effect
 from ..fit import Fit
+from .chance import minus_log_beta_tail
 from .scales import log_mixture
+from .scan import Response, Responses, Scan, filled
 
 _RESOLVED = 1e-4
 """Share of a candidate's columns that must be independent of the model for it to count."""
@@ -47,83 +47,12 @@ class Peak:
     """
 
 
-@dataclass(frozen=True)
-class KindResult:
-    """The best of one kind of effect, corrected for the whole search within the kind."""
-
-    kind: str
-    peaks: list[Peak]
-    instances: int
-    """How many places and components were tried."""
-    minus_log_p: float
-    """Uncorrected."""
-    trials: float
-    """Effective number of independent trials in the search."""
-    p_value: float
-    """Corrected within the kind."""
-
-
-@dataclass(frozen=True)
-class Screening:
-    """Everything a screening found."""
-
-    kinds: list[KindResult]
-    p_value: float
-    """Of the best kind, corrected over all kinds."""
-    trials: float
-    noise_scale: float
-    """Root of chi2 per degree of freedom, after the best candidate's share was taken out."""
-    unseen: list[Effect]
-    """Candidates whose columns the declared model already spans."""
-
-    def corrected(self, kind: KindResult) -> float:
-        """p-value of a kind's best candidate, corrected over all kinds too."""
-        return float(corrected(_minus_log_corrected(kind), self.trials))
-
-    def corrected_as(self, kind: str, minus_log_p: float) -> float:
-        """p-value of any candidate of a kind, corrected within the kind and over all kinds."""
-        it = next(found for found in self.kinds if found.kind == kind)
-        within = float(corrected(minus_log_p, it.trials))
-        return self.corrected(replace(it, minus_log_p=minus_log_p, p_value=within))
-
-    @property
-    def peaks(self) -> list[Peak]:
-        """All peaks, best evidence first."""
-        found = [peak for kind in self.kinds for peak in kind.peaks]
-        return sorted(found, key=lambda peak: -peak.log_bayes)
-
-
-def minus_log_chi2_tail(x: np.ndarray, dof: np.ndarray | float) -> np.ndarray:
-    """-ln of the probability that chi-square with `dof` exceeds `x`, without underflow."""
-    x, half = np.broadcast_arrays(np.asarray(x, float), 0.5 * np.asarray(dof, float))
-    tail = gammaincc(half, 0.5 * x)
-    y = np.maximum(0.5 * x, 1e-300)
-    # Leading terms of the asymptotic series where the tail underflows.
-    far = y - (half - 1.0) * np.log(y) + gammaln(half) - (half - 1.0) / y
-    return np.where(tail > 1e-290, -np.log(np.maximum(tail, 1e-300)), far)
-
-
-def minus_log_beta_tail(
-    share: np.ndarray | float, dof: float, rank: np.ndarray | float
-) -> np.ndarray:
-    """-ln of the probability that a share of the squares of `dof` normal numbers, that which lies
-    in a space of `rank` dimensions, exceeds `share`; without underflow. Zero where there are no
-    more numbers than dimensions.
-    """
-    share, b = np.broadcast_arrays(np.clip(share, 0.0, 1.0 - 1e-12), 0.5 * np.asarray(rank, float))
-    a = np.maximum(0.5 * dof - b, 1e-6)
-    tail = betainc(a, b, 1.0 - share)
-    # Leading term of the series where the tail underflows.
-    far = np.log(a) + betaln(a, b) - a * np.log1p(-share) - (b - 1.0) * np.log(share + 1e-300)
-    found = np.where(tail > 1e-290, -np.log(np.maximum(tail, 1e-300)), far)
-    return np.where(0.5 * dof > b, found, 0.0)
-
-
 class Screen:
     """The fit in the form in which candidates are tested against it."""
 
-    def __init__(self, fit: Fit, draws: int, seed: int):
+    def __init__(self, fit: Fit, draws: int, seed: int, responses: Responses | None = None):
         self.fit = fit
+        self.responses = Responses(fit.measurement.plan, 0) if responses is None else responses
         n, m = fit.residual.shape
         self.ports = np.einsum("nij,njp->nip", fit.whitener, fit.port_jacobian)
         self.jacobian = fit.jacobian.reshape(n, m, -1)
@@ -153,6 +82,7 @@ class Screen:
         self.null_cost = self._cost((null**2).sum(0), (beside**2).sum(0))
         self.null = null.reshape(n, m, draws).astype(np.float32)
         self._contracted: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._products: dict[tuple[int, int], np.ndarray] = {}
 
     def _cost(self, chi2, prior):
         """What a drop is a share of: squares of readings and of the prior, which counts as much as
@@ -175,44 +105,48 @@ class Screen:
         """Whitened columns C of a candidate in solver units: (n m, amplitudes)."""
         n, m, _ = self.ports.shape
         columns = np.zeros((n, m, len(effect.amplitudes)))
-        for port, k, phi in self._responses(effect, {k: np.array([v]) for k, v in shape.items()}):
-            columns[:, :, k] += self.ports[:, :, port] * phi[0][:, None]
+        grid = {k: np.array([v]) for k, v in shape.items()}
+        for port, k, phi in self._ports(self.responses.of(effect, grid)):
+            columns[:, :, k] += self.ports[:, :, port, None] * phi[0].T[:, None, :]
         return columns.reshape(n * m, -1)
 
-    def _responses(self, effect: Effect, grid: Mapping[str, np.ndarray]):
-        plan, layout = self.fit.measurement.plan, self.fit.model.layout
-        amplitudes = {p.name: (k, p.step) for k, p in enumerate(effect.amplitudes)}
-        shape = {name: values[:, None] for name, values in grid.items()}
-        size = len(next(iter(grid.values()))) if grid else 1
-        for (port, name), phi in effect.response(plan, shape).items():
-            k, step = amplitudes[name]
-            values = np.broadcast_to(np.asarray(phi, float), (size, plan.rows)) * step
-            yield layout.index(port), k, values
+    def _ports(self, response: Response) -> list[tuple[int, tuple[int, ...], np.ndarray]]:
+        layout = self.fit.model.layout
+        return [(layout.index(port), amplitudes, phi) for port, amplitudes, phi in response]
 
     def information(self, columns: np.ndarray) -> np.ndarray:
         """G = C'C - C'J H^-1 J'C for whitened columns (n m, c)."""
         projected = self.fit.jacobian.T @ columns
         return columns.T @ columns - projected.T @ cho_solve(self.factor, projected)
 
-    def test(self, effect: Effect) -> "_Tested | None":
+    def test(self, effect: Effect) -> "Tested | None":
         """Statistics of a candidate over its whole scan; None where the model spans it."""
-        grids = effect.scan(self.fit.measurement.plan)
-        names = list(grids)
-        mesh = np.array(list(itertools.product(*grids.values()))) if names else np.zeros((1, 0))
-        pieces = []
-        for start in range(0, len(mesh), _CHUNK):
-            part = mesh[start : start + _CHUNK]
-            piece = self._test_chunk(effect, {n: part[:, i] for i, n in enumerate(names)})
-            if piece is None:
-                return None
-            pieces.append(piece)
-        stat, rank, amplitudes, g, s = (np.concatenate([p[i] for p in pieces]) for i in range(5))
-        null = np.max([p[5] for p in pieces], axis=0)
-        if rank.max() == 0:
-            return None
-        bayes = self._log_bayes(stat, g, s)
-        lengths = tuple(len(grid) for grid in grids.values())
-        return _Tested(effect, names, mesh, lengths, stat, rank, bayes, amplitudes, null)
+        return self.tests([effect])[0]
+
+    def tests(self, effects: Sequence[Effect]) -> list["Tested | None"]:
+        """The same of many, in less time: steps of the scans of all effects that have as many
+        amplitudes are tested together.
+        """
+        scans = [Scan.of(effect, self.fit.measurement.plan) for effect in effects]
+        alike: dict[int, list[int]] = {}
+        for i, effect in enumerate(effects):
+            alike.setdefault(len(effect.amplitudes), []).append(i)
+        tested: list[Tested | None] = [None] * len(effects)
+        for amplitudes, members in alike.items():
+            own: dict[int, list[Drops]] = {i: [] for i in members}
+            for together in filled([(i, scans[i]) for i in members], _CHUNK // amplitudes or 1):
+                responses = [
+                    (rows.stop - rows.start, self.responses.scanned(effects[i], scans[i], rows))
+                    for i, rows in together
+                ]
+                drops = self._drops(amplitudes, responses)
+                for (i, _), found in zip(together, drops, strict=True):
+                    own[i].append(found)
+            whole = [Drops.joined(own[i]) for i in members]
+            for i, drops, bayes in zip(members, whole, self._log_bayes(whole), strict=True):
+                if drops.rank.max() > 0:
+                    tested[i] = Tested(effects[i], scans[i], drops, bayes)
+        return tested
 
     def refine(self, peak: Peak, rounds: int = 3) -> Peak:
         """The peak moved to the best point between its neighbours in the scan (no refit)."""
@@ -246,22 +180,19 @@ class Screen:
             ]
             mesh = np.array(list(itertools.product(*axes)))
             grid = {n: mesh[:, i] for i, n in enumerate(shape)}
-            piece = self._test_chunk(peak.effect, grid, null=False)
-            if piece is None:
-                return best
-            stat, rank, amplitudes, g, s, _ = piece
-            bayes = self._log_bayes(stat, g, s)
-            i = int(np.argmax(np.where(rank > 0, bayes, -np.inf)))
+            drops = self._at(peak.effect, grid)
+            (bayes,) = self._log_bayes([drops])
+            i = int(np.argmax(np.where(drops.rank > 0, bayes, -np.inf)))
             shape = {n: float(mesh[i, k]) for k, n in enumerate(shape)}
             width = {n: w / 4.0 for n, w in width.items()}
             together = max(peak.log_bayes, float(bayes[i]) - offset)
             best = Peak(
                 peak.effect,
                 shape,
-                amplitudes[i],
-                float(stat[i]),
+                drops.amplitudes[i],
+                float(drops.stat[i]),
                 together,
-                int(rank[i]),
+                int(drops.rank[i]),
                 together - float(bayes[i]),
             )
         return best
@@ -270,49 +201,66 @@ class Screen:
         """Gain in log evidence with these values of its shape parameters (g,) each."""
         size = len(next(iter(grid.values())))
         pieces = [
-            self._test_chunk(
-                effect, {n: v[start : start + _CHUNK] for n, v in grid.items()}, null=False
-            )
-            for start in range(0, size, _CHUNK)
+            self._at(effect, {n: v[i : i + _CHUNK] for n, v in grid.items()})
+            for i in range(0, size, _CHUNK)
         ]
-        stat, g, s = (np.concatenate([p[i] for p in pieces if p is not None]) for i in (0, 3, 4))
-        return self._log_bayes(stat, g, s)
+        return self._log_bayes([Drops.joined(pieces)])[0]
 
-    def _test_chunk(self, effect: Effect, grid: Mapping[str, np.ndarray], null: bool = True):
-        c = len(effect.amplitudes)
-        terms = list(self._responses(effect, grid))
-        if not terms:
-            return None
-        size = terms[0][2].shape[0]
-        draws, k = self.null.shape[2], self.jacobian.shape[2]
-        s = np.zeros((size, c))
-        s_null = np.zeros((c, size, draws if null else 0), np.float32)
-        cj = np.zeros((size, c, k))
-        for port, a, phi in terms:
+    def _at(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> "Drops":
+        """What an effect would explain, without what it would of null residuals."""
+        size, response = len(next(iter(grid.values()))), self.responses.of(effect, grid)
+        return self._drops(len(effect.amplitudes), [(size, response)], null=False)[0]
+
+    def _sums(self, c: int, responses: Sequence[tuple[int, Response]], null: bool):
+        """C'r (g, c), C'J (g, c, k), C'C (g, c, c) and C'r* (g, c, draws) of all steps."""
+        first = np.cumsum([0, *(size for size, _ in responses)])
+        k, draws = self.jacobian.shape[2], self.null.shape[2] if null else 0
+        s, cj, cc = (np.zeros((first[-1], c, *more)) for more in ((), (k,), (c,)))
+        s_null = np.zeros((first[-1], c, draws), np.float32)
+        through: dict[tuple[int, tuple[int, ...]], list[tuple[np.ndarray, np.ndarray]]] = {}
+        for begin, (size, response) in zip(first[:-1], responses, strict=True):
+            rows = np.arange(begin, begin + size)
+            ports = self._ports(response)
+            for port, a, phi in ports:
+                through.setdefault((port, a), []).append((rows, phi))
+            for (p, a, fa), (q, b, fb) in itertools.combinations_with_replacement(ports, 2):
+                both = (fa * self._both(p, q)) @ fb.transpose(0, 2, 1)
+                at = rows[:, None, None]
+                cc[at, np.array(a)[:, None], np.array(b)] += both
+                if p != q:
+                    cc[at, np.array(b)[:, None], np.array(a)] += both.transpose(0, 2, 1)
+        # What goes through the same port is one product of matrices, whosever it is.
+        for (port, a), parts in through.items():
             r, drawn, j = self.contract(port)
-            s[:, a] += phi @ r
+            at = np.concatenate([rows for rows, _ in parts])[:, None], np.array(a)
+            phi = np.concatenate([phi for _, phi in parts]) if len(parts) > 1 else parts[0][1]
+            flat = phi.reshape(-1, phi.shape[2])
+            s[at] += (flat @ r).reshape(phi.shape[:2])
+            cj[at] += (flat @ j).reshape(*phi.shape[:2], k)
             if null:
-                s_null[a] += phi.astype(np.float32) @ drawn
-            cj[:, a] += phi @ j
-        cc = np.zeros((size, c, c))
-        for (pa, a, fa), (pb, b, fb) in itertools.product(terms, terms):
-            if b >= a:
-                gg = np.einsum("nm,nm->n", self.ports[:, :, pa], self.ports[:, :, pb])
-                value = (fa * fb) @ gg
-                cc[:, a, b] += value
-                if b > a:
-                    cc[:, b, a] += value
-        half = (cj.reshape(size * c, k) @ self.whitening).reshape(size, c, k)
-        g = cc - np.einsum("gak,gbk->gab", half, half)
+                s_null[at] += (flat.astype(np.float32) @ drawn).reshape(*phi.shape[:2], draws)
+        return s, cj, cc, s_null
+
+    def _drops(
+        self, c: int, responses: Sequence[tuple[int, Response]], null: bool = True
+    ) -> list["Drops"]:
+        """What effects of `c` amplitudes would explain, each at its own steps, by their number and
+        what the effect does there.
+        """
+        s, cj, cc, s_null = self._sums(c, responses, null)
+        sizes = [size for size, _ in responses]
+        first = np.cumsum([0, *sizes])
+        half = (cj.reshape(-1, cj.shape[2]) @ self.whitening).reshape(cj.shape)
+        g = cc - half @ half.transpose(0, 2, 1)
         # Scaled by what flat nuisances leave: a pose may take up all but 1e-5 of a column, and the
         # rest still be many times the noise. A column that is zero on this plan (no point under a
         # bump), or that they take up entirely, is not seen.
         whole = np.einsum("gaa->ga", cc)
         taken = cj[:, :, self.flat] @ self.whitening_flat
         left = whole - np.einsum("gak,gak->ga", taken, taken)
-        seen = (whole > 1e-18 * max(float(whole.max()), 1e-60)) & (left > 1e-8 * whole)
-        scale = np.sqrt(np.maximum(left, 0.0))
-        scale = np.where(seen, scale, 1.0)
+        most = np.repeat(np.maximum.reduceat(whole.max(1), first[:-1]), sizes)
+        seen = (whole > 1e-18 * np.maximum(most, 1e-60)[:, None]) & (left > 1e-8 * whole)
+        scale = np.where(seen, np.sqrt(np.maximum(left, 0.0)), 1.0)
         scaled = g / scale[:, :, None] / scale[:, None, :]
         values, vectors = np.linalg.eigh(scaled * seen[:, :, None] * seen[:, None, :])
         kept = values > _RESOLVED
@@ -322,25 +270,43 @@ class Screen:
         t = np.einsum("gab,ga->gb", root, s)
         stat = np.einsum("gb,gb->g", t, t)
         amplitudes = np.einsum("gab,gb->ga", root, t)
-        largest_null = np.zeros(draws)
-        for r in np.unique(rank[rank > 0]) if null else ():
-            # For one rank, -ln p grows with the drop: only the largest drop of a draw is needed.
+        largest: list[dict[int, np.ndarray]] = [{} for _ in sizes]
+        owner = np.repeat(np.arange(len(sizes)), sizes)
+        # For one rank, -ln p grows with the drop: only the largest drop of a draw is needed.
+        for r in np.unique(rank[rank > 0]).tolist() if null else ():
             rows = np.flatnonzero(rank == r)
-            weights = root[rows].astype(np.float32)
-            projected = np.einsum("gab,agd->bgd", weights, s_null[:, rows], optimize=True)
-            largest = np.einsum("bgd,bgd->gd", projected, projected).max(0)
-            score = self.minus_log_p(largest, self.null_cost, r)
-            largest_null = np.maximum(largest_null, score)
-        return stat, rank, amplitudes, g, s, largest_null
+            drawn = root[rows].astype(np.float32).transpose(0, 2, 1) @ s_null[rows]
+            drop = np.einsum("gbd,gbd->gd", drawn, drawn)
+            owners, begin = np.unique(owner[rows], return_index=True)
+            for i, most in zip(owners, np.maximum.reduceat(drop, begin), strict=True):
+                largest[i][r] = most
+        return [
+            Drops(stat[i:j], rank[i:j], amplitudes[i:j], g[i:j], s[i:j], most)
+            for i, j, most in zip(first[:-1], first[1:], largest, strict=True)
+        ]
 
-    def _log_bayes(self, stat: np.ndarray, g: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Gain in log evidence at every step of a scan: marginal likelihood of a linear model, at
-        the noise that the best of them leaves.
+    def _both(self, p: int, q: int) -> np.ndarray:
+        """By how much a reading's square grows with what two ports do to it at once (n)."""
+        if (p, q) not in self._products:
+            self._products[p, q] = np.einsum("nm,nm->n", self.ports[:, :, p], self.ports[:, :, q])
+        return self._products[p, q]
+
+    def _log_bayes(self, of: Sequence["Drops"]) -> list[np.ndarray]:
+        """Gain in log evidence at every step of each scan: marginal likelihood of a linear model,
+        at the noise that the best of the scan leaves.
         """
-        noise = max((self.chi2 - stat.max()) / self.dof, 1.0)
-        values, vectors = np.linalg.eigh(g / noise)
-        scores = np.einsum("gab,ga->gb", vectors, s / noise)
-        return log_mixture(np.maximum(values, 0.0), scores)
+        sizes = [len(drops.stat) for drops in of]
+        noise = [max((self.chi2 - drops.stat.max()) / self.dof, 1.0) for drops in of]
+        every = np.repeat(noise, sizes)
+        g = np.concatenate([drops.information for drops in of]) / every[:, None, None]
+        s = np.concatenate([drops.scores for drops in of]) / every[:, None]
+        values, vectors = np.linalg.eigh(g)
+        gains = log_mixture(np.maximum(values, 0.0), np.einsum("gab,ga->gb", vectors, s))
+        return np.split(gains, np.cumsum(sizes)[:-1])
+
+    def rarest(self, drops: Mapping[int, np.ndarray], cost) -> np.ndarray:
+        """-ln p of the rarest of the largest drops of each rank."""
+        return np.max([self.minus_log_p(drop, cost, rank) for rank, drop in drops.items()], axis=0)
 
     def minus_log_p(self, stat, cost, rank) -> np.ndarray:
         """-ln p of a drop `stat` of a cost, studentised: of chance, its share is distributed as
@@ -363,40 +329,74 @@ def effect_grids(effect: Effect, fit: Fit) -> Mapping[str, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class _Tested:
-    effect: Effect
-    names: list[str]
-    mesh: np.ndarray
-    lengths: tuple[int, ...]
+class Drops:
+    """What an effect would explain at some steps of its scan (g)."""
+
     stat: np.ndarray
+    """Drop of the cost (g)."""
     rank: np.ndarray
-    bayes: np.ndarray
+    """Amplitudes that are seen (g)."""
     amplitudes: np.ndarray
-    null: np.ndarray
+    information: np.ndarray
+    scores: np.ndarray
+    null: Mapping[int, np.ndarray]
+    """Largest drop of each null residual (draws), by rank."""
+
+    @classmethod
+    def joined(cls, parts: Sequence["Drops"]) -> "Drops":
+        """All steps together."""
+        if len(parts) == 1:
+            return parts[0]
+        fields = ("stat", "rank", "amplitudes", "information", "scores")
+        rows = [np.concatenate([getattr(part, name) for part in parts]) for name in fields]
+        return cls(*rows, null=largest(part.null for part in parts))
+
+
+def largest(drops: Iterable[Mapping[int, np.ndarray]]) -> dict[int, np.ndarray]:
+    """The largest of each rank."""
+    found: dict[int, np.ndarray] = {}
+    for each in drops:
+        for rank, drop in each.items():
+            found[rank] = np.maximum(found[rank], drop) if rank in found else drop
+    return found
+
+
+@dataclass(frozen=True)
+class Tested:
+    """A candidate that the model does not span, over its whole scan."""
+
+    effect: Effect
+    scan: Scan
+    drops: Drops
+    bayes: np.ndarray
+
+    def largest(self) -> dict[int, np.ndarray]:
+        """The largest drop of each rank."""
+        drops = self.drops
+        ranks = np.unique(drops.rank[drops.rank > 0]).tolist()
+        return {rank: drops.stat[drops.rank == rank].max() for rank in ranks}
 
     def peaks(self, most: int) -> list[Peak]:
         """The best local maxima of the statistic over the scan."""
-        order = np.argsort(-self.stat)
-        grid = np.array(list(np.ndindex(*self.lengths))) if self.names else np.zeros((1, 0), int)
+        drops, names = self.drops, self.scan.names
+        grid = np.array(list(np.ndindex(*self.scan.lengths))).reshape(len(drops.stat), len(names))
         chosen: list[int] = []
         apart = 0 if any(p.choice for p in self.effect.shapes) else 2
-        for i in order:
-            if self.rank[i] == 0:
-                continue
-            if all(np.abs(grid[i] - grid[j]).max() > apart for j in chosen) or not self.names:
-                chosen.append(int(i))
-            if len(chosen) == (most if self.names else 1):
-                break
-        steps = math.log(len(self.mesh))
+        left = drops.rank > 0
+        while left.any() and len(chosen) < most:
+            i = int(np.argmax(np.where(left, drops.stat, -np.inf)))
+            chosen.append(i)
+            left &= (np.abs(grid - grid[i]) > apart).any(1)
+        steps = math.log(len(self.scan.mesh))
         spreads = self._spreads(grid, chosen)
         return [
             Peak(
                 effect=self.effect,
-                shape={n: float(self.mesh[i, k]) for k, n in enumerate(self.names)},
-                amplitudes=self.amplitudes[i],
-                statistic=float(self.stat[i]),
+                shape={n: float(self.scan.mesh[i, k]) for k, n in enumerate(names)},
+                amplitudes=drops.amplitudes[i],
+                statistic=float(drops.stat[i]),
                 log_bayes=float(self.bayes[i]) + spread - steps,
-                rank=int(self.rank[i]),
+                rank=int(drops.rank[i]),
                 log_share=spread - steps,
             )
             for i, spread in zip(chosen, spreads, strict=True)
@@ -404,71 +404,10 @@ class _Tested:
 
     def _spreads(self, grid: np.ndarray, chosen: list[int]) -> list[float]:
         """How much more log evidence the steps about each peak have than the peak."""
-        if not self.names or any(p.choice for p in self.effect.shapes):
+        if not self.scan.names or any(p.choice for p in self.effect.shapes):
             return [0.0] * len(chosen)
         away = np.abs(grid[:, None, :] - grid[chosen]).max(-1)
         nearest = away.argmin(1)
-        over = np.where(self.rank > 0, self.bayes - self.bayes[chosen][nearest], -np.inf)
+        over = np.where(self.drops.rank > 0, self.bayes - self.bayes[chosen][nearest], -np.inf)
         together = np.bincount(nearest, np.exp(np.minimum(over, 700.0)), minlength=len(chosen))
         return np.log(together).tolist()
-
-
-def effective_trials(null: np.ndarray) -> float:
-    """Effective number of independent trials whose largest -ln p is distributed as `null`."""
-    tail = np.clip(np.exp(-null), 1e-15, 1.0 - 1e-15)
-    return float(-len(null) / np.log1p(-tail).sum())
-
-
-def corrected(minus_log_p: np.ndarray | float, trials: float) -> np.ndarray:
-    """Probability that the best of `trials` is as good: 1 - (1 - p)^trials."""
-    p = np.exp(-np.asarray(minus_log_p, float))
-    return -np.expm1(trials * np.log1p(-np.minimum(p, 1.0 - 1e-15)))
-
-
-def screen(state: Screen, effects: Sequence[Effect], *, peaks: int = 10) -> Screening:
-    """Test all candidates against a fit; see the module's description for the method.
-
-    `peaks` is how many maxima of a scan are kept.
-    """
-    groups: dict[str, list[_Tested]] = {}
-    unseen = []
-    for effect in effects:
-        tested = state.test(effect)
-        if tested is None:
-            unseen.append(effect)
-        else:
-            groups.setdefault(effect.name, []).append(tested)
-    kinds, null, best_drop = [], [], 0.0
-    for kind, members in groups.items():
-        kind_null = np.max([t.null for t in members], axis=0)
-        trials = effective_trials(kind_null)
-        scores = [state.minus_log_p(t.stat, state.cost, np.maximum(t.rank, 1)) for t in members]
-        seen = zip(members, scores, strict=True)
-        best = max(float(np.max(np.where(t.rank > 0, score, 0))) for t, score in seen)
-        found = sorted(
-            (peak for t in members for peak in t.peaks(peaks)), key=lambda peak: -peak.log_bayes
-        )
-        best_drop = max(best_drop, *(peak.statistic for peak in found))
-        kinds.append(
-            KindResult(kind, found, len(members), best, trials, float(corrected(best, trials)))
-        )
-        null.append(-np.log(np.maximum(corrected(kind_null, trials), 1e-300)))
-    if not kinds:
-        return Screening([], 1.0, 0.0, math.sqrt(state.chi2 / state.dof), unseen)
-    over_kinds = np.max(null, axis=0)
-    trials = effective_trials(over_kinds)
-    best = max(_minus_log_corrected(kind) for kind in kinds)
-    return Screening(
-        kinds=sorted(kinds, key=lambda kind: -_minus_log_corrected(kind)),
-        p_value=float(corrected(best, trials)),
-        trials=trials,
-        noise_scale=math.sqrt(max(state.chi2 - best_drop, 0.0) / state.dof),
-        unseen=unseen,
-    )
-
-
-def _minus_log_corrected(kind: KindResult) -> float:
-    """-ln of the corrected p-value, also where that underflows."""
-    if kind.p_value > 1e-290:
-        return -math.log(kind.p_value)
-    return kind.minus_log_p - math.log(kind.trials)

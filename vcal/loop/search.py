@@ -24,7 +24,9 @@ from .rivals import (
     weigh,
 )
 from .scales import over_scales
-from .screen import Peak, Screen, Screening, screen
+from .scan import Responses
+from .screen import Peak, Screen
+from .screening import Screening, screen
 from .serial import Serial, gain_beside, persists, serial
 from .state import State, at_declared, chi2_per_dof, fitted, rescored, without
 from .unexplained import Unexplained, described
@@ -86,6 +88,8 @@ class Search:
         """The one that ended the search, in whatever words what is unexplained is told."""
         self._outdone: list[Rejected] = []
         """What was rejected for its sake."""
+        self._responses: Responses | None = None
+        """What candidates do on the plan, kept from round to round."""
 
     def added(self, state: State) -> list[Added]:
         """What was added and is in the model as far as it has come."""
@@ -130,7 +134,9 @@ class Search:
         tried, self.untestable = candidates(state.model, measurement, self.classes)
         kinds = EMPIRICAL if self._describing else ()
         empirical, _ = candidates(state.model, measurement, kinds)
-        screen_state = Screen(fit, self.draws, self.seed + number)
+        if self._responses is None or self._responses.plan is not measurement.plan:
+            self._responses = Responses(measurement.plan)
+        screen_state = Screen(fit, self.draws, self.seed + number, self._responses)
         screening = screen(screen_state, [*tried, *empirical])
         self.screenings.append(screening)
         self.unseen = [effect.key for effect in screening.unseen]

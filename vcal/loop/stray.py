@@ -10,8 +10,8 @@ from scipy.stats import hypergeom
 
 from ..fit import Fit
 from ..identify import declared_whitener
+from .chance import minus_log_chi2_tail
 from .recorded import distinct_covariates
-from .screen import minus_log_chi2_tail
 from .unexplained import bins
 from .whitened import declared_residual
 

@@ -11,10 +11,11 @@ from scipy.special import gammaincc
 from ..effects.base import Effect
 from ..fit import Fit
 from ..plan import DATA_SET
+from .chance import corrected, effective_trials
 from .empirical import Empirical, Interval
 from .recorded import distinct_covariates
 from .rivals import Rival
-from .screen import Screen, corrected, effective_trials
+from .screen import Screen
 from .serial import Serial
 
 _BINS = 10
@@ -122,8 +123,7 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         there = np.isfinite(x)
         index = bins(x[there])
         counts = np.bincount(index)
-        sums = np.zeros((len(counts), *both.shape[1:]))
-        np.add.at(sums, index, both[there])
+        sums = np.tensordot(np.eye(len(counts))[:, index], both[there], 1)
         described = (sums**2 / np.maximum(counts, 1)[:, None, None]).sum((0, 1)) / total
         if not there.all() and described[1:].mean() < _ROUNDING:
             continue  # of one data set, whose own nuisances take all of it: a tilt of every pose

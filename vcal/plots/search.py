@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..loop.screen import KindResult, Screening
+from ..loop.screening import KindResult, Screening
 from .style import AFTER, BEFORE, DOTS, INK, figure, grid, titled
 
 

@@ -1,0 +1,42 @@
+"""How likely something as large is by chance: tails without underflow, and what searching costs."""
+
+import numpy as np
+from scipy.special import betainc, betaln, gammaincc, gammaln
+
+
+def minus_log_chi2_tail(x: np.ndarray, dof: np.ndarray | float) -> np.ndarray:
+    """-ln of the probability that chi-square with `dof` exceeds `x`, without underflow."""
+    x, half = np.broadcast_arrays(np.asarray(x, float), 0.5 * np.asarray(dof, float))
+    tail = gammaincc(half, 0.5 * x)
+    y = np.maximum(0.5 * x, 1e-300)
+    # Leading terms of the asymptotic series where the tail underflows.
+    far = y - (half - 1.0) * np.log(y) + gammaln(half) - (half - 1.0) / y
+    return np.where(tail > 1e-290, -np.log(np.maximum(tail, 1e-300)), far)
+
+
+def minus_log_beta_tail(
+    share: np.ndarray | float, dof: float, rank: np.ndarray | float
+) -> np.ndarray:
+    """-ln of the probability that a share of the squares of `dof` normal numbers, that which lies
+    in a space of `rank` dimensions, exceeds `share`; without underflow. Zero where there are no
+    more numbers than dimensions.
+    """
+    share, b = np.broadcast_arrays(np.clip(share, 0.0, 1.0 - 1e-12), 0.5 * np.asarray(rank, float))
+    a = np.maximum(0.5 * dof - b, 1e-6)
+    tail = betainc(a, b, 1.0 - share)
+    # Leading term of the series where the tail underflows.
+    far = np.log(a) + betaln(a, b) - a * np.log1p(-share) - (b - 1.0) * np.log(share + 1e-300)
+    found = np.where(tail > 1e-290, -np.log(np.maximum(tail, 1e-300)), far)
+    return np.where(0.5 * dof > b, found, 0.0)
+
+
+def effective_trials(null: np.ndarray) -> float:
+    """Effective number of independent trials whose largest -ln p is distributed as `null`."""
+    tail = np.clip(np.exp(-null), 1e-15, 1.0 - 1e-15)
+    return float(-len(null) / np.log1p(-tail).sum())
+
+
+def corrected(minus_log_p: np.ndarray | float, trials: float) -> np.ndarray:
+    """Probability that the best of `trials` is as good: 1 - (1 - p)^trials."""
+    p = np.exp(-np.asarray(minus_log_p, float))
+    return -np.expm1(trials * np.log1p(-np.minimum(p, 1.0 - 1e-15)))
