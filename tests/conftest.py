@@ -36,8 +36,11 @@ def _programs(config: pytest.Config) -> dict[str, str | int | float]:
 
 @pytest.fixture(scope="session")
 def programs(pytestconfig) -> dict[str, str]:
-    """Environment in which another process keeps its compiled programs where the tests do."""
-    return {name.upper(): str(value) for name, value in _programs(pytestconfig).items()}
+    """Environment in which another process keeps its compiled programs where the tests do, and has
+    one core.
+    """
+    kept = {name.upper(): str(value) for name, value in _programs(pytestconfig).items()}
+    return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 @pytest.fixture(autouse=True, scope="module")
