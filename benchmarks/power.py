@@ -20,6 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -86,10 +87,11 @@ def load(case):
         return vcal.load_study(Path(folder) / "setup.toml")
 
 
-def limit_of(entry, world, sized, kind, term_at: int) -> float:
+def limit_of(entry, world, sized, kind) -> float:
     """Detection limit of one effect of a set, in its unit: the size at which the median statistic
     is that of a corrected p-value of alpha. Found from the screening of a large effect without
     noise, whose statistic grows with the square of the size; infinite where even that is below.
+    That of the effect by itself, without strays: the same in every entry that has the effect.
     """
     from power_cases import make
     from scipy.optimize import brentq
@@ -103,7 +105,8 @@ def limit_of(entry, world, sized, kind, term_at: int) -> float:
     from vcal.loop.screen import Screen
     from vcal.loop.screening import screen
 
-    made = make(entry, world, [sized[term_at]], [kind.large], noise=0.0)
+    alone = replace(entry, kinds=(kind,), strays=0.0)
+    made = make(alone, world, [sized], [kind.large], noise=0.0)
     study = load(made.case)
     fit = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
     tried, _ = candidates(study.model, study.measurement, vcal.CATALOGUE.values())
@@ -177,10 +180,10 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     sized = drawn(entry, world)
     line: dict = {"case": entry.name, "multiple": multiple, "seed": seed}
     sizes = []
-    for i, kind in enumerate(entry.kinds):
+    for kind, its in zip(entry.kinds, sized, strict=True):
         key = entry.instrument, kind.name, entry.warming, seed
         if key not in limits:
-            limits[key] = limit_of(entry, world, sized, kind, i)
+            limits[key] = limit_of(entry, world, its, kind)
         sizes.append(multiple * limits[key])
     line["limit"] = [s / multiple for s in sizes] if multiple else []
     if not np.isfinite(sizes).all():
