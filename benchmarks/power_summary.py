@@ -203,7 +203,7 @@ def stray_row(name: str, lines: list[dict], every: dict) -> dict:
     same = [
         x["verdict"] == b["verdict"] and [f["key"] for f in x["found"]] == [
             f["key"] for f in b["found"]]
-        for x, b in pairs if b is not None
+        for x, b in pairs if b is not None and "found" in x and "found" in b
     ]  # fmt: skip
     strays = np.array([x["strays"] for x in lines if "strays" in x]).reshape(-1, 3)
     return {
