@@ -35,6 +35,18 @@ def test_told_the_truth_nothing_is_left(name):
     assert after.chi2 / after.dof < 0.02
 
 
+@pytest.mark.slow
+def test_a_detection_limit_is_that_of_the_effect_by_itself():
+    """A plan that does not see a tilt sees it no better where some readings go astray."""
+    limits = []
+    for name in ("laser_tracker/thermal_tilt", "laser_tracker/thermal_tilt, strays"):
+        entry = ENTRIES[name]
+        world = world_of(entry.instrument, 20_014)
+        (tilt,) = drawn(entry, world)
+        limits.append(power.limit_of(entry, world, tilt, entry.kinds[0]))
+    assert limits == [np.inf, np.inf]
+
+
 def test_sets_of_one_seed_share_all_but_the_size():
     entry = ENTRIES["laser_tracker/backlash"]
     world = world_of("laser_tracker", SEED)
