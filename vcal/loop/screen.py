@@ -270,7 +270,7 @@ class Screen:
         t = np.einsum("gab,ga->gb", root, s)
         stat = np.einsum("gb,gb->g", t, t)
         amplitudes = np.einsum("gab,gb->ga", root, t)
-        largest: list[dict[int, np.ndarray]] = [{} for _ in sizes]
+        by_rank: list[dict[int, np.ndarray]] = [{} for _ in sizes]
         owner = np.repeat(np.arange(len(sizes)), sizes)
         # For one rank, -ln p grows with the drop: only the largest drop of a draw is needed.
         for r in np.unique(rank[rank > 0]).tolist() if null else ():
@@ -279,10 +279,10 @@ class Screen:
             drop = np.einsum("gbd,gbd->gd", drawn, drawn)
             owners, begin = np.unique(owner[rows], return_index=True)
             for i, most in zip(owners, np.maximum.reduceat(drop, begin), strict=True):
-                largest[i][r] = most
+                by_rank[i][r] = most
         return [
             Drops(stat[i:j], rank[i:j], amplitudes[i:j], g[i:j], s[i:j], most)
-            for i, j, most in zip(first[:-1], first[1:], largest, strict=True)
+            for i, j, most in zip(first[:-1], first[1:], by_rank, strict=True)
         ]
 
     def _both(self, p: int, q: int) -> np.ndarray:
