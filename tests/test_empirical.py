@@ -18,7 +18,7 @@ from vcal.effects.registry import load_effects
 from vcal.loop.close_loop import _separation
 from vcal.loop.empirical import EMPIRICAL, Interaction, Kink, LocalBump, Since
 from vcal.loop.heldout import improvement, predictive_deviance
-from vcal.loop.rivals import Rival, Weighed, fits_better, in_doubt, refit_all
+from vcal.loop.rivals import Rival, Weighed, fits_better, in_doubt, outdoes, refit_all
 from vcal.loop.scales import log_gain, log_mixture, over_scales
 from vcal.loop.screen import Screen
 from vcal.report.own_effect import own_effect
@@ -229,6 +229,20 @@ def rival(chi2: float, weight: float, parameters: int, surprise: float = 0.0):
 def test_when_a_description_is_preferred_to_a_name(other, preferred):
     assert fits_better(rival(100.0, 18.0, 3), [other]) == preferred
     assert not fits_better(rival(100.0, 18.0, 3), [other, rival(100.0, 18.0, 1)])
+
+
+def test_a_description_is_not_preferred_for_the_size_of_an_effect():
+    description, effect = rival(100.0, 18.0, 3), rival(111.0, 17.0, 1)
+    assert outdoes(description, [])
+    assert outdoes(description, [(effect, effect.log_weight)])
+    # Places and shapes of one name together are likelier than each.
+    assert not outdoes(description, [(effect, 18.5)])
+    large = rival(111.0, 15.5, 1, surprise=2.5)
+    assert not outdoes(description, [(large, large.log_weight)])
+    beyond = rival(111.0, 5.0, 1, surprise=13.0)  # of which all but ln 20 is made up for already
+    assert not outdoes(description, [(beyond, beyond.log_weight)])
+    worse = rival(111.0, 3.0, 1, surprise=13.0)
+    assert outdoes(description, [(worse, worse.log_weight)])
 
 
 @pytest.mark.parametrize(

@@ -58,9 +58,14 @@ class Rival:
         return self.log_bayes + self.log_prior + self.leniency
 
     @property
+    def forgiven(self) -> float:
+        """What its size still costs, which it does not against descriptions: those have any."""
+        return self.surprise - self.leniency
+
+    @property
     def log_weight_at_its_size(self) -> float:
-        """The same were its size as expected: against descriptions, which may have any."""
-        return self.log_bayes + self.log_prior + self.surprise
+        """Log of the posterior odds were its size as expected."""
+        return self.log_weight + self.forgiven
 
 
 @dataclass(frozen=True)
@@ -168,6 +173,18 @@ def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:
         if not any(twins):
             kept.append((peak, fit))
     return kept
+
+
+def outdoes(description: Rival, names: Sequence[tuple[Rival, float]]) -> bool:
+    """Whether an empirical description is preferred to effects (most probable name first, with its
+    log odds): it is likelier than the first, the size of that apart, and fits better than each.
+    What a physical effect describes as well needs no description of its own.
+    """
+    if not names:
+        return True
+    first, odds = names[0]
+    likelier = description.log_weight > odds + first.forgiven
+    return likelier and fits_better(description, [rival for rival, _ in names])
 
 
 def fits_better(best: Rival, others: Sequence[Rival]) -> bool:

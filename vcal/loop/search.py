@@ -18,8 +18,8 @@ from .rivals import (
     Rival,
     Weighed,
     classes_of,
-    fits_better,
     likelier_together,
+    outdoes,
     refit_all,
     weigh,
 )
@@ -171,12 +171,7 @@ class Search:
         best = next((r for r in rivals if isinstance(r.effect, Empirical)), None)
         if best is not None and own[id(best.effect)] > self.alpha:
             best = None
-        if (
-            best is not None
-            and (not significant or best.log_weight > odds[id(significant[0])])
-            # What a physical effect describes as well needs no description of its own.
-            and fits_better(best, significant)
-        ):
+        if best is not None and outdoes(best, [(r, odds[id(r)]) for r in significant]):
             self._description = best
             self.unexplained = described(
                 fit,
