@@ -12,6 +12,7 @@ from known import know_all
 from vcal import Measurement, StudyError, identify
 from vcal.batch import identify_alone, identify_one, prepare_batch
 from vcal.model import Model
+from vcal.programs import outer_jit
 from vcal.simulate import draw, draw_truth, prepare
 from vcal.uncertainty import (
     ErrorMotionErrors,
@@ -49,8 +50,8 @@ def distance(batch, a, b):
 def test_a_draw_is_identified_as_alone(kind, known):
     it = known[kind]
     batch, simulator = prepare_batch(it.model, it.plan), prepare(it.model, it.plan)
-    measure = jax.jit(lambda key: draw(simulator, key))
-    solve = jax.jit(lambda y: identify_one(batch, y))
+    measure = outer_jit(lambda key: draw(simulator, key))
+    solve = outer_jit(lambda y: identify_one(batch, y))
     for seed in range(2):
         made = measure(jax.random.key(seed))
         found = solve(made.readings)
@@ -104,8 +105,9 @@ def test_shape_parameters_move_in_a_batch(known):
     batch = prepare_batch(model, it.plan, shapes=nominal, theta=near)
     theta = np.append(it.theta, [1.0, 0.5, 0.0])
     theta[-1] = 0.3  # steps of the scan from the nominal pitch
-    readings = batch.predict(jnp.asarray(theta))
-    found = identify_one(batch, readings, tolerance=1e-6, steps=60)
+    readings = outer_jit(lambda theta: batch.predict(theta))(jnp.asarray(theta))
+    solve = outer_jit(lambda y: identify_one(batch, y, tolerance=1e-6, steps=60))
+    found = solve(readings)
     fit = identify(
         model,
         Measurement(it.plan, np.asarray(readings)),

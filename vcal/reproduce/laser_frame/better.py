@@ -36,6 +36,7 @@ from ...design import (
 from ...instruments.laser_frame import Segment
 from ...model import Model
 from ...plan import Plan
+from ...programs import outer_jit
 from .defined import Asked
 from .recipe import Lever
 from .setting import (
@@ -227,7 +228,7 @@ def refine(freedom: str, start: Layout, *, goal: Goal = "errors", lever: bool = 
         return information(there, plan.with_position(position))
 
     # A point's information depends on its own place: one direction has the derivatives of all.
-    @jax.jit
+    @outer_jit
     def with_slopes(z: Float[Array, " n"], lever: Float[Array, ""]):
         ones, none = jnp.ones_like(z), jnp.zeros_like(z)
         value, by_place = jax.jvp(informed, (z, lever), (ones, 0.0))

@@ -22,6 +22,7 @@ from ...instruments.laser_frame import laser_frame
 from ...model import Model
 from ...parameters import Parameter
 from ...plan import Plan
+from ...programs import outer_jit
 from ...simulate import draw_scatter, ideal_readings, prepare, simulate
 from .setting import (
     CHAIN,
@@ -174,7 +175,7 @@ def _compared(repeats: int, key: jax.Array) -> tuple[Agreement, ...]:
         model = Model(own_chain, own, (drift, path, ReadingNoise(np.sqrt(2.0) * u)))
         simulators.append(prepare(model, plan))
 
-    @jax.jit
+    @outer_jit
     @jax.vmap
     def repeat(key: jax.Array) -> Float[Array, "2 n 2"]:
         machine, *scatters = jax.random.split(key, 3)

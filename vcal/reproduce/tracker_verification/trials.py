@@ -20,6 +20,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 from ...arrays import Array
 from ...batch import Batch, identify_one
+from ...programs import outer_jit
 from ...simulate import Simulator, draw
 from ...uncertainty.campaign import virtual_pair
 from ...uncertainty.ensemble import Ensemble
@@ -137,7 +138,7 @@ class Runner:
             def one(index: Array, key: PRNGKeyArray, numbers: _Numbers) -> dict[str, Array]:
                 return _test(jax.random.fold_in(key, index), *_filled(pair, measures, numbers))
 
-            self.programs[structure] = jax.jit(jax.vmap(one, in_axes=(0, None, None)))
+            self.programs[structure] = outer_jit(jax.vmap(one, in_axes=(0, None, None)))
         return self.programs[structure]
 
 
