@@ -242,7 +242,7 @@ def refine(freedom: str, start: Layout, *, goal: Goal = "errors", lever: bool = 
     def value_and_slopes(place: bytes) -> tuple[np.ndarray, np.ndarray]:
         z = np.frombuffer(place)
         reached = z[-1] if lever else start.lever
-        F, by_place, by_lever = map(np.asarray, with_slopes(z[: start.points], reached))
+        F, by_place, by_lever = map(np.asarray, with_slopes(z[: start.points], np.asarray(reached)))
         H = prior + F.sum(0)
         R = functionals @ np.asarray(inverse(H))
         U = _COVERAGE * np.sqrt((R * functionals).sum(1))
