@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from vcal import StudyError, identify, load_study, predict
+from vcal.design.judged import grid_points
 from vcal.effects.base import Setup
 from vcal.io.simulated import parse_with
 from vcal.model import Model
@@ -21,6 +22,7 @@ from vcal.simulate import (
     simulate,
     true_tool_points,
 )
+from vcal.uncertainty.quantities import conditions_at
 
 KEY = jax.random.key(3)
 
@@ -271,3 +273,33 @@ def test_scattered_conditions(tracker):
     # Conditions of one row belong together.
     pairs = set(zip(tracker.plan.covariate("t"), tracker.plan.covariate("T_X"), strict=True))
     assert set(zip(plan.covariate("t"), plan.covariate("T_X"), strict=True)) <= pairs
+
+
+@pytest.mark.parametrize("joints", ["read", "commanded"])
+def test_angles_commanded_and_read_go_with_the_position(joints, small_arm_study):
+    """Elsewhere an arm reads back what it would there, not what it did at the pose measured."""
+    arm = load_study(small_arm_study, [f"instrument.joints={joints}"])
+    rows, kinds = np.full(5, arm.plan.rows // 2), ("commanded", "read")
+    turned = np.asarray(arm.plan.position)[:5] + np.deg2rad([40.0, -50.0, 60.0])
+    for found, expected in [
+        (scattered(arm.chain, arm.plan, KEY, 30), None),
+        (grid_points(arm.chain, arm.plan, (3, 3, 3)), None),
+        (conditions_at(arm.plan, turned), rows),
+    ]:
+        own, there = (
+            np.stack([np.asarray(p.covariate(f"{k}_{a}")) - p.x(a) for k in kinds for a in p.axes])
+            for p in (arm.plan, found)
+        )
+        # By the row from which the conditions are; of those picked at random any will do.
+        nearest = np.abs(there[:, :, None] - own[:, None]).max(0).argmin(1)
+        if expected is not None:
+            np.testing.assert_array_equal(nearest, expected)
+        np.testing.assert_allclose(there, own[:, nearest], rtol=0, atol=1e-14)
+    # What was commanded is some thousandths of a degree off, at an arm's length of about 1 m.
+    lag = effect(arm, "readback_lag:share=1")
+    for plan in (scattered(arm.chain, arm.plan, KEY, 30), conditions_at(arm.plan, turned)):
+        off = [
+            true_tool_points(model, plan, nothing(model))
+            for model in (arm.model, arm.model.with_effects(lag))
+        ]
+        assert np.abs(off[1] - off[0]).max() < 3e-4

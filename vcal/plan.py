@@ -90,6 +90,19 @@ class Plan(Record):
         """The same plan at other axis positions."""
         return Plan(self.axes, position, self.covariates, self.groups, self.sets)
 
+    def elsewhere(self, position: Float[Array, "m axes"], rows: Int[Array, " m"]) -> "Plan":
+        """Other positions, each under the conditions of one of the rows; groups are dropped.
+
+        Positions that were commanded and read move with the position: by how much they differ
+        from it is a condition, where they were is not.
+        """
+        found = {name: np.asarray(values)[rows] for name, values in self.covariates.items()}
+        moved = position - np.asarray(self.position)[rows]
+        for i, axis in enumerate(self.axes):
+            for name in {f"commanded_{axis}", f"read_{axis}"} & set(found):
+                found[name] = found[name] + moved[:, i]
+        return Plan(self.axes, position, found)
+
     def take(self, rows) -> "Plan":
         """The given rows only."""
         pick = lambda table: {k: jnp.asarray(v)[rows] for k, v in table.items()}  # noqa: E731

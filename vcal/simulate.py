@@ -337,7 +337,7 @@ def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
     """Conditions of an independent check: random positions over the travel, random directions.
 
     Where a travel is not bounded, positions lie within those of `plan`. All other covariates are
-    those of a row of `plan` picked at random, so that they fit together. There are no groups.
+    those of a row of `plan` picked at random, so that they fit together (`Plan.elsewhere`).
     """
     at, where, way = jax.random.split(key, 3)
     picked = np.asarray(jax.random.choice(where, plan.rows, (rows,)))
@@ -346,9 +346,8 @@ def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
     low = np.where(np.isfinite(travel[:, 0]), travel[:, 0], own.min(0))
     high = np.where(np.isfinite(travel[:, 1]), travel[:, 1], own.max(0))
     position = low + (high - low) * np.asarray(jax.random.uniform(at, (rows, len(plan.axes))))
-    covariates = {name: np.asarray(v)[picked] for name, v in plan.covariates.items()}
+    found = plan.elsewhere(position, picked)
     signs = np.asarray(jax.random.rademacher(way, position.shape, float))
-    for i, axis in enumerate(plan.axes):
-        if f"dir_{axis}" in covariates:
-            covariates[f"dir_{axis}"] = signs[:, i]
-    return Plan(plan.axes, position, covariates)
+    ways = {f"dir_{axis}": signs[:, i] for i, axis in enumerate(plan.axes)}
+    ways = {name: values for name, values in ways.items() if name in found.covariates}
+    return Plan(plan.axes, position, {**found.covariates, **ways})

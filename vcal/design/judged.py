@@ -46,8 +46,7 @@ def grid_points(chain: Chain, plan: Plan, grid: tuple[int, int, int]) -> Plan:
     sides = [np.linspace(low, high, n) for (low, high), n in zip(ends, grid, strict=True)]
     mesh = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
     rows = np.random.default_rng(0).integers(plan.rows, size=len(mesh))
-    covariates = {name: np.asarray(values)[rows] for name, values in plan.covariates.items()}
-    return Plan(chain.axes, mesh[:, ["XYZ".index(a) for a in chain.axes]], covariates)
+    return plan.elsewhere(mesh[:, ["XYZ".index(a) for a in chain.axes]], rows)
 
 
 def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:

@@ -278,10 +278,5 @@ def travels(chain: Chain, plan: Plan) -> Float[np.ndarray, "axes 2"]:
 
 
 def conditions_at(plan: Plan, position: Float[np.ndarray, "n axes"]) -> Plan:
-    """Other positions under the conditions of the middle row of a plan; groups are dropped."""
-    row = plan.rows // 2
-    covariates = {
-        name: np.full(len(position), float(np.asarray(values)[row]))
-        for name, values in plan.covariates.items()
-    }
-    return Plan(plan.axes, position, covariates)
+    """Other positions under the conditions of the middle row of a plan (`Plan.elsewhere`)."""
+    return plan.elsewhere(position, np.full(len(position), plan.rows // 2))

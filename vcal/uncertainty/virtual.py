@@ -276,7 +276,7 @@ def judged_points(chain: Chain, plan: Plan) -> tuple[Plan, tuple[np.ndarray, ...
     nodes = tuple(np.linspace(low, high, _NODES) for low, high in ends)
     mesh = np.stack(np.meshgrid(*nodes, indexing="ij"), -1).reshape(-1, 3)
     position = mesh[:, ["XYZ".index(axis) for axis in chain.axes]]
-    return Plan(some.axes, position, some.covariates), nodes
+    return some.elsewhere(position, np.arange(some.rows)), nodes
 
 
 def _part(comparison: Comparison, rows: slice) -> Comparison:
