@@ -21,13 +21,14 @@ from oracle import (
 )
 from oracle.effects import ball_positions, gravity_torque, joint_angles
 from vcal import CATALOGUE, load_study, predict
+from vcal.chain import chain_from_string
 from vcal.demo import FOLDER
 from vcal.effects import Setup
 from vcal.effects.arm import gravity_levers
 from vcal.effects.random import Repeatability
 from vcal.fit import shape_step
 from vcal.identify import declared_whitener, linearised_terms
-from vcal.model import observe_with_jacobian, port_values
+from vcal.model import observe_with_jacobian, port_values, tool_points
 from vcal.plan import Plan
 
 
@@ -299,6 +300,27 @@ def test_gratings_are_looked_for_on_short_ways_only(r_test, known):
     wave = found[0].response(r_test.plan, {"period": np.asarray(2e-5)})
     np.testing.assert_allclose(wave["EXX", "sine"], np.sin(2 * np.pi * x / 2e-5), atol=1e-9)
     assert not list(CATALOGUE["scale_interpolation"].candidates(known["laser_tracker"].setup))
+
+
+@pytest.mark.parametrize("text", ["w b X Y Z t", "w X b Y Z t", "w Y X b Z t", "w X Y Z b t"])
+def test_a_lagging_axis_is_where_its_command_was(text, known):
+    """T earlier, by the forward kinematics of the machine without the effect."""
+    it = known["laser_tracker"]
+    chain = chain_from_string(text, tool_offset_m=(0.03, -0.02, -0.15))
+    t = np.linspace(0.0, 6.0, 7)
+    q, v = (np.stack([f(t), f(2.0 * t), f(3.0 * t)], 1) for f in (np.sin, np.cos))
+    plan = Plan(("X", "Y", "Z"), q, {f"v_{a}": v[:, i] for i, a in enumerate("XYZ")})
+    found = list(CATALOGUE["servo_lag"].candidates(Setup(chain, it.model.layout, plan)))
+    assert [e.placement for e in found] == ["", "X", "Y", "Z"]
+    still = np.zeros((len(t), len(it.model.layout)))
+    for effect in found:
+        late = np.array([effect.placement in ("", axis) for axis in "XYZ"])
+        ports = still.copy()
+        for (port, _), column in effect.response(plan, {}).items():
+            ports[:, it.model.layout.index(port)] += 1e-3 * column
+        got, expected = tool_points(chain, q, ports), tool_points(chain, q - 1e-3 * v * late, still)
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-15)
+        assert np.abs(expected - tool_points(chain, q, still)).max() > 0.9e-3
 
 
 def test_jump_and_station_drift_are_the_oracles(known):

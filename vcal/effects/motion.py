@@ -13,7 +13,10 @@ from .registry import register
 
 @register
 class ServoLag(Effect):
-    """An axis that follows its command late: -v T along the axis, T = 1/Kv for a position loop.
+    """An axis that follows its command late: where it is, x - v T; T = 1/Kv for a position loop.
+
+    A lag of the tool against the workpiece on whichever side of the bed the axis is: a table is
+    late along its own motion, which is against its command.
 
     Placed on one axis, or on all of them with one T: axes with equal gains, or, where positions and
     readings are taken by two devices, clocks that differ by T.
@@ -21,8 +24,8 @@ class ServoLag(Effect):
 
     name = "servo_lag"
     summary = "an axis, or a clock, that is late: displacement in proportion to velocity"
-    ports: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    """(axis, port along it)."""
+    ports: tuple[tuple[str, str, float], ...] = eqx.field(static=True)
+    """(axis, port along it, `vcal.chain.Joint.sign`)."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -30,17 +33,17 @@ class ServoLag(Effect):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return tuple(f"v_{axis}" for axis, _ in self.ports)
+        return tuple(f"v_{axis}" for axis, *_ in self.ports)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {(port, "T"): -plan.covariate(f"v_{axis}") for axis, port in self.ports}
+        return {(port, "T"): -sign * plan.covariate(f"v_{axis}") for axis, port, sign in self.ports}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        axes = [joint.name for joint in setup.chain.joints if joint.kind == "prismatic"]
-        own = tuple((axis, along(setup.chain, axis)[0]) for axis in axes)
-        if len(axes) == len(setup.chain.joints):
-            yield cls(ports=own)
-            if len(axes) > 1:
-                for axis, port in own:
-                    yield cls(ports=((axis, port),), placement=axis)
+        linear = [joint for joint in setup.chain.joints if joint.kind == "prismatic"]
+        own = [(joint.name, along(setup.chain, joint.name)[0], joint.sign) for joint in linear]
+        if len(own) == len(setup.chain.joints):
+            yield cls(ports=tuple(own))
+            if len(own) > 1:
+                for one in own:
+                    yield cls(ports=(one,), placement=one[0])
