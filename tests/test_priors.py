@@ -4,6 +4,7 @@ import dataclasses
 import tomllib
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
@@ -27,8 +28,11 @@ from vcal.distributions import (
 )
 from vcal.parameters import Prior
 from vcal.prior import Amplitudes
-from vcal.simulate import draw, draw_scatter, prepare
+from vcal.programs import outer_jit
+from vcal.simulate import draw, draw_scatter, ideal_readings, prepare
 from vcal.uncertainty import ErrorMotionErrors, linearised, virtual_pair
+from vcal.uncertainty.linear import sources
+from vcal.uncertainty.quantities import State
 
 KEYS = jax.random.split(jax.random.key(5), 4000)
 
@@ -99,6 +103,35 @@ def test_a_joint_distribution(screw):
         found = np.cov(theta.T) * np.outer(sigma, sigma)
         np.testing.assert_allclose(found, law.covariance, rtol=0.12)
         assert [p.mean for p in effect.amplitudes] == [1.0, 2.0]
+
+
+def test_a_joint_distribution_counts_jointly_in_the_gum(tracker, screw):
+    effect = dataclasses.replace(screw, given=(("pitch", 20.0, 0.0),))
+    law = MultivariateNormal([0.0, 0.0], [[4.0, -1.8], [-1.8, 1.0]])
+    effect = dataclasses.replace(effect, priors=(Prior(("sine", "cosine"), law),))
+    truth = tracker.model.with_effects(effect)
+    pair = virtual_pair(truth, tracker.model, tracker.plan)
+    parameters, readings = sources(pair)[effect.key]
+    np.testing.assert_allclose(
+        (parameters @ parameters.T)[-2:, -2:], [[1.0, -0.9], [-0.9, 1.0]], atol=1e-12
+    )
+    # The same by draws, of which a fit that knows nothing of the effect makes what it can.
+    measure = ErrorMotionErrors(nodes=3).measure(pair)
+    told = linearised(pair, [measure]).budget
+    still = jnp.zeros(len(truth.entries))
+    scatter = jnp.zeros((tracker.plan.rows, 0))
+
+    def judged(two):
+        true = still.at[-2:].set(two)
+        found, _ = pair.batch.linear(ideal_readings(pair.simulator, true, scatter))
+        return measure(State(true, {}, found, {}))["error motion"]
+
+    drawn = jax.vmap(Amplitudes.of([effect]).sample)(KEYS)
+    u = np.asarray(outer_jit(jax.vmap(judged))(drawn)).std(0)
+    moved = u > 0.05 * u.max()
+    assert moved.sum() > 5
+    contribution = told.contribution[moved, told.source.labels.index(effect.key)]
+    np.testing.assert_allclose(contribution, u[moved], rtol=0.06)
 
 
 def test_a_shape_parameter_in_its_own_unit(tracker, screw):

@@ -18,6 +18,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 from .arrays import Array
 from .distributions import Distribution, Normal, Univariate
+from .distributions.matrix import square_root
 from .effects.base import Effect
 from .model import Model
 from .plan import Plan
@@ -91,6 +92,11 @@ class _Joint(eqx.Module):
     place: tuple[int, ...] = eqx.field(static=True)
     law: Distribution
 
+    @property
+    def std(self) -> Float[Array, " d"]:
+        """Standard deviations of the amplitudes."""
+        return jnp.sqrt(jnp.diagonal(self.law.covariance))
+
 
 class Amplitudes(eqx.Module):
     """The prior of the amplitudes of some effects, in units of its standard deviations."""
@@ -130,6 +136,17 @@ class Amplitudes(eqx.Module):
         )
         return cls(tuple(counts), jnp.asarray(informed, float), alike, tuple(joint))
 
+    @property
+    def root(self) -> Float[np.ndarray, "k k"]:
+        """A with A A' the covariance of the draws: unity, but for joint distributions and where a
+        prior is flat.
+        """
+        found = np.diag(np.asarray(self.informed))
+        for part in self.joint:
+            own = square_root(np.asarray(part.law.covariance))
+            found[np.ix_(part.place, part.place)] = own / np.asarray(part.std)[:, None]
+        return found
+
     def sample(self, key: PRNGKeyArray) -> Float[Array, " k"]:
         """One draw; every effect has a key of its own, by its place."""
         drawn = [
@@ -143,8 +160,7 @@ class Amplitudes(eqx.Module):
             own = jax.random.fold_in(jax.random.fold_in(key, part.effect), 2)
             law = part.law
             x = law.sample(jax.random.fold_in(own, part.index)) - law.mean
-            value = x / jnp.sqrt(jnp.diagonal(law.covariance))
-            theta = jnp.asarray(theta).at[np.array(part.place)].set(value)
+            theta = jnp.asarray(theta).at[np.array(part.place)].set(x / part.std)
         return self.informed * theta
 
     def shaped(self, score: Float[Array, "... k"]) -> Float[Array, "... k"]:

@@ -159,6 +159,9 @@ def _derivatives(
 def sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
     """For every source, what one standard deviation of each of its elements does: to the true
     parameters (k, e), where it is one of them, and to the readings (n m, e).
+
+    Elements are independent. Those of parameters with a joint distribution are the columns of a
+    root of their correlations, R = A A'.
     """
     model, simulator = pair.truth, pair.simulator
     plan, layout = simulator.plan, model.layout
@@ -177,6 +180,7 @@ def sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
     n, m, _ = by_port.shape
     found: dict[str, tuple[np.ndarray | None, np.ndarray]] = {}
     informed = np.asarray(simulator.amplitudes.informed)
+    root = simulator.amplitudes.root
     start = 0
     for i, effect in enumerate(model.effects):
         count = len(effect.amplitudes)
@@ -184,11 +188,10 @@ def sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
         columns = np.zeros((n * m, count))
         moved = by_port[:, :, own.port] * np.asarray(own.values)[:, None, :]
         np.add.at(columns.T, np.asarray(own.parameter), moved.reshape(n * m, -1).T)
-        drawn_here = np.flatnonzero(informed[start : start + count])
-        if len(drawn_here):
-            parameters = np.zeros((len(model.entries), len(drawn_here)))
-            parameters[start + drawn_here, np.arange(len(drawn_here))] = 1.0
-            found[effect.key] = parameters, columns[:, drawn_here]
+        here = slice(start, start + count)
+        parameters = root[:, here][:, informed[here] > 0.0]
+        if parameters.shape[1]:
+            found[effect.key] = parameters, columns @ parameters[here]
         start += count
     sigma = np.asarray(simulator.sigma)
     for j, name in enumerate(model.instrument.readings):
