@@ -105,6 +105,17 @@ def test_a_joint_distribution(screw):
         assert [p.mean for p in effect.amplitudes] == [1.0, 2.0]
 
 
+def test_a_joint_distribution_with_a_number_that_is_known(screw):
+    """Without variance there is nothing to standardise: it stays at its mean."""
+    law = MultivariateNormal([1.0, 2.0], [[4.0, 0.0], [0.0, 0.0]])
+    effect = dataclasses.replace(screw, priors=(Prior(("sine", "cosine"), law),))
+    prior = Amplitudes.of([effect])
+    theta = np.asarray(jax.vmap(prior.sample)(KEYS))
+    assert theta[:, 0].std() == pytest.approx(1.0, abs=0.05)
+    np.testing.assert_array_equal(theta[:, 1], 0.0)
+    np.testing.assert_allclose(prior.root @ prior.root.T, np.diag([1.0, 0.0]), atol=1e-15)
+
+
 def test_a_joint_distribution_counts_jointly_in_the_gum(tracker, screw):
     effect = dataclasses.replace(screw, given=(("pitch", 20.0, 0.0),))
     law = MultivariateNormal([0.0, 0.0], [[4.0, -1.8], [-1.8, 1.0]])

@@ -94,8 +94,9 @@ class _Joint(eqx.Module):
 
     @property
     def std(self) -> Float[Array, " d"]:
-        """Standard deviations of the amplitudes."""
-        return jnp.sqrt(jnp.diagonal(self.law.covariance))
+        """Standard deviations of the amplitudes; one for an amplitude without variance."""
+        variance = jnp.diagonal(self.law.covariance)
+        return jnp.sqrt(jnp.where(variance > 0.0, variance, 1.0))
 
 
 class Amplitudes(eqx.Module):
