@@ -173,7 +173,7 @@ def test_effects_of_a_frame(rng):
     for effect, expected in [
         ({"effect": "head_expansion", "um_per_K": 0.5}, -0.5e-6 * head),
         ({"effect": "frame_expansion", "axis": "Z", "um_per_K": 0.5}, -0.5e-6 * head * half),
-        ({"effect": "refraction", "coefficient": 1e-6}, -0.5e-6 * gradient * s**2),
+        ({"effect": "refraction", "coefficient": 1e-6}, 0.5e-6 * gradient * s**2),
         ({"effect": "psd_linearity", "reading": "v", "a": 1e-3},
          1e-6 * run.extra["psd_v_mm"]),
         ({"effect": "station_drift", "translation_um_per_s": [0, 0, 0.001]}, -1e-9 * run.t),

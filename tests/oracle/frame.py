@@ -129,7 +129,7 @@ def frame_readings(
             case "refraction":
                 s = 1e-3 * run.extra["path_mm"]
                 slope = run.extra["T_gradient_z_K_per_m"]
-                shift[:, 2] += 0.5 * effect["coefficient"] * slope * s**2
+                shift[:, 2] -= 0.5 * effect["coefficient"] * slope * s**2
     r = rotation_matrix(frame.turned) @ turning
     p = tool_point(machine, run, effects, sensor=True)
     off = np.einsum("nji,nj->ni", r, p - middle - shift) + middle - (run.q + machine.tool_offset)

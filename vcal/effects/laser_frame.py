@@ -86,11 +86,12 @@ class FrameExpansion(Effect):
 
 @register
 class Refraction(Effect):
-    """A beam bent by a temperature gradient of the air: 1/2 c (dT/dz) s^2 along z.
+    """A beam bent by a temperature gradient of the air: -1/2 c (dT/dz) s^2 along z.
 
-    s is the length of the beam from its source and c = |dn/dT|, about 0.95e-6 / K for air at
-    20 degC; 0.7 K/m bend it by s^2/3 (um, m; Jatzkowski 2011). A beam parallel to the gradient is
-    not bent.
+    s is the length of the beam from its source and c = -dn/dT, about 0.95e-6 / K for air at
+    20 degC; 0.7 K/m bend it by s^2/3 (um, m; Jatzkowski 2011). It bends towards the denser, colder
+    air: down where it is warmer above, so that the tool seems to be higher. A beam parallel to the
+    gradient is not bent.
     """
 
     name = "refraction"
@@ -107,7 +108,7 @@ class Refraction(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         s = plan.covariate("path_mm") * 1e-3
-        return {("frame.Z", "c"): 0.5 * plan.covariate("T_gradient_z_K_per_m") * s**2}
+        return {("frame.Z", "c"): -0.5 * plan.covariate("T_gradient_z_K_per_m") * s**2}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
