@@ -20,7 +20,10 @@ from vcal import (
     identify,
     load_study,
 )
+from vcal.demo import FOLDER
+from vcal.effects.data_set import OfDataSet
 from vcal.effects.geometric import GeometricErrors
+from vcal.instruments.r_test import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.loop.candidates import candidates
 from vcal.loop.close_loop import _foretold
@@ -577,6 +580,23 @@ def test_a_memory_begins_anew_with_every_data_set(clean):
             moved.values(f"{one.name}:t"), study.plan.values(f"{one.name}:t")
         )
     assert study.model.motion(study.plan) is study.plan
+
+
+def test_rows_of_others_are_in_no_group():
+    """Where the middle of a circle is does not depend on what other instruments measured where."""
+    own = load_study(FOLDER / "start" / "r_test")
+    plan = own.plan.take(np.arange(0, own.plan.rows, 4))
+    away = plan.with_position(np.asarray(plan.position) + [0.3, -0.2, 0.1])
+    sets = {name: DataSet(own.instrument, p) for name, p in (("here", plan), ("away", away))}
+    _, joint = several(sets)
+    matrix = ProbeMatrix(sigma=1e-4)
+    for name, one in sets.items():
+        found = OfDataSet.of(matrix, name).response(joint, {})
+        for (port, amplitude), column in matrix.response(one.plan, {}).items():
+            got = np.asarray(found[of_set(name, port), amplitude])
+            np.testing.assert_allclose(got[joint.in_set(name)], column, rtol=0, atol=1e-15)
+            np.testing.assert_array_equal(got[~joint.in_set(name)], 0.0)
+            assert np.abs(column).max() < 2.1e-3  # within the radius of the circles
 
 
 # --- mistakes ------------------------------------------------------------------------------------

@@ -130,18 +130,20 @@ class Plan(Record):
         raise IndexError(f"found row {row}, expected one of {self.rows}")
 
     def of(self, name: str) -> "Plan":
-        """All rows under the names that one data set uses; zero in the rows of others.
+        """All rows under the names that one data set uses. In the rows of others, what is its own
+        is zero, and they are in none of its groups (-1).
 
         What only others have is left out.
         """
         here = self.groups[DATA_SET] == self.sets.index(name)
         prefix, tables = of_set(name, ""), []
         owned = (DATA_SET, *(of_set(s, "") for s in self.sets))
-        for table in (self.covariates, self.groups):
+        for table, none in ((self.covariates, 0), (self.groups, -1)):
             own = {k: v for k, v in table.items() if not k.startswith(owned)}
             for key, values in table.items():
                 if key.startswith(prefix):
-                    own[key.removeprefix(prefix)] = namespace(here, values).where(here, values, 0)
+                    found = namespace(here, values).where(here, values, none)
+                    own[key.removeprefix(prefix)] = found
             tables.append(own)
         return Plan(self.axes, self.position, *tables)
 
