@@ -55,6 +55,13 @@ def lines(edit: Callable[[list[str]], list[str]], file: str = "data.csv") -> Cha
     return change
 
 
+def on_a_line(found: list[str]) -> list[str]:
+    """Points along X with errors of some micrometres across it."""
+    kept = [line.split(",")[:-2] for line in found[1:]]
+    moved = [[*cells, f"{0.01 * (i % 3)}", f"{100 + 0.02 * i}"] for i, cells in enumerate(kept)]
+    return [found[0], *(",".join(cells) for cells in moved)]
+
+
 def cell(row: int, column: str, value: str, file: str = "data.csv") -> Change:
     """Put `value` into a cell; data rows count from 1."""
 
@@ -229,6 +236,19 @@ TABLES = {
     "check without tool points": (
         drop_column("tcp_z_mm", "check.csv"),
         ("check.csv, column tcp_z_mm", "no such column among x_mm, y_mm"),
+    ),
+    "too few check points": (
+        lines(lambda found: found[:3], "check.csv"),
+        ("columns tcp_x_mm, tcp_y_mm, tcp_z_mm", "found 2 check point(s), on a line", "at least 3"),
+    ),
+    "check points on a line": (
+        lines(on_a_line, "check.csv"),
+        (
+            "check.csv, columns tcp_x_mm, tcp_y_mm, tcp_z_mm",
+            "found 5 check point(s), on a line",
+            "at least 3 that are not",
+            "add points beside them",
+        ),
     ),
     "named check that is not there": (
         append('\n[data]\ncheck = "other.csv"\n'),

@@ -29,6 +29,7 @@ from vcal.spatial import (
     axis_rotation,
     best_rigid,
     euler_xyz,
+    rigid_basis,
     rigid_columns,
     rotation,
     rotation_small,
@@ -114,6 +115,30 @@ def test_rigid_motions_are_found_and_taken_out(rng):
     columns = rigid_columns(source)
     np.testing.assert_allclose(np.einsum("nik,ni->k", columns, left), 0, atol=1e-18)
     np.testing.assert_allclose(columns @ small, moved, atol=1e-9)
+
+
+@pytest.mark.parametrize("way", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 2.0, -0.5)])
+def test_a_rigid_motion_of_points_on_a_line(way, rng):
+    """A rotation about the line moves nothing: five numbers are taken out, and none is undefined.
+
+    By hand: along the line its mean, across it in either direction a straight line over the place.
+    """
+    u = np.array(way) / np.linalg.norm(way)
+    along = rng.uniform(-1, 1, 20)
+    points = np.array([0.3, -0.2, 0.5]) + along[:, None] * u
+    assert rigid_basis(points).shape == (60, 5)
+    moved = 1e-5 * rng.standard_normal((20, 3))
+    lengthwise = moved @ u
+    fits = np.polynomial.polynomial.polyfit(along, moved - np.outer(lengthwise, u), 1)
+    bent = moved - np.outer(lengthwise, u) - (fits[0] + along[:, None] * fits[1])
+    expected = bent + np.outer(lengthwise - lengthwise.mean(), u)
+    np.testing.assert_allclose(align_rigid(points, moved), expected, rtol=0, atol=1e-18)
+    both = np.stack([moved, 2.0 * moved], -1)
+    np.testing.assert_allclose(align_rigid(points, both)[..., 1], 2.0 * expected, atol=1e-18)
+    # In one place nothing can be told from a translation.
+    np.testing.assert_allclose(
+        align_rigid(np.ones((4, 3)), moved[:4]), moved[:4] - moved[:4].mean(0), atol=1e-18
+    )
 
 
 # --- families of functions -----------------------------------------------------------------------

@@ -78,16 +78,29 @@ def rigid_columns(points: np.ndarray) -> np.ndarray:
     return columns
 
 
+def rigid_basis(points: np.ndarray) -> np.ndarray:
+    """Orthonormal displacements (3 n, r) that span the rigid motions of `points` (n, 3).
+
+    r = 6; 5 for points on a line, which a rotation about it leaves where they are, 3 for points in
+    one place.
+    """
+    arms = points - points.mean(0)
+    columns = rigid_columns(arms)
+    # Rotations by the size of the whole, not each by its own: one that moves nothing must not grow.
+    columns[:, :, 3:] /= np.sqrt((arms**2).sum(1).mean()) or 1.0
+    u, s, _ = np.linalg.svd(columns.reshape(-1, 6), full_matrices=False)
+    return u[:, s > 1e-9 * s[0]]
+
+
 def align_rigid(points: np.ndarray, displacements: np.ndarray) -> np.ndarray:
     """Displacements less the rigid motion that fits them best (first order, least squares).
 
-    `points` and `displacements` (n, 3) in m. Volumetric errors are compared after this, because an
-    unknown station or artefact pose cannot see a rigid motion.
+    `points` (n, 3) and `displacements` (n, 3, ...) in m. Volumetric errors are compared after this,
+    because an unknown station or artefact pose cannot see a rigid motion.
     """
-    columns = rigid_columns(points - points.mean(0)).reshape(-1, 6)
-    scale = np.linalg.norm(columns, axis=0)
-    solution, *_ = np.linalg.lstsq(columns / scale, displacements.reshape(-1), rcond=None)
-    return displacements - (columns / scale @ solution).reshape(displacements.shape)
+    rigid = rigid_basis(points)
+    flat = displacements.reshape(len(rigid), -1)
+    return (flat - rigid @ (rigid.T @ flat)).reshape(displacements.shape)
 
 
 def require_float64() -> None:

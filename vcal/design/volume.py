@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from ..arrays import Array
 from ..model import Model, effect_terms, tool_points_with_jacobian
 from ..plan import Plan
-from ..spatial import rigid_columns
+from ..spatial import rigid_basis
 
 
 class Gram(NamedTuple):
@@ -29,7 +29,7 @@ class Displacements(NamedTuple):
     """Displacement of the tool point at some points, m per solver unit."""
 
     raw: Float[np.ndarray, "n 3 c"]
-    rigid: Float[np.ndarray, "n 3 6"]
+    rigid: Float[np.ndarray, "n 3 r"]
     """Orthonormal rigid motions of all points."""
     places: Int[np.ndarray, " c"]
     """Which of the model's amplitudes move the tool."""
@@ -40,7 +40,7 @@ class Displacements(NamedTuple):
         return self.raw - np.einsum("nar,rc->nac", self.rigid, self.seen)
 
     @property
-    def seen(self) -> Float[np.ndarray, "6 c"]:
+    def seen(self) -> Float[np.ndarray, "r c"]:
         """The rigid motion in it."""
         return np.einsum("nar,nac->rc", self.rigid, self.raw, optimize=True)
 
@@ -63,9 +63,10 @@ def displacements(model: Model, points: Plan) -> Displacements:
                 moved[:, :, parameter] += slopes[:, :, port] * column[:, None]
             moves[start : start + len(effect.amplitudes)] = True
         start += len(effect.amplitudes)
-    at = np.asarray(nominal)
-    rigid, _ = np.linalg.qr(rigid_columns(at - at.mean(0)).reshape(-1, 6))
-    return Displacements(moved[:, :, moves], rigid.reshape(-1, 3, 6), np.flatnonzero(moves))
+    rigid = rigid_basis(np.asarray(nominal))
+    return Displacements(
+        moved[:, :, moves], rigid.reshape(points.rows, 3, -1), np.flatnonzero(moves)
+    )
 
 
 def volumetric_gram(model: Model, points: Plan) -> Gram:

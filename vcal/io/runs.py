@@ -18,6 +18,8 @@ from .table import Table
 _FEWEST_ROWS = 3
 _LEAST_SHARE = 0.002
 """Of the travel, over which a measurement has to go."""
+_LEAST_WIDTH = 1e-3
+"""Of the length of check points, over which they have to go across it."""
 _QUANTITY = re.compile(
     r"payload_kg|speed_rpm|approach_rad|T_gradient_\w+|v_\w+_m_s|a_\w+_m_s2|since_\w+_mm"
 )
@@ -70,20 +72,24 @@ def check_points(
     own = instrument.columns(settings, chain.axes, readings=False)
     linear = _is_linear(chain)
     columns = _positions(chain, own) if linear else list(own)
-    columns += [Column(name=f"tcp_{c}_mm", low=-1e6, high=1e6) for c in "xyz"]
+    places = [f"tcp_{c}_mm" for c in "xyz"]
+    columns += [Column(name=name, low=-1e6, high=1e6) for name in places]
     table = folder.table(name, columns, _condition)
-    if table.rows < _FEWEST_ROWS:
+    points = np.column_stack([table[name] for name in places]) * 1e-3
+    arms = points - points.mean(0)
+    _, width, length = np.linalg.eigvalsh(arms.T @ arms)
+    if width <= _LEAST_WIDTH**2 * length:
         raise refusal(
             name,
-            f"row {table.rows} (line {table.lines[-1]})",
-            f"{table.rows} check point(s)",
-            f"at least {_FEWEST_ROWS}, not on a line: alignment alone takes out six numbers",
-            "add points, or remove the file",
+            f"columns {listed(places)}",
+            f"{table.rows} check point(s), on a line",
+            "at least 3 that are not: alignment alone takes out six numbers",
+            "add points beside them, or remove the file",
         )
     _check_conditions(table, chain)
     # Check points belong to the machine: what an instrument derives for itself is not in them.
     plan = linear_plan(chain, table) if linear else instrument.plan(chain, table)
-    return CheckPoints(plan, np.column_stack([table[f"tcp_{c}_mm"] for c in "xyz"]) * 1e-3)
+    return CheckPoints(plan, points)
 
 
 def _is_linear(chain: Chain) -> bool:

@@ -9,7 +9,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from ..fit import Fit
 from ..measurement import CheckPoints
 from ..model import Terms, concatenate, effect_terms, tool_points_with_jacobian
-from ..spatial import align_rigid, rigid_columns
+from ..spatial import align_rigid
 
 _BLOCK, _BLOCKS = 8, 25
 """Least rows of a block that is foretold as one, and about how many blocks a fold may have."""
@@ -160,14 +160,6 @@ def check_rms(fit: Fit, check: CheckPoints) -> tuple[Rms, Rms]:
             found = Rms(found.value, math.hypot(found.u, passed))
         results.append(found)
     return results[0], results[1]
-
-
-def rigid_free(points: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Columns (n, 3, k) less their best rigid motion of `points` (n, 3)."""
-    rigid = rigid_columns(points - points.mean(0)).reshape(-1, 6)
-    q, _ = np.linalg.qr(rigid / np.linalg.norm(rigid, axis=0))
-    flat = columns.reshape(len(rigid), -1)
-    return (flat - q @ (q.T @ flat)).reshape(columns.shape)
 
 
 def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

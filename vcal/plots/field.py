@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from ..fit import Fit
-from ..loop.heldout import compensated_points, heldout_residuals, rigid_free, squared_errors
+from ..loop.heldout import compensated_points, heldout_residuals, squared_errors
 from ..measurement import CheckPoints
 from ..plan import Plan
 from ..spatial import align_rigid
@@ -64,7 +64,7 @@ def error_field(before: Fit, after: Fit, check: CheckPoints | None = None) -> Fi
     for fit in (before, after):
         points, jacobian = _in_blocks(fit, position, size or len(position))
         errors.append(align_rigid(nominal, points - nominal) * 1e6)
-    free = rigid_free(nominal, jacobian)
+    free = align_rigid(nominal, jacobian)
     variance = ((free @ after.covariance) * free).sum((1, 2))
     shape = (len(_PLANES), nodes, nodes)
     if variance.max() == 0.0 and max(np.abs(e).max() for e in errors) < _NOTHING_UM:

@@ -17,7 +17,7 @@ from ..plan import Plan
 from ..port_map import PortMap, port_map
 from ..ports import COMPONENTS
 from ..simulate import Simulator
-from ..spatial import rigid_columns
+from ..spatial import rigid_basis
 from .outputs import Field, Output
 
 _MICRO = 1e-6
@@ -202,10 +202,7 @@ class VolumetricErrors(eqx.Module, Quantity):
         true, found = pair.maps(self.points)
         still: list[Any] = [0.0] * len(pair.truth.layout)
         nominal = np.column_stack(tool_columns(chain, np.asarray(self.points.position), still))
-        columns = rigid_columns(nominal - nominal.mean(0)).reshape(-1, 6)
-        scaled = columns / np.linalg.norm(columns, axis=0)
-        u, s, _ = np.linalg.svd(scaled, full_matrices=False)
-        rigid = u[:, s > 1e-9 * s[0]] if self.align else np.zeros((len(columns), 0))
+        rigid = rigid_basis(nominal) if self.align else np.zeros((nominal.size, 0))
         return _VolumetricErrors(chain, true, found, nominal, rigid, self.quantiles)
 
 
@@ -218,7 +215,7 @@ class _VolumetricErrors(Measure):
     found: PortMap
     nominal: np.ndarray
     rigid: np.ndarray
-    """Orthonormal columns of rigid motions (3 n, 6); none where they stay in."""
+    """Orthonormal columns of rigid motions (3 n, r); none where they stay in."""
     quantiles: tuple[float, ...] = eqx.field(static=True)
 
     @property

@@ -10,7 +10,7 @@ from ...chain import Chain
 from ...model import tool_columns
 from ...plan import Plan
 from ...port_map import PortMap
-from ...spatial import rigid_columns
+from ...spatial import rigid_basis
 from ...uncertainty.outputs import Field, Output
 from ...uncertainty.quantities import Measure, Pair, State
 
@@ -82,13 +82,12 @@ def point_errors(pair: Pair, points: Plan, every: int = 2) -> PointErrors:
     chain = pair.truth.chain
     still = [0.0] * len(pair.truth.layout)
     nominal = np.column_stack(tool_columns(chain, position, still))
-    rigid, _ = np.linalg.qr(rigid_columns(nominal - nominal.mean(0)).reshape(-1, 6))
     return PointErrors(
         *pair.maps(points),
         nominal=nominal,
         position=position,
         chain=chain,
-        rigid=rigid,
+        rigid=rigid_basis(nominal),
         named=tuple(named),
         places=tuple("({:g}, {:g})".format(*(1e3 * position[i, :2])) for i in named),
     )
