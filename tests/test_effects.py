@@ -28,6 +28,7 @@ from vcal.effects.arm import gravity_levers
 from vcal.effects.random import Repeatability
 from vcal.fit import shape_step
 from vcal.identify import declared_whitener, linearised_terms
+from vcal.instruments.reflectors import moves
 from vcal.model import observe_with_jacobian, port_values, tool_points
 from vcal.plan import Plan
 
@@ -409,6 +410,31 @@ def test_effect_on_an_arm_is_the_oracles(text, keys, known):
     # Into the first pose vcal knows of no move.
     np.testing.assert_allclose(got[1:], expected[1:], rtol=0, atol=1e-12)
     assert np.abs(got - it.readings(theta=zero).reshape(got.shape)).max() > 1e-6
+
+
+def test_a_joint_that_stands_keeps_the_way_it_came():
+    """The move into the first pose and into one after a gap is unknown."""
+    pose = np.array([3, 4, 5, 6, 8, 9, 10])
+    angle = np.array([[0.0, 5], [10, 5], [10, 5], [4, 5], [4, 6], [4, 2], [7, 2]])
+    way = [[0, 0], [1, 0], [1, 0], [-1, 0], [0, 0], [0, -1], [1, -1]]
+    move = [[0, 0], [10, 0], [0, 0], [-6, 0], [0, 0], [0, -4], [3, 0]]
+    for found in (moves(angle, pose), jax.jit(lambda q: moves(q, pose))(angle)):
+        np.testing.assert_array_equal(found, [move, way])
+
+
+def test_backlash_of_joints_that_stand_is_the_oracles(known):
+    it = known["reflectors"]
+    q = np.array(it.case.arm_run.q)
+    q[5:9, 2], q[20:22, 2] = q[4, 2], q[19, 2]
+    angles = {f"q{j + 1}_cmd_deg": np.rad2deg(column) for j, column in enumerate(q.T)}
+    plan = it.study.instrument.plan(it.chain, {"pose": np.arange(len(q)), **angles})
+    effect = it.effect("backlash:J3:size_urad=300")
+    (column,) = effect.response(plan, {}).values()
+    nominal = dataclasses.replace(it.case.arm, translation=None, rotation=None)
+    told = {"effect": "backlash", "joint": 2, "size_urad": 300}
+    expected = (joint_angles(nominal, q, it.case.arm_run.t, [told]) - q)[:, 2]
+    np.testing.assert_allclose(300e-6 * np.asarray(column)[1:], expected[1:], atol=1e-12)
+    assert np.abs(expected).min() > 149e-6
 
 
 def test_joint_compliance_spans_the_oracles_torque(known):

@@ -447,12 +447,14 @@ def ball_positions(
 def joint_angles(arm: Arm, q: Array, t: Array, effects: Iterable[Effect]) -> Array:
     """Return the joint values (n, j) that the arm takes for the commands q in time order."""
     true = q.copy()
-    before = np.vstack([np.zeros(q.shape[1]), q[:-1]])
+    way = np.sign(np.diff(q, axis=0, prepend=np.zeros((1, q.shape[1]))))
+    for k in range(1, len(way)):  # a joint that stands keeps the way it came
+        way[k] = np.where(way[k] == 0, way[k - 1], way[k])
     for effect in map(in_si, effects):
         j = int(effect.get("joint", 0))
         match effect["effect"]:
             case "backlash":
-                true[:, j] += 0.5 * effect["size"] * np.sign(q[:, j] - before[:, j])
+                true[:, j] += 0.5 * effect["size"] * way[:, j]
             case "gear_harmonic":
                 phase = effect["order"] * q[:, j] + effect.get("phase", 0.0)
                 true[:, j] += effect["amplitude"] * np.sin(phase)

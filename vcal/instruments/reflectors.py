@@ -8,9 +8,10 @@ from typing import Any, Literal, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 from pydantic import Field
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..chain import Chain
 from ..effects.base import Effect, Response
 from ..parameters import Parameter
@@ -128,9 +129,7 @@ class Reflectors(TableInstrument):
         number = len(chain.joints)
         commanded = np.deg2rad(np.column_stack([table[f"q{i + 1}_cmd_deg"] for i in range(number)]))
         pose = np.asarray(table["pose"], int)
-        # The move into a pose after a gap in the numbering is unknown: no direction there.
-        consecutive = np.r_[False, np.diff(pose) == 1]
-        move = np.where(consecutive[:, None], np.diff(commanded, axis=0, prepend=commanded[:1]), 0)
+        move, direction = (np.asarray(v) for v in moves(commanded, pose))
         covariates: dict[str, np.ndarray] = {"order": pose.astype(float)}
         position = commanded
         if all(f"q{i + 1}_read_deg" in table for i in range(number)):
@@ -139,7 +138,7 @@ class Reflectors(TableInstrument):
             position = read if self.joints == "read" else commanded
         for i, axis in enumerate(chain.axes):
             covariates[f"commanded_{axis}"] = commanded[:, i]
-            covariates[f"dir_{axis}"] = np.sign(move[:, i])
+            covariates[f"dir_{axis}"] = direction[:, i]
             covariates[f"move_{axis}"] = move[:, i]
         # Time, temperatures and whatever else was recorded; not the angles and the readings.
         own = re.compile(r"q\d+_(cmd|read)_\w+|(smr|base)\d+_[xyz]_mm|pose")
@@ -215,6 +214,22 @@ class Reflectors(TableInstrument):
 
     def clusters(self, plan: Plan) -> np.ndarray:
         return np.zeros(plan.rows, int)
+
+
+def moves(
+    angle: Float[Array, "n joints"], pose: Int[np.ndarray, " n"]
+) -> tuple[Float[Array, "n joints"], Float[Array, "n joints"]]:
+    """The move of every joint into every pose, rad, and the direction of its last one: +1, -1.
+
+    A joint that stands keeps the direction in which it came. The move into the first pose and into
+    one after a gap in the numbering is unknown: zero, and so is the direction until the next move.
+    """
+    xp = namespace(angle)
+    known = np.r_[False, np.diff(pose) == 1][:, None]
+    move = xp.where(known, xp.diff(angle, axis=0, prepend=angle[:1]), 0.0)
+    row = np.arange(len(pose))[:, None]
+    last = xp.maximum.accumulate(xp.where(known & (move == 0.0), 0, row), axis=0)
+    return move, xp.sign(xp.take_along_axis(move, last, axis=0))
 
 
 def _on_a_circle(count: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from ...arrays import Array
 from ...chain import Chain
 from ...instruments.base import TableInstrument
 from ...instruments.laser_tracker import LaserTracker
-from ...instruments.reflectors import Reflectors
+from ...instruments.reflectors import Reflectors, moves
 from ...model import Model
 from ...plan import Plan
 from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m, register
@@ -355,13 +355,11 @@ class ReflectorSpace(PointSpace):
     def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
         angle = jnp.asarray(placed.position)
         pose = np.asarray(self.index["pose"])
-        # As where data are read: the move into a pose after a gap in the numbering is unknown.
-        known = np.r_[False, np.diff(pose) == 1][:, None]
-        move = jnp.where(known, jnp.diff(angle, axis=0, prepend=angle[:1]), 0.0)
-        found = {"order": jnp.asarray(pose, float)}
+        move, direction = moves(angle, pose)
+        found: dict[str, Array] = {"order": jnp.asarray(pose, float)}
         for i, axis in enumerate(self.chain.axes):
             found[f"commanded_{axis}"] = found[f"read_{axis}"] = angle[:, i]
-            found[f"dir_{axis}"], found[f"move_{axis}"] = jnp.sign(move[:, i]), move[:, i]
+            found[f"dir_{axis}"], found[f"move_{axis}"] = direction[:, i], move[:, i]
         return found
 
     def standing(self, station: Float[Array, " s"]) -> Reflectors:
