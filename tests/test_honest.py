@@ -17,10 +17,13 @@ from vcal.loop.candidates import candidates
 from vcal.loop.chance import minus_log_beta_tail
 from vcal.loop.components import components
 from vcal.loop.confounded import confounded, unrecorded_time
+from vcal.loop.heldout import heldout_residuals, predictive_deviance
 from vcal.loop.screen import Screen
 from vcal.loop.screening import screen
 from vcal.loop.serial import serial
-from vcal.loop.stray import displaced, scattered, stray_rows
+from vcal.loop.state import fitted
+from vcal.loop.stray import displaced, scattered, stray_apart, stray_rows
+from vcal.robust import identify_robust
 
 FACTORS = np.array([1.0, 0.7, 2.5])
 
@@ -216,6 +219,83 @@ def test_a_displacement_near_the_end_is_named(tracker):
     closure = closed(tracker, with_noise(tracker, white(tracker, 14), jump))
     assert closure.effects[0].effect.name == "jump"
     assert closure.suspected == []
+
+
+def test_one_gross_reading_is_left_out_whatever_is_missing(tracker):
+    """Beside a local error, which is none: it stays in."""
+    x, y = tracker.plan.x("X"), tracker.plan.x("Y")
+    near = (x > np.quantile(x, 0.7)) & (y > np.quantile(y, 0.7))
+    row, noise = int(np.flatnonzero(~near)[10]), white(tracker, 12)
+    noise[near, 2] += 25.0
+    for size in (200.0, 1e5):
+        noise[row, 1] = size
+        fit = identify(tracker.model, with_noise(tracker, noise))
+        found = stray_rows(fit, lambda f=fit: identify_robust(f.model, f.measurement))
+        assert [stray.row for stray in found] == [row]
+
+
+def test_one_gross_reading_does_not_take_its_neighbours_along(tmp_path):
+    """It pulls the pose of its artefact away from the others of it, which then stand out too."""
+    balls = Known("ball_array", tmp_path)
+    noise, row = white(balls, 16), 20
+    noise[row, 0] += 40.0
+    fit = identify(balls.model, with_noise(balls, noise))
+    robust = identify_robust(fit.model, fit.measurement)
+    assert [stray.row for stray in stray_rows(fit, lambda: robust)] == [row]
+
+
+def test_one_gross_reading_among_those_that_are_only_foretold(tmp_path):
+    arm = Known("reflectors", tmp_path)
+    folds, apart = arm.instrument.folds(arm.plan)
+    rows = np.flatnonzero(folds >= 0)
+    row, noise = rows[3], white(arm, 17)
+    assert apart
+    clean = identify(arm.model, with_noise(arm, noise), keep=folds < 0, room=arm.room)
+    noise[row] += 1e4
+    state = fitted(arm.model, with_noise(arm, noise), None, arm.room)
+    assert [stray.row for stray in state.strays] == [row]
+    np.testing.assert_allclose(state.fit.theta, clean.theta, atol=1e-6)
+    residuals, without = heldout_residuals(clean), heldout_residuals(state.fit)
+    assert np.isnan(without[row]).all()
+    residuals[row] = np.nan
+    np.testing.assert_allclose(without, residuals, atol=1e-12)
+    blocks = set(predictive_deviance(clean)[1]) - set(predictive_deviance(state.fit)[1])
+    assert blocks == {-1 - row}
+    # What is missing from a model shows in all of them, and makes none of them gross.
+    sigma = arm.instrument.noise(arm.plan, arm.measurement.readings)
+    missing = clean.residual + 50.0 * sigma * white(arm, 18)
+    worse = dataclasses.replace(clean, residual=missing)
+    assert stray_apart(worse, folds >= 0) == []
+    missing[row] += 1e4 * sigma[row]
+    assert [stray.row for stray in stray_apart(worse, folds >= 0)] == [row]
+
+
+# --- noise that is smaller than declared ---------------------------------------------------------
+
+
+def test_noise_declared_too_large_makes_no_error_of_the_machine(tracker):
+    """Priors that count for too much hold the fit away from what is true, by many times the noise
+    that there is.
+    """
+    noise = 0.05 * white(tracker, 18)
+    closure = closed(tracker, with_noise(tracker, noise))
+    assert closure.verdict == "nothing_missing"
+    assert closure.noise_scale == pytest.approx(0.05, rel=0.1)
+    assert any("scatter 0.05 times" in note for note in closure.notes)
+    size = 2.0
+    closure = closed(tracker, with_noise(tracker, noise, tracker.effect("backlash:Y:size_um=2")))
+    (found,) = closure.effects
+    assert found.effect.key == "backlash Y" and found.status == "named"
+    _, value, _, u = found.parameters[0]
+    assert abs(value - size) < 2.0 * u
+
+
+@pytest.mark.filterwarnings("error")
+def test_readings_without_any_noise(tracker):
+    theta = np.zeros(len(tracker.model.entries))
+    exact = Measurement(tracker.plan, tracker.readings(theta=theta))
+    closure = closed(tracker, exact, draws=50)
+    assert closure.verdict == "nothing_missing" and closure.screenings[0].p_value == 1.0
 
 
 # --- few readings, and covariates that went together ---------------------------------------------

@@ -9,7 +9,7 @@ import pytest
 
 import vcal.loop.search
 from known import Known
-from vcal import CATALOGUE, Effect, Measurement, Parameter, Prior, close_loop, identify
+from vcal import CATALOGUE, Effect, Measurement, Parameter, Prior, close_loop, identify, predict
 from vcal.distributions import Normal
 from vcal.loop import screen as screening
 from vcal.loop.candidates import candidates
@@ -274,6 +274,28 @@ def test_a_wider_prior_replaces_a_declared_one(tracker):
 # --- what is told ---------------------------------------------------------------------------------
 
 
+def test_a_declared_pitch_that_is_not_told_is_looked_for(tracker):
+    """The solver alone ends in the valley in which it starts, of which a pitch has many."""
+    pitch, size = 13.0, 8.0
+    true = tracker.effect(f"screw_cyclic:X:pitch_mm={pitch},sine_um={size}")
+    measurement = noisy(tracker, 5, true)
+    law = (Prior("pitch", Normal(12.9, 0.2)),)
+    for declared in (bare(tracker, "screw_cyclic:X"), bare(tracker, "screw_cyclic:Z")):
+        model = tracker.model.with_effects(bare(tracker, "screw_cyclic:X"), declared)
+        fit = fitted(model, measurement, None, tracker.room).fit
+        place = len(tracker.model.effects)
+        values = {p.name: (value, u) for _, p, value, u in fit.values_of(place)}
+        assert fit.converged
+        if declared.placement == "Z":
+            assert abs(values["pitch"][0] - pitch) < 3.0 * values["pitch"][1]
+            assert abs(values["sine"][0] - size) < 3.0 * values["sine"][1]
+    model = tracker.model.with_effects(
+        dataclasses.replace(bare(tracker, "screw_cyclic:X"), priors=law)
+    )
+    fit = fitted(model, measurement, None, tracker.room).fit
+    assert fit.shapes[len(tracker.model.effects)]["pitch"] == pytest.approx(pitch * 1e-3, rel=1e-2)
+
+
 def test_two_effects_of_one_key_have_values_of_their_own(tracker):
     """Warming up of X along itself and across: one key, and a time constant each."""
     along, across = (bare(tracker, f"warm_up:X:component={c},tau_h=0.1") for c in ("EXX", "EYX"))
@@ -286,6 +308,39 @@ def test_two_effects_of_one_key_have_values_of_their_own(tracker):
         values = fit.values_of(place)
         assert [p.name for _, p, _, _ in values] == [p.name for p in effect.parameters]
         assert values[1][2] * 3600.0 == pytest.approx(fit.shapes[place]["tau"])
+
+
+def test_what_the_readings_do_not_determine_is_told_by_name(tracker):
+    """The pose of a station, from points on one line."""
+    position = np.array(tracker.plan.position)
+    position[:, 1:] = position[0, 1:]
+    plan = tracker.plan.with_position(position)
+    theta = np.zeros(len(tracker.model.entries))
+    readings = np.asarray(predict(tracker.model, plan, theta))
+    with pytest.raises(np.linalg.LinAlgError, match=r"station \w and station"):
+        close_loop(tracker.model, Measurement(plan, readings), draws=50)
+
+
+def test_no_more_effects_are_added_than_may_be(tracker):
+    """What is left is then not said to have no name: none was looked for."""
+    two = [tracker.effect(f"backlash:{axis}:size_um=30") for axis in "XY"]
+    closure = close_loop(tracker.model, noisy(tracker, 6, *two), draws=100, max_effects=1)
+    assert len(closure.effects) == 1 and closure.verdict == "unexplained"
+    assert "max_effects" in closure.unexplained.reason
+
+
+def test_the_error_at_check_points_lacks_what_they_do_not_record(tracker):
+    check = tracker.study.check
+    plan = check.plan
+    fewer = {k: v for k, v in plan.covariates.items() if k != "dir_Y"}
+    bare_check = dataclasses.replace(check, plan=dataclasses.replace(plan, covariates=fewer))
+    measurement = noisy(tracker, 7, tracker.effect("backlash:Y:size_um=30"))
+    for points, told in ((check, False), (bare_check, True)):
+        closure = close_loop(
+            tracker.model, measurement, check=points, effects=[CATALOGUE["backlash"]], draws=100
+        )
+        assert [e.effect.key for e in closure.effects] == ["backlash Y"]
+        assert any("dir_y" in note and "check" in note for note in closure.notes) == told
 
 
 @pytest.mark.slow

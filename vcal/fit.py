@@ -16,6 +16,11 @@ from .parameters import Parameter
 _UNSEEN = 1e-8
 """Information (per solver unit squared) that counts as none: a standard deviation of 1e4 units."""
 
+_LOST = 1e-9
+"""Singular value, over the largest one, that counts as zero."""
+_PART = 0.1
+"""Part in a direction of unit length from which a parameter is told."""
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -245,6 +250,20 @@ def shape_step(parameter: Parameter, value: float, grids: Mapping[str, np.ndarra
     if len(grid) < 2:
         return max(abs(value), parameter.si) * 0.1
     return float(np.abs(np.gradient(grid))[np.argmin(np.abs(grid - value))])
+
+
+def undetermined(fit: Fit) -> list[str]:
+    """Parameters of which neither the data nor a prior tell a combination, by name.
+
+    Those with a part in a right singular vector of the Jacobian (columns of unit length, the rows
+    of the prior included) whose singular value is zero to rounding.
+    """
+    whole = np.concatenate([fit.jacobian, np.diag(np.sqrt(fit.precision))])
+    length = np.linalg.norm(whole, axis=0)
+    _, s, vt = np.linalg.svd(whole / np.where(length > 0.0, length, 1.0), full_matrices=False)
+    part = np.abs(vt[s <= _LOST * s[0]]).max(0, initial=0.0)
+    names = [f"{key} {p.name}" for key, p in fit.entries]
+    return [name for name, share in zip(names, part, strict=True) if share > _PART]
 
 
 def null_directions(fit: Fit, share: float = 0.01, most: int = 6) -> list[str]:

@@ -15,6 +15,8 @@ class Measurement:
     readings: np.ndarray
     """(n, m), SI."""
     name: str = ""
+    aside: np.ndarray | None = field(default=None, repr=False)
+    """Rows (n,) that are neither fitted nor foretold, as they do not belong; None: all count."""
 
     def __post_init__(self) -> None:
         if self.readings.ndim != 2 or len(self.readings) != self.plan.rows:

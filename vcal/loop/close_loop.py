@@ -4,12 +4,12 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Literal
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
 from ..fit import Fit
+from ..instruments.conditions import file_column
 from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
@@ -24,8 +24,7 @@ from .state import (
     at_noise_found,
     chi2_per_dof,
     fitted,
-    noise_scale,
-    noise_scales,
+    scales_told,
 )
 from .steps import uncertainties
 from .together import contradiction
@@ -109,6 +108,7 @@ def close_loop(
                 seed + 1,
                 correlated,
                 run.refused,
+                len(run.added(state)) >= max_effects,
             )
     except KeyboardInterrupt:
         interrupted = True
@@ -149,8 +149,7 @@ def _finish(
     run: Search, nominal: Fit, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
     """The result of a search: the final fit with the noise found, and the errors on the way."""
-    noise = noise_scale(state.fit, np.ones(state.fit.measurement.rows, bool))
-    scales = noise_scales(state.fit)
+    noise, scales = scales_told(state)
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, run.room) for item in run.added(state)]
     verdict: Verdict | None = None if interrupted else "nothing_missing"
@@ -188,6 +187,7 @@ def _finish(
         interrupted=interrupted,
         notes=[
             *([apart] if apart else []),
+            *_not_at_the_check(after, run.check),
             *_foretold(wrong["before"].heldout, wrong["after"].heldout, bool(found)),
             *_notes(scales, state, run),
         ],
@@ -198,6 +198,25 @@ def still_rejected(rejected: Iterable[Rejected], found: Iterable[FoundEffect]) -
     """Without those that a later round added after all."""
     added = {(item.effect.name, item.effect.placement) for item in found}
     return [r for r in rejected if (r.effect, r.placement) not in added]
+
+
+def _not_at_the_check(after: Fit, check: CheckPoints | None) -> list[str]:
+    """That the error at the check points leaves out effects for want of a column, where it does."""
+    if check is None:
+        return []
+    lacking = {
+        effect.key: [name for name in effect.needs if not check.plan.has(name)]
+        for effect in after.model.effects
+        if effect.where == "machine" and effect.kind != "nuisance"
+    }
+    axes = after.measurement.plan.axes
+    return [
+        f"{key} is not in the error at the check points, which have no "
+        f"{' and no '.join(file_column(name, axes)[0] for name in missing)}: it is that of the "
+        "machine without it there; record it with the check points"
+        for key, missing in lacking.items()
+        if missing
+    ]
 
 
 def _foretold(before: Rms, after: Rms, found: bool) -> list[str]:
@@ -272,7 +291,12 @@ def _notes(scales: Mapping[str, float], state: State, run: Search) -> list[str]:
         notes += [
             f"the readings{f' of {name}' if name else ''} scatter {noise:.2f} times as much as "
             "declared; uncertainties "
-            + ("are scaled accordingly" if noise > 1 else "are left as declared")
+            + (
+                "are scaled accordingly"
+                if noise > 1
+                else "are left as declared, and what was known before counts for more than it "
+                "would with the noise that was found"
+            )
             for name, noise in scales.items()
             if noise != 1.0
         ]

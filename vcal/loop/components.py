@@ -23,6 +23,8 @@ _ROUNDS = 100
 _SETTLED = 1e-3
 _TOLD = 10.0
 """Least degrees of freedom by which a component is estimated; others share one factor."""
+_LEAST = 1e-5
+"""Least factor: readings without any noise leave a covariance that can be inverted."""
 _CHANCE = 1e-3
 """Probability by chance below which the factors count as different."""
 
@@ -49,6 +51,8 @@ class Components:
     """What each declares of every row (c, n, m, m), SI."""
     absent: np.ndarray
     """In the place of what a row lacks (n, m, m)."""
+    factor: float
+    """Standard deviation found over the declared one, of all together."""
 
     @property
     def uneven(self) -> bool:
@@ -64,6 +68,11 @@ class Components:
     def whitener_at_least_declared(self) -> np.ndarray:
         """The same, with no component below what is declared of it."""
         return self._whitener(np.array([max(part.factor, 1.0) for part in self.parts]))
+
+    @property
+    def whitener_alike(self) -> np.ndarray:
+        """The same, with one factor of all."""
+        return self._whitener(np.full(len(self.parts), self.factor))
 
     def _whitener(self, factors: np.ndarray) -> np.ndarray:
         return whitener_of(np.einsum("c,cnij->nij", factors**2, self.declared) + self.absent)
@@ -91,7 +100,8 @@ def components(fit: Fit) -> Components:
         Component(name, float(f), float(f / np.sqrt(2.0 * d)) if seen else float("nan"))
         for (name, _), f, d, seen in zip(parts, factors, dof, told, strict=True)
     ]
-    return Components(tuple(known), p_value, np.array([v for _, v in parts]), missing)
+    every = np.array([v for _, v in parts])
+    return Components(tuple(known), p_value, every, missing, float(whole[0]))
 
 
 @dataclass(frozen=True)
@@ -148,6 +158,7 @@ class _Problem:
         for _ in range(_ROUNDS):
             squares, trace, _ = self._shares(each, factors)
             new = np.where(told, factors * np.sqrt(squares / np.where(told, trace, 1.0)), factors)
+            new = np.maximum(new, _LEAST)
             moved = np.abs(new / factors - 1.0).max()
             factors = new
             if moved < _SETTLED:

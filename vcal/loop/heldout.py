@@ -7,8 +7,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ..fit import Fit
-from ..measurement import CheckPoints
-from ..model import Terms, concatenate, effect_terms, tool_points_with_jacobian
+from ..measurement import CheckPoints, Measurement
+from ..model import Model, Terms, concatenate, effect_terms, tool_points_with_jacobian
 from ..spatial import align_rigid
 
 _BLOCK, _BLOCKS = 8, 25
@@ -25,6 +25,16 @@ class Rms:
     u: float
 
 
+def folds_of(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """Fold of every row (n,), -1 where it is never held out, and the rows (n,) that are never
+    fitted, without those that are set aside.
+    """
+    folds, apart = model.instrument.folds(measurement.plan)
+    apart = np.broadcast_to(apart, folds.shape) & (folds >= 0)
+    folds = np.where(apart, -1, folds)
+    return folds, apart if measurement.aside is None else apart & ~measurement.aside
+
+
 def heldout_residuals(fit: Fit) -> np.ndarray:
     """Residuals (n, m), SI, of every row predicted without its fold; nan where never held out.
 
@@ -33,17 +43,15 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
     pose of an artefact) are then re-estimated from the fold with all others fixed. Folds that were
     never fitted are predicted as they are.
     """
-    instrument, plan = fit.model.instrument, fit.measurement.plan
-    folds, apart = instrument.folds(plan)
+    folds, apart = folds_of(fit.model, fit.measurement)
     n, m = fit.residual.shape
     found = np.full((n, m), np.nan)
-    apart = np.broadcast_to(apart, n) & (folds >= 0)
     found[apart] = fit.residual[apart]
     jacobian = fit.jacobian.reshape(n, m, -1)
     whitened = fit.whitened.reshape(n, m)
     total = fit.jacobian.T @ fit.jacobian
     precision = _precision(fit)
-    for fold in np.unique(folds[(folds >= 0) & ~apart]):
+    for fold in np.unique(folds[folds >= 0]):
         rows = np.flatnonzero((folds == fold) & fit.used)
         if not len(rows):
             continue
@@ -174,10 +182,9 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
     projected out of it, as a whole. Rows that are never fitted are taken as they are. `noise`
     multiplies the noise of the fit.
     """
-    instrument, plan = fit.model.instrument, fit.measurement.plan
-    folds, apart = instrument.folds(plan)
+    plan = fit.measurement.plan
+    folds, apart = folds_of(fit.model, fit.measurement)
     n, m = fit.residual.shape
-    apart = np.broadcast_to(apart, n) & (folds >= 0)
     jacobian = fit.jacobian.reshape(n, m, -1) / noise
     whitened = fit.whitened.reshape(n, m) / noise
     total = np.einsum("nmk,nml->kl", jacobian, jacobian, optimize=True)
@@ -188,7 +195,7 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
     whitened = whitened - jacobian @ np.linalg.solve(total + np.diag(precision), uphill)
     found: list[float] = []
     where: list[int] = []
-    for fold in np.unique(folds[(folds >= 0) & ~apart]):
+    for fold in np.unique(folds[folds >= 0]):
         rows = np.flatnonzero((folds == fold) & fit.used)
         if not len(rows):
             continue

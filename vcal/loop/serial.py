@@ -128,7 +128,7 @@ class _Sequence:
             total += float((self.residual[p][1:] * self.residual[p][:-1]).sum())
             count += int(self.counted[p][1:].sum())
         mean = float((self.residual**2).sum()) / self.counted.sum()
-        return total / count**0.5 / mean if count else 0.0
+        return total / count**0.5 / mean if count and mean else 0.0
 
     def likelihood(
         self, kept: np.ndarray | None = None, phi: float = 0.0, share: float = 0.0

@@ -1,5 +1,6 @@
 """How far the loop has come: the model, its fits, and what they say of the noise."""
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -7,13 +8,16 @@ from functools import partial
 import numpy as np
 from scipy.special import gammaincc
 
-from ..fit import Fit
+from ..fit import Fit, undetermined
 from ..identify import declared_whitener, identify
+from ..least_squares import Status
 from ..measurement import Measurement
 from ..model import Model
 from ..robust import identify_robust
+from .begin import shapes_begun
 from .components import Components, components
-from .stray import Stray, displaced, scattered, stray_rows
+from .heldout import folds_of
+from .stray import Stray, displaced, scattered, stray_apart, stray_rows
 from .whitened import declared_chi2
 
 _SEARCHES = 4
@@ -50,15 +54,23 @@ class State:
 
 
 def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int) -> State:
-    """Fit, leave out stray readings, and fit again with the noise that the readings show."""
-    plan, instrument = measurement.plan, model.instrument
-    folds, apart = instrument.folds(plan)
-    keep = ~(np.broadcast_to(apart, plan.rows) & (folds >= 0))
-    whole_keep = keep
+    """Fit, leave out stray readings, and fit again with the noise that the readings show.
+
+    Raises `LinAlgError` where parameters without a proper prior are not determined.
+    """
+    measurement = dataclasses.replace(measurement, aside=None)
+    _, apart = folds_of(model, measurement)
+    whole_keep = keep = ~apart
     options: dict = {"keep": keep, "room": room}
     if start is not None:
         options |= {"theta": start.theta, "shapes": start.shapes}
+    else:
+        options["shapes"] = shapes_begun(model, measurement, keep, room)
     fit = whole = identify(model, measurement, **options)
+    if fit.status == Status.SINGULAR:
+        raise np.linalg.LinAlgError(
+            f"no reading tells {' and '.join(undetermined(fit))} apart from the rest"
+        )
     strays: list[Stray] = []
     moved: set[int] = set()
     for _ in range(_SEARCHES):
@@ -82,14 +94,18 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
             options["keep"] = keep = keep.copy()
             keep[sorted(more)] = whole_keep[sorted(more)]
             fit = identify(model, measurement, **options)
+    if far := stray_apart(fit, apart):
+        strays += far
+        measurement = dataclasses.replace(measurement, aside=_rows(measurement, far))
+        fit = dataclasses.replace(fit, measurement=measurement)
     scored, noise = fit, None
     if (fit.clusters >= 0).any():
         for _ in range(2):
             scored = identify(model, measurement, whitener=_clustered_whitener(scored), **options)
     else:
         noise = components(fit)
-        if noise.uneven:
-            scored = identify(model, measurement, whitener=noise.whitener, **options)
+        if noise.uneven or _quieter(fit):
+            scored = identify(model, measurement, whitener=_found_whitener(noise, noise), **options)
     return State(model, fit, scored, keep, sorted(strays, key=lambda s: s.row), noise)
 
 
@@ -118,7 +134,7 @@ def rescored(state: State, best: Fit, room: int) -> Fit:
         best.measurement,
         theta=state.scored.theta,
         shapes=state.scored.shapes,
-        whitener=components(best).whitener,
+        whitener=_found_whitener(components(best), state.noise),
         keep=state.keep,
         room=room,
     )
@@ -140,6 +156,25 @@ def without(state: State, place: int, room: int) -> Fit:
         keep=state.keep,
         room=room,
     )
+
+
+def _rows(measurement: Measurement, strays: list[Stray]) -> np.ndarray:
+    found = np.zeros(measurement.rows, bool)
+    found[[s.row for s in strays]] = True
+    return found
+
+
+def _quieter(fit: Fit) -> bool:
+    """Whether the readings scatter less than declared by more than chance: what is known of the
+    parameters then holds them against readings that know better, and what that leaves is no error
+    of the machine.
+    """
+    return noise_scale(fit, np.ones(fit.measurement.rows, bool)) < 1.0
+
+
+def _found_whitener(noise: Components, of: Components) -> np.ndarray:
+    """W of every row with that noise: by component, or by one factor where `of` is even."""
+    return noise.whitener if of.uneven else noise.whitener_alike
 
 
 def _clustered_whitener(fit: Fit) -> np.ndarray:
@@ -188,6 +223,17 @@ def noise_scale(fit: Fit, rows: np.ndarray) -> float:
 def noise_scales(fit: Fit) -> dict[str, float]:
     """That of every data set by its name, one or several."""
     return {name: noise_scale(fit, rows) for name, rows in fit.measurement.plan.parts.items()}
+
+
+def scales_told(state: State) -> tuple[float, dict[str, float]]:
+    """`noise_scale` of all readings and of every data set. Of readings that are quieter than
+    declared the declared noise leaves too little: what is known of the parameters then hides more.
+    """
+    fit, noise = state.fit, state.noise
+    whole, each = noise_scale(fit, np.ones(fit.measurement.rows, bool)), noise_scales(fit)
+    if noise is None or noise.uneven or state.as_declared:
+        return whole, each
+    return noise.factor, {name: f if f >= 1.0 else noise.factor for name, f in each.items()}
 
 
 def at_noise_found(state: State, room: int) -> Fit:

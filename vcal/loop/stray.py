@@ -21,8 +21,12 @@ as much as those that are taken for a structure."""
 _FEW = 3
 _MOST = 0.05
 """More suspected rows than this share are a structure, not stray readings."""
+_MOST_APART = 0.1
+"""The same of rows that are only predicted, of which there are few."""
 _LASTING = 3
 """As many suspected rows one after the other, and all displaced alike, are no stray readings."""
+_BEYOND = 3.0
+"""Times the distance of the next one from which few readings do not belong, whatever is missing."""
 _ALIKE = 0.2
 """Displaced alike: one displacement of the tool leaves less than this of their chi-square, of both
 per degree of freedom.
@@ -42,16 +46,45 @@ class Stray:
 def stray_rows(fit: Fit, robust: Callable[[], tuple[Fit, np.ndarray]]) -> list[Stray]:
     """Rows whose own residual has a probability below 1e-3 / rows, given the robust scale of all.
 
-    Where there are more than three, they are looked for in a fit that they cannot pull away: that
-    and its weights are what `robust` gives (`vcal.robust`). Returns nothing where more than 5 % of
-    the rows stand out, or where those that do are neighbours along anything that is recorded: that
-    is something systematic.
+    Where there are several, they are looked for in a fit that they cannot pull away: that and its
+    weights are what `robust` gives (`vcal.robust`). More than 5 % of the rows, or neighbours along
+    anything that is recorded, are something systematic: then only those are returned that are far
+    beyond it.
     """
     found = _outstanding(fit, np.ones(len(fit.used)))
-    if len(found) <= _FEW:
+    if len(found) <= 1:
         return found
     found = _outstanding(*robust())
-    return found if scattered(fit, [s.row for s in found]) else []
+    return found if scattered(fit, [s.row for s in found]) else _far_beyond(found)
+
+
+def stray_apart(fit: Fit, apart: np.ndarray) -> list[Stray]:
+    """Of the rows (n,) that are only predicted, those far beyond what the model leaves of others.
+
+    What is missing from the model shows there too, so that their own scale, not the noise, is what
+    they are judged by, and only few of them can be told.
+    """
+    strays: list[Stray] = []
+    whitened = np.einsum("nij,nj->ni", declared_whitener(fit.model, fit.measurement), fit.residual)
+    present = fit.model.instrument.present(fit.measurement.plan)
+    squares = np.where(present, whitened, 0.0) ** 2
+    for inside in fit.measurement.plan.parts.values():
+        rows = np.flatnonzero(apart & inside)
+        if len(rows):
+            readings = int(present[rows[0]].sum())
+            found = _improbable(rows, squares[rows].sum(1), readings, len(rows))
+            strays += _far_beyond(found, min(_FEW, int(_MOST_APART * len(rows))))
+    return strays
+
+
+def _far_beyond(found: Sequence[Stray], most: int = _FEW) -> list[Stray]:
+    """At most so many of the improbable rows, much further out than all the others."""
+    ordered = sorted(found, key=lambda s: -s.distance)
+    ends = [s.distance for s in ordered] + [0.0]
+    for k in range(min(most, len(ordered)), 0, -1):
+        if ends[k - 1] > _BEYOND * ends[k]:
+            return ordered[:k]
+    return []
 
 
 def scattered(fit: Fit, found: Sequence[int]) -> bool:
@@ -117,16 +150,21 @@ def _outstanding(fit: Fit, weights: np.ndarray) -> list[Stray]:
         distance = np.einsum(
             "ni,ni->n", whitened[rows], np.linalg.solve(own[rows], whitened[rows, :, None])[:, :, 0]
         )
-        distance = distance / weights[rows]
-        median = 2.0 * gammainccinv(0.5 * readings, 0.5)
-        scaled = distance / max(np.median(distance) / median, 1e-30)
-        minus_log_p = minus_log_chi2_tail(scaled, readings)
-        found = np.flatnonzero(minus_log_p > -np.log(_CHANCE / fit.used.sum()))
-        strays += [
-            Stray(int(rows[i]), float(np.sqrt(scaled[i])), float(np.exp(-minus_log_p[i])))
-            for i in found
-        ]
+        strays += _improbable(rows, distance / weights[rows], readings, int(fit.used.sum()))
     return strays
+
+
+def _improbable(rows: np.ndarray, squares: np.ndarray, readings: int, count: int) -> list[Stray]:
+    """Those of the rows whose squared distance is too large for one of `count`, by the robust scale
+    of all of them.
+    """
+    median = 2.0 * gammainccinv(0.5 * readings, 0.5)
+    scaled = squares / max(np.median(squares) / median, 1e-30)
+    minus_log_p = minus_log_chi2_tail(scaled, readings)
+    return [
+        Stray(int(rows[i]), float(np.sqrt(scaled[i])), float(np.exp(-minus_log_p[i])))
+        for i in np.flatnonzero(minus_log_p > -np.log(_CHANCE / count))
+    ]
 
 
 def _gathered(fit: Fit, rows: np.ndarray, found: Sequence[int]) -> bool:

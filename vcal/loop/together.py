@@ -50,10 +50,12 @@ def contradiction(before: Fit, after: Fit, room: int) -> str:
 def alone(fit: Fit, rows: np.ndarray, room: int) -> Fit:
     """The model of a fit, identified from one data set: without what acts in others only."""
     model, plan = fit.model, fit.measurement.plan
-    mine = tuple(e for e in model.effects if (np.asarray(e.rows(plan)) & rows).any())
+    places = [i for i, e in enumerate(model.effects) if (np.asarray(e.rows(plan)) & rows).any()]
+    mine = tuple(model.effects[i] for i in places)
     return identify(
         Model(model.chain, model.instrument, (*mine, *model.random)),
         fit.measurement,
+        shapes={k: fit.shapes[i] for k, i in enumerate(places) if i in fit.shapes},
         whitener=declared_whitener(model, fit.measurement),
         keep=fit.used & rows,
         room=room,

@@ -115,7 +115,7 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         # In units of its own scatter: a precise data set would be lost beside a coarse one.
         mine = rows[used]
         both[mine] /= np.sqrt(np.mean(both[mine][:, :, 1:] ** 2)) if mine.any() else 1.0
-    total = (both**2).sum((0, 1))
+    total = np.maximum((both**2).sum((0, 1)), np.finfo(float).tiny)
     names, shares = [], []
     known = {name: x[used] for name, x in distinct_covariates(fit.measurement.plan).items()}
     known = {name: x for name, x in known.items() if np.unique(x[np.isfinite(x)]).size > 1}
@@ -278,12 +278,14 @@ def from_structure(
     seed: int,
     correlated: Serial | None = None,
     refused: Effect | None = None,
+    full: bool = False,
 ) -> Unexplained | None:
     """The description where the residual depends on covariates, is correlated in time, or is far
-    larger than declared; or where an effect was significant and was `refused`.
+    larger than declared; or where an effect was significant and was `refused`. `full`: the search
+    ended because no more effects may be added.
     """
     told = dependence(fit, draws, seed)
-    return _from_dependence(fit, told, chi2_per_dof, alpha, correlated, refused)
+    return _from_dependence(fit, told, chi2_per_dof, alpha, correlated, refused, full)
 
 
 def _from_dependence(
@@ -293,6 +295,7 @@ def _from_dependence(
     alpha: float,
     correlated: Serial | None = None,
     refused: Effect | None = None,
+    full: bool = False,
 ) -> Unexplained | None:
     spread = chi2_per_dof > _SPREAD
     quiet = told.p_value > _LAST_LOOK * alpha and not spread and correlated is None
@@ -332,6 +335,10 @@ def _from_dependence(
         reason = "the residual is far larger than the declared noise and depends on covariates"
     else:
         reason = "the residual depends on covariates in a way no effect of the catalogue has"
+    if full:
+        reason = (
+            "no more effects may be added (max_effects), so that none was looked for in the rest"
+        )
     return Unexplained(
         depends_on=list(shares),
         shares=list(shares.values()),
