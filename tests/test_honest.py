@@ -13,6 +13,7 @@ from known import Known
 from oracle import make_case, write_study
 from vcal import CATALOGUE, Measurement, close_loop, load_study
 from vcal.identify import declared_covariances, identify
+from vcal.least_squares import Status
 from vcal.loop.candidates import candidates
 from vcal.loop.chance import minus_log_beta_tail
 from vcal.loop.components import components
@@ -384,6 +385,22 @@ def test_what_does_not_hold_on_other_readings_is_no_name(tracker, monkeypatch):
     assert (closure.verdict, closure.effects) == ("unexplained", [])
     assert {r.placement for r in closure.rejected} >= {"Y"}
     assert closure.unexplained.depends_on
+
+
+def test_what_cannot_be_fitted_leaves_something_unexplained(tracker, monkeypatch):
+    measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
+    rivals = importlib.import_module("vcal.loop.rivals")
+
+    def unfinished(*args):
+        return dataclasses.replace(refit(*args), status=Status.STEP_LIMIT)
+
+    refit = rivals.refit
+    monkeypatch.setattr(rivals, "refit", unfinished)
+    closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
+    assert (closure.verdict, closure.effects) == ("unexplained", [])
+    (told,) = closure.rejected
+    assert (told.placement, told.reason) == ("Y", "its fit does not end in a minimum")
+    assert told.p_value < 1e-6
 
 
 def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch):

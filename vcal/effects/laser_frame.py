@@ -118,7 +118,10 @@ class Refraction(Effect):
 
 @register
 class PsdLinearity(Effect):
-    """A diode that is not linear: a x + b x^3 in one reading, x its place on the diode."""
+    """A diode that is not linear: a x + b x^3 in one reading, x its place on the diode.
+
+    The reference position is taken to be the middle of the diode, where the error is zero.
+    """
 
     name = "psd_linearity"
     summary = "linear and cubic error of the position-sensitive diode"

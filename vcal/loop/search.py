@@ -190,7 +190,7 @@ class Search:
             return None
         # That nothing is missing is as likely beforehand as all kinds of effects together.
         nothing = math.log(len(screening.kinds))
-        refused: Rival | None = None
+        refused: Effect | None = self._unfitted(peaks, rivals, p_values)
         for rival in significant:
             after = at_declared(rival.fit, state, self.room)
             noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
@@ -204,15 +204,15 @@ class Search:
                 self._reject(
                     rival, own, "held-out readings are not foretold better beyond uncertainty"
                 )
-                refused = refused or rival
+                refused = refused or rival.effect
             elif poor and share < _PRACTICAL and not _in_the_prior(fit, rival.fit, noise):
                 way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
                 self._reject(rival, own, f"held-out rms {way}")
-                refused = refused or rival
+                refused = refused or rival.effect
             elif ranked[0][1] - odds[id(rival)] > _CONTRADICTED:
                 why = "is not significant itself" if refused is None else "does not hold"
                 self._reject(rival, own, f"a far likelier one {why}")
-                refused = refused or rival
+                refused = refused or rival.effect
             else:
                 weighed = weigh(classes, rival, best)
                 p = own[id(rival.effect)]
@@ -225,8 +225,23 @@ class Search:
                 effect = refitted.model.effects[-1]
                 self.history.append(Added(effect, weighed, p, share, trials))
                 return refitted
-        self.refused = None if refused is None else refused.effect
+        self.refused = refused
         return None
+
+    def _unfitted(
+        self, peaks: Sequence[Peak], rivals: Sequence[Rival], p_values: Mapping[str, float]
+    ) -> Effect | None:
+        """The first of the significant kinds of effects of which no refit ended in a minimum: none
+        can be held against readings.
+        """
+        fitted_kinds, first = {r.effect.name for r in rivals}, None
+        for peak in peaks:
+            effect, p = peak.effect, p_values[peak.effect.name]
+            if p > self.alpha or effect.name in fitted_kinds or isinstance(effect, Empirical):
+                continue
+            first = first or effect
+            self._refuse(effect, p, "its fit does not end in a minimum")
+        return first
 
     def _at_its_size(self, state: State) -> State:
         """The state with a wider prior of the last effect, where it is larger than expected: it
@@ -380,9 +395,12 @@ class Search:
         return dropped
 
     def _reject(self, rival: Rival, p_values: dict[int, float], reason: str) -> None:
-        name, place = rival.effect.name, rival.effect.placement
+        self._refuse(rival.effect, p_values[id(rival.effect)], reason)
+
+    def _refuse(self, effect: Effect, p_value: float, reason: str) -> None:
+        name, place = effect.name, effect.placement
         if not any((r.effect, r.placement) == (name, place) for r in self.rejected):
-            self.rejected.append(Rejected(name, place, p_values[id(rival.effect)], reason))
+            self.rejected.append(Rejected(name, place, p_value, reason))
 
 
 def _in_the_prior(before: Fit, after: Fit, noise: float) -> bool:

@@ -323,8 +323,8 @@ def _from_dependence(
         )
     elif quiet:
         reason = (
-            "effects of the catalogue are significant, but none of them holds on readings that it "
-            "was not fitted to"
+            "effects of the catalogue are significant, but none of them can be fitted and holds on "
+            "readings that it was not fitted to"
         )
     elif spread and best < 0.1:
         reason = (
