@@ -217,6 +217,22 @@ TABLES = {
         replace("dir_z", "dir_w", "data.csv"),
         ("data.csv, header, column dir_w", "unknown axis 'W'", "one of dir_x, dir_y, dir_z"),
     ),
+    "pasted below itself": (
+        lines(lambda found: [*found, *found[1:]]),
+        (
+            "data.csv, row 49 (line 50)",
+            "found what is in row 1 (line 2) again, in every column, and 47 more rows",
+            "every reading once",
+            "remove the rows; where the same was really measured again",
+        ),
+    ),
+    "a row twice, written otherwise": (
+        both(lines(lambda found: [*found, found[3]]), cell(3, "x_mm", "+100.0000")),
+        (
+            "data.csv, row 49 (line 50)",
+            "found what is in row 3 (line 4) again, in every column, expected",
+        ),
+    ),
     "fractional index": (
         cell(3, "point", "2.5"),
         ("data.csv, row 3 (line 4), column point", "found 2.5", "a whole number of at least 0"),
@@ -255,6 +271,37 @@ TABLES = {
         ("other.csv, file", "no such file"),
     ),
 }
+
+
+def test_what_was_measured_again_is_no_repeated_row(small_tracker_study):
+    """In a plan, where something tells the rows apart, and where a coarse resolution makes some
+    readings agree; not where none of them ever differs.
+    """
+    data = small_tracker_study / "data.csv"
+    head, *rows = [line.split(",") for line in data.read_text(encoding="utf-8").splitlines()]
+    told = [head.index(name) for name in ("point", "t_s") if name in head]
+    readings = head.index("range_mm")
+
+    def written(rows, drop=()):
+        kept = [i for i in range(len(head)) if i not in drop]
+        text = [",".join(row[i] for i in kept) for row in (head, *rows)]
+        data.write_text("\n".join(text) + "\n", encoding="utf-8")
+        return small_tracker_study
+
+    again = [[*row] for row in rows]
+    for i in told:
+        for number, row in enumerate(again, start=1000):
+            row[i] = str(number)
+    assert load_study(written(rows + again)).plan.rows == 96
+    assert load_study(written(rows * 2, range(readings, readings + 3))).plan.rows == 96
+    coarse = [[*row] for row in rows]
+    for row in coarse[::2]:
+        row[readings] = f"{float(row[readings]) + 0.001:.9g}"
+    for row in coarse[1:6:2]:
+        row[readings] = f"{float(row[readings]) + 0.002:.9g}"
+    assert load_study(written(rows + coarse, told)).plan.rows == 96
+    written(rows * 2, told)
+    check(small_tracker_study, ("data.csv, row 49 (line 50)", "and 47 more rows"))
 
 
 @pytest.mark.parametrize("case", TABLES)

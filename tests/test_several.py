@@ -627,7 +627,28 @@ def unknown_ball(folder):
     path.write_text("\n".join([head, ",".join(cells), *rest]) + "\n", encoding="utf-8")
 
 
+def again(file, copied=False):
+    """The data set of the tracker once more, from `file`."""
+
+    def spoil(folder):
+        setup = folder / "setup.toml"
+        head, row, rest = setup.read_text(encoding="utf-8").split("[[data]]\n")
+        more = row.replace('"tracker"', '"more"').replace('"tracker.csv"', f'"{file}"')
+        setup.write_text("[[data]]\n".join([head, row, more, rest]), encoding="utf-8")
+        if copied:
+            shutil.copy(folder / "tracker.csv", folder / file)
+
+    return spoil
+
+
+TWICE = "setup.toml, key data.1.file: found "
 MISTAKES = {
+    "a table twice": (again("tracker.csv"), f"{TWICE}'tracker.csv' a second time"),
+    "a table by two names": (
+        again("./tracker.csv"),
+        f"{TWICE}'./tracker.csv', the same as 'tracker.csv'",
+    ),
+    "a copy": (again("more.csv", True), f"{TWICE}'more.csv', the same as 'tracker.csv'"),
     "two of one name": (swap('name = "balls"', 'name = "tracker"'), "setup.toml, key data.1.name"),
     "name of an axis": (swap('name = "balls"', 'name = "Y"'), "setup.toml, key data.1.name"),
     "name with a colon": (swap('name = "balls"', 'name = "b:1"'), "setup.toml, key data.1.name"),

@@ -13,6 +13,7 @@ from ..instruments.conditions import GROUPS, linear_plan
 from ..measurement import CheckPoints
 from .folder import Folder
 from .messages import listed, refusal
+from .repeated import check_repeated
 from .table import Table
 
 _FEWEST_ROWS = 3
@@ -58,6 +59,8 @@ def run_table(
             "measure more points",
         )
     _check_conditions(table, chain)
+    if measured:
+        check_repeated(table, reading_names)
     return table, measured
 
 

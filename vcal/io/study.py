@@ -292,14 +292,6 @@ def _data_sets(
                 f"another name than {listed(chain.axes)}",
                 "rename the data set",
             )
-        if any(row.file == other.file for other in settings.data[:i]):
-            raise refusal(
-                file,
-                f"key data.{i}.file",
-                f"{row.file!r} a second time",
-                "a table of its own for every data set, as its readings would count twice",
-                "correct the name, or remove the row",
-            )
         own = chain
         if row.tool_offset_mm is not None:
             offset = np.array(row.tool_offset_mm) * 1e-3
@@ -313,6 +305,7 @@ def _data_sets(
         if "t" in one.plan.covariates:
             later = {"t": np.asarray(one.plan.covariates["t"]) + row.start_s}
             one = replace(one, plan=replace(one.plan, covariates={**one.plan.covariates, **later}))
+        _check_twice(one, found, folder, file, f"data.{i}.file")
         found.append(one)
     without = [one for one in found if one.readings is None]
     if without and len(without) < len(found):
@@ -324,6 +317,27 @@ def _data_sets(
             "add them, or leave this data set out",
         )
     return tuple(found)
+
+
+def _check_twice(
+    one: DataSet, earlier: Sequence[DataSet], folder: Folder, file: str, key: str
+) -> None:
+    """A table must not be read twice, whatever it is called; plans may be alike."""
+    for other in earlier:
+        same = (folder.root / one.file).samefile(folder.root / other.file)
+        if (
+            same
+            or one.readings is not None
+            and folder.hashes[one.file] == folder.hashes[other.file]
+        ):
+            again = " a second time" if one.file == other.file else f", the same as {other.file!r}"
+            raise refusal(
+                file,
+                f"key {key}",
+                f"{one.file!r}{again}",
+                "a table of its own for every data set, as its readings would count twice",
+                "correct the name, or remove the row",
+            )
 
 
 def _data_set(
