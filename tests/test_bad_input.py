@@ -103,6 +103,14 @@ def check(folder: Path, expected: tuple[str, ...], overrides=()) -> str:
 
 # --- tables --------------------------------------------------------------------------------------
 
+
+def in_metres(line: str, *columns: int) -> str:
+    cells = line.split(",")
+    for i in columns:
+        cells[i] = f"{float(cells[i]) / 1000:.9g}"
+    return ",".join(cells)
+
+
 SEMICOLONS = lines(lambda found: [line.replace(",", ";") for line in found])
 TABLES = {
     "no data": (remove("data.csv"), ("data.csv, file", "no such file")),
@@ -249,6 +257,32 @@ TABLES = {
         cell(2, "x_mm", "-3", "check.csv"),
         ("check.csv, row 2 (line 3), column x_mm", "found -3", "expected 0 to 2000"),
     ),
+    "one axis in metres": (
+        lines(lambda found: [found[0], *(in_metres(line, 2) for line in found[1:])]),
+        (
+            "data.csv, column y_mm",
+            "positions from 0.05 to 0.95, a thousandth of the travel of 0 to 1000",
+            "correct the unit of the positions or of machine.travel_mm.Y",
+        ),
+    ),
+    "travel of one axis in um": (
+        replace("Y = [0, 1000]", "Y = [0, 1000000]"),
+        ("data.csv, column y_mm", "positions from 50 to 950", "machine.travel_mm.Y"),
+    ),
+    "tool points in metres": (
+        lines(
+            lambda found: [
+                found[0],
+                *(in_metres(line, *range(-3, 0)) for line in found[1:]),
+            ],
+            "check.csv",
+        ),
+        ("check.csv, row ", "columns tcp_x_mm, tcp_y_mm, tcp_z_mm", "mm off", "in millimetres"),
+    ),
+    "tool points of another sign": (
+        replace("tcp_x_mm,tcp_y_mm", "tcp_y_mm,tcp_x_mm", "check.csv"),
+        ("check.csv, row ", "a tool point that is", "unit, sign and order"),
+    ),
     "check without tool points": (
         drop_column("tcp_z_mm", "check.csv"),
         ("check.csv, column tcp_z_mm", "no such column among x_mm, y_mm"),
@@ -349,6 +383,7 @@ def test_family_tables(small_tracker_study, case):
     check(small_tracker_study, ("errors.csv, ", *expected))
 
 
+PROBED = "probe_sigma_um = 0.7\n"
 BALLS = {
     "a single pose of three balls": (
         lines(lambda found: found[:4]),
@@ -382,6 +417,21 @@ BALLS = {
         cell(2, "ball", "0", "artefact.csv"),
         ("artefact.csv, row 2 (line 3), column ball", "ball 0 again", "every ball once"),
     ),
+    "both supports at one place": (
+        replace(PROBED, PROBED + "supports = [0.5, 0.5]\n"),
+        (
+            "setup.toml, key instrument: found supports = [0.5, 0.5]",
+            "two shares of the artefact's length from 0 to 1, the lower first",
+        ),
+    ),
+    "supports in percent": (
+        replace(PROBED, PROBED + "supports = [22, 78]\n"),
+        ("setup.toml, key instrument: found supports = [22, 78]", "such as [0.22, 0.78]"),
+    ),
+    "supports exchanged": (
+        replace(PROBED, PROBED + "supports = [0.78, 0.22]\n"),
+        ("setup.toml, key instrument: found supports", "the lower first"),
+    ),
     "inf in a calibration": (
         cell(3, "y_mm", "inf", "artefact.csv"),
         ("artefact.csv, row 3 (line 4), column y_mm", "'inf'"),
@@ -397,6 +447,10 @@ def test_ball_tables(small_ball_study, case):
 
 
 ARMS = {
+    "more reflectors than anyone has": (
+        replace("tool_reflectors = 3", "tool_reflectors = 100000000"),
+        ("key instrument.tool_reflectors", "found 100000000", "a number of at most 100"),
+    ),
     "repeated pose": (
         cell(3, "pose", "1"),
         (
@@ -580,6 +634,38 @@ SETUP = {
         replace("Z = [0, 600]", "Z = [600, 0]"),
         ("setup.toml, key machine.travel_mm.Z", "found [600, 0]", "the lowest below the highest"),
     ),
+    "travel in nanometres": (
+        replace("Z = [0, 600]", "Z = [0, 600e6]"),
+        ("setup.toml, key machine.travel_mm.Z", "[0, 6e+08]", "within 1e+06 mm", "the unit"),
+    ),
+    "travel of nothing": (
+        replace("Z = [0, 600]", "Z = [0, 0.05]"),
+        ("setup.toml, key machine.travel_mm.Z", "found [0, 0.05]", "at least 0.1 mm"),
+    ),
+    "tool in um": (
+        replace("tool_offset_mm = [0, 0, -150]", "tool_offset_mm = [0, 0, -150000]"),
+        ("setup.toml, key machine.tool_offset_mm.2", "-150000", "at least -10000"),
+    ),
+    "huge": (
+        replace("range_sigma_um = 1.3", "range_sigma_um = 1e308"),
+        ("setup.toml, key instrument.range_sigma_um", "1e+308", "from 1e-15 to 1e+15 in size"),
+    ),
+    "tiny": (
+        replace("range_sigma_um = 1.3", "range_sigma_um = 1e-300"),
+        ("setup.toml, key instrument.range_sigma_um", "1e-300", "from 1e-15 to 1e+15 in size"),
+    ),
+    "a huge whole number": (
+        append(f"\n[loop]\nseed = 1{'0' * 400}\n"),
+        ("setup.toml, key loop.seed", "at most 2^63 - 1"),
+    ),
+    "a number of thousands of digits": (
+        append(f"\n[loop]\nseed = 1{'0' * 5000}\n"),
+        ("setup.toml, file", "what is not TOML (Exceeds the limit", "correct the line"),
+    ),
+    "brackets without end": (
+        append("\n[loop]\nseed = " + "[" * 5000),
+        ("setup.toml, file", "what is not TOML (maximum recursion depth", "correct the line"),
+    ),
     "missing travel": (
         replace("Z = [0, 600]\n", ""),
         ("setup.toml, key machine.travel_mm.Z", "found nothing", "add it, such as Z = [0, 1000]"),
@@ -735,6 +821,10 @@ def test_own_effects(small_tracker_study, case):
 
 
 OVERRIDES = {
+    "a number of thousands of digits": (
+        [f"loop.seed=1{'0' * 5000}"],
+        ("key loop.seed", "what is not TOML (Exceeds the limit", "a value as in the study file"),
+    ),
     "unknown key": (
         ["instrument.joints=read"],
         ("setup.toml (override instrument.joints=read), key instrument.joints", "unknown key"),

@@ -157,6 +157,14 @@ def test_check_names_what_did_not_vary(small_tracker_study):
     assert "constant dir_x, T_y_degC, payload_kg: what depends on their change is not seen" in shown
 
 
+def test_check_says_of_which_axis_little_is_covered(small_tracker_study):
+    shown = " ".join(
+        run("check", small_tracker_study, "--set", "machine.travel_mm.Z=[0, 3000]").output.split()
+    )
+    assert "covered 17 % of Z: errors of the rest of the travel are not seen" in shown
+    assert "covered" not in run("check", small_tracker_study).output
+
+
 def test_check_names_what_cannot_be_tested(small_tracker_study):
     table = read_table(small_tracker_study / "data.csv", [])
     kept = {name: v for name, v in table.items() if not name.startswith(("dir_", "T_"))}

@@ -262,7 +262,8 @@ def test_only_a_report_of_its_own_kind_is_replaced(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--draws", "1"), "--draws, value: found '1', expected a whole number from 2 to 2^32"),
+        (("--draws", "1"), "--draws, value: found '1', expected a whole number from 11 to 2^32"),
+        (("--draws", "10"), "--draws, value: found '10', expected a whole number from 11 to 2^32"),
         (("--draws", "many"), "found 'many'"),
         (("--draws", "1e4"), "found '1e4'"),
         (("--draws", str(2**32 + 1)), "or 'adaptive'; correct it"),
@@ -293,9 +294,9 @@ def test_mistakes_in_places(study, tmp_path):
 
 
 def test_draws():
-    assert (parse_draws("adaptive"), parse_draws("2"), parse_draws("4294967296")) == (
+    assert (parse_draws("adaptive"), parse_draws("11"), parse_draws("4294967296")) == (
         "adaptive",
-        2,
+        11,
         2**32,
     )
 

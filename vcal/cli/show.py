@@ -22,6 +22,8 @@ from ..report.derived import missing_columns, parameters
 from ..report.text import COVERAGE, with_uncertainty
 
 _MOST = 6
+_LITTLE = 0.3
+"""Share of a travel of which it is said that the measurement covers no more."""
 
 
 def show_closure(closure: Closure) -> None:
@@ -130,6 +132,7 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
         ),
         (f"columns{of}", ", ".join(header)),
         *_constant(one.plan, header, of),
+        *_covered(one, of),
     ]
 
 
@@ -141,6 +144,21 @@ def _constant(plan: Plan, header: Collection[str], of: str) -> list[tuple[str, s
         return []
     whose = "their" if columns[1:] else "its"
     return [(f"constant{of}", f"{', '.join(columns)}: what depends on {whose} change is not seen")]
+
+
+def _covered(one: DataSet, of: str) -> list[tuple[str, str]]:
+    """Axes of which the measurement covers a small part: most of their errors are not seen, or the
+    travel is that of another machine, or in another unit.
+    """
+    found = []
+    for joint in one.chain.joints:
+        if joint.kind != "prismatic" or not np.isfinite(joint.travel).all():
+            continue
+        share = np.ptp(one.plan.values(joint.name)) / np.ptp(joint.travel)
+        if 0.0 < share < _LITTLE and not one.instrument.positioned:
+            found.append(f"{100 * share:.2g} % of {joint.name}")
+    told = f"{', '.join(found)}: errors of the rest of the travel are not seen"
+    return [(f"covered{of}", told)] if found else []
 
 
 def _size(effect: Effect) -> str:

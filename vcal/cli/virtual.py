@@ -17,6 +17,8 @@ from ..model import Model
 from ..report import DRAWS, check_virtual_folder, sentence, write_virtual
 from ..uncertainty.virtual import check_keys, virtual_calibration
 
+_FEWEST = 11
+"""Fewer draws have no interval of 95 %."""
 _MOST = 2**32
 """Draws have indices of 32 bits."""
 
@@ -94,12 +96,12 @@ def parse_draws(text: str) -> int | Literal["adaptive"]:
         number = int(text)
     except ValueError:
         number = 0
-    if not 2 <= number <= _MOST:
+    if not _FEWEST <= number <= _MOST:
         raise refusal(
             "--draws",
             "value",
             repr(text),
-            "a whole number from 2 to 2^32, or 'adaptive'",
+            f"a whole number from {_FEWEST} to 2^32, or 'adaptive'",
             "correct it",
         )
     return number

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ..arrays import Array
 from ..chain import Chain
@@ -22,6 +22,8 @@ from .frame import displaced, pose_parameters
 
 _FOUND_M = 1e-12
 _STEPS = 20
+_LEAST_SPAN = 0.01
+"""Between the supports, of the artefact's length: on one support it would tip over."""
 _DERIVED = (
     *(f"gravity_{c}" for c in "xyz"),
     *(f"ball_{c}" for c in "xyz"),
@@ -41,6 +43,17 @@ class BallArraySettings(InstrumentSettings):
     probe_sigma_um: float = Field(gt=0)
     ball_position_u_um: float = Field(default=0.0, ge=0)
     supports: tuple[float, float] = (0.2203, 0.7797)
+
+    @model_validator(mode="after")
+    def _supported(self) -> Self:
+        low, high = self.supports
+        if not (0.0 <= low <= 1.0 and 0.0 <= high <= 1.0 and high - low >= _LEAST_SPAN):
+            raise ValueError(
+                f"found supports = [{low:g}, {high:g}], expected two shares of the artefact's "
+                f"length from 0 to 1, the lower first and at least {_LEAST_SPAN:g} apart; correct "
+                "them, such as [0.22, 0.78]"
+            )
+        return self
 
 
 class ArtefactPoses(Effect):

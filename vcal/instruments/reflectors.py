@@ -23,12 +23,15 @@ from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, re
 from .conditions import inside_name
 from .frame import Station, displaced
 
+_MOST = 100
+"""Reflectors on the tool or the base. Every further one adds three columns and three unknowns."""
+
 
 class ReflectorsSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "reflectors"``."""
 
-    tool_reflectors: int = Field(ge=1)
-    base_reflectors: int = Field(default=0, ge=0)
+    tool_reflectors: int = Field(ge=1, le=_MOST)
+    base_reflectors: int = Field(default=0, ge=0, le=_MOST)
     sigma_um: float = Field(gt=0)
     joints: Literal["commanded", "read"] = "commanded"
 

@@ -11,12 +11,18 @@ from ..instruments import INSTRUMENTS
 from ..instruments.base import Column, InstrumentSettings, TableInstrument
 from ..instruments.conditions import GROUPS, linear_plan
 from ..measurement import CheckPoints
+from ..spatial import best_rigid
 from .folder import Folder
 from .messages import listed, refusal
 from .repeated import check_repeated
 from .table import Table
 
 _FEWEST_ROWS = 3
+_TOOL_POINT = tuple(f"tcp_{c}_mm" for c in "xyz")
+_MOST_OFF = 0.02
+"""Of the size of the work space: no machine is that far off."""
+_STILL_MM = 0.02
+"""Within which read-back positions of an axis that stands still scatter."""
 _LEAST_SHARE = 0.002
 """Of the travel, over which a measurement has to go."""
 _LEAST_WIDTH = 1e-3
@@ -75,21 +81,22 @@ def check_points(
     own = instrument.columns(settings, chain.axes, readings=False)
     linear = _is_linear(chain)
     columns = _positions(chain, own) if linear else list(own)
-    places = [f"tcp_{c}_mm" for c in "xyz"]
-    columns += [Column(name=name, low=-1e6, high=1e6) for name in places]
+    columns += [Column(name=name, low=-1e6, high=1e6) for name in _TOOL_POINT]
     table = folder.table(name, columns, _condition)
-    points = np.column_stack([table[name] for name in places]) * 1e-3
+    points = np.column_stack([table[name] for name in _TOOL_POINT]) * 1e-3
     arms = points - points.mean(0)
     _, width, length = np.linalg.eigvalsh(arms.T @ arms)
     if width <= _LEAST_WIDTH**2 * length:
         raise refusal(
             name,
-            f"columns {listed(places)}",
+            f"columns {listed(_TOOL_POINT)}",
             f"{table.rows} check point(s), on a line",
             "at least 3 that are not: alignment alone takes out six numbers",
             "add points beside them, or remove the file",
         )
     _check_conditions(table, chain)
+    if linear:
+        _check_tool_points(table, chain)
     # Check points belong to the machine: what an instrument derives for itself is not in them.
     plan = linear_plan(chain, table) if linear else instrument.plan(chain, table)
     return CheckPoints(plan, points)
@@ -168,6 +175,8 @@ def _check_extent(table: Table, chain: Chain) -> None:
     }
     if not columns or not all(name in table for name in columns):
         return
+    for name, travel in columns.items():
+        _check_unit(table, name, travel)
     shares = [np.ptp(table[name]) / np.ptp(travel) for name, travel in columns.items()]
     if 0.0 < max(shares) < _LEAST_SHARE:
         low = min(table[name].min() for name in columns)
@@ -179,6 +188,47 @@ def _check_extent(table: Table, chain: Chain) -> None:
             "travel",
             "millimetres over more of it",
             "correct the unit of the positions or of machine.travel_mm",
+        )
+
+
+def _check_unit(table: Table, name: str, travel: np.ndarray) -> None:
+    """One axis alone in metres: within a thousandth of its travel, but it does move there."""
+    values, reach = table[name], np.abs(travel).max()
+    moved, farthest = np.ptp(values), np.abs(values).max()
+    if not math.isfinite(reach) or moved <= _STILL_MM:
+        return
+    if moved < _LEAST_SHARE * np.ptp(travel) and farthest <= 1.001e-3 * reach:
+        key = f"machine.travel_mm.{name.removesuffix('_mm').upper()}"
+        raise refusal(
+            table.name,
+            f"column {name}",
+            f"positions from {values.min():.4g} to {values.max():.4g}, a thousandth of the travel "
+            f"of {travel[0]:.7g} to {travel[1]:.7g}",
+            "millimetres, as in the travel",
+            f"correct the unit of the positions or of {key}",
+        )
+
+
+def _check_tool_points(table: Table, chain: Chain) -> None:
+    """True tool points are where the axes were commanded to, but for the errors of the machine and
+    a rigid motion, which takes in where the tool is.
+    """
+    commanded = sum(
+        np.outer(table[f"{joint.name.lower()}_mm"], joint.direction) for joint in chain.joints
+    )
+    found = np.column_stack([table[name] for name in _TOOL_POINT])
+    turn, place = best_rigid(found, commanded)
+    off = np.linalg.norm(found @ turn.T + place - commanded, axis=1)
+    size = np.linalg.norm(commanded - commanded.mean(0), axis=1).max()
+    row = int(np.argmax(off))
+    if off[row] > _MOST_OFF * size:
+        raise refusal(
+            table.name,
+            f"row {row + 1} (line {table.lines[row]}), columns {listed(_TOOL_POINT)}",
+            f"a tool point that is {off[row]:.4g} mm off, after the rigid motion that fits all of "
+            "them best to the positions",
+            f"one that follows the positions to {_MOST_OFF * size:.4g} mm, all in millimetres",
+            "correct unit, sign and order of these columns, or the row",
         )
 
 

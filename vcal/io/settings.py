@@ -6,7 +6,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
@@ -19,6 +19,14 @@ from ..instruments.base import InstrumentSettings
 from .messages import at, explain, listed, refusal, shown, source
 
 Triple = tuple[float, float, float]
+_Offset = Annotated[float, Field(ge=-1e4, le=1e4)]
+ToolOffset = tuple[_Offset, _Offset, _Offset]
+"""No tool is longer than ten metres: such a number is in another unit than mm."""
+_Length = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Angle = Annotated[float, Field(ge=-720, le=720)]
+_LARGEST_WHOLE = 2**63 - 1
+_SMALLEST, _LARGEST = 1e-15, 1e15
+"""Sizes of numbers, other than zero, whose squares and products can be computed with."""
 
 
 class Table(BaseModel):
@@ -31,10 +39,10 @@ class JointSettings(Table):
     """A row of ``[[machine.joint]]``: standard Denavit-Hartenberg parameters of one joint."""
 
     type: Literal["revolute", "prismatic"]
-    a_mm: float = 0.0
-    alpha_deg: float = 0.0
-    d_mm: float = 0.0
-    theta_deg: float = 0.0
+    a_mm: _Length = 0.0
+    alpha_deg: _Angle = 0.0
+    d_mm: _Length = 0.0
+    theta_deg: _Angle = 0.0
     low_deg: float | None = None
     """Lowest angle of a revolute joint; not checked where it is not given."""
     high_deg: float | None = None
@@ -77,7 +85,7 @@ class MachineSettings(Table):
 
     chain: str | None = None
     """ISO 10791-6 description, such as ``"w X b Y Z t"``."""
-    tool_offset_mm: Triple = (0.0, 0.0, 0.0)
+    tool_offset_mm: ToolOffset = (0.0, 0.0, 0.0)
     """From the last axis's frame to the tool point."""
     travel_mm: dict[str, tuple[float, float]] = {}
     """Lowest and highest position per axis."""
@@ -191,7 +199,7 @@ class DataSetSettings(Table):
     file: str
     """Its table beside the study file."""
     instrument: InstrumentSettings
-    tool_offset_mm: Triple | None = None
+    tool_offset_mm: ToolOffset | None = None
     """From the last axis's frame to the tool point, where it is not that of the machine."""
     start_s: float = 0.0
     """When its ``t_s`` was zero, on the clock of the study."""
@@ -268,7 +276,8 @@ def read_setup(
         raise refusal(
             path.name, "file", f"unreadable text ({error})", "TOML in UTF-8", "save it again so"
         ) from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
+        # Of a number of thousands of digits and of nested brackets, the parser only says that.
         what, _, place = str(error).partition(" (at ")
         raise refusal(
             path.name,
@@ -280,13 +289,23 @@ def read_setup(
     given: dict[str, str] = {}
     for key, value in _pairs(overrides):
         given[key] = value if isinstance(value, str) else shown(value)
-        _put(raw, key, _toml_value(value), given[key])
+        _put(raw, key, _toml_value(key, value), given[key])
     return raw, given
 
 
 def validate(raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]) -> AnySettings:
     """The settings in a raw tree; raises `StudyError` that lists every mistake in it."""
     for key, value in _numbers(raw):
+        if isinstance(value, int):
+            if abs(value) > _LARGEST_WHOLE:
+                raise refusal(
+                    source(file, key, overrides),
+                    f"key {key}",
+                    shown(value),
+                    "a whole number of at most 2^63 - 1",
+                    "correct the value",
+                )
+            continue
         spread = key.startswith("model.effect.") and key.endswith("_sigma") and value == math.inf
         if not math.isfinite(value) and not spread:
             raise refusal(
@@ -294,6 +313,14 @@ def validate(raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]) ->
                 f"key {key}",
                 str(value),
                 "a finite number",
+                "correct the value",
+            )
+        if math.isfinite(value) and value and not _SMALLEST <= abs(value) <= _LARGEST:
+            raise refusal(
+                source(file, key, overrides),
+                f"key {key}",
+                f"{value:g}",
+                f"zero, or a number from {_SMALLEST:g} to {_LARGEST:g} in size",
                 "correct the value",
             )
     model = (_several if isinstance(raw.get("data"), list) else _refined)(raw, file, overrides)
@@ -441,13 +468,21 @@ def _pairs(overrides: Mapping[str, Any] | Sequence[str]) -> Iterator[tuple[str, 
         yield key.strip(), value.strip()
 
 
-def _toml_value(value: Any) -> Any:
+def _toml_value(key: str, value: Any) -> Any:
     if not isinstance(value, str):
         return value
     try:
         return tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return value  # text without its quotes
+    except (ValueError, RecursionError) as error:
+        raise refusal(
+            f"override {key}={shown(value)}",
+            f"key {key}",
+            f"what is not TOML ({error})",
+            "a value as in the study file",
+            "correct the value",
+        ) from error
 
 
 def _put(raw: dict[str, Any], key: str, value: Any, text: str) -> None:
@@ -485,8 +520,8 @@ def _row(table: list[Any], part: str, key: str, text: str) -> Any:
     return table[int(part)]
 
 
-def _numbers(tree: Any, key: str = "") -> Iterator[tuple[str, float]]:
-    if isinstance(tree, float):
+def _numbers(tree: Any, key: str = "") -> Iterator[tuple[str, int | float]]:
+    if isinstance(tree, int | float):
         yield key, tree
     elif isinstance(tree, Mapping | list):
         items = tree.items() if isinstance(tree, Mapping) else enumerate(tree)

@@ -37,6 +37,9 @@ from .settings import (
     validate,
 )
 
+_SHORTEST_MM, _FARTHEST_MM = 0.1, 1e6
+"""A travel of less, or one that goes further, is in another unit."""
+
 
 @dataclass(frozen=True)
 class DataSet:
@@ -272,6 +275,14 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
                 f"[{low:g}, {high:g}]",
                 "[lowest, highest] with the lowest below the highest",
                 "exchange or correct them",
+            )
+        if max(-low, high) > _FARTHEST_MM or high - low < _SHORTEST_MM:
+            raise refusal(
+                file,
+                f"key machine.travel_mm.{axis}",
+                f"[{low:g}, {high:g}]",
+                f"at least {_SHORTEST_MM:g} mm of travel, within {_FARTHEST_MM:g} mm",
+                "correct the unit",
             )
     return chain
 
