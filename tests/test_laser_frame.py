@@ -237,7 +237,11 @@ def test_the_map_corrects_the_readings(tmp_path):
     ("old", "new", "said"),
     [
         ('"3d"', '"4d"', "'3d', 'planar' or 'own'"),
-        ('"3d"', '"own"', "without [[instrument.segment]] rows"),
+        (
+            '"3d"',
+            '"own"',
+            "setup.toml, key instrument.beam_path: found 'own' without [[instrument.segment]] rows",
+        ),
         (
             'beam_path = "3d"',
             'beam_path = "3d"\n[[instrument.segment]]\nnumber = 1\nstart_mm = [0, 0, 0]\n'
@@ -254,10 +258,10 @@ def test_the_map_corrects_the_readings(tmp_path):
             'beam_path = "3d"',
             'beam_path = "own"\n[[instrument.segment]]\nnumber = 1\nstart_mm = [0, 0, 0]\n'
             'direction = "+Y"\nlength_mm = 400\npsd_range_mm = [0, 7]',
-            "the beam misses the diode",
+            "setup.toml, key instrument.segment.0.psd_range_mm: found [0.0, 7.0], expected",
         ),
         ("sigma_um = 0.5", "sigma_um = -0.5", "sigma_um"),
-        ("Z = [0, 350]", "", "no travel of every axis"),
+        ("Z = [0, 350]", "", "setup.toml, key machine.travel_mm: found no travel of every axis"),
     ],
 )
 def test_mistakes_in_the_study_file(tmp_path, old, new, said):
@@ -273,8 +277,12 @@ def test_mistakes_in_the_study_file(tmp_path, old, new, said):
 @pytest.mark.parametrize(
     ("column", "value", "said"),
     [
-        ("segment", "7", "row 3, column segment: found 7, expected one of 1, 2, 3, 4, 5"),
-        ("x_mm", "20", "row 3: found the position (20, "),
+        (
+            "segment",
+            "7",
+            "data.csv, row 3 (line 4), column segment: found 7, expected one of 1, 2, 3, 4, 5",
+        ),
+        ("x_mm", "20", "data.csv, row 3 (line 4): found the position (20, "),
         ("z_mm", "100", "expected one on the beam from"),
         ("u_um", "nan", "column u_um"),
     ],

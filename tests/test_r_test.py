@@ -373,10 +373,11 @@ def test_readings_do_not_hold_the_noise_of_the_positions(study):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: t | {"t_s": t["t_s"] * 0 + 1.0}, r"run 0, column t_s: found 1 after 1, exp"),
+        (lambda t: t | {"t_s": t["t_s"] * 0 + 1.0},
+         r"^data.csv, row 2 \(line 3\), run 0, column t_s: found 1 after 1, exp"),
         (lambda t: t | {"plane": np.where(t["run"] == 3, "UV", t["plane"])}, "found 'UV', exp"),
         (lambda t: t | {"plane": np.where(t["run"] == 3, "ZX", t["plane"])},
-         r"run 3, column plane: found ZX, while Y, Z move"),
+         r"^data.csv, row \d+ \(line \d+\), run 3, column plane: found ZX, while Y, Z move, exp"),
         (lambda t: {k: v * 4 if k.endswith("int_mm") else v for k, v in t.items()},
          r"run 0: found a circle of 8 mm, expected about radius_mm = 2"),
         (lambda t: t | {"t_s": 1e3 * t["t_s"]},

@@ -678,7 +678,7 @@ MISTAKES = {
         "setup.toml, key data.0.instrumnt: found the unknown key",
     ),
     "a plan among data": (without_readings, "tracker.csv, header: found no column of readings"),
-    "an unknown ball": (unknown_ball, "balls.csv, row 1, column ball: found 99"),
+    "an unknown ball": (unknown_ball, "balls.csv, row 1 (line 2), column ball: found 99"),
 }
 
 

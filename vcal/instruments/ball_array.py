@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from ..arrays import Array
 from ..chain import Chain
 from ..effects.base import Artefact, Effect, Response
-from ..errors import StudyError
+from ..errors import RowError, StudyError
 from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import COMPONENTS, group
@@ -297,9 +297,12 @@ def _check_balls(file: str, calibrated: np.ndarray, found: np.ndarray) -> None:
     for row, ball in enumerate(found):
         if ball not in calibrated:
             known = ", ".join(str(int(b)) for b in calibrated)
-            raise StudyError(
-                f"data.csv, row {row + 1}, column ball: found {int(ball)}, expected a ball of "
-                f"{file} ({known}); correct the index or add the ball to {file}"
+            raise RowError(
+                row,
+                "column ball",
+                f"{int(ball)}",
+                f"a ball of {file} ({known})",
+                f"correct the index or add the ball to {file}",
             )
 
 
@@ -307,8 +310,10 @@ def _check_poses(poses: np.ndarray, found: np.ndarray) -> None:
     for pose in poses:
         count = int((found == pose).sum())
         if count < 3:
-            row = int(np.argmax(found == pose)) + 1
-            raise StudyError(
-                f"data.csv, row {row}, column pose: found {count} ball(s) in pose {pose}, expected "
-                "at least 3 to find its six unknowns; measure more balls or remove the pose"
+            raise RowError(
+                int(np.argmax(found == pose)),
+                "column pose",
+                f"{count} ball(s) in pose {pose}",
+                "at least 3 to find its six unknowns",
+                "measure more balls or remove the pose",
             )

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ..chain import Chain
 from ..effects.base import Effect
-from ..errors import StudyError
+from ..errors import KeyedError, RowError
 from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
@@ -345,11 +345,13 @@ class LaserFrame(TableInstrument):
                 ends = " to ".join(
                     f"({', '.join(f'{1e3 * v:g}' for v in end)})" for end in (one.start, one.end)
                 )
-                raise StudyError(
-                    f"data, row {row + 1}: found the position ({place}) mm on segment "
-                    f"{one.number}, expected one on the beam from {ends} mm, where it meets the "
-                    f"{1e3 * self.size:g} mm of the diode; correct the row, or the beam path in "
-                    "[instrument]"
+                raise RowError(
+                    int(row),
+                    "",
+                    f"the position ({place}) mm on segment {one.number}",
+                    f"one on the beam from {ends} mm, where it meets the {1e3 * self.size:g} mm "
+                    "of the diode",
+                    "correct the row, or the beam path in [instrument]",
                 )
 
 
@@ -401,45 +403,57 @@ def safe_filter_shift(slope: Scalar, turned: Scalar, thickness: float) -> Scalar
 
 def _segments(settings: LaserFrameSettings, chain: Chain) -> tuple[Segment, ...]:
     if set(chain.axes) != set(_XYZ):
-        raise StudyError(
-            f"[machine]: found the axes {', '.join(chain.axes)}, expected X, Y and Z, along which "
-            "the beams of a laser frame run; correct the chain"
+        raise KeyedError(
+            "machine.chain",
+            f"the axes {', '.join(chain.axes)}",
+            "X, Y and Z, along which the beams of a laser frame run",
+            "correct the chain",
         )
     if settings.beam_path != "own":
         if settings.segment:
-            raise StudyError(
-                f"[instrument]: found beam_path = {settings.beam_path!r} beside segments, expected "
-                "one of them; set beam_path = 'own', or remove the [[instrument.segment]] rows"
+            raise KeyedError(
+                "instrument.beam_path",
+                f"{settings.beam_path!r} beside segments",
+                "one of them",
+                "set beam_path = 'own', or remove the [[instrument.segment]] rows",
             )
         travel = {axis: chain.joint(axis).travel.tolist() for axis in _XYZ}
         if not np.isfinite(list(travel.values())).all():
-            raise StudyError(
-                "[machine.travel_mm]: found no travel of every axis, expected it, as the beam path "
-                f"{settings.beam_path!r} runs along its edges; add it, or give segments"
+            raise KeyedError(
+                "machine.travel_mm",
+                "no travel of every axis",
+                f"it, as the beam path {settings.beam_path!r} runs along its edges",
+                "add it, or give segments",
             )
         return beam_path(settings.beam_path, travel)
     if not settings.segment:
-        raise StudyError(
-            "[instrument]: found beam_path = 'own' without [[instrument.segment]] rows, expected "
-            "one for every segment, with number, start_mm, direction and length_mm; add them"
+        raise KeyedError(
+            "instrument.beam_path",
+            "'own' without [[instrument.segment]] rows",
+            "one for every segment, with number, start_mm, direction and length_mm",
+            "add them",
         )
     numbers = [row.number for row in settings.segment]
     if len(set(numbers)) < len(numbers):
-        raise StudyError(
-            f"[[instrument.segment]]: found the numbers {', '.join(map(str, numbers))}, expected "
-            "every number once; correct them"
+        raise KeyedError(
+            "instrument.segment",
+            f"the numbers {', '.join(map(str, numbers))}",
+            "every number once",
+            "correct them",
         )
     found = []
-    for row in settings.segment:
+    for i, row in enumerate(settings.segment):
         start = np.asarray(row.start_mm) * 1e-3
         step = np.zeros(3)
         step["XYZ".index(row.direction[1])] = float(f"{row.direction[0]}1") * row.length_mm * 1e-3
         reach = tuple(1e-3 * v for v in row.psd_range_mm)
         if max(map(abs, reach)) > 0.5e-3 * settings.psd_size_mm:
-            raise StudyError(
-                f"[[instrument.segment]] {row.number}: found psd_range_mm = "
-                f"{list(row.psd_range_mm)}, expected at most half of psd_size_mm = "
-                f"{settings.psd_size_mm:g}, as the beam misses the diode otherwise; correct them"
+            raise KeyedError(
+                f"instrument.segment.{i}.psd_range_mm",
+                f"{list(row.psd_range_mm)}",
+                f"at most half of psd_size_mm = {settings.psd_size_mm:g}, as the beam misses the "
+                "diode otherwise",
+                "correct them",
             )
         ends = tuple(start.tolist()), tuple((start + step).tolist())
         found.append(Segment(row.number, *ends, row.points, row.psd, reach))  # type: ignore[arg-type]
@@ -450,7 +464,10 @@ def _check_numbers(segments: Sequence[Segment], found: np.ndarray) -> None:
     known = [one.number for one in segments]
     bad = np.flatnonzero(~np.isin(found, known))
     if len(bad):
-        raise StudyError(
-            f"data, row {bad[0] + 1}, column segment: found {found[bad[0]]:g}, expected one of "
-            f"{', '.join(map(str, sorted(known)))}, the segments of the beam path; correct it"
+        raise RowError(
+            int(bad[0]),
+            "column segment",
+            f"{found[bad[0]]:g}",
+            f"one of {', '.join(map(str, sorted(known)))}, the segments of the beam path",
+            "correct it",
         )

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..errors import StudyError
+from ..errors import RowError, StudyError
 from ..record import Record
 from .base import Column, Loader
 
@@ -56,11 +56,14 @@ class PsdMap(Record):
         if outside.any():
             row = int(np.argmax(outside))
             where = ", ".join(f"{1e3 * x:g}" for x in place[row])
-            raise StudyError(
-                f"data, row {row + 1}: found the beam at ({where}) mm on the diode, expected a "
-                f"place within the calibrated {1e3 * low[0]:g} to {1e3 * high[0]:g} and "
-                f"{1e3 * low[1]:g} to {1e3 * high[1]:g} mm of {self.name}; the beam misses the "
-                "diode's range: correct psd_u_mm and psd_v_mm, or calibrate further out"
+            raise RowError(
+                row,
+                "",
+                f"the beam at ({where}) mm on the diode",
+                f"a place within the calibrated {1e3 * low[0]:g} to {1e3 * high[0]:g} and "
+                f"{1e3 * low[1]:g} to {1e3 * high[1]:g} mm of {self.name}",
+                "the beam misses the diode's range: correct psd_u_mm and psd_v_mm, or calibrate "
+                "further out",
             )
         i = np.clip(np.searchsorted(self.u, place[:, 0]) - 1, 0, len(self.u) - 2)
         j = np.clip(np.searchsorted(self.v, place[:, 1]) - 1, 0, len(self.v) - 2)

@@ -13,14 +13,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pydantic import Field, model_validator
 
 from ..arrays import Array
 from ..chain import Chain
 from ..circles import Circle, fit_circle
 from ..effects.base import Effect, Response
-from ..errors import StudyError
+from ..errors import RowError
 from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import group
@@ -222,7 +222,7 @@ class RTest(TableInstrument):
         for number in np.unique(run):
             mine = np.flatnonzero(run == number)
             a_set = np.asarray(covariates["a_set_m_s2"])[mine]
-            circle = self._circle(number, t[mine], read[mine], plane[mine], a_set, chain.axes)
+            circle = self._circle(number, mine, t[mine], read[mine], plane[mine], a_set, chain.axes)
             position[mine] = circle.position(t[mine])
             values = circle.acceleration(t[mine])
             if self.nominal:
@@ -318,51 +318,68 @@ class RTest(TableInstrument):
     def _circle(
         self,
         run: int,
+        rows: Int[np.ndarray, " n"],
         t: Float[np.ndarray, " n"],
         position: Float[np.ndarray, "n axes"],
         plane: np.ndarray,
         a_set: Float[np.ndarray, " n"],
         axes: Sequence[str],
     ) -> Circle:
-        where = f"data, run {run}"
+
+        def refuse(column: str, found: str, expected: str, do: str, at: int = 0) -> RowError:
+            place = f"run {run}" + (f", column {column}" if column else "")
+            return RowError(int(rows[at]), place, found, expected, do)
+
         if (np.diff(t) <= 0.0).any():
             row = int(np.argmax(np.diff(t) <= 0.0))
-            raise StudyError(
-                f"{where}, column t_s: found {t[row + 1]:g} after {t[row]:g}, expected rising "
-                "times; sort the rows of the run, or give the repeated circle another run"
+            raise refuse(
+                "t_s",
+                f"{t[row + 1]:g} after {t[row]:g}",
+                "rising times",
+                "sort the rows of the run, or give the repeated circle another run",
+                row + 1,
             )
         try:
             circle = fit_circle(t, position)
         except ValueError as error:
-            raise StudyError(f"{where}: {error}; correct the rows, or leave the run out") from error
+            found, _, expected = str(error).removeprefix("found ").partition(", expected ")
+            raise refuse("", found, expected, "correct the rows, or leave the run out") from error
         step = float(np.median(np.diff(t)))
         turns = circle.omega * (t[-1] - t[0] + step) / (2.0 * np.pi)
         if turns < 1.0 - _SLACK:
-            raise StudyError(
-                f"{where}: found {turns:.2f} of a turn, expected a whole one at least, as offset "
-                "and amplitude cannot be told apart on less; measure longer, or leave the run out"
+            raise refuse(
+                "",
+                f"{turns:.2f} of a turn",
+                "a whole one at least, as offset and amplitude cannot be told apart on less",
+                "measure longer, or leave the run out",
             )
         moving = {axis for axis, moves in zip(axes, circle.moving, strict=True) if moves}
         if len(set(plane)) > 1 or moving != set(PLANES[plane[0]]):
             found = " and ".join(dict.fromkeys(PLANES[k] for k in plane))
-            raise StudyError(
-                f"{where}, column plane: found {found}, while {', '.join(sorted(moving))} move; "
-                "expected the plane of the two axes that do; correct the column"
+            raise refuse(
+                "plane",
+                f"{found}, while {', '.join(sorted(moving))} move",
+                "the plane of the two axes that do",
+                "correct the column",
             )
         ratio = float(circle.amplitude.max()) / self.radius
         if not 1.0 / _WITHIN < ratio < _WITHIN:
-            raise StudyError(
-                f"{where}: found a circle of {1e3 * ratio * self.radius:.3g} mm, expected about "
-                f"radius_mm = {1e3 * self.radius:g}; correct the key, or the unit of the columns"
+            raise refuse(
+                "",
+                f"a circle of {1e3 * ratio * self.radius:.3g} mm",
+                f"about radius_mm = {1e3 * self.radius:g}",
+                "correct the key, or the unit of the columns",
             )
         a = circle.omega**2 * float(circle.amplitude.max())
         wrong = ~((a_set > a / _WITHIN) & (a_set < a * _WITHIN))
         if wrong.any():
-            raise StudyError(
-                f"{where}, column a_set_m_s2: found {a_set[wrong][0]:g}, while the axes travel "
-                f"{1e3 * circle.amplitude.max():.3g} mm at {circle.omega / 2.0 / np.pi:.3g} turns "
-                f"per second, {a:.3g} m/s^2; expected about the same; correct the column, or the "
-                "unit of t_s"
+            raise refuse(
+                "a_set_m_s2",
+                f"{a_set[wrong][0]:g}, while the axes travel {1e3 * circle.amplitude.max():.3g} mm "
+                f"at {circle.omega / 2.0 / np.pi:.3g} turns per second, {a:.3g} m/s^2",
+                "about the same",
+                "correct the column, or the unit of t_s",
+                int(np.argmax(wrong)),
             )
         return circle
 
@@ -383,8 +400,7 @@ def _plane_numbers(names: np.ndarray) -> np.ndarray:
     known = {name: i for i, plane in enumerate(PLANES) for name in (plane, plane[::-1])}
     for row, name in enumerate(names):
         if str(name).upper() not in known:
-            raise StudyError(
-                f"data, row {row + 1}, column plane: found {str(name)!r}, expected one of "
-                f"{', '.join(PLANES)}; correct it"
+            raise RowError(
+                row, "column plane", repr(str(name)), f"one of {', '.join(PLANES)}", "correct it"
             )
     return np.array([known[str(name).upper()] for name in names])

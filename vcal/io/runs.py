@@ -213,9 +213,8 @@ def _check_tool_points(table: Table, chain: Chain) -> None:
     """True tool points are where the axes were commanded to, but for the errors of the machine and
     a rigid motion, which takes in where the tool is.
     """
-    commanded = sum(
-        np.outer(table[f"{joint.name.lower()}_mm"], joint.direction) for joint in chain.joints
-    )
+    position = np.column_stack([table[f"{joint.name.lower()}_mm"] for joint in chain.joints])
+    commanded = position @ np.stack([np.asarray(j.direction) for j in chain.joints])
     found = np.column_stack([table[name] for name in _TOOL_POINT])
     turn, place = best_rigid(found, commanded)
     off = np.linalg.norm(found @ turn.T + place - commanded, axis=1)

@@ -12,7 +12,7 @@ from ..catalogue import nearest
 from ..chain import Chain, chain_from_dh, chain_from_string
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
-from ..errors import StudyError
+from ..errors import KeyedError, RowError, StudyError
 from ..instruments import INSTRUMENTS
 from ..instruments.base import Instrument, InstrumentSettings, TableInstrument
 from ..instruments.several import DataSet as Member
@@ -36,6 +36,7 @@ from .settings import (
     read_setup,
     validate,
 )
+from .table import Table
 
 _SHORTEST_MM, _FARTHEST_MM = 0.1, 1e6
 """A travel of less, or one that goes further, is in another unit."""
@@ -307,12 +308,7 @@ def _data_sets(
         if row.tool_offset_mm is not None:
             offset = np.array(row.tool_offset_mm) * 1e-3
             own = with_tool(chain, offset - np.asarray(chain.tool_offset))
-        key = f"data.{i}."
-        try:
-            one = _data_set(row.name, row.file, row.instrument, own, folder, file, key)
-        except StudyError as error:
-            # Instruments call the table as a study of one data set does by default.
-            raise StudyError(str(error).replace("data.csv, ", f"{row.file}, ")) from error
+        one = _data_set(row.name, row.file, row.instrument, own, folder, file, f"data.{i}.")
         if "t" in one.plan.covariates:
             later = {"t": np.asarray(one.plan.covariates["t"]) + row.start_s}
             one = replace(one, plan=replace(one.plan, covariates={**one.plan.covariates, **later}))
@@ -362,6 +358,22 @@ def _data_set(
 ) -> DataSet:
     """One data set; `key` is where the study file has it."""
     table, measured = run_table(table_name, settings, chain, folder, file, key)
+    try:
+        instrument, plan, readings = _instrument(settings, chain, table, measured, folder)
+    except RowError as error:
+        place = f", {error.place}" if error.place else ""
+        where = f"row {error.row + 1} (line {table.lines[error.row]}){place}"
+        raise StudyError(f"{table.name}, {where}: {error.what}") from error
+    except KeyedError as error:
+        own = key if error.key.startswith("instrument.") else ""
+        raise StudyError(f"{file}, key {own}{error.key}: {error.what}") from error
+    return DataSet(name, table_name, settings, instrument, chain, plan, readings)
+
+
+def _instrument(
+    settings: InstrumentSettings, chain: Chain, table: Table, measured: bool, folder: Folder
+) -> tuple[TableInstrument, Plan, np.ndarray | None]:
+    """The instrument of a table, started from its readings, where there are any."""
     instrument = INSTRUMENTS[settings.kind].build(settings, chain, table, folder.table)
     plan = instrument.plan(chain, table)
     readings = None
@@ -376,7 +388,7 @@ def _data_set(
                 "export the readings again",
             )
         instrument = instrument.start(chain, plan, readings)
-    return DataSet(name, table_name, settings, instrument, chain, plan, readings)
+    return instrument, plan, readings
 
 
 def _together(sets: Sequence[DataSet], chain: Chain) -> tuple[Instrument, Plan, np.ndarray | None]:
