@@ -257,6 +257,45 @@ TABLES = {
         cell(2, "x_mm", "-3", "check.csv"),
         ("check.csv, row 2 (line 3), column x_mm", "found -3", "expected 0 to 2000"),
     ),
+    "another separator": (
+        lines(lambda found: [line.replace(",", "|") for line in found]),
+        (
+            "data.csv, header (line 1)",
+            'found one name, "point|x_mm|',
+            "separated by commas or semicolons or tabs",
+        ),
+    ),
+    "blanks between the columns": (
+        lines(lambda found: [line.replace(",", " ") for line in found]),
+        ("data.csv, header (line 1)", "found one name", "save the table with one of these"),
+    ),
+    "an index without end": (
+        cell(3, "point", "1e300"),
+        ("data.csv, row 3 (line 4), column point", "found 1e300", "no more than 1e+09 in size"),
+    ),
+    "a time without end": (
+        cell(3, "t_s", "1e300"),
+        ("data.csv, row 3 (line 4), column t_s", "found 1e300", "no more than 1e+15 in size"),
+    ),
+    "a mistake below a preamble": (
+        both(
+            cell(2, "range_mm", "no"),
+            lines(lambda found: ["sep=,", '# measured by "me', "", "# again", *found]),
+        ),
+        ("data.csv, row 2 (line 7), column range_mm", "'no'"),
+    ),
+    "no name of the data": (
+        append('\n[data]\ndata = ""\n'),
+        ("setup.toml, key data.data", 'found ""', "text that is not empty"),
+    ),
+    "no name of the check points": (
+        append('\n[data]\ncheck = ""\n'),
+        ("setup.toml, key data.check", 'found ""', "text that is not empty"),
+    ),
+    "a folder for check points": (
+        append('\n[data]\ncheck = "."\n'),
+        (".", "file", "found a folder", "a CSV table"),
+    ),
     "one axis in metres": (
         lines(lambda found: [found[0], *(in_metres(line, 2) for line in found[1:])]),
         (
@@ -666,6 +705,14 @@ SETUP = {
         append("\n[loop]\nseed = " + "[" * 5000),
         ("setup.toml, file", "what is not TOML (maximum recursion depth", "correct the line"),
     ),
+    "pitch of nothing": (
+        effect('name = "screw_cyclic"\nplacement = "Y"\npitch_mm = 0'),
+        ("model.effect.0.pitch_mm (screw_cyclic)", "found 0", "a number greater than 0"),
+    ),
+    "negative pitch": (
+        effect('name = "screw_cyclic"\nplacement = "Y"\npitch_mm = -5'),
+        ("model.effect.0.pitch_mm (screw_cyclic)", "found -5", "a number greater than 0"),
+    ),
     "missing travel": (
         replace("Z = [0, 600]\n", ""),
         ("setup.toml, key machine.travel_mm.Z", "found nothing", "add it, such as Z = [0, 1000]"),
@@ -783,6 +830,19 @@ def test_study_file(small_tracker_study, case):
     check(small_tracker_study, expected)
 
 
+def test_a_list_that_is_wrong_is_told_once(small_tracker_study):
+    message = check(small_tracker_study, ("loop.effects.0", "found 3"), ["loop.effects=[3]"])
+    assert len(message.splitlines()) == 1
+
+
+def test_what_stands_before_the_header_is_left_out(small_tracker_study):
+    plain = load_study(small_tracker_study).measurement
+    lines(lambda found: ["# a comment; of mine", *found])(small_tracker_study)
+    SEMICOLONS(small_tracker_study)
+    lines(lambda found: ["sep=;", *found])(small_tracker_study)
+    assert (load_study(small_tracker_study).measurement.readings == plain.readings).all()
+
+
 def test_all_mistakes_of_a_study_file_are_told_at_once(small_tracker_study):
     replace("range_sigma_um = 1.3", 'range_sigma_um = "1.3"')(small_tracker_study)
     replace("angle_sigma_urad = 2.5", "angle_sigma_uard = 2.5")(small_tracker_study)
@@ -798,6 +858,22 @@ OWN = {
         "    parameters = ()\n    def response(self, plan, shape):\n        return {}\n",
         ("own.py, class A", "'backlash', which is taken", "rename the effect"),
     ),
+    "name of the geometry": (
+        "from vcal.effects import Effect\nclass A(Effect):\n    name = 'geometric'\n"
+        "    parameters = ()\n    def response(self, plan, shape):\n        return {}\n",
+        ("own.py, class A", "'geometric', which is taken", "rename the effect"),
+    ),
+    "name with a colon": (
+        "from vcal.effects import Effect\nclass A(Effect):\n    name = 'mine:Y'\n"
+        "    parameters = ()\n    def response(self, plan, shape):\n        return {}\n",
+        ("own.py, class A", "the name 'mine:Y'", "letters, digits and _", "rename the effect"),
+    ),
+    "no number": (
+        "from vcal.effects import Effect\nfrom vcal.parameters import Parameter\n"
+        "class A(Effect):\n    name = 'mine'\n    parameters = (Parameter('size', 'um'),)\n"
+        "    def response(self, plan, shape):\n        return {('EXX', 'size'): float('inf')}\n",
+        ("key model.effect.0 (mine)", "found no finite deviation in row 1", "correct the values"),
+    ),
     "unknown port": (
         "from vcal.effects import Effect\nfrom vcal.parameters import Parameter\n"
         "class A(Effect):\n    name = 'mine'\n    parameters = (Parameter('size', 'um'),)\n"
@@ -812,7 +888,7 @@ def test_own_effects(small_tracker_study, case):
     text, expected = OWN[case]
     (small_tracker_study / "own.py").write_text(text, encoding="utf-8")
     append('\n[model]\neffects_file = "own.py"\n')(small_tracker_study)
-    if case == "unknown port":
+    if case in ("unknown port", "no number"):
         effect('name = "mine"')(small_tracker_study)
     with pytest.raises(StudyError) as caught:
         load_study(small_tracker_study)

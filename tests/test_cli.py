@@ -385,6 +385,30 @@ def test_simulate_leaves_alone_what_is_there(tmp_path, small_tracker_study):
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["mine.txt"]
 
 
+def test_a_folder_that_cannot_be_made(tmp_path, small_tracker_study):
+    (tmp_path / "file").write_text("mine")
+    for command in ("loop", "simulate", "uncertainty", "design"):
+        told = refused(command, small_tracker_study, "--out", tmp_path / "file" / "sub")
+        assert f"output folder: found the file {tmp_path / 'file'} in its path" in told
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--with", "backlash:Y:size_um=1e14"), "column range_mm: found 5e+10 in the simulation"),
+        (("--noise-factor", "1e300"), "found 1e+300, expected a number of at least 0 and at most"),
+        (("--noise-factor", "nan"), "found nan, expected a number of at least 0 and at most"),
+        (("--noise-factor", "1e6"), "in the simulation, expected a number from"),
+    ],
+)
+def test_simulate_writes_only_what_can_be_read_again(
+    tmp_path, small_tracker_study, options, message
+):
+    assert message in refused("simulate", small_tracker_study, "--out", tmp_path / "out", *options)
+    assert not (tmp_path / "out").exists()
+
+
 def test_simulate_copies_no_file_from_elsewhere(tmp_path, small_tracker_study):
     (small_tracker_study / "errors.csv").rename(tmp_path / "errors.csv")
     setup = small_tracker_study / "setup.toml"

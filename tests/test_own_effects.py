@@ -62,6 +62,27 @@ WRONG = {
     "no candidates": ('yield cls(placement="Z")', "return None", "candidates: found TypeError"),
     "no scan": (PARAMETERS, SHAPE, "scan: found no numbers for at"),
     "needs a text": ('return ("Z",)', 'return "Z"', "needs: found 'Z', expected a tuple"),
+    "needs nothing": ('return ("Z",)', "return None", "needs: found None, expected a tuple"),
+    "text for a sigma": ("sigma=20.0", 'sigma="20"', "sigma = '20' of 'k', expected a number"),
+    "a number for a name": ('Parameter("k"', "Parameter(3", "name = 3 of 3, expected a name in"),
+    "no unit": ('"um/m"', "None", "unit = None of 'k', expected a unit in quotes"),
+    "a key for a parameter": (
+        PARAMETERS,
+        '(vcal.Parameter("placement", "1"),)',
+        "parameters: found the name 'placement', expected letters",
+    ),
+    "unknown kind": ('name = "quill_sag"', 'name = "q"; kind = "bias"', "kind: found 'bias', exp"),
+    "no odds": ('name = "quill_sag"', 'name = "q"; odds = 0', "odds: found 0, expected a number"),
+    "scan without a dict": (
+        PARAMETERS,
+        SHAPE + "\n\n    def scan(self, plan):\n        return [1.0]",
+        "scan: found list, expected a dict {shape: values}",
+    ),
+    "scan of texts": (
+        PARAMETERS,
+        SHAPE + '\n\n    def scan(self, plan):\n        return {"at": ["a"]}',
+        "scan: found no numbers for at",
+    ),
     "no effect": ('yield cls(placement="Z")', "yield 3", "candidates: found 3, expected effects"),
 }
 
@@ -149,6 +170,19 @@ def test_none_of_the_effects_can_be_tested(small_tracker_study):
         close_study(study, study.measurement, lambda text: None)
 
 
+def test_equations_without_a_solution_may_be_due_to_either_file(small_tracker_study, monkeypatch):
+    def unsolvable(*args, **kwargs):
+        raise np.linalg.LinAlgError("not positive definite")
+
+    monkeypatch.setattr(vcal.cli.closing, "close_loop", unsolvable)
+    study = load_study(small_tracker_study)
+    with pytest.raises(StudyError) as caught:
+        close_study(study, study.measurement, lambda text: None)
+    told = str(caught.value)
+    assert told.startswith("data.csv, setup.toml, columns of positions and readings, tables ")
+    assert "declared noise, errors and effects of the size that they have" in told
+
+
 def edited(folder, column, change, file="data.csv"):
     path = folder / file
     head, *rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
@@ -200,6 +234,23 @@ def test_too_few_check_points(small_tracker_study):
         (small_tracker_study / "check.csv").write_text(text)
         with pytest.raises(StudyError, match=rf"check.csv, row {count} .*expected at least 3"):
             load_study(small_tracker_study)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "backlash:Y:size_um=1e308",
+            "found 1e308, expected zero, or a number from 1e-15 to 1e+15",
+        ),
+        ("screw_cyclic:Y:pitch_mm=0", "key pitch_mm (screw_cyclic): found 0, expected a number gr"),
+    ],
+)
+def test_a_size_that_nothing_has(small_tracker_study, text, message):
+    study = load_study(small_tracker_study)
+    setup = study.model.setup(study.plan)
+    with pytest.raises(StudyError, match=re.escape(message)):
+        parse_with(text, study.catalogue, setup)
 
 
 @pytest.mark.parametrize("value", ["nan", "inf"])

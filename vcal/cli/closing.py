@@ -39,9 +39,11 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
         )
     except np.linalg.LinAlgError as error:
         raise refusal(
-            listed(one.file for one in study.sets),
-            "columns of positions and readings",
+            listed([*(one.file for one in study.sets), study.path.name]),
+            "columns of positions and readings, tables instrument and model",
             f"equations that have no solution ({error})",
-            "readings that follow the positions, all in the units of their columns' names",
-            "compare the first rows with what was measured",
+            "readings that follow the positions, and declared noise, errors and effects of the "
+            "size that they have, all in the units of their names",
+            "compare the first rows with what was measured, and the declared sizes with the "
+            "machine; numbers many powers of ten apart are such a case",
         ) from error

@@ -1,7 +1,6 @@
 """What `vcal uncertainty` does: from its arguments to the report."""
 
 import contextlib
-import math
 import shutil
 import sys
 import time
@@ -12,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 from ..errors import StudyError
 from ..io import Study, load_study
 from ..io.messages import refusal
-from ..io.simulated import parse_with
+from ..io.simulated import check_noise_factor, parse_with
 from ..model import Model
 from ..report import DRAWS, check_virtual_folder, sentence, write_virtual
 from ..uncertainty.virtual import check_keys, virtual_calibration
@@ -51,9 +50,7 @@ def run_virtual(
     """
     began = time.perf_counter()
     number = parse_draws(draws)
-    if not 0.0 <= noise_factor < math.inf:
-        found = f"{noise_factor:g}"
-        raise refusal("--noise-factor", "value", found, "a number of at least 0", "correct it")
+    check_noise_factor(noise_factor)
     check_virtual_folder(out)
     study = load_study(setup, overrides)
     _ = study.one  # several data sets are refused before the work, not after it

@@ -16,7 +16,7 @@ from ..plan import Plan
 from ..ports import COMPONENTS, group
 from ..rigid import Rotation, Scalar, Vector
 from ..spatial import best_rigid
-from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
+from .base import Column, FileName, InstrumentSettings, Loader, Ports, TableInstrument, register
 from .conditions import linear_plan, linear_plan_table
 from .frame import displaced, pose_parameters
 
@@ -39,7 +39,7 @@ _XYZ = ("X", "Y", "Z")
 class BallArraySettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "ball_array"``."""
 
-    artefact: str
+    artefact: FileName
     probe_sigma_um: float = Field(gt=0)
     ball_position_u_um: float = Field(default=0.0, ge=0)
     supports: tuple[float, float] = (0.2203, 0.7797)

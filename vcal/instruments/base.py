@@ -2,11 +2,11 @@
 
 import abc
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from ..arrays import Array
 from ..catalogue import Catalogue
@@ -28,6 +28,10 @@ class Column(BaseModel):
     integer: bool = False
     unique_with: tuple[str, ...] = ()
     """Index columns that together with this one must not repeat."""
+
+
+FileName = Annotated[str, Field(min_length=1)]
+"""A file beside the study file."""
 
 
 Loader = Callable[[str, list[Column]], Mapping[str, np.ndarray]]

@@ -21,7 +21,7 @@ from ..errors import KeyedError, RowError
 from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
-from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
+from .base import Column, FileName, InstrumentSettings, Loader, Ports, TableInstrument, register
 from .conditions import linear_plan, linear_plan_table
 from .frame import Station, displaced
 from .psd_map import PsdMap
@@ -158,7 +158,7 @@ class LaserFrameSettings(InstrumentSettings):
     psd_lever_mm: float = Field(default=0.0, ge=0)
     """From the spindle's axis to the upright diode, towards the beam."""
     psd_size_mm: float = Field(default=10.0, gt=0)
-    psd_map: str | None = None
+    psd_map: FileName | None = None
     """Table of the diode's calibrated error: u_mm, v_mm, error_u_um, error_v_um on a full grid."""
     filter_mm: float = Field(default=0.0, ge=0)
     """Thickness of the filter in front of the diode."""

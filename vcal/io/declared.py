@@ -2,7 +2,8 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,9 @@ from .messages import listed, refusal, shown
 from .settings import EffectSettings
 
 _KIND = "distribution"
+_INSIDE = f"{__name__.partition('.')[0]}."
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+"""What can stand in ``--with NAME:PLACEMENT``, in a key and in the name of a page."""
 _UNIVARIATE = tuple(name for name, kind in DISTRIBUTIONS.items() if issubclass(kind, Univariate))
 """Distributions of one number, by name."""
 
@@ -37,6 +41,7 @@ def catalogue_with(folder: Folder, effects_file: str | None) -> dict[str, type[E
     known = dict(CATALOGUE)
     if effects_file is None:
         return known
+    reserved = set(_names_inside(Effect))
     path = folder.path(effects_file, "a Python file with effect classes")
     try:
         own = load_effects(path)
@@ -45,7 +50,15 @@ def catalogue_with(folder: Folder, effects_file: str | None) -> dict[str, type[E
         CATALOGUE.clear()
         CATALOGUE.update(known)
     for effect in own:
-        if effect.name in known:
+        if not _NAME.fullmatch(effect.name):
+            raise refusal(
+                effects_file,
+                f"class {effect.__name__}",
+                f"the name {effect.name!r}",
+                "letters, digits and _, beginning with a letter",
+                "rename the effect",
+            )
+        if effect.name in known or effect.name in reserved:
             raise refusal(
                 effects_file,
                 f"class {effect.__name__}",
@@ -55,6 +68,14 @@ def catalogue_with(folder: Folder, effects_file: str | None) -> dict[str, type[E
             )
         known[effect.name] = effect
     return known
+
+
+def _names_inside(kind: type[Effect]) -> Iterator[str]:
+    """Names of all effects that vcal itself has, those of instruments and descriptions included."""
+    for one in kind.__subclasses__():
+        if one.__module__.startswith(_INSIDE):
+            yield getattr(one, "name", "")
+        yield from _names_inside(one)
 
 
 def unknown_effect(name: str, catalogue: Catalogue, file: str, key: str) -> StudyError:
@@ -348,6 +369,8 @@ def _given(
                 f"no sigma: {p.name} is known where it is given, and looked for where it is not",
                 "remove the key",
             )
+        if p.shape and p.coordinate != "linear" and value <= 0.0:
+            raise where.refusal(key, f"{value:g}", "a number greater than 0", "correct the value")
         if part in values.setdefault(p.name, {}):
             raise where.refusal(
                 key, f"{p.name} given twice", "every parameter once", "remove one of the keys"
@@ -430,7 +453,7 @@ def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: Mapping
             p.name: p.mean * p.si if p.name in {n for n, *_ in effect.given} else math.nan
             for p in effect.shapes
         }
-        effect_terms(effect, setup.layout, plan, shape)
+        terms = effect_terms(effect, setup.layout, plan, shape)
     except Exception as error:
         raise where.refusal(
             "",
@@ -438,3 +461,13 @@ def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: Mapping
             "deviations of ports that this machine and instrument have",
             f"mend {type(effect).__name__}, or remove the effect",
         ) from error
+    numbers = np.concatenate([terms.offset, terms.values], axis=1)
+    if np.isfinite(list(shape.values())).all() and not np.isfinite(numbers).all():
+        row = int(np.argmin(np.isfinite(numbers).all(1)))
+        values = ", ".join(f"{name} {mean:g}" for name, mean, _ in effect.given) or "nothing given"
+        raise where.refusal(
+            "",
+            f"no finite deviation in row {row + 1} with {values}",
+            "values that make one everywhere",
+            "correct the values",
+        )

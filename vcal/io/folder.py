@@ -1,6 +1,7 @@
 """The files beside a study file, each with its fingerprint once it was read."""
 
 import hashlib
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,6 +9,33 @@ from pathlib import Path
 from ..instruments.base import Column
 from .messages import refusal
 from .table import Table, read_header, read_table
+
+
+def check_way(out: Path) -> None:
+    """Raises `StudyError` where a folder `out` could not be made, before any work is done for it:
+    below a file, or where the user may not write.
+    """
+    above = out.absolute()
+    while not above.exists() and above != above.parent:
+        above = above.parent
+    if above == out.absolute() and not above.is_dir():
+        return  # what is there itself is for the caller to judge
+    if not above.is_dir():
+        raise refusal(
+            str(out),
+            "output folder",
+            f"the file {above} in its path",
+            "a place in which a folder can be made",
+            "choose another",
+        )
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise refusal(
+            str(out),
+            "output folder",
+            f"that {above} cannot be written to",
+            "a place in which a folder can be made",
+            "choose another",
+        )
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ _EXPECTED = {
     "list_type": "a list in square brackets",
     "model_type": "a table",
     "model_attributes_type": "a table",
+    "string_too_short": "text that is not empty",
     "string_type": "text in quotes",
     "tuple_type": "a list in square brackets",
 }
@@ -77,6 +78,8 @@ def explain(
     lines, seen = [], set()
     for e in errors:
         loc = e["loc"]
+        if any(len(o["loc"]) > len(loc) and o["loc"][: len(loc)] == loc for o in errors):
+            continue  # what is in a list or a table is wrong already
         if e["type"] == "missing" and (loc in meant or loc[:-1] in seen):
             continue
         if e["type"] == "missing" and isinstance(loc[-1], int):

@@ -2,12 +2,13 @@
 
 import inspect
 import math
+import re
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
-from ..effects.base import Effect, Setup
+from ..effects.base import Effect, Kind, Setup
 from ..effects.data_set import in_setup
 from ..errors import StudyError
 from ..parameters import Parameter
@@ -16,6 +17,23 @@ from ..units import si_factor
 from .messages import listed, refusal
 
 _DO = "mend the class"
+_ATTRIBUTES = (
+    ("summary", lambda v: isinstance(v, str), "a line of text"),
+    ("kind", lambda v: v in get_args(Kind), f"one of {listed(map(repr, get_args(Kind)))}"),
+    ("where", lambda v: v in ("machine", "instrument"), "'machine' or 'instrument'"),
+    ("odds", lambda v: isinstance(v, int | float) and 0.0 < v < math.inf, "a number above 0"),
+)
+"""Class attributes: name, what is good, and how messages call that."""
+_OF_PARAMETERS = (
+    ("name", str, "a name in quotes"),
+    ("unit", str, 'a unit in quotes, such as "um/K"'),
+    ("sigma", int | float, "a number"),
+    ("mean", int | float, "a number"),
+    ("scale", int | float, "a number"),
+)
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]*")
+_RESERVED = ("name", "placement", "component", "data_set", "given", "priors")
+"""Keys of a [[model.effect]] row, and fields of every effect."""
 
 
 def check_own(file: str, classes: Mapping[str, type[Effect]], setup: Setup, plan: Plan) -> None:
@@ -46,6 +64,9 @@ def _check(file: str, kind: type[Effect], setup: Setup, plan: Plan) -> None:
     if inspect.isabstract(kind):
         missing = listed(sorted(kind.__abstractmethods__))
         raise refuse("body", f"no {missing}", "parameters and response")
+    for attribute, good, expected in _ATTRIBUTES:
+        if not good(value := getattr(kind, attribute)):
+            raise refuse(attribute, repr(value), expected)
     made = attempt("candidates", "effects, as in `yield cls()`", lambda: in_setup(kind, setup))
     for effect in made:
         if not isinstance(effect, Effect):
@@ -55,14 +76,17 @@ def _check(file: str, kind: type[Effect], setup: Setup, plan: Plan) -> None:
         )
         _check_parameters(parameters, refuse)
         needs = attempt("needs", "a tuple of names", lambda e=effect: e.needs)
-        if isinstance(needs, str) or not all(isinstance(need, str) for need in needs):
-            raise refuse("needs", repr(needs), 'a tuple of names, as in ("T_x",)')
+        _check_names("needs", needs, refuse)
+        betrayed = attempt("betrayed_by", "a tuple of names", lambda e=effect: e.betrayed_by)
+        _check_names("betrayed_by", betrayed, refuse)
         if not plan.has(*needs):
             continue
         grids = attempt("scan", "a dict {shape: values}", lambda e=effect: e.scan(plan))
+        if not isinstance(grids, Mapping):
+            raise refuse("scan", type(grids).__name__, "a dict {shape: values}")
         shape = {}
         for p in effect.shapes:
-            grid = np.asarray(grids.get(p.name, ()))
+            grid = _numbers(grids.get(p.name, ()))
             if grid.ndim != 1 or not len(grid) or not np.isfinite(grid).all():
                 raise refuse("scan", f"no numbers for {p.name}", "the values to try, in SI")
             shape[p.name] = float(grid[len(grid) // 2])
@@ -74,10 +98,34 @@ def _check(file: str, kind: type[Effect], setup: Setup, plan: Plan) -> None:
             _check_column(key, column, effect, setup, plan, refuse)
 
 
+def _check_names(method: str, names: Any, refuse: Callable[[str, str, str], StudyError]) -> None:
+    if not isinstance(names, tuple | list) or not all(isinstance(name, str) for name in names):
+        raise refuse(method, repr(names), 'a tuple of names, as in ("T_x",)')
+
+
+def _numbers(values: Any) -> np.ndarray:
+    """The values as numbers; none where they are something else."""
+    try:
+        return np.asarray(values, float)
+    except (TypeError, ValueError):
+        return np.zeros(0)
+
+
 def _check_parameters(parameters: Any, refuse: Callable[[str, str, str], StudyError]) -> None:
     expected = "a tuple of vcal.Parameter, each with a name of its own"
     if not isinstance(parameters, tuple) or not all(isinstance(p, Parameter) for p in parameters):
         raise refuse("parameters", repr(parameters), expected)
+    for p in parameters:
+        for attribute, kinds, what in _OF_PARAMETERS:
+            value = getattr(p, attribute)
+            if not isinstance(value, kinds) or isinstance(value, bool):
+                raise refuse("parameters", f"{attribute} = {value!r} of {p.name!r}", what)
+        if not _NAME.fullmatch(p.name) or p.name in _RESERVED:
+            raise refuse(
+                "parameters",
+                f"the name {p.name!r}",
+                f"letters, digits, . and _, a letter first, and none of {listed(_RESERVED)}",
+            )
     names = [p.name for p in parameters]
     if not parameters or len(set(names)) < len(names):
         raise refuse("parameters", listed(names), expected)

@@ -175,8 +175,6 @@ def _check_extent(table: Table, chain: Chain) -> None:
     }
     if not columns or not all(name in table for name in columns):
         return
-    for name, travel in columns.items():
-        _check_unit(table, name, travel)
     shares = [np.ptp(table[name]) / np.ptp(travel) for name, travel in columns.items()]
     if 0.0 < max(shares) < _LEAST_SHARE:
         low = min(table[name].min() for name in columns)
@@ -189,6 +187,8 @@ def _check_extent(table: Table, chain: Chain) -> None:
             "millimetres over more of it",
             "correct the unit of the positions or of machine.travel_mm",
         )
+    for name, travel in columns.items():
+        _check_unit(table, name, np.asarray(travel))
 
 
 def _check_unit(table: Table, name: str, travel: np.ndarray) -> None:

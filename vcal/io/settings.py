@@ -15,7 +15,7 @@ from ..design.plan_space import DesignSettings
 from ..design.spaces import settings_of
 from ..errors import StudyError
 from ..instruments import INSTRUMENTS
-from ..instruments.base import InstrumentSettings
+from ..instruments.base import FileName, InstrumentSettings
 from .messages import at, explain, listed, refusal, shown, source
 
 Triple = tuple[float, float, float]
@@ -27,6 +27,8 @@ _Angle = Annotated[float, Field(ge=-720, le=720)]
 _LARGEST_WHOLE = 2**63 - 1
 _SMALLEST, _LARGEST = 1e-15, 1e15
 """Sizes of numbers, other than zero, whose squares and products can be computed with."""
+COMPUTABLE = f"zero, or a number from {_SMALLEST:g} to {_LARGEST:g} in size"
+"""What messages call a number that is `computable`."""
 
 
 class Table(BaseModel):
@@ -115,7 +117,7 @@ class FourierSettings(Table):
     """``[model.geometric]`` of linear axes whose amplitudes stand in a table."""
 
     family: Literal["fourier"]
-    table: str
+    table: FileName
     """File with the columns component, a0, a1, n1, b1, c1, n2, b2, c2 (um, urad)."""
 
 
@@ -174,15 +176,15 @@ class ModelSettings(Table):
 
     geometric: Table | None = None
     effect: tuple[EffectSettings, ...] = ()
-    effects_file: str | None = None
+    effects_file: FileName | None = None
     """Python file beside the study with the user's own effect classes."""
 
 
 class DataSettings(Table):
     """``[data]``: names of the tables beside the study file."""
 
-    data: str = "data.csv"
-    check: str | None = None
+    data: FileName = "data.csv"
+    check: FileName | None = None
     """Independent check points; by default ``check.csv`` where that exists."""
     must_see: dict[str, int] = {}
     """What the points have to tell apart without any prior: by name, the highest Legendre degree of
@@ -196,7 +198,7 @@ class DataSetSettings(Table):
 
     name: str
     """What reports call it: letters, digits, ``-`` and ``_``."""
-    file: str
+    file: FileName
     """Its table beside the study file."""
     instrument: InstrumentSettings
     tool_offset_mm: ToolOffset | None = None
@@ -243,7 +245,7 @@ class SeveralSettings(Table):
     name: str = ""
     machine: MachineSettings
     data: tuple[DataSetSettings, ...]
-    check: str | None = None
+    check: FileName | None = None
     """Independent check points; by default ``check.csv`` where that exists."""
     model: ModelSettings = ModelSettings()
     loop: LoopSettings = LoopSettings()
@@ -293,6 +295,11 @@ def read_setup(
     return raw, given
 
 
+def computable(value: float) -> bool:
+    """Whether a number is of a size that a quantity in the unit of its name can have."""
+    return value == 0 or _SMALLEST <= abs(value) <= _LARGEST
+
+
 def validate(raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]) -> AnySettings:
     """The settings in a raw tree; raises `StudyError` that lists every mistake in it."""
     for key, value in _numbers(raw):
@@ -315,12 +322,12 @@ def validate(raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]) ->
                 "a finite number",
                 "correct the value",
             )
-        if math.isfinite(value) and value and not _SMALLEST <= abs(value) <= _LARGEST:
+        if math.isfinite(value) and not computable(value):
             raise refusal(
                 source(file, key, overrides),
                 f"key {key}",
                 f"{value:g}",
-                f"zero, or a number from {_SMALLEST:g} to {_LARGEST:g} in size",
+                COMPUTABLE,
                 "correct the value",
             )
     model = (_several if isinstance(raw.get("data"), list) else _refined)(raw, file, overrides)

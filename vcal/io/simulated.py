@@ -19,12 +19,14 @@ from ..errors import StudyError
 from ..instruments.conditions import linear_plan, linear_plan_table
 from ..simulate import Simulated, scattered, simulate
 from .declared import Catalogue, declared_effects, unknown_effect
-from .messages import refusal
-from .settings import EffectSettings, read_setup
+from .folder import check_way
+from .messages import refusal, shown
+from .settings import COMPUTABLE, EffectSettings, computable, read_setup
 from .study import Study
 from .table import read_header, read_table, write_table
 
 _CHECK_ROWS = 400
+_MOST_NOISE = 1e6
 _WITH = "NAME, NAME:PLACEMENT or NAME:PLACEMENT:KEY=VALUE,..., such as backlash:Y:size_um=12"
 
 
@@ -52,8 +54,11 @@ def parse_with(text: str, catalogue: Catalogue, setup: Setup, data: str = "data.
             found = f"{key} a second time" if key in row else repr(pair)
             raise refusal(file, "values", found, "KEY=VALUE, every key once", "correct it")
         row[key] = _value(value)
-        if isinstance(row[key], float) and not math.isfinite(row[key]):
-            raise refusal(file, f"key {key}", value, "a finite number", "correct the value")
+        if isinstance(row[key], int | float) and not computable(row[key]):
+            found, expected = shown(value).strip('"'), "a finite number"
+            if math.isfinite(row[key]):
+                expected = COMPUTABLE
+            raise refusal(file, f"key {key}", found, expected, "correct the value")
     if name not in catalogue:
         raise unknown_effect(name, catalogue, file, "name")
     try:
@@ -82,6 +87,18 @@ def _value(text: str) -> int | float | str:
     return text
 
 
+def check_noise_factor(factor: float) -> None:
+    """Raises `StudyError` for a factor of the noise that is negative, or no number of use."""
+    if not 0.0 <= factor <= _MOST_NOISE:
+        raise refusal(
+            "--noise-factor",
+            "value",
+            f"{factor:g}",
+            f"a number of at least 0 and at most {_MOST_NOISE:g}",
+            "correct it",
+        )
+
+
 def write_simulated(
     study: Study,
     out: Path | str,
@@ -105,10 +122,7 @@ def write_simulated(
     """
     out, settings = Path(out), study.single
     require_empty(out)
-    if not 0.0 <= noise_factor < math.inf:
-        raise refusal(
-            "--noise-factor", "value", f"{noise_factor:g}", "a number of at least 0", "correct it"
-        )
+    check_noise_factor(noise_factor)
     data, check = settings.data.data, settings.data.check or "check.csv"
     for name in {*study.hashes, data, check}:
         if Path(name).is_absolute() or ".." in Path(name).parts:
@@ -120,16 +134,29 @@ def write_simulated(
                 "move the file there",
             )
     machine, where = jax.random.split(jax.random.key(seed))
-    result = simulate(
-        study.model,
-        study.plan,
-        machine,
-        effects=effects,
-        noise_factor=noise_factor,
-        name=study.name,
-    )
+    try:
+        result = simulate(
+            study.model,
+            study.plan,
+            machine,
+            effects=effects,
+            noise_factor=noise_factor,
+            name=study.name,
+        )
+    except ValueError as error:
+        if isinstance(error, StudyError):
+            raise
+        # Priors as wide as nothing measures, or values of effects: their readings are no numbers.
+        raise refusal(
+            study.path.name,
+            "the simulated machine",
+            f"what no instrument reads ({error})",
+            "errors that leave finite readings",
+            "declare smaller ones, or give --with smaller values",
+        ) from error
     _check_travel(study, result, data)
     tables = {data: _data(study, result)}
+    _check_readable(study, tables[data], data)
     points = _check(study, result, where)
     if points is not None:
         tables[check] = points
@@ -156,7 +183,10 @@ def write_simulated(
 
 
 def require_empty(out: Path) -> None:
-    """Raise `StudyError` if there is something at `out` that writing there would overwrite."""
+    """Raise `StudyError` if there is something at `out` that writing there would overwrite,
+    or nothing can be made there.
+    """
+    check_way(out)
     if out.is_dir() and not any(out.iterdir()):
         return
     if out.exists() or out.is_symlink():
@@ -231,6 +261,23 @@ def _check_travel(study: Study, result: Simulated, data: str) -> None:
                 f"{position[row, i] * si:.10g} {unit} in the simulation, outside the travel",
                 f"{low * si:.10g} to {high * si:.10g} {unit}",
                 "plan this row further inside, or declare a longer travel",
+            )
+
+
+def _check_readable(study: Study, table: Mapping[str, np.ndarray], data: str) -> None:
+    """What was simulated must be such that it can be read again as data."""
+    one = study.one
+    for column in one.instrument.columns(one.settings, study.chain.axes, readings=True):
+        values = np.asarray(table[column.name], float)
+        bad = ~((values >= column.low) & (values <= column.high))
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise refusal(
+                data,
+                f"row {row + 1}, column {column.name}",
+                f"{values[row]:.7g} in the simulation",
+                f"a number from {column.low:.7g} to {column.high:.7g}",
+                "declare smaller errors or less noise, or give --with smaller values",
             )
 
 

@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -11,10 +12,13 @@ import numpy as np
 from ..catalogue import nearest
 from ..errors import StudyError
 from ..instruments.base import Column
-from .messages import listed, refusal
+from .messages import listed, refusal, shown
 
+_PREAMBLE = re.compile(r'#.*|"?sep=."?', re.IGNORECASE)
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 """What may separate cells, by name: the first of them that the header has."""
+_MOST_WHOLE, _MOST = 1e9, 1e15
+"""No index, and no quantity in a column that has no bounds of its own, is larger."""
 
 
 class Table(dict[str, np.ndarray]):
@@ -129,7 +133,7 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
         )
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
-            text = file.read()
+            text = _without_preamble(file.read())
         mark = _separator(text)
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark)
         found = [(reader.line_num, row) for row in reader if any(c.strip() for c in row)]
@@ -144,6 +148,14 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
     if mark != "," and not any("." in c and math.isfinite(_number(c)) for _, r in rows for c in r):
         rows = [(number, [_decimal_point(cell) for cell in row]) for number, row in rows]
     header = tuple(cell.strip() for cell in cells)
+    if len(header) == 1 and re.search(r"\w[\s|:]+\w", header[0]):
+        raise refusal(
+            name,
+            f"header (line {line})",
+            f"one name, {shown(header[0])}",
+            f"several, separated by {' or '.join(SEPARATORS.values())}",
+            "save the table with one of these separators",
+        )
     for column in header:
         if header.count(column) > 1:
             places = [str(i + 1) for i, c in enumerate(header) if c == column]
@@ -171,6 +183,18 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
                 ),
             )
     return header, [line for line, _ in rows], [row for _, row in rows]
+
+
+def _without_preamble(text: str) -> str:
+    """The text with empty lines for what may stand before the header: ``sep=;``, as spreadsheets
+    write it, and ``# comments``.
+    """
+    lines = text.splitlines(keepends=True)
+    for i, line in enumerate(lines):
+        if not (_PREAMBLE.fullmatch(line.strip()) or not line.strip()):
+            break
+        lines[i] = "\n"
+    return "".join(lines)
 
 
 def _separator(text: str) -> str:
@@ -209,6 +233,10 @@ def _checked(table: Table, column: Column, cells: Sequence[str]) -> np.ndarray:
         bad = values != np.round(values)
     if not bad.any():
         bad = (values < column.low - slack) | (values > column.high + slack)
+    if not bad.any():
+        most = _MOST_WHOLE if column.integer else _MOST
+        bad = np.abs(values) > most
+        expected = f"{expected}, no more than {most:g} in size"
     if bad.any():
         row = int(np.argmax(bad))
         found = repr(cells[row].strip()) if not math.isfinite(values[row]) else cells[row].strip()

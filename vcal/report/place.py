@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..io.folder import check_way
 from ..io.messages import listed, refusal
 
 _KEPT = ".earlier"
@@ -42,6 +43,7 @@ class Place:
         this kind, and for one in which a file was changed since, or made where one would be
         written.
         """
+        check_way(out)
         if not out.exists():
             return
         if not out.is_dir():
