@@ -588,3 +588,27 @@ def test_progress_is_for_terminals_only(monkeypatch):
         with working("first") as progress:
             progress("round 1: screening")
         assert ("round 1: screening" in stream.getvalue()) == shows
+
+
+@pytest.mark.parametrize("argument", ["-m", "-c"])
+def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
+    """No traceback from a command; a program that imports vcal sees its own exception."""
+    # A module that is imported early waits until it is interrupted.
+    (tmp_path / "jax.py").write_text("import time\nprint('waiting', flush=True)\ntime.sleep(60)\n")
+    package = str(Path(vcal.__file__).parents[1])
+    what = "vcal" if argument == "-m" else "import vcal"
+    found = subprocess.Popen(
+        [sys.executable, argument, what],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), package])},
+    )
+    assert found.stdout.readline() == "waiting\n"
+    found.send_signal(signal.SIGINT)
+    _, told = found.communicate(timeout=30)
+    if argument == "-m":
+        assert (found.returncode, told) == (130, "vcal: interrupted\n")
+    else:
+        assert "KeyboardInterrupt" in told

@@ -5,19 +5,23 @@ what was commanded, and under which conditions, to what the instrument read. The
 package are uses of that one function.
 """
 
-import jax
+from .starting import starting
 
-from .effects import CATALOGUE, Effect, register
-from .errors import StudyError
-from .fit import Fit
-from .identify import identify
-from .io import Study, load_study
-from .loop.close_loop import close_loop
-from .loop.closure import Closure
-from .measurement import CheckPoints, Measurement
-from .model import Model, predict
-from .parameters import Parameter, Prior
-from .plan import Plan
+# Most of the time that a command takes to start.
+with starting():
+    import jax
+
+    from .effects import CATALOGUE, Effect, register
+    from .errors import StudyError
+    from .fit import Fit
+    from .identify import identify
+    from .io import Study, load_study
+    from .loop.close_loop import close_loop
+    from .loop.closure import Closure
+    from .measurement import CheckPoints, Measurement
+    from .model import Model, predict
+    from .parameters import Parameter, Prior
+    from .plan import Plan
 
 __version__ = "0.1.0"
 
