@@ -232,7 +232,7 @@ def test_too_few_check_points(small_tracker_study):
     for count in (1, 2):
         text = "\n".join([columns, *rows[:count]]) + "\n"
         (small_tracker_study / "check.csv").write_text(text)
-        with pytest.raises(StudyError, match=rf"check.csv, row {count} .*expected at least 3"):
+        with pytest.raises(StudyError, match=rf"check.csv.*found {count} check .*at least 3"):
             load_study(small_tracker_study)
 
 
