@@ -689,6 +689,14 @@ SETUP = {
         replace("range_sigma_um = 1.3", "range_sigma_um = 1e308"),
         ("setup.toml, key instrument.range_sigma_um", "1e+308", "from 1e-15 to 1e+15 in size"),
     ),
+    "noise of a metre": (
+        replace("range_sigma_um = 1.3", "range_sigma_um = 1e6"),
+        ("setup.toml, key instrument.range_sigma_um", "found 1000000.0", "at most 100000"),
+    ),
+    "a station in um": (
+        replace("[-900.0", "[-900000.0"),
+        ("setup.toml, key instrument.station_mm.0", "found -900000.0", "at least -200000"),
+    ),
     "tiny": (
         replace("range_sigma_um = 1.3", "range_sigma_um = 1e-300"),
         ("setup.toml, key instrument.range_sigma_um", "1e-300", "from 1e-15 to 1e+15 in size"),

@@ -20,7 +20,7 @@ from ..programs import outer_jit
 
 Goal = Literal["volume", "largest", "determinant"]
 
-_Count = Annotated[int, Field(ge=2)]
+_Count = Annotated[int, Field(ge=2, le=200)]
 
 
 class DesignSettings(BaseModel):
@@ -37,15 +37,15 @@ class DesignSettings(BaseModel):
     """
     grid: tuple[_Count, _Count, _Count] = (12, 8, 8)
     """Points along X, Y and Z at which the volumetric error is judged."""
-    starts: int = Field(default=8, ge=1)
+    starts: int = Field(default=8, ge=1, le=10_000)
     """Starts of the search: the plan as it is, and others scattered around it."""
-    steps: int = Field(default=200, ge=1)
+    steps: int = Field(default=200, ge=1, le=1_000_000)
     """Steps after which the search from one start ends in any case."""
     families: tuple[str, ...] = ()
     """Study files whose ``[model.geometric]`` counts as well: what is made small is an average."""
     must_see: dict[str, int] = {}
     """What the designed plan has to tell apart without a prior, as in ``[data]``."""
-    more: int | None = Field(default=None, ge=1)
+    more: int | None = Field(default=None, ge=1, le=10_000)
     """Poses, or points, of the next measurement (``--next``)."""
     seconds_per_metre: float = Field(default=0.0, ge=0)
     """Time of travel between successive points."""

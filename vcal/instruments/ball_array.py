@@ -16,7 +16,16 @@ from ..plan import Plan
 from ..ports import COMPONENTS, group
 from ..rigid import Rotation, Scalar, Vector
 from ..spatial import best_rigid
-from .base import Column, FileName, InstrumentSettings, Loader, Ports, TableInstrument, register
+from .base import (
+    LARGEST_NOISE,
+    Column,
+    FileName,
+    InstrumentSettings,
+    Loader,
+    Ports,
+    TableInstrument,
+    register,
+)
 from .conditions import linear_plan, linear_plan_table
 from .frame import displaced, pose_parameters
 
@@ -40,8 +49,8 @@ class BallArraySettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "ball_array"``."""
 
     artefact: FileName
-    probe_sigma_um: float = Field(gt=0)
-    ball_position_u_um: float = Field(default=0.0, ge=0)
+    probe_sigma_um: float = Field(gt=0, le=LARGEST_NOISE)
+    ball_position_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
     supports: tuple[float, float] = (0.2203, 0.7797)
 
     @model_validator(mode="after")

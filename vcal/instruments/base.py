@@ -30,6 +30,8 @@ class Column(BaseModel):
     """Index columns that together with this one must not repeat."""
 
 
+LARGEST_NOISE = 1e5
+"""um or urad: an instrument that is off by a decimetre measures no machine, or in another unit."""
 FileName = Annotated[str, Field(min_length=1)]
 """A file beside the study file."""
 

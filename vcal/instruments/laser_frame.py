@@ -21,7 +21,16 @@ from ..errors import KeyedError, RowError
 from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
-from .base import Column, FileName, InstrumentSettings, Loader, Ports, TableInstrument, register
+from .base import (
+    LARGEST_NOISE,
+    Column,
+    FileName,
+    InstrumentSettings,
+    Loader,
+    Ports,
+    TableInstrument,
+    register,
+)
 from .conditions import linear_plan, linear_plan_table
 from .frame import Station, displaced
 from .psd_map import PsdMap
@@ -146,23 +155,23 @@ class SegmentSettings(BaseModel):
 class LaserFrameSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "laser_frame"``."""
 
-    sigma_um: float = Field(gt=0)
+    sigma_um: float = Field(gt=0, le=LARGEST_NOISE)
     """Noise of a change against the reference run."""
     beam_path: Literal["3d", "planar", "own"] = "3d"
     """By name, over the travel of the machine; or ``"own"``, in [[instrument.segment]] rows."""
     segment: tuple[SegmentSettings, ...] = ()
-    reference_degC: float = 20.0  # noqa: N815
+    reference_degC: float = Field(default=20.0, ge=-50, le=150)  # noqa: N815
     """Temperature of the reference run. Effects count from 20 degC: what lies between is a
     constant, which the frame's unknown pose takes up.
     """
-    psd_lever_mm: float = Field(default=0.0, ge=0)
+    psd_lever_mm: float = Field(default=0.0, ge=0, le=1e4)
     """From the spindle's axis to the upright diode, towards the beam."""
-    psd_size_mm: float = Field(default=10.0, gt=0)
+    psd_size_mm: float = Field(default=10.0, gt=0, le=1e3)
     psd_map: FileName | None = None
     """Table of the diode's calibrated error: u_mm, v_mm, error_u_um, error_v_um on a full grid."""
-    filter_mm: float = Field(default=0.0, ge=0)
+    filter_mm: float = Field(default=0.0, ge=0, le=100)
     """Thickness of the filter in front of the diode."""
-    filter_index: float = Field(default=1.5, gt=1)
+    filter_index: float = Field(default=1.5, gt=1, le=5)
     """Its refractive index."""
 
 

@@ -1,7 +1,7 @@
 """Laser tracker: range, azimuth and elevation of a reflector at the tool point."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,10 +14,20 @@ from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
 from ..spatial import euler_xyz
-from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
+from .base import (
+    LARGEST_NOISE,
+    Column,
+    InstrumentSettings,
+    Loader,
+    Ports,
+    TableInstrument,
+    register,
+)
 from .conditions import linear_plan, linear_plan_table
 from .frame import Station, displaced
 
+_Coordinate = Annotated[float, Field(ge=-200e3, le=200e3)]
+_Angle = Annotated[float, Field(ge=-360, le=360)]
 _READ = ("range", "azimuth", "elevation")
 _RANGE = np.array([1.0, 0.0, 0.0])
 
@@ -25,11 +35,11 @@ _RANGE = np.array([1.0, 0.0, 0.0])
 class LaserTrackerSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "laser_tracker"``."""
 
-    range_sigma_um: float = Field(gt=0)
-    range_sigma_um_per_m: float = Field(default=0.0, ge=0)
-    angle_sigma_urad: float = Field(gt=0)
-    station_mm: tuple[float, float, float]
-    euler_xyz_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    range_sigma_um: float = Field(gt=0, le=LARGEST_NOISE)
+    range_sigma_um_per_m: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
+    angle_sigma_urad: float = Field(gt=0, le=LARGEST_NOISE)
+    station_mm: tuple[_Coordinate, _Coordinate, _Coordinate]
+    euler_xyz_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
 
 
 @register

@@ -25,7 +25,15 @@ from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
-from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
+from .base import (
+    LARGEST_NOISE,
+    Column,
+    InstrumentSettings,
+    Loader,
+    Ports,
+    TableInstrument,
+    register,
+)
 from .conditions import linear_plan, linear_plan_table
 
 _XYZ = "XYZ"
@@ -46,11 +54,11 @@ class RTestSettings(InstrumentSettings):
 
     radius_mm: float = Field(gt=0)
     """Of the circles, as commanded."""
-    external_sigma_um: float = Field(gt=0)
+    external_sigma_um: float = Field(gt=0, le=LARGEST_NOISE)
     """Noise of a coordinate that the probes give."""
-    internal_sigma_um: float = Field(default=0.0, ge=0)
+    internal_sigma_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
     """Noise of the axes' scales."""
-    external_u_um: float = Field(default=0.0, ge=0)
+    external_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
     """Standard uncertainty of a coordinate at the end of the range, from the device's calibration:
     sensitivities and directions of the probes. It does not average out over a run.
     """
