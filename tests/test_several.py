@@ -271,7 +271,9 @@ def test_clustered_readings_keep_their_own_covariance(small_arm_study, tmp_path)
     start, end = text.index("[instrument]"), text.index("[model.geometric]")
     rows = ""
     for name, count in (("three", 3), ("two", 2)):
-        shutil.copy(folder / "data.csv", folder / f"{name}.csv")
+        # The same table twice would be refused; spaces at its end make it another.
+        lines = (folder / "data.csv").read_text(encoding="utf-8")
+        (folder / f"{name}.csv").write_text(lines + " " * count, encoding="utf-8")
         own = text[start:end].replace("[instrument]", "[data.instrument]")
         own = own.replace("tool_reflectors = 3", f"tool_reflectors = {count}")
         rows += f'[[data]]\nname = "{name}"\nfile = "{name}.csv"\n{own}'
