@@ -170,7 +170,7 @@ def over_told(after, fit) -> float:
 
 def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     """Make a set, close the loop on it, and compare with a fit that was told the truth."""
-    from power_cases import drawn, make, world_of
+    from power_cases import drawn, make, noise_seed, world_of
 
     import vcal
     from vcal.loop.close_loop import errors
@@ -188,7 +188,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     line["limit"] = [s / multiple for s in sizes] if multiple else []
     if not np.isfinite(sizes).all():
         return line | {"verdict": "not detectable", "seconds": time.perf_counter() - start}
-    made = make(entry, world, sized, sizes)
+    made = make(entry, world, sized, sizes, noise_seed=noise_seed(entry, multiple, seed))
     study = load(made.case)
     begun = time.perf_counter()
     closure = vcal.close_loop(

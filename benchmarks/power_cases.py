@@ -27,6 +27,10 @@ CHAINS = ("w X b Y Z t", "w Y b X Z t", "w b X Y Z t")
 DURATION_S = {"laser_tracker": 5000.0, "ball_array": 10000.0, "laser_frame": 4800.0}
 STRAYS = 0.02
 """Share of the readings that go astray where some do."""
+OWN_NOISE = 20_018
+"""Seed from which on every set with an effect has its own noise. Before, all sets of an instrument
+and seed have the same: what looks like an effect in it then does so in all of them.
+"""
 
 Rng = np.random.Generator
 
@@ -643,14 +647,27 @@ def drawn(entry: Entry, world: World) -> list[Sized]:
     return sized
 
 
+def noise_seed(entry: Entry, multiple: float, seed: int) -> int:
+    """The seed of a set's noise. Sets with stray readings have that of the same set without, which
+    they are compared with.
+    """
+    if seed < OWN_NOISE or not entry.kinds:
+        return seed
+    name = f"{entry.instrument}/{entry.kinds[0].name}" if entry.strays else entry.name
+    return zlib.crc32(f"{name} {multiple:g} {seed}".encode())
+
+
 def make(
     entry: Entry,
     world: World,
     sized: Sequence[Sized],
     sizes: Sequence[float],
     noise: float | None = None,
+    noise_seed: int | None = None,
 ) -> Made:
-    """Measure the set, with its effects at the given sizes; `noise` instead of the entry's."""
+    """Measure the set, with its effects at the given sizes; `noise` instead of the entry's, of
+    this seed instead of the world's.
+    """
     terms = tuple(f(size) for f, size in zip(sized, sizes, strict=True))
     effects = [dict(e) for term in terms for e in term.effects]
     declared = [dict(row) for term in terms for row in term.declared]
@@ -661,6 +678,7 @@ def make(
             plan["cycles"] = True
     options: dict[str, Any] = {
         "seed": world.seed,
+        "noise_seed": noise_seed,
         "noise_factor": entry.noise if noise is None else noise,
         "plan": plan,
         "name": entry.name.replace("/", " "),

@@ -9,13 +9,13 @@ data, or when the loop itself says that these data cannot tell the two apart (`e
 import argparse
 import json
 import math
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 from power import LINES, known
-from power_cases import ENTRIES, GROUPS, INSTRUMENTS
+from power_cases import ENTRIES, GROUPS, INSTRUMENTS, OWN_NOISE, noise_seed
 
 HERE = Path(__file__).resolve().parent
 OUTCOMES = (
@@ -156,7 +156,7 @@ def case_row(name: str, lines: list[dict]) -> dict:
     }
 
 
-def wilson(k: int, n: int) -> tuple[float, float]:
+def wilson(k: float, n: float) -> tuple[float, float]:
     """95 % interval of a share (Wilson's)."""
     z, p = 1.96, k / n
     centre, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
@@ -164,14 +164,73 @@ def wilson(k: int, n: int) -> tuple[float, float]:
     return max(low, 0.0), min(high, 1.0)
 
 
-def counts(k: int, n: int) -> list[float]:
-    """How many of how many, and the 95 % interval of the share."""
-    return [k, n, *(float(f"{v:.3g}") for v in wilson(k, n))] if n else [k, n]
+def draw(line: dict) -> tuple:
+    """What sets with the same noise have in common: one draw of it."""
+    instrument = line["case"].split("/")[0]
+    own = noise_seed(ENTRIES[line["case"]], line["multiple"], line["seed"])
+    return instrument, line["seed"], own
 
 
-def share(part: list[dict], wanted: set[str]) -> list[float]:
+def effective(hits: Sequence[bool], draws: Sequence[Hashable]) -> float:
+    """How many independent sets would tell a share as well: their number over the design effect
+    (Kish, Survey Sampling, 1965, 5.4 and 8.2), the variance of the share between draws over that
+    of as many independent sets. Never more than there are. Where all sets agree nothing tells it,
+    and every set counts.
+    """
+    n, p = len(hits), float(np.mean(hits))
+    of: dict = defaultdict(list)
+    for hit, one in zip(hits, draws, strict=True):
+        of[one].append(hit - p)
+    between = sum(sum(part) ** 2 for part in of.values())
+    if len(of) < 2 or between == 0:
+        return float(n)
+    between *= len(of) / (len(of) - 1)
+    return n * min(n * p * (1 - p) / between, 1.0)
+
+
+def counts(hits: Iterable[bool], part: Sequence[dict]) -> list[float]:
+    """How many of how many, and the 95 % interval of the share: Wilson's of the `effective` number
+    of sets.
+    """
+    hits = [bool(hit) for hit in hits]
+    k, n = sum(hits), len(hits)
+    if not n:
+        return [k, n]
+    much = effective(hits, [draw(x) for x in part])
+    return [k, n, *(float(f"{v:.3g}") for v in wilson(k / n * much, much))]
+
+
+def share(part: Sequence[dict], wanted: set[str]) -> list[float]:
     """`counts` of some outcomes."""
-    return counts(sum(outcome(x) in wanted for x in part), len(part))
+    return counts((outcome(x) in wanted for x in part), part)
+
+
+CURVES = (
+    ("right name", ("right", "right first"), "tab:green"),
+    ("another name first of several", ("another first",), "tab:orange"),
+    ("wrong name", ("wrong",), "tab:red"),
+    ("unexplained", ("unexplained",), "tab:purple"),
+    ("nothing", ("nothing",), "0.4"),
+)
+
+
+def curve_rows(lines: Sequence[dict], instrument: str) -> dict:
+    """Shares of the outcomes of an instrument by size, one effect of the catalogue each."""
+    part = [x for x in lines if ENTRIES[x["case"]].instrument == instrument]
+    seen = [x for x in part if outcome(x) != "not detectable"]
+    by_size = {
+        f"{m:g}": [x for x in seen if x["multiple"] == m]
+        for m in sorted({x["multiple"] for x in seen})
+    }
+    return {
+        "instrument": instrument,
+        "effects": len({x["case"] for x in part}),
+        "sets": len(seen),
+        "curves": {
+            label: {m: share(at, set(names)) for m, at in by_size.items()}
+            for label, names, _ in CURVES
+        },
+    }
 
 
 def clean_row(lines: list[dict], group: str, instrument: str) -> dict:
@@ -233,6 +292,7 @@ def summary(lines: Sequence[dict]) -> dict:
                 clean.append(clean_row(good, name, at))
     far = [x for x in group["catalogue"] if x["multiple"] >= FAR]
     seen = [x for x in far if outcome(x) != "not detectable"]
+    own = [x for x in seen if x["seed"] >= OWN_NOISE]
     warming = [x for x in group["warming up"] if x["multiple"] >= FAR]
     warming = [x for x in warming if outcome(x) != "not detectable"]
     other = [x for x in warming if outcome(x) not in CERTAIN and "chi2_over_told" in x]
@@ -247,33 +307,40 @@ def summary(lines: Sequence[dict]) -> dict:
         "sets": len(lines),
         "commits": sorted({x["commit"] for x in lines if x.get("commit")}),
         "summary": {
-            "clean_named": counts(sum(bool(x["found"]) for x in nothing), len(nothing)),
+            "clean_named": counts((bool(x["found"]) for x in nothing), nothing),
             "clean_unexplained": share(nothing, {"unexplained"}),
             "far_right": share(seen, CERTAIN),
             "far_wrong": share(seen, {"wrong"}),
+            "far_wrong_draws": [
+                len({draw(x) for x in seen if outcome(x) == "wrong"}),
+                len({draw(x) for x in seen}),
+            ],
+            "own_right": share(own, CERTAIN),
+            "own_wrong": share(own, {"wrong"}),
             "far_another_first": share(seen, {"another first"}),
             "far_unexplained": share(seen, {"unexplained"}),
             "far_nothing": share(seen, {"nothing"}),
             "far_failed": share(seen, {"failed"}),
-            "far_other_component": counts(sum(map(other_component, seen)), len(seen)),
+            "far_other_component": counts(map(other_component, seen), seen),
             "warming_right": share(warming, CERTAIN),
             "warming_wrong": share(warming, {"wrong"}),
             "warming_listed": counts(
-                sum(bool(x["found"]) and listed_as_rival(x) for x in warming), len(warming)
+                (bool(x["found"]) and listed_as_rival(x) for x in warming), warming
             ),
-            "warming_told_apart": counts(sum(told_apart(x) for x in other), len(other)),
+            "warming_told_apart": counts(map(told_apart, other), other),
             "far_error_ratio": median(ratios),
-            "far_worse_than_nothing": counts(sum(map(worse_than_nothing, lines)), len(lines)),
+            "far_worse_than_nothing": counts(map(worse_than_nothing, lines), lines),
             "outside_wrong": share(outside, {"wrong"}),
             "outside_another_first": share(outside, {"another first"}),
             "outside_unexplained": share(outside, {"unexplained"}),
             "outside_pointed": counts(
-                sum(outcome(x) == "unexplained" and pointed(x) for x in outside), len(outside)
+                (outcome(x) == "unexplained" and pointed(x) for x in outside), outside
             ),
             "pairs_both": share(pairs, CERTAIN),
-            "at_the_limit": counts(sum(x["p"] <= 0.01 for x in at_limit), len(at_limit)),
+            "at_the_limit": counts((x["p"] <= 0.01 for x in at_limit), at_limit),
         },
         "clean": clean,
+        "curves": [curve_rows(group["catalogue"], at) for at in INSTRUMENTS],
         "cases": [
             case_row(name, of[name]) for name in sorted(of) if of[name] and not ENTRIES[name].clean
         ],
@@ -287,14 +354,6 @@ def summary(lines: Sequence[dict]) -> dict:
 
 # --- the picture ---------------------------------------------------------------------------------
 
-CURVES = (
-    ("right name", ("right", "right first"), "tab:green"),
-    ("another name first of several", ("another first",), "tab:orange"),
-    ("wrong name", ("wrong",), "tab:red"),
-    ("unexplained", ("unexplained",), "tab:purple"),
-    ("nothing", ("nothing",), "0.4"),
-)
-
 
 def picture(found: dict, path: Path) -> None:
     """Shares of the outcomes over size, one panel per instrument."""
@@ -304,26 +363,19 @@ def picture(found: dict, path: Path) -> None:
     import matplotlib.pyplot as plt
 
     figure, panels = plt.subplots(2, 2, figsize=(10, 7), sharex=True, sharey=True)
-    for panel, at in zip(panels.flat, INSTRUMENTS, strict=True):
-        rows = [c for c in found["cases"] if c["group"] == "catalogue" and c["instrument"] == at]
-        sizes = sorted({m for row in rows for m in row["multiples"]}, key=float)
-        total = {m: Counter() for m in sizes}
-        for row in rows:
-            for m, part in row["multiples"].items():
-                total[m].update(part["outcomes"])
-        for label, names, colour in CURVES:
-            points = []
-            for m in sizes:
-                n = sum(v for k, v in total[m].items() if k != "not detectable")
-                if n:
-                    k = sum(total[m][name] for name in names)
-                    points.append((float(m), k / n, *wilson(k, n)))
+    for panel, row in zip(panels.flat, found["curves"], strict=True):
+        for label, _, colour in CURVES:
+            points = [
+                (float(m), k / n, low, high)
+                for m, (k, n, low, high) in row["curves"][label].items()
+            ]
             if points:
                 x, y, low, high = np.array(points).T
                 panel.plot(x, 100 * y, "o-", color=colour, label=label)
                 panel.fill_between(x, 100 * low, 100 * high, color=colour, alpha=0.15, lw=0)
-        sets = sum(sum(c.values()) for c in total.values())
-        panel.set_title(f"{at}: {len(rows)} effects, {sets} sets", fontsize=10)
+        panel.set_title(
+            f"{row['instrument']}: {row['effects']} effects, {row['sets']} sets", fontsize=10
+        )
         panel.axvline(1.0, color="0.8", lw=1, zorder=0)
         panel.grid(alpha=0.3)
         panel.set_ylim(-3, 103)

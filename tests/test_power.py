@@ -9,7 +9,16 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import power
 import power_summary
-from power_cases import ENTRIES, OUTSIDE, drawn, make, unresolved_degree, world_of
+from power_cases import (
+    ENTRIES,
+    OUTSIDE,
+    OWN_NOISE,
+    drawn,
+    make,
+    noise_seed,
+    unresolved_degree,
+    world_of,
+)
 
 from vcal import close_loop
 from vcal.identify import identify
@@ -57,6 +66,46 @@ def test_sets_of_one_seed_share_all_but_the_size():
     assert one.effects[0]["axis"] == two.effects[0]["axis"]
     other = world_of("laser_tracker", SEED + 3)
     assert other.chain == world.chain and other.travel != world.travel
+
+
+def test_noise_of_its_own():
+    """From one seed on every set with an effect has its own noise; one with stray readings that of
+    the same set without.
+    """
+    plain, strays = ENTRIES["laser_tracker/backlash"], ENTRIES["laser_tracker/backlash, strays"]
+    clean, seed = ENTRIES["laser_tracker/clean"], OWN_NOISE
+    assert noise_seed(plain, 3.0, seed - 1) == seed - 1 and noise_seed(clean, 0.0, seed) == seed
+    assert noise_seed(plain, 5.0, seed) == noise_seed(strays, 5.0, seed)
+    different = {noise_seed(plain, m, s) for m in (3.0, 5.0) for s in (seed, seed + 1)}
+    assert len(different) == 4
+    world = world_of("laser_tracker", seed)
+    sized = drawn(plain, world)
+    same, other = (make(plain, world, sized, [1.0], noise_seed=s).case for s in (seed, seed + 1))
+    np.testing.assert_array_equal(same.readings, make(plain, world, sized, [1.0]).case.readings)
+    np.testing.assert_array_equal(same.run.q, other.run.q)
+    np.testing.assert_array_equal(same.check_tcp, other.check_tcp)
+    assert (same.readings != other.readings).all()
+
+
+def test_intervals_count_draws_of_the_noise():
+    """Sets that all say the same tell as much as one; without groups, as many as there are."""
+    hits = np.random.default_rng(1).uniform(size=400) < 0.3
+    assert power_summary.effective(np.repeat(hits, 10), np.arange(4000) // 10) == pytest.approx(
+        399, rel=1e-12
+    )
+    assert power_summary.effective(hits, np.arange(400)) == pytest.approx(399, rel=1e-12)
+    assert power_summary.effective([False] * 7, np.arange(7)) == 7
+    # An independent estimate: the scatter of the share when whole draws are drawn again.
+    rng = np.random.default_rng(2)
+    rates, sizes = rng.beta(1, 9, 200), rng.integers(1, 40, 200)
+    draws = np.repeat(np.arange(200), sizes)
+    hits = rng.uniform(size=len(draws)) < rates[draws]
+    k, n = np.bincount(draws, hits), np.bincount(draws)
+    again = rng.integers(0, 200, (4000, 200))
+    scatter = np.std(k[again].sum(1) / n[again].sum(1))
+    p = hits.mean()
+    found = np.sqrt(p * (1 - p) / power_summary.effective(hits, draws))
+    assert found == pytest.approx(scatter, rel=0.05)
 
 
 def test_degrees_that_a_family_does_not_follow():

@@ -194,6 +194,7 @@ def make_case(
     declared: Sequence[Mapping[str, Any]] = (),
     name: str | None = None,
     folder: str | Path | None = None,
+    noise_seed: int | None = None,
     **noise: Any,
 ) -> Case:
     """Draw a machine, plan, measure, and write the study if a folder is given.
@@ -214,6 +215,7 @@ def make_case(
         recording: further columns, see plans.conditions.
         family: the smooth family to declare and draw from instead of the table's.
         declared: rows for [[model.effect]] with their units in the keys (written, not applied).
+        noise_seed: another seed for the stream of the noise alone.
         noise: laser_tracker: range_sigma, range_sigma_per_m, angle_sigma, station_mm,
             euler_xyz_deg, station_scatter (m, rad) about the nominal; ball_array: probe_sigma,
             ball_position_u, supports; laser_frame: sigma, scatter of its pose (m, rad);
@@ -223,10 +225,14 @@ def make_case(
     for_machine, for_plan, for_noise, for_check, for_station, for_more = map(
         np.random.default_rng, streams
     )
+    if noise_seed is not None:
+        for_noise = np.random.default_rng(np.random.SeedSequence(noise_seed).spawn(3)[2])
     given = [dict(e) for e in effects]
     si, plan = checked(given, instrument), dict(plan or {})
     name = name or f"{instrument}_{seed}"
     truth: dict[str, Any] = {"seed": seed, "noise_factor": noise_factor}
+    if noise_seed is not None:
+        truth["noise_seed"] = noise_seed
     rows = [dict(d) for d in declared]
 
     if instrument == "r_test":
