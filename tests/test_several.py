@@ -19,12 +19,14 @@ from vcal import (
     close_loop,
     identify,
     load_study,
+    predict,
 )
 from vcal.demo import FOLDER
 from vcal.effects.data_set import OfDataSet
 from vcal.effects.geometric import GeometricErrors
 from vcal.instruments.r_test import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
+from vcal.io.simulated import parse_with, write_simulated
 from vcal.loop.candidates import candidates
 from vcal.loop.close_loop import _foretold
 from vcal.loop.heldout import Rms, check_rms, heldout_residuals, heldout_rms, rms_fall
@@ -37,6 +39,8 @@ from vcal.loop.together import contradiction
 from vcal.loop.unexplained import dependence, from_structure
 from vcal.plan import DATA_SET, of_set
 from vcal.report import write_report
+from vcal.uncertainty import ParameterErrors, linearised
+from vcal.uncertainty.campaign import virtual_pair
 
 CHAIN = "w X b Y Z t"
 FORM = re.compile(r"^\S+( \(override .*\))?, .+: found .+, expected .+; .+", re.DOTALL)
@@ -708,6 +712,67 @@ def test_an_empty_list_is_no_study(clean, tmp_path):
 def test_what_takes_one_data_set_only_says_so(clean):
     with pytest.raises(StudyError, match=r"setup\.toml, key data: found 2 \[\[data\]\] rows"):
         clean[1].single  # noqa: B018
+
+
+# --- before measuring ----------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_every_table_is_filled(clean, tmp_path):
+    """Both instruments measure the same machine, and a clock keeps its start: what is written is
+    read as what was simulated, and a fit that knows the truth leaves the noise of either.
+    """
+    folder = tmp_path / "study"
+    shutil.copytree(clean[0], folder)
+    setup = folder / "setup.toml"
+    text = setup.read_text(encoding="utf-8")
+    later = 'file = "balls.csv"\nstart_s = 20000.0'
+    setup.write_text(text.replace('file = "balls.csv"', later), encoding="utf-8")
+    study = load_study(folder)
+    place = study.model.setup(study.plan)
+    texts = (
+        "drift:Y:component=EYY,rate_EYY_um_per_h=30",
+        "encoder_eccentricity:azimuth:data_set=tracker",
+    )
+    effects = [parse_with(one, study.catalogue, place, study.files) for one in texts]
+    made = write_simulated(study, tmp_path / "made", effects=effects, seed=2)
+    again = load_study(tmp_path / "made")
+    np.testing.assert_allclose(again.measurement.readings, made.measurement.readings, atol=1e-10)
+    np.testing.assert_allclose(again.plan.position, made.measurement.plan.position, atol=1e-10)
+    for name in ("t", "T_Y", "dir_X"):
+        np.testing.assert_allclose(again.plan.covariates[name], study.plan.covariates[name])
+    assert again.plan.covariates["t"][again.plan.in_set("balls")].min() > 20000.0
+    told = json.loads((tmp_path / "made" / "truth.json").read_text(encoding="utf-8"))
+    assert [e["effect"] for e in told["undeclared"]] == ["drift", "encoder_eccentricity"]
+    assert "tracker" in told["undeclared"][1]["placement"]
+    assert {"t", "T_Y"} <= set(again.check.plan.covariates)
+    np.testing.assert_allclose(
+        again.check.tool_point, made.tool_points(again.check.plan), atol=1e-10
+    )
+    fit = identify(made.model, again.measurement, room=ROOM)
+    for rows in study.plan.parts.values():
+        chi2, dof = fit.chi2_and_dof(rows)
+        assert chi2 / dof == pytest.approx(1.0, abs=4 * np.sqrt(2 / dof))
+
+
+@pytest.mark.slow
+def test_what_both_will_tell_is_known_before(clean):
+    """The GUM through the joint identification is the posterior of all whitened readings, and every
+    data set has noise of its own among its sources.
+    """
+    model, plan = clean[1].model, clean[1].plan
+    pair = virtual_pair(model, model, plan)
+    found = linearised(pair, [ParameterErrors().measure(pair)]).budget
+    theta = np.zeros(len(model.entries))
+    fit = identify(model, Measurement(plan, np.asarray(predict(model, plan, theta))), room=ROOM)
+    normal = fit.jacobian.T @ fit.jacobian + np.diag(fit.precision)
+    step = np.array([e.parameter.step / e.parameter.si for e in model.entries])
+    np.testing.assert_allclose(found.u, step * np.sqrt(np.diag(np.linalg.inv(normal))), rtol=1e-5)
+    assert [name for name in found.source.labels if name.startswith("noise")] == [
+        f"noise: {name}"
+        for name in ("tracker range", "tracker azimuth", "tracker elevation",
+                     "balls X", "balls Y", "balls Z")
+    ]  # fmt: skip
 
 
 def test_the_oracle_writes_one_machine(clean):

@@ -192,8 +192,8 @@ def simulate(
 
     with working("simulating"):
         study = load_study(setup, override or [])
-        place, data = study.model.setup(study.plan), study.one.file
-        effects = [parse_with(text, study.catalogue, place, data) for text in with_ or []]
+        place, files = study.model.setup(study.plan), study.files
+        effects = [parse_with(text, study.catalogue, place, files) for text in with_ or []]
         result = write_simulated(
             study,
             out,

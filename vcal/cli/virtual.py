@@ -53,7 +53,6 @@ def run_virtual(
     check_noise_factor(noise_factor)
     check_virtual_folder(out)
     study = load_study(setup, overrides)
-    _ = study.one  # several data sets are refused before the work, not after it
     truth = _truth(study, effects)
     settings: dict[str, Any] = {
         "draws": number,
@@ -110,7 +109,7 @@ def _truth(study: Study, effects: Sequence[str]) -> Model:
     place = model.setup(study.plan)
     found = []
     for text in effects:
-        effect = parse_with(text, study.catalogue, place, study.one.file)
+        effect = parse_with(text, study.catalogue, place, study.files)
         found.append(effect)
         try:
             check_keys(model.with_effects(*found))

@@ -445,8 +445,13 @@ def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: Mapping
             f"column {column}",
             f"{found}, but the declared effect {effect.key!r} ({where.key} of "
             f"{where.file}) depends on it",
-            f"the columns {listed(file_name(name, plan.axes) for name in effect.needs)}",
-            "add the column or remove the effect",
+            f"the columns {listed(file_name(name, plan.axes) for name in effect.needs)}"
+            + ("" if shared else ", the same in all data sets"),
+            "add the column or remove the effect"
+            if shared
+            else "say when each began by its start_s, or remove the effect"
+            if missing[0] == "t"
+            else "remove the effect",
         )
     try:
         shape = {

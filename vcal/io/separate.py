@@ -38,11 +38,11 @@ def parse_rivals(texts: Sequence[str], study: Study) -> Wanted:
             f"--separate: found {len(texts)} effect{'s' * (len(texts) != 1)}, expected two; give "
             "the option twice, such as --separate backlash:Y --separate scale_growth:Y"
         )
-    place, data = _setup(study), study.one.file
+    place, files = _setup(study), study.files
     rivals = []
     for text in texts:
         try:
-            rivals.append(Rival.of(parse_with(text, study.catalogue, place, data)))
+            rivals.append(Rival.of(parse_with(text, study.catalogue, place, files)))
         except StudyError as error:
             raise StudyError(str(error).replace(f"--with {text}", f"--separate {text}")) from error
         except ValueError as error:  # a random effect has no amplitude that could be fitted

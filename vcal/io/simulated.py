@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -22,7 +23,7 @@ from .declared import Catalogue, declared_effects, unknown_effect
 from .folder import check_way
 from .messages import refusal, shown
 from .settings import COMPUTABLE, EffectSettings, computable, read_setup
-from .study import Study
+from .study import DataSet, Study
 from .table import read_header, read_table, write_table
 
 _CHECK_ROWS = 400
@@ -30,13 +31,18 @@ _MOST_NOISE = 1e6
 _WITH = "NAME, NAME:PLACEMENT or NAME:PLACEMENT:KEY=VALUE,..., such as backlash:Y:size_um=12"
 
 
-def parse_with(text: str, catalogue: Catalogue, setup: Setup, data: str = "data.csv") -> Effect:
+def parse_with(
+    text: str,
+    catalogue: Catalogue,
+    setup: Setup,
+    files: Mapping[str, str] = MappingProxyType({"": "data.csv"}),
+) -> Effect:
     """An effect from ``NAME:PLACEMENT:KEY=VALUE,KEY=VALUE``, such as ``backlash:Y:size_um=12``.
 
-    The keys are those of a ``[[model.effect]]`` row: parameters with their unit, ``component``, and
-    ``*_sigma``. A parameter with a value is known; one without is left to its prior. An effect that
-    has no placement goes without: ``range_scale:scale_um_per_m=3``. `data` is what messages call
-    the data.
+    The keys are those of a ``[[model.effect]]`` row: parameters with their unit, ``component``,
+    ``data_set`` and ``*_sigma``. A parameter with a value is known; one without is left to its
+    prior. An effect that has no placement goes without: ``range_scale:scale_um_per_m=3``. `files`
+    are the tables of the data sets by their names (`Study.files`), as messages call them.
 
     Raises `StudyError` for a name, placement or key that is not known (with the nearest), a value
     that is not a number, an effect that several components fit, and one that needs a covariate
@@ -67,7 +73,7 @@ def parse_with(text: str, catalogue: Catalogue, setup: Setup, data: str = "data.
         key = ".".join(str(k) for k in error.errors()[0]["loc"])
         raise refusal(file, f"key {key}", repr(row[key]), "text", "correct the value") from error
     try:
-        (effect,) = declared_effects([settings], catalogue, setup, file, {"": data})
+        (effect,) = declared_effects([settings], catalogue, setup, file, files)
     except StudyError as error:
         # The messages are made for a row of the study file, which this is not.
         message = str(error).replace("key model.effect.0.", "key ")
@@ -110,21 +116,19 @@ def write_simulated(
 ) -> Simulated:
     """Write a folder like that of `study`, with data of a machine drawn from its priors.
 
-    The study file and the tables it names are copied as they are; the data are replaced by what the
-    instrument would read, the check points of linear axes by the true tool points at random
+    The study file and the tables it names are copied as they are; the data are replaced by what
+    every instrument would read, the check points of linear axes by the true tool points at random
     positions over the travel, and ``truth.json`` says what was put in: `effects` beside the
     declared model, which no other file tells. The result depends on `seed` alone. With `overrides`,
     those the study was read with, the study file is written anew, without its comments.
 
-    Raises `StudyError` where `out` is there and not empty, there are several data sets, a table
-    lies outside the folder of the study, the factor is not a number of at least 0, or a position
-    found lies outside the travel.
+    Raises `StudyError` where `out` is there and not empty, a table lies outside the folder of the
+    study, the factor is not a number of at least 0, or a position found lies outside the travel.
     """
-    out, settings = Path(out), study.single
+    out = Path(out)
     require_empty(out)
     check_noise_factor(noise_factor)
-    data, check = settings.data.data, settings.data.check or "check.csv"
-    for name in {*study.hashes, data, check}:
+    for name in {*study.hashes, *study.files.values(), study.check_file}:
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise refusal(
                 study.path.name,
@@ -154,12 +158,13 @@ def write_simulated(
             "errors that leave finite readings",
             "declare smaller ones, or give --with smaller values",
         ) from error
-    _check_travel(study, result, data)
-    tables = {data: _data(study, result)}
-    _check_readable(study, tables[data], data)
+    _check_travel(study, result)
+    tables = {one.file: _data(study, one, result) for one in study.sets}
+    for one in study.sets:
+        _check_readable(study, one, tables[one.file])
     points = _check(study, result, where)
     if points is not None:
-        tables[check] = points
+        tables[study.check_file] = points
     truth = _truth(study, result, effects, seed, noise_factor)
     out.parent.mkdir(parents=True, exist_ok=True)
     # Complete or not at all: the folder gets its name when everything is in it.
@@ -215,36 +220,50 @@ def _setup(study: Study, overrides: Mapping[str, Any] | Sequence[str]) -> str:
     return head + tomli_w.dumps(raw)
 
 
-def _data(study: Study, result: Simulated) -> dict[str, np.ndarray]:
-    """The study's own columns, with the positions and readings of the simulation."""
-    own = read_table(study.folder / study.one.file, [])
-    measurement = result.measurement
+def _data(study: Study, one: DataSet, result: Simulated) -> dict[str, np.ndarray]:
+    """The own columns of a data set, with the positions and readings of the simulation."""
+    own = read_table(study.folder / one.file, [])
+    plan, readings = result.measurement.plan, result.measurement.readings
+    if one.name:
+        width = len(one.instrument.readings)
+        plan, readings = plan.part(one.name), readings[plan.in_set(one.name), :width]
     # The model is that of the study, whose instrument this is.
-    made = study.one.instrument.to_table(measurement.plan, measurement.readings)
-    return {**own, **made}
+    made = one.instrument.to_table(plan, readings)
+    # Inside, time counts from `start_s` on.
+    clock = {name: own[name] for name in ("t_s",) if name in own}
+    return {**own, **made, **clock}
 
 
 def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndarray] | None:
     """Conditions at random positions, and the true tool point there.
 
-    None for an arm: where its tool point is, is for its instrument to find. None where an
-    instrument has columns of its own for positions: it measures at one place.
+    None for an arm: where its tool point is, is for its instrument to find. None where every
+    instrument has columns of its own for positions: it measures at one place. Of several data sets,
+    under the conditions that all of them tell.
     """
-    chain, one = study.chain, study.one
-    if one.instrument.positioned or any(joint.kind != "prismatic" for joint in chain.joints):
+    chain, plan = study.chain, study.plan
+    there = [one for one in study.sets if not one.instrument.positioned]
+    if not there or any(joint.kind != "prismatic" for joint in chain.joints):
         return None
-    plain, full = (
-        {c.name for c in one.instrument.columns(one.settings, chain.axes, readings=readings)}
-        for readings in (False, True)
-    )
-    kept = set(read_header(study.folder / one.file)) - (full - plain)
-    table = linear_plan_table(scattered(chain, study.plan, key, _CHECK_ROWS))
+    if len(there) < len(study.sets):
+        plan = plan.take(np.flatnonzero(np.any([plan.in_set(one.name) for one in there], axis=0)))
+    kept = set.intersection(*(_conditions(study, one) for one in there))
+    table = linear_plan_table(scattered(chain, plan, key, _CHECK_ROWS))
     table = {name: values for name, values in table.items() if name in kept}
     points = result.tool_points(linear_plan(chain, table))
     return table | {f"tcp_{c}_mm": points[:, i] * 1e3 for i, c in enumerate("xyz")}
 
 
-def _check_travel(study: Study, result: Simulated, data: str) -> None:
+def _conditions(study: Study, one: DataSet) -> set[str]:
+    """Columns of a table that are no readings."""
+    plain, full = (
+        {c.name for c in one.instrument.columns(one.settings, study.chain.axes, readings=readings)}
+        for readings in (False, True)
+    )
+    return set(read_header(study.folder / one.file)) - (full - plain)
+
+
+def _check_travel(study: Study, result: Simulated) -> None:
     """Positions that an instrument found itself must lie within the travel, or cannot be read."""
     position = np.asarray(result.measurement.plan.position)
     for i, joint in enumerate(study.chain.joints):
@@ -255,25 +274,25 @@ def _check_travel(study: Study, result: Simulated, data: str) -> None:
         if bad.any():
             row = int(np.argmax(bad))
             unit, si = ("mm", 1e3) if joint.kind == "prismatic" else ("deg", math.degrees(1.0))
+            name, place = study.plan.place(row)
             raise refusal(
-                data,
-                f"row {row + 1}, axis {joint.name}",
+                study.files[name],
+                f"row {place + 1}, axis {joint.name}",
                 f"{position[row, i] * si:.10g} {unit} in the simulation, outside the travel",
                 f"{low * si:.10g} to {high * si:.10g} {unit}",
                 "plan this row further inside, or declare a longer travel",
             )
 
 
-def _check_readable(study: Study, table: Mapping[str, np.ndarray], data: str) -> None:
+def _check_readable(study: Study, one: DataSet, table: Mapping[str, np.ndarray]) -> None:
     """What was simulated must be such that it can be read again as data."""
-    one = study.one
     for column in one.instrument.columns(one.settings, study.chain.axes, readings=True):
         values = np.asarray(table[column.name], float)
         bad = ~((values >= column.low) & (values <= column.high))
         if bad.any():
             row = int(np.argmax(bad))
             raise refusal(
-                data,
+                one.file,
                 f"row {row + 1}, column {column.name}",
                 f"{values[row]:.7g} in the simulation",
                 f"a number from {column.low:.7g} to {column.high:.7g}",

@@ -105,7 +105,7 @@ class Study:
             self.path.name,
             "key data",
             f"{len(self.sets)} [[data]] rows ({listed(one.name for one in self.sets)})",
-            "a single data set, as only `vcal check` and `vcal loop` take several",
+            "a single data set, as `vcal design` takes no more",
             "write a study of one of them, with its [instrument]",
         )
 
@@ -114,6 +114,29 @@ class Study:
         """The data set of a study that has one only; raises `StudyError` as `single` does."""
         _ = self.single
         return self.sets[0]
+
+    @property
+    def observers(self) -> tuple[str, str]:
+        """``"Instrument"`` or ``"Instruments"``, and which: in words."""
+        return "Instrument" + "s" * (len(self.sets) > 1), "; ".join(one.label for one in self.sets)
+
+    @property
+    def observations(self) -> str:
+        """How many, and of how many readings, in words."""
+        return "; ".join(
+            f"{one.plan.rows} observations of {len(one.instrument.readings)} readings"
+            for one in self.sets
+        )
+
+    @property
+    def files(self) -> dict[str, str]:
+        """The table of every data set by its name; under no name where there is one only."""
+        return {one.name: one.file for one in self.sets}
+
+    @property
+    def check_file(self) -> str:
+        """The table of check points, whether it is there or not."""
+        return _check_given(self.settings) or "check.csv"
 
     @property
     def folder(self) -> Path:
@@ -422,11 +445,16 @@ def _checked(
     settings: AnySettings, chain: Chain, sets: Sequence[DataSet], folder: Folder
 ) -> CheckPoints | None:
     """The check points, where there are any: those that are named, or a ``check.csv``."""
-    given = settings.data.check if isinstance(settings, StudySettings) else settings.check
+    given = _check_given(settings)
     name = given or "check.csv"
     if given is None and not folder.has(name):
         return None
     return check_points(name, sets[0].instrument, sets[0].settings, chain, folder)
+
+
+def _check_given(settings: AnySettings) -> str | None:
+    """The name of the check points that a study file gives."""
+    return settings.data.check if isinstance(settings, StudySettings) else settings.check
 
 
 def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:

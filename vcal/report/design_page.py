@@ -73,7 +73,7 @@ def facts(done: Designed, study: Study) -> list[tuple[str, str]]:
     chosen = [task.families[0].motions[i].name for i in task.families[0].chosen]
     told = [
         ("Machine", study.chain.text),
-        ("Instrument", study.one.label),
+        study.observers,
         ("Goal", f"{settings.goal}: {task.criterion.words}"),
         ("Plan", f"{len(task.space.groups)} {task.space.group}s, {study.plan.rows} rows"),
         ("Free", f"{len(task.space.low)} numbers within bounds"),

@@ -159,7 +159,7 @@ def following_page(
         badge=Badge("Next", "plain"),
         facts=[
             ("Machine", study.chain.text),
-            ("Instrument", study.one.label),
+            study.observers,
             ("So far", f"{len(done.present.groups)} {done.present.group}s, {study.plan.rows} rows"),
             ("Next", f"{len(done.task.space.groups)} {done.task.space.group}s"),
             ("Goal", _goal(done, settings.goal)),

@@ -227,14 +227,10 @@ def _facts(closure: Closure, study: Study) -> list[tuple[str, str]]:
     used = int(after.used.sum())
     held = f", {plan.rows - used} of them held out or left out" if used < plan.rows else ""
     check = len(closure.check.tool_point) if closure.check is not None else 0
-    sizes = "; ".join(
-        f"{one.plan.rows} observations of {len(one.instrument.readings)} readings"
-        for one in study.sets
-    )
     return [
         ("Machine", study.chain.text),
-        ("Instrument" + "s" * (len(study.sets) > 1), "; ".join(one.label for one in study.sets)),
-        ("Measurement", sizes + held),
+        study.observers,
+        ("Measurement", study.observations + held),
         ("Check points", str(check) if check else "none"),
         ("Parameters", f"{len(closure.before.theta)} declared, {len(after.theta)} in the end"),
     ]

@@ -88,11 +88,10 @@ def _badge(result: VirtualCalibration) -> Badge:
 def _facts(
     result: VirtualCalibration, study: Study, settings: Mapping[str, Any]
 ) -> list[tuple[str, str]]:
-    rows, per_row = study.plan.rows, len(study.model.instrument.readings)
     return [
         ("Machine", study.chain.text),
-        ("Instrument", study.one.label),
-        ("Plan", f"{rows} observations of {per_row} readings"),
+        study.observers,
+        ("Plan", study.observations),
         ("Fitted", f"{len(result.entries)} parameters"),
         ("In reality, not fitted", ", ".join(settings["with"]) or "nothing else"),
         ("Machines drawn", _count(result.ensemble.draws)),

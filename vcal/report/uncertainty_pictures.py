@@ -130,7 +130,9 @@ def _field(result: VirtualCalibration) -> Figure:
 def _sources(contributions: tuple[Contribution, ...]) -> Figure:
     shown = contributions[:12][::-1]
     drawn = figure(9.6, 1.2 + 0.3 * len(shown))
-    ax = grid(drawn, 1, 1, {"left": 2.4, "right": 0.9, "top": 0.5, "bottom": 0.55})[0, 0]
+    # Inches; names of data sets make them longer.
+    left = min(max(2.4, 0.3 + 0.072 * max(len(c.source) for c in shown)), 5.0) if shown else 2.4
+    ax = grid(drawn, 1, 1, {"left": left, "right": 0.9, "top": 0.5, "bottom": 0.55})[0, 0]
     place = np.arange(len(shown))
     for origin, tone in _TONES.items():
         mine = [k for k, c in enumerate(shown) if c.origin == origin]

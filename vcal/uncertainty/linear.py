@@ -194,10 +194,13 @@ def sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
             found[effect.key] = parameters, columns @ parameters[here]
         start += count
     sigma = np.asarray(simulator.sigma)
-    for j, name in enumerate(model.instrument.readings):
-        readings = np.zeros((n, m, n))
-        readings[np.arange(n), j, np.arange(n)] = sigma[:, j]
-        found[f"noise: {name}"] = None, readings.reshape(n * m, n)
+    for part, inside in plan.parts.items():
+        rows = np.flatnonzero(inside)
+        own = model.instrument.members.get(part, model.instrument)
+        for j, name in enumerate(own.readings):
+            readings = np.zeros((n, m, len(rows)))
+            readings[rows, j, np.arange(len(rows))] = sigma[rows, j]
+            found[f"noise: {f'{part} {name}'.strip()}"] = None, readings.reshape(n * m, len(rows))
     for column in simulator.scatter:
         slope = by_port[:, :, column.port]
         for values, k in zip(column.values, column.parameter, strict=True):
