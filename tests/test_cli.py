@@ -604,6 +604,8 @@ def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
         text=True,
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), package])},
+        # Tests that run in the background of a shell have it ignored, and so would this process.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert found.stdout.readline() == "waiting\n"
     found.send_signal(signal.SIGINT)
