@@ -18,7 +18,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from ..effects.base import Effect
 from ..fit import Fit
 from .chance import minus_log_beta_tail
-from .scales import log_mixture
+from .scales import leniency, log_mixture, surprise
 from .scan import Response, Responses, Scan, filled
 
 _RESOLVED = 1e-4
@@ -47,6 +47,13 @@ class Peak:
     """By how much that is more than that of the best shape alone: the share of the scan that
     explains the residual as well, so never above zero where the scan resolves the peak.
     """
+    leniency: float = 0.0
+    """What its size being larger than expected costs `log_bayes` beyond what it may."""
+
+    @property
+    def log_bayes_at_its_size(self) -> float:
+        """`log_bayes` as rivals are weighed."""
+        return self.log_bayes + self.leniency
 
 
 class Screen:
@@ -197,6 +204,7 @@ class Screen:
                 together,
                 int(drops.rank[i]),
                 together - float(bayes[i]),
+                drops.leniency(i),
             )
         return best
 
@@ -345,6 +353,11 @@ class Drops:
     null: Mapping[int, np.ndarray]
     """Largest drop of each null residual (draws), by rank."""
 
+    def leniency(self, i: int) -> float:
+        """What the size at one step costs the evidence beyond what it may (`scales.leniency`)."""
+        information, scores = self.information[i], self.scores[i]
+        return leniency(float(surprise(np.linalg.solve(information + np.eye(len(scores)), scores))))
+
     @classmethod
     def joined(cls, parts: Sequence["Drops"]) -> "Drops":
         """All steps together."""
@@ -401,6 +414,7 @@ class Tested:
                 log_bayes=float(self.bayes[i]) + spread - steps,
                 rank=int(drops.rank[i]),
                 log_share=spread - steps,
+                leniency=drops.leniency(i),
             )
             for i, spread in zip(chosen, spreads, strict=True)
         ]

@@ -439,30 +439,33 @@ def _shortlist(
     """
     if not worth:
         return []
-    best = worth[0].log_bayes
-    near = [p for p in worth if p.log_bayes > best - _MARGIN]
+    least = max(p.log_bayes_at_its_size for p in worth) - _MARGIN
+    near = [p for p in worth if p.log_bayes_at_its_size > least]
     ids = {id(p) for p in near}
-    near += [p for p in others if id(p) not in ids and p.log_bayes > best - _MARGIN]
+    near += [p for p in others if id(p) not in ids and p.log_bayes_at_its_size > least]
     # Of the empirical descriptions only the best of each kind: many are alike.
     empirical: dict[str, Peak] = {}
     for peak in others:
         if isinstance(peak.effect, Empirical):
-            empirical.setdefault(peak.effect.name, peak)
+            best = empirical.setdefault(peak.effect.name, peak)
+            if peak.log_bayes_at_its_size > best.log_bayes_at_its_size:
+                empirical[peak.effect.name] = peak
     near = [p for p in near if not isinstance(p.effect, Empirical)]
-    near += [p for p in empirical.values() if p.log_bayes > best - _MARGIN]
+    near += [p for p in empirical.values() if p.log_bayes_at_its_size > least]
 
     def weight(peak: Peak) -> float:
-        return peak.log_bayes + math.log(peak.effect.odds / instances[peak.effect.name])
+        odds = math.log(peak.effect.odds / instances[peak.effect.name])
+        return peak.log_bayes_at_its_size + odds
 
     refined = sorted((state.refine(p) for p in near), key=weight, reverse=True)
-    best = weight(refined[0])
-    close = [p for p in refined if weight(p) > best - _CLOSE]
+    most = weight(refined[0])
+    close = [p for p in refined if weight(p) > most - _CLOSE]
     # The best of every kind first: many places of one kind may be alike.
     firsts = sorted({p.effect.name: p for p in reversed(close)}.values(), key=weight, reverse=True)
     ids = {id(p) for p in firsts}
     chosen = [*firsts, *(p for p in close if id(p) not in ids)][:_REFITS]
     # A run of worthless rivals must not hide the next significant candidate, should the best fail.
-    chosen += [p for p in refined if weight(p) <= best - _CLOSE][: max(0, 2 - len(chosen))]
+    chosen += [p for p in refined if weight(p) <= most - _CLOSE][: max(0, 2 - len(chosen))]
     return sorted(chosen, key=weight, reverse=True)
 
 
