@@ -27,6 +27,10 @@ _LASTING = 3
 """As many suspected rows one after the other, and all displaced alike, are no stray readings."""
 _BEYOND = 3.0
 """Times the distance of the next one from which few readings do not belong, whatever is missing."""
+_FREE = 1e-6
+"""Share of a reading's variance that must be left beside the fit for it to be told from others: the
+place of three balls across their plane is what their pose says.
+"""
 _ALIKE = 0.2
 """Displaced alike: one displacement of the tool leaves less than this of their chi-square, of both
 per degree of freedom.
@@ -146,20 +150,29 @@ def _outstanding(fit: Fit, weights: np.ndarray) -> list[Stray]:
         rows = np.flatnonzero(fit.used & inside)
         if not len(rows):
             continue
-        readings = fit.counted[rows[0]].sum()
-        distance = np.einsum(
-            "ni,ni->n", whitened[rows], np.linalg.solve(own[rows], whitened[rows, :, None])[:, :, 0]
+        values, vectors = np.linalg.eigh(own[rows])
+        along = np.einsum("nij,ni->nj", vectors, whitened[rows])
+        free = values > _FREE
+        distance = np.where(free, along**2 / np.where(free, values, 1.0), 0.0).sum(1)
+        # A reading that there is not is an unfitted number of its own.
+        readings = free.sum(1) - (own.shape[1] - fit.counted[rows].sum(1))
+        seen = readings > 0
+        strays += _improbable(
+            rows[seen], (distance / weights[rows])[seen], readings[seen], int(fit.used.sum())
         )
-        strays += _improbable(rows, distance / weights[rows], readings, int(fit.used.sum()))
     return strays
 
 
-def _improbable(rows: np.ndarray, squares: np.ndarray, readings: int, count: int) -> list[Stray]:
-    """Those of the rows whose squared distance is too large for one of `count`, by the robust scale
-    of all of them.
+def _improbable(
+    rows: np.ndarray, squares: np.ndarray, readings: np.ndarray | int, count: int
+) -> list[Stray]:
+    """Those of the rows whose squared distance, of so many readings, is too large for one of
+    `count`, by the robust scale of all of them.
     """
-    median = 2.0 * gammainccinv(0.5 * readings, 0.5)
-    scaled = squares / max(np.median(squares) / median, 1e-30)
+    if not len(rows):
+        return []
+    median = 2.0 * gammainccinv(0.5 * np.asarray(readings, float), 0.5)
+    scaled = squares / max(float(np.median(squares / median)), 1e-30)
     minus_log_p = minus_log_chi2_tail(scaled, readings)
     return [
         Stray(int(rows[i]), float(np.sqrt(scaled[i])), float(np.exp(-minus_log_p[i])))
