@@ -263,32 +263,15 @@ def _left(base: Fit, of: Rival, by: Rival) -> float:
     return float(inner(moved[:, None], moved[:, None])[0, 0] - described)
 
 
-def _at_any_size(base: Fit, rival: Rival) -> float:
-    """Chi-square of a rival, were nothing known of its size: what is expected of it pulls the fit
-    off the readings, by theta' G^-1 theta with the information G of its amplitudes beside the rest.
-    """
-    first = len(base.model.entries)
-    mine = np.arange(first, first + len(rival.effect.amplitudes))
-    jacobian, theta = rival.fit.jacobian, rival.fit.theta[mine]
-    precision = rival.fit.precision[mine]
-    h = jacobian.T @ jacobian + np.diag(rival.fit.precision)
-    others = np.setdiff1d(np.arange(len(h)), mine)
-    across = h[np.ix_(others, mine)]
-    own = h[np.ix_(mine, mine)] - across.T @ np.linalg.solve(h[np.ix_(others, others)], across)
-    pull = precision * theta
-    inverse = np.linalg.pinv(own - np.diag(precision), rcond=1e-8, hermitian=True)
-    return float(rival.fit.chi2 - pull @ inverse @ pull)
-
-
 def same_for_these_data(base: Fit, a: Rival, b: Rival) -> bool:
-    """Whether two rivals of as many parameters fit alike, whatever sizes are expected, and either
-    would describe what the other one is found to be, to less than the data can tell.
+    """Whether two rivals of as many parameters fit alike and either would describe what the other
+    one is found to be, to less than the data can tell.
     """
     if len(a.effect.parameters) != len(b.effect.parameters):
         return False
     noise = max(1.0, min(a.fit.chi2 / a.fit.dof, b.fit.chi2 / b.fit.dof))
     return (
-        abs(_at_any_size(base, a) - _at_any_size(base, b)) < _TOLD * noise
+        abs(a.fit.chi2 - b.fit.chi2) < _TOLD * noise
         and max(_left(base, a, b), _left(base, b, a)) < _TOLD * noise
     )
 
