@@ -1,5 +1,6 @@
 """Refitting the best candidates and weighing them against each other."""
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ _SAME_SHAPE = 2.0
 _FITS_AS_WELL = 10.0
 """Chi-square in units of the noise by which an empirical description must fit better than an effect
 to be preferred to it ..."""
+_WIDENINGS, _WIDER = 4, 4.0
+"""How often, and by how much, the prior of an effect grows that is larger than expected."""
 _LIKELIER = math.log(20.0)
 """... unless it has no fewer parameters, fits no worse and has log odds over it of so much, without
 what the effect loses by being larger than expected."""
@@ -85,10 +88,15 @@ class Weighed:
 
 def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0) -> Fit:
     """The model with one more effect, from the linear estimate of its amplitudes."""
-    model = base.model.with_effects(peak.effect)
+    return _refit(base, peak, keep, room, 1.0)
+
+
+def _refit(base: Fit, peak: Peak, keep: np.ndarray, room: int, wider: float) -> Fit:
+    """The same with so many times the prior standard deviations of the amplitudes."""
+    model = base.model.with_effects(widened(peak.effect, wider))
     place = len(base.model.effects)
     amplitudes = len(base.model.entries)
-    theta = np.concatenate([base.theta[:amplitudes], peak.amplitudes])
+    theta = np.concatenate([base.theta[:amplitudes], np.asarray(peak.amplitudes) / wider])
     shapes = {**base.shapes, **({place: dict(peak.shape)} if peak.shape else {})}
     return identify(
         model,
@@ -99,6 +107,39 @@ def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0) -> Fit:
         keep=keep,
         room=room,
     )
+
+
+def widened(effect: Effect, wider: float) -> Effect:
+    """The effect with so many times the prior standard deviations of its free amplitudes."""
+    rows = {
+        p.name: (p.name, p.mean, wider * p.sigma)
+        for p in effect.amplitudes
+        if p.informed and not p.known
+    }
+    if wider == 1.0 or not rows:
+        return effect
+    given = tuple(row for row in effect.given if row[0] not in rows)
+    priors = tuple(p for p in effect.priors if not rows.keys() & set(p.names))
+    return dataclasses.replace(effect, given=(*given, *rows.values()), priors=priors)
+
+
+def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fit, float]:
+    """The refit with a prior as wide as its size asks for, and by how much: what is expected would
+    else pull it off the readings, the more the less they are trusted while it is missing.
+    """
+    wider, fit = 1.0, refit(base, peak, keep, room)
+    first = len(base.model.entries)
+    added = slice(first, first + len(peak.effect.amplitudes))
+    for _ in range(_WIDENINGS):
+        most = float(np.abs(fit.theta[added]).max()) if fit.converged else 0.0
+        if most <= 1.0:
+            break
+        wider *= _WIDER ** math.ceil(math.log(most, _WIDER))
+        grown = _refit(base, peak, keep, room, wider)
+        if not grown.converged:
+            break
+        fit = grown
+    return fit, wider
 
 
 def refit_all(
@@ -113,8 +154,10 @@ def refit_all(
     `instances` tells how many places and components of each kind were tried. Fits that do not
     converge, or that leave a parameter undetermined, are left out.
     """
-    fits = [(peak, refit(base, peak, keep, room)) for peak in peaks]
-    fits = _distinct([(peak, fit) for peak, fit in fits if fit.converged and fit.determined])
+    sized = [(peak, *_at_its_size(base, peak, keep, room)) for peak in peaks]
+    sized = [item for item in sized if item[1].converged and item[1].determined]
+    widths = {id(fit): wider for _, fit, wider in sized}
+    fits = _distinct([(peak, fit) for peak, fit, _ in sized])
     if not fits:
         return []
     noise = math.sqrt(max(1.0, min(fit.chi2 / fit.dof for _, fit in fits)))
@@ -129,8 +172,10 @@ def refit_all(
         added = slice(first, first + len(peak.effect.amplitudes))
         gain = fit.log_evidence(noise) + over_scales(fit, added, noise) - reference
         shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
-        beyond = float(surprise(fit.theta[added]))
-        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape, beyond))
+        wider = widths[id(fit)]
+        beyond = float(surprise(wider * fit.theta[added]))
+        cost = beyond if wider > 1.0 else 0.0  # else it is in the evidence
+        rivals.append(Rival(peak.effect, fit, gain + shape - cost, odds, bic, shape, beyond))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
 

@@ -35,6 +35,14 @@ def leniency(surprise: float) -> float:
     return max(0.0, surprise - _SURPRISE)
 
 
+def too_large(information: np.ndarray, scores: np.ndarray) -> float:
+    """What it costs the log evidence of amplitudes (as of `log_gain`) that their prior is narrow:
+    by how much a wider one would be better.
+    """
+    wider = log_gain(information, scores, 4.0 ** np.arange(16.0))
+    return float(wider.max() - wider[0])
+
+
 def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -> np.ndarray:
     """Log Bayes factors of amplitudes with a normal prior of sigma s over none, by s^2 (k).
 

@@ -18,7 +18,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from ..effects.base import Effect
 from ..fit import Fit
 from .chance import minus_log_beta_tail
-from .scales import leniency, log_mixture, surprise
+from .scales import leniency, log_mixture, too_large
 from .scan import Response, Responses, Scan, filled
 
 _RESOLVED = 1e-4
@@ -155,7 +155,7 @@ class Screen:
             whole = [Drops.joined(own[i]) for i in members]
             for i, drops, bayes in zip(members, whole, self._log_bayes(whole), strict=True):
                 if drops.rank.max() > 0:
-                    tested[i] = Tested(effects[i], scans[i], drops, bayes)
+                    tested[i] = Tested(effects[i], scans[i], drops, bayes, self._noise(drops))
         return tested
 
     def refine(self, peak: Peak, rounds: int = 3) -> Peak:
@@ -204,7 +204,7 @@ class Screen:
                 together,
                 int(drops.rank[i]),
                 together - float(bayes[i]),
-                drops.leniency(i),
+                drops.leniency(i, self._noise(drops)),
             )
         return best
 
@@ -307,13 +307,17 @@ class Screen:
         at the noise that the best of the scan leaves.
         """
         sizes = [len(drops.stat) for drops in of]
-        noise = [max((self.chi2 - drops.stat.max()) / self.dof, 1.0) for drops in of]
+        noise = [self._noise(drops) for drops in of]
         every = np.repeat(noise, sizes)
         g = np.concatenate([drops.information for drops in of]) / every[:, None, None]
         s = np.concatenate([drops.scores for drops in of]) / every[:, None]
         values, vectors = np.linalg.eigh(g)
         gains = log_mixture(np.maximum(values, 0.0), np.einsum("gab,ga->gb", vectors, s))
         return np.split(gains, np.cumsum(sizes)[:-1])
+
+    def _noise(self, drops: "Drops") -> float:
+        """Variance of the noise that the best of a scan leaves, in units of that of the fit."""
+        return max((self.chi2 - float(drops.stat.max())) / self.dof, 1.0)
 
     def rarest(self, drops: Mapping[int, np.ndarray], cost) -> np.ndarray:
         """-ln p of the rarest of the largest drops of each rank."""
@@ -353,10 +357,13 @@ class Drops:
     null: Mapping[int, np.ndarray]
     """Largest drop of each null residual (draws), by rank."""
 
-    def leniency(self, i: int) -> float:
-        """What the size at one step costs the evidence beyond what it may (`scales.leniency`)."""
-        information, scores = self.information[i], self.scores[i]
-        return leniency(float(surprise(np.linalg.solve(information + np.eye(len(scores)), scores))))
+    def leniency(self, i: int, noise: float) -> float:
+        """What the size at one step costs the evidence beyond what it may (`scales.leniency`), with
+        a noise variance.
+        """
+        values, vectors = np.linalg.eigh(self.information[i] / noise)
+        scores = vectors.T @ (self.scores[i] / noise)
+        return leniency(too_large(np.maximum(values, 0.0), scores))
 
     @classmethod
     def joined(cls, parts: Sequence["Drops"]) -> "Drops":
@@ -385,6 +392,8 @@ class Tested:
     scan: Scan
     drops: Drops
     bayes: np.ndarray
+    noise: float
+    """Variance that the best step leaves."""
 
     def largest(self) -> dict[int, np.ndarray]:
         """The largest drop of each rank."""
@@ -414,7 +423,7 @@ class Tested:
                 log_bayes=float(self.bayes[i]) + spread - steps,
                 rank=int(drops.rank[i]),
                 log_share=spread - steps,
-                leniency=drops.leniency(i),
+                leniency=drops.leniency(i, self.noise),
             )
             for i, spread in zip(chosen, spreads, strict=True)
         ]
