@@ -160,8 +160,9 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     state = Screen(base, 20, 0)
     (peak,) = state.test(effect).peaks(1)
     (rival,) = refit_all(base, [peak], {"backlash": 2}, base.used, tracker.room)
-    last = len(rival.fit.model.entries)
-    size = rival.fit.theta[last - 1]
+    place = len(rival.fit.model.effects) - 1
+    size = rival.fit.values_of(place)[0][2] / effect.amplitudes[0].sigma
+    assert abs(size * effect.amplitudes[0].sigma - 120) < 2  # not pulled towards what is expected
     surprise = 0.5 * (size**2 - 1.0)
     assert surprise > np.log(20.0)
     assert rival.surprise == pytest.approx(surprise)
