@@ -11,7 +11,7 @@ from scipy.linalg import cho_solve
 from ..effects.base import Effect
 from ..fit import Fit
 from ..identify import identify
-from .scales import leniency, over_scales, surprise
+from .scales import leniency, narrowed, over_scales, surprise
 from .screen import Peak
 from .whitened import declared_chi2
 
@@ -131,7 +131,9 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
     first = len(base.model.entries)
     added = slice(first, first + len(peak.effect.amplitudes))
     for _ in range(_WIDENINGS):
-        most = float(np.abs(fit.theta[added]).max()) if fit.converged else 0.0
+        most = float(np.abs(fit.theta[added]).max())
+        if not fit.converged and wider == 1.0:
+            most = float(np.abs(peak.amplitudes).max())
         if most <= 1.0:
             break
         wider *= _WIDER ** math.ceil(math.log(most, _WIDER))
@@ -173,9 +175,11 @@ def refit_all(
         gain = fit.log_evidence(noise) + over_scales(fit, added, noise) - reference
         shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
         wider = widths[id(fit)]
-        beyond = float(surprise(wider * fit.theta[added]))
-        cost = beyond if wider > 1.0 else 0.0  # else it is in the evidence
-        rivals.append(Rival(peak.effect, fit, gain + shape - cost, odds, bic, shape, beyond))
+        beyond = float(surprise(fit.theta[added]))
+        if wider > 1.0:
+            beyond = narrowed(fit, added, wider, noise)
+            gain -= beyond
+        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape, beyond))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
 

@@ -65,6 +65,22 @@ def over_scales(fit: Fit, entries: slice, noise_scale: float = 1.0) -> float:
     """What the mixture adds to the log evidence of a fit (`Fit.log_evidence`) for the effect whose
     amplitudes are these entries of theta.
     """
+    values, scores = _alone(fit, entries, noise_scale)
+    once = log_gain(values, scores, np.ones(1))[0]
+    return float(log_mixture(values, scores) - once)
+
+
+def narrowed(fit: Fit, entries: slice, wider: float, noise_scale: float = 1.0) -> float:
+    """What the log evidence of a fit with so many times the prior standard deviations of these
+    entries of theta would lose with one times.
+    """
+    values, scores = _alone(fit, entries, noise_scale)
+    wide, narrow = log_gain(values, scores, np.array([1.0, wider**-2.0]))
+    return float(max(wide - narrow, 0.0))
+
+
+def _alone(fit: Fit, entries: slice, noise_scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Information and scores, as of `log_gain`, of these entries of theta beside all others."""
     h = fit.jacobian.T @ fit.jacobian / noise_scale**2 + np.diag(fit.precision)
     k = len(fit.theta)
     mine = np.arange(k)[entries]
@@ -79,5 +95,4 @@ def over_scales(fit: Fit, entries: slice, noise_scale: float = 1.0) -> float:
     values, vectors = np.linalg.eigh(precision - np.diag(fit.precision[mine]))
     values = np.maximum(values, 0.0)
     scores = vectors.T @ (precision @ fit.theta[mine])
-    once = log_gain(values, scores, np.ones(1))[0]
-    return float(log_mixture(values, scores) - once)
+    return values, scores
