@@ -165,8 +165,7 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     assert abs(size * effect.amplitudes[0].sigma - 120) < 2  # not pulled towards what is expected
     surprise = 0.5 * (size**2 - 1.0)
     assert surprise > np.log(20.0)
-    # Less what a prior of that width costs.
-    assert rival.surprise == pytest.approx(surprise, rel=0.15)
+    assert rival.surprise == pytest.approx(surprise, rel=0.01)
     assert rival.leniency == pytest.approx(rival.surprise - np.log(20.0))
     expected = rival.log_bayes + np.log(0.5) + rival.leniency
     assert rival.log_weight == pytest.approx(expected)

@@ -11,7 +11,7 @@ from scipy.linalg import cho_solve
 from ..effects.base import Effect
 from ..fit import Fit
 from ..identify import identify
-from .scales import leniency, narrowed, over_scales, surprise
+from .scales import at_its_shape, leniency, log_gain, log_mixture, over_scales, surprise
 from .screen import Peak
 from .whitened import declared_chi2
 
@@ -49,6 +49,10 @@ class Rival:
     """What is known of its shape beyond the fit: a share of `log_bayes`."""
     surprise: float = 0.0
     """What its size being larger than expected costs `log_bayes`."""
+    wider: float = 1.0
+    """By how much the prior of its amplitudes is wider in `fit` than in `effect`, by which it is
+    weighed.
+    """
 
     @property
     def leniency(self) -> float:
@@ -86,13 +90,10 @@ class Weighed:
     """Other shapes (SI) that the best may have, with their probability."""
 
 
-def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0) -> Fit:
-    """The model with one more effect, from the linear estimate of its amplitudes."""
-    return _refit(base, peak, keep, room, 1.0)
-
-
-def _refit(base: Fit, peak: Peak, keep: np.ndarray, room: int, wider: float) -> Fit:
-    """The same with so many times the prior standard deviations of the amplitudes."""
+def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0, wider: float = 1.0) -> Fit:
+    """The model with one more effect, from the linear estimate of its amplitudes; with so many
+    times their prior standard deviations.
+    """
     model = base.model.with_effects(widened(peak.effect, wider))
     place = len(base.model.effects)
     amplitudes = len(base.model.entries)
@@ -124,24 +125,45 @@ def widened(effect: Effect, wider: float) -> Effect:
 
 
 def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fit, float]:
-    """The refit with a prior as wide as its size asks for, and by how much: what is expected would
-    else pull it off the readings, the more the less they are trusted while it is missing.
+    """The refit with a prior as wide as its size asks for, and by how much. What is expected would
+    else pull an effect that is far larger off the readings, the more the less they are trusted
+    while it is missing; it would then fit worse than what it is not.
     """
     wider, fit = 1.0, refit(base, peak, keep, room)
     first = len(base.model.entries)
     added = slice(first, first + len(peak.effect.amplitudes))
     for _ in range(_WIDENINGS):
-        most = float(np.abs(fit.theta[added]).max())
-        if not fit.converged and wider == 1.0:
-            most = float(np.abs(peak.amplitudes).max())
-        if most <= 1.0:
+        if fit.converged:
+            noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
+            information, scores = at_its_shape(fit, added, noise)
+            if leniency(surprise(information, scores)) == 0.0:
+                break
+            seen = information > 0.0
+            size = float(np.linalg.norm(scores[seen] / information[seen]))
+        elif wider == 1.0 and peak.leniency > 0.0:
+            size = float(np.linalg.norm(peak.amplitudes))
+        else:
             break
-        wider *= _WIDER ** math.ceil(math.log(most, _WIDER))
-        grown = _refit(base, peak, keep, room, wider)
-        if not grown.converged:
+        if size <= 1.0:
             break
-        fit = grown
+        more = wider * _WIDER ** math.ceil(math.log(size, _WIDER))
+        grown = refit(base, peak, keep, room, more)
+        if not grown.converged or _at_an_end(grown):
+            break
+        wider, fit = more, grown
     return fit, wider
+
+
+def _at_an_end(fit: Fit) -> bool:
+    """Whether a shape of the last effect is at an end of its scan, where it trades with the size: a
+    drift is a warming-up of any time constant that is long enough.
+    """
+    last = len(fit.model.effects) - 1
+    scan = fit.model.effects[last].scan(fit.measurement.plan)
+    return any(
+        p.moves and fit.shapes[last][p.name] in (scan[p.name].min(), scan[p.name].max())
+        for p in fit.model.effects[last].shapes
+    )
 
 
 def refit_all(
@@ -172,14 +194,18 @@ def refit_all(
         odds = math.log(peak.effect.odds / instances[peak.effect.name])
         first = len(base.model.entries)
         added = slice(first, first + len(peak.effect.amplitudes))
-        gain = fit.log_evidence(noise) + over_scales(fit, added, noise) - reference
-        shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
         wider = widths[id(fit)]
-        beyond = float(surprise(fit.theta[added]))
+        own = at_its_shape(fit, added, noise)
+        declared = own[0] / wider**2, own[1] / wider
         if wider > 1.0:
-            beyond = narrowed(fit, added, wider, noise)
-            gain -= beyond
-        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape, beyond))
+            more = float(log_mixture(*declared) - log_gain(*own, np.ones(1))[0])
+        else:
+            more = over_scales(fit, added, noise)
+        gain = fit.log_evidence(noise) + more - reference
+        shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
+        rivals.append(
+            Rival(peak.effect, fit, gain + shape, odds, bic, shape, surprise(*declared), wider)
+        )
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
 
@@ -264,7 +290,7 @@ def likelier_together(fit: Fit, found: Sequence[tuple[int, Rival]], description:
         counts = [len(e.amplitudes) for e in its.model.effects]
         mine = slice(sum(counts[:place]), sum(counts[: place + 1]))
         more = over_scales(its, mine, noise) + rival.log_shape + rival.log_prior
-        gain += sign * (more + leniency(float(surprise(its.theta[mine]))))
+        gain += sign * (more + leniency(surprise(*at_its_shape(its, mine, noise))))
     by = (declared_chi2(description.fit) - declared_chi2(fit)) / noise**2
     return gain > _LIKELIER and by > _FITS_AS_WELL
 

@@ -17,15 +17,24 @@ from ..fit import Fit
 _SQUARED = 4.0 ** -np.arange(11.0)
 """Squares of the factors, down to a thousandth."""
 
+_TOLD = 1e-9
+"""Least information, in units of that of the prior, from which an amplitude has a size."""
 _SURPRISE = math.log(20.0)
 """Most that a size beyond its prior may count against a rival, as log odds."""
 
 
-def surprise(sizes: np.ndarray) -> np.ndarray:
-    """What it costs the log evidence that amplitudes (..., c), in prior standard deviations, are
-    larger than expected.
+def surprise(information: np.ndarray, scores: np.ndarray) -> float:
+    """What it costs the log evidence that amplitudes are larger than expected, of a linear model as
+    in `log_gain`: what the prior adds to half the chi-square at its minimum, beyond what an
+    amplitude of one standard deviation costs.
+
+    A prior that outweighs the readings makes an amplitude look small and the fit poor; that counts
+    as well: with b = l x, half of l x^2 / (1 + l) is half of x^2 where the readings tell x.
     """
-    return 0.5 * np.maximum(np.square(sizes) - 1.0, 0.0).sum(-1)
+    seen = information > _TOLD
+    size = np.where(seen, scores / np.where(seen, information, 1.0), 0.0)
+    cost = 0.5 * (size**2 * information / (1.0 + information) - 1.0)
+    return float(np.maximum(cost, 0.0).sum())
 
 
 def leniency(surprise: float) -> float:
@@ -33,14 +42,6 @@ def leniency(surprise: float) -> float:
     prefer one rival, not to exclude another.
     """
     return max(0.0, surprise - _SURPRISE)
-
-
-def too_large(information: np.ndarray, scores: np.ndarray) -> float:
-    """What it costs the log evidence of amplitudes (as of `log_gain`) that their prior is narrow:
-    by how much a wider one would be better.
-    """
-    wider = log_gain(information, scores, 4.0 ** np.arange(16.0))
-    return float(wider.max() - wider[0])
 
 
 def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -> np.ndarray:
@@ -65,24 +66,25 @@ def over_scales(fit: Fit, entries: slice, noise_scale: float = 1.0) -> float:
     """What the mixture adds to the log evidence of a fit (`Fit.log_evidence`) for the effect whose
     amplitudes are these entries of theta.
     """
-    values, scores = _alone(fit, entries, noise_scale)
+    values, scores = _seen(fit, entries, noise_scale, len(fit.theta))
     once = log_gain(values, scores, np.ones(1))[0]
     return float(log_mixture(values, scores) - once)
 
 
-def narrowed(fit: Fit, entries: slice, wider: float, noise_scale: float = 1.0) -> float:
-    """What the log evidence of a fit with so many times the prior standard deviations of these
-    entries of theta would lose with one times.
+def at_its_shape(
+    fit: Fit, entries: slice, noise_scale: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information and scores (as of `log_gain`) of the amplitudes that are these entries of theta,
+    beside all other amplitudes, at the shapes of the fit: where the readings do not tell a time
+    constant, how large the amplitude would be at another one says nothing of this.
     """
-    values, scores = _alone(fit, entries, noise_scale)
-    wide, narrow = log_gain(values, scores, np.array([1.0, wider**-2.0]))
-    return float(max(wide - narrow, 0.0))
+    return _seen(fit, entries, noise_scale, len(fit.model.entries))
 
 
-def _alone(fit: Fit, entries: slice, noise_scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Information and scores, as of `log_gain`, of these entries of theta beside all others."""
-    h = fit.jacobian.T @ fit.jacobian / noise_scale**2 + np.diag(fit.precision)
-    k = len(fit.theta)
+def _seen(fit: Fit, entries: slice, noise_scale: float, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Information and scores of some entries of theta, the others of the first k eliminated."""
+    jacobian = fit.jacobian[:, :k]
+    h = jacobian.T @ jacobian / noise_scale**2 + np.diag(fit.precision[:k])
     mine = np.arange(k)[entries]
     others = np.setdiff1d(np.arange(k), mine)
     across = h[np.ix_(others, mine)]

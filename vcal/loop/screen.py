@@ -18,7 +18,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from ..effects.base import Effect
 from ..fit import Fit
 from .chance import minus_log_beta_tail
-from .scales import leniency, log_mixture, too_large
+from .scales import leniency, log_mixture, surprise
 from .scan import Response, Responses, Scan, filled
 
 _RESOLVED = 1e-4
@@ -363,7 +363,7 @@ class Drops:
         """
         values, vectors = np.linalg.eigh(self.information[i] / noise)
         scores = vectors.T @ (self.scores[i] / noise)
-        return leniency(too_large(np.maximum(values, 0.0), scores))
+        return leniency(surprise(np.maximum(values, 0.0), scores))
 
     @classmethod
     def joined(cls, parts: Sequence["Drops"]) -> "Drops":

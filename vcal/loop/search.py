@@ -1,6 +1,5 @@
 """The search of the loop: what was tried, added, refused and left over."""
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from .rivals import (
     outdoes,
     refit_all,
     weigh,
+    widened,
 )
 from .scales import over_scales
 from .scan import Responses
@@ -252,16 +252,9 @@ class Search:
             effect = state.model.effects[last]
             first = sum(len(e.amplitudes) for e in state.model.effects[:last])
             sizes = state.fit.theta[first : first + len(effect.amplitudes)]
-            wider = {
-                p.name: (p.name, p.mean, _WIDER * p.sigma)
-                for p in effect.amplitudes
-                if p.informed and not p.known
-            }
-            if not wider or np.abs(sizes).max() <= 1.0:
+            grown = widened(effect, _WIDER)
+            if grown is effect or np.abs(sizes).max() <= 1.0:
                 break
-            given = tuple(row for row in effect.given if row[0] not in wider)
-            priors = tuple(p for p in effect.priors if not wider.keys() & set(p.names))
-            grown = dataclasses.replace(effect, given=(*given, *wider.values()), priors=priors)
             model = state.model.without(last).with_effects(grown)
             state = fitted(model, state.fit.measurement, state.fit, self.room)
         return state
