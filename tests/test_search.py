@@ -1,6 +1,7 @@
 """The parts of the loop where something once went wrong: what is tried, judged, kept and told."""
 
 import dataclasses
+import importlib
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -358,3 +359,31 @@ def test_a_run_of_circles_alone_can_name(tmp_path):
     assert set(folds) == set(range(5)) and (np.diff(folds) >= 0).all()
     closure = close_loop(study.model, study.measurement, draws=100)
     assert any(e.effect.name == "reversal_spike" for e in closure.effects)
+
+
+@pytest.mark.parametrize(("left", "kept"), [(300.0, True), (100.0, False)])
+def test_a_search_anew_does_not_end_with_less(monkeypatch, left, kept):
+    """Where a description ends the search anew that leaves more than what was there, that stays."""
+    module = importlib.import_module("vcal.loop.search")
+    monkeypatch.setattr(module, "without", lambda *args: SimpleNamespace(
+        converged=True, model=None, measurement=None))  # fmt: skip
+    bare = SimpleNamespace(fit="bare")
+    monkeypatch.setattr(module, "fitted", lambda *args: bare)
+    monkeypatch.setattr(module, "_place", lambda *args: 0)
+    chi2 = {"bare": 900.0, "good": 200.0, "described": left}
+    monkeypatch.setattr(module, "declared_chi2", chi2.get)
+    search = Search(None, (), 0.01, 20, 0, 0, lambda text: None)
+    search.rejected = ["before"]
+
+    def step(state):
+        search.rejected.append("on the way")
+        search._description = SimpleNamespace(fit="described")
+        search.unexplained = "something"
+
+    monkeypatch.setattr(search, "step", step)
+    effect = SimpleNamespace(key="backlash X", name="backlash", placement="X")
+    item = SimpleNamespace(effect=effect, p_value=0.001)
+    state = SimpleNamespace(fit="good")
+    found = search.anew(state, item)
+    assert (found is state, search.unexplained is None) == (kept, kept)
+    assert (search.rejected == ["before"]) == kept

@@ -30,6 +30,7 @@ from .screening import Screening, screen
 from .serial import Serial, gain_beside, persists, serial
 from .state import State, at_declared, chi2_per_dof, fitted, rescored, without
 from .unexplained import Unexplained, described
+from .whitened import declared_chi2
 
 _PRACTICAL = 0.02
 """Least fall of the held-out rms that counts where the fit is far worse than the noise, and what
@@ -275,6 +276,10 @@ class Search:
             self.rejected, self.screenings, self.refused = kept
             raise
         self.screenings = kept[1]
+        if self.unexplained is not None and not self._describes_better(state):
+            self.unexplained = None
+            self.rejected, _, self.refused = kept
+            return state
         if self.unexplained is None and (
             found is None or _same_effect(self.history[-1].effect, item.effect)
         ):
@@ -285,6 +290,11 @@ class Search:
         self.rejected.append(_dropped(item, "beside the others it is something else"))
         self.refused = None
         return bare if found is None else found
+
+    def _describes_better(self, state: State) -> bool:
+        """Whether the description that ended the search leaves less than a state does."""
+        of = self._description
+        return of is None or declared_chi2(of.fit) < declared_chi2(state.fit)
 
     def instead_of_description(self, state: State, most: int) -> State | None:
         """Several effects that together describe better what one description, which fits better
