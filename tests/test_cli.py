@@ -597,6 +597,8 @@ def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
     (tmp_path / "jax.py").write_text("import time\nprint('waiting', flush=True)\ntime.sleep(60)\n")
     package = str(Path(vcal.__file__).parents[1])
     what = "vcal" if argument == "-m" else "import vcal"
+    # Tests in the background of a shell ignore it, and so would a process that they start.
+    own = signal.signal(signal.SIGINT, signal.default_int_handler)
     found = subprocess.Popen(
         [sys.executable, argument, what],
         stdout=subprocess.PIPE,
@@ -604,9 +606,8 @@ def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
         text=True,
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), package])},
-        # Tests that run in the background of a shell have it ignored, and so would this process.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
+    signal.signal(signal.SIGINT, own)
     assert found.stdout.readline() == "waiting\n"
     found.send_signal(signal.SIGINT)
     _, told = found.communicate(timeout=30)
