@@ -144,11 +144,13 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
             size = float(np.linalg.norm(peak.amplitudes))
         else:
             break
-        if size <= 1.0:
+        # A size that no prior is that wrong about is of readings that do not tell it.
+        if not 1.0 < wider * size <= _WIDER**_WIDENINGS:
             break
         more = wider * _WIDER ** math.ceil(math.log(size, _WIDER))
         grown = refit(base, peak, keep, room, more)
-        if not grown.converged or _at_an_end(grown):
+        worse = fit.converged and grown.chi2 > fit.chi2
+        if not grown.converged or worse or _at_an_end(grown):
             break
         wider, fit = more, grown
     return fit, wider
