@@ -9,15 +9,17 @@ from threadpoolctl import threadpool_limits
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
 from ..fit import Fit
+from ..identify import identify
 from ..instruments.conditions import file_column
 from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
+from .begin import shapes_begun
 from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .confounded import confounded, unrecorded_time
 from .empirical import EMPIRICAL
 from .heldout import Rms, check_rms, fit_rms, heldout_rms
-from .rivals import Weighed
+from .rivals import CERTAIN, Weighed
 from .search import Added, Search, place_of
 from .state import (
     State,
@@ -33,8 +35,6 @@ from .whitened import declared_residual
 
 _NO_MACHINE_UM = 2000.0
 """What remains of a fit beyond which the data are not what they are said to be, um."""
-CERTAIN = 0.95
-"""Posterior probability from which an effect is named rather than called ambiguous."""
 _MANY = 50.0
 """Degrees of freedom from which a search is worth its name."""
 _ROOM = 16
@@ -81,7 +81,6 @@ def close_loop(
     progress("fitting the declared model")
     # Room for the effects to come, so that the solver is compiled once.
     room = len(model.entries) + _ROOM
-    nominal = _nominal(model, measurement, room)
     state = fitted(model, measurement, None, room)
     before = state.fit
     run = Search(check, classes, alpha, draws, seed, room, progress)
@@ -114,9 +113,9 @@ def close_loop(
         interrupted = True
     try:
         progress("comparing before and after")
-        return _finish(run, nominal, before, state, settings, interrupted)
+        return _finish(run, model, before, state, settings, interrupted)
     except KeyboardInterrupt:  # what was found is known, and the comparison takes a moment only
-        return _finish(run, nominal, before, state, settings, interrupted)
+        return _finish(run, model, before, state, settings, interrupted)
 
 
 def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
@@ -146,9 +145,12 @@ def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
 
 
 def _finish(
-    run: Search, nominal: Fit, before: Fit, state: State, settings: dict, interrupted: bool
+    run: Search, model: Model, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
-    """The result of a search: the final fit with the noise found, and the errors on the way."""
+    """The result of a search: the final fit with the noise found, and the errors on the way from
+    the `model` that was declared.
+    """
+    nominal = _nominal(model, state, run.room)
     noise, scales = scales_told(state)
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, run.room) for item in run.added(state)]
@@ -249,10 +251,13 @@ def _separation(weighed: Weighed) -> str:
     return f"vary {betrays} independently of what betrays {other}"
 
 
-def _nominal(model: Model, measurement: Measurement, room: int) -> Fit:
+def _nominal(model: Model, state: State, room: int) -> Fit:
+    """The machine without any error, from the readings that the final fit uses."""
     nuisances = tuple(e for e in model.effects if e.kind == "nuisance" or e.where == "instrument")
     bare = Model(model.chain, model.instrument, (*nuisances, *model.random))
-    return fitted(bare, measurement, None, room).fit
+    measurement, keep = state.fit.measurement, state.keep
+    begun = shapes_begun(bare, measurement, keep, room)
+    return identify(bare, measurement, shapes=begun, keep=keep, room=room)
 
 
 def errors(fit: Fit, check: CheckPoints | None) -> Errors:

@@ -15,6 +15,8 @@ from .scales import at_its_shape, leniency, log_gain, log_mixture, over_scales, 
 from .screen import Peak
 from .whitened import declared_chi2
 
+CERTAIN = 0.95
+"""Posterior probability from which an effect is named rather than called ambiguous."""
 _TOLD = 1.0
 """What one candidate must leave of the other, as chi-square in units of the noise, for the data to
 tell the two apart."""
@@ -250,6 +252,19 @@ def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:
         if not any(twins):
             kept.append((peak, fit))
     return kept
+
+
+def preferred(ranked: Sequence[Rival], odds: Mapping[int, float]) -> list[Rival]:
+    """Rivals (by the log odds of their names, most probable first) in the order in which they are
+    to be added: of names that do not exclude each other, one of a size that is expected goes before
+    one whose size had to be forgiven.
+    """
+    if not ranked:
+        return []
+    least = odds[id(ranked[0])] + math.log(1.0 - CERTAIN)
+    open_ = [r for r in ranked if odds[id(r)] >= least]
+    first = sorted(open_, key=lambda r: r.leniency - odds[id(r)])
+    return [*first, *(r for r in ranked if odds[id(r)] < least)]
 
 
 def outdoes(description: Rival, names: Sequence[tuple[Rival, float]]) -> bool:

@@ -19,6 +19,7 @@ from .rivals import (
     classes_of,
     likelier_together,
     outdoes,
+    preferred,
     refit_all,
     weigh,
     widened,
@@ -45,6 +46,7 @@ further than `_CLOSE` after that not refitted: their weight is below one in a th
 _CONTRADICTED = math.log(5.0)
 """Log odds of an effect that is refused over the next, from which that one is no name either: what
 fits as the one and holds as the other is something else."""
+_UNLIKELIER = "the readings are no likelier with it than without"
 _REFITS = 12
 _WIDENINGS, _WIDER = 4, 4.0
 """How often, and by how much, the prior of an added effect grows that is larger than expected."""
@@ -189,18 +191,17 @@ class Search:
                 self._reject(rival, own, f"{best.effect.summary}: describes the residual better")
             self._outdone = self.rejected[known:]
             return None
-        # That nothing is missing is as likely beforehand as all kinds of effects together.
-        nothing = math.log(len(screening.kinds))
         refused: Effect | None = self._unfitted(peaks, rivals, p_values)
-        for rival in significant:
+        for rival in preferred(significant, odds):
             after = at_declared(rival.fit, state, self.room)
             noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
             fall, error = improvement(fit, rival.fit, noise)
             # The readings of another instrument are no witness for an effect of this one.
             share = rms_fall(state.fit, after, np.asarray(rival.effect.rows(measurement.plan)))
             poor = chi2_per_dof(after) > _POOR and (state.noise is None or persists(after))
-            if odds[id(rival)] - rival.leniency <= nothing:
-                self._reject(rival, own, "its evidence does not pay for the search")
+            # What looking everywhere costs is in the p-value: it is not to be paid twice.
+            if odds[id(rival)] - rival.leniency - rival.log_prior <= 0.0:
+                self._reject(rival, own, _UNLIKELIER)
             elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(
                     rival, own, "held-out readings are not foretold better beyond uncertainty"
@@ -226,8 +227,22 @@ class Search:
                 effect = refitted.model.effects[-1]
                 self.history.append(Added(effect, weighed, p, share, trials))
                 return refitted
+        self._left_behind(screening, p_values, rivals)
         self.refused = refused
         return None
+
+    def _left_behind(
+        self, screening: Screening, p_values: Mapping[str, float], rivals: Sequence[Rival]
+    ) -> None:
+        """Tell the significant kinds of effects of which none was refitted: of more parameters than
+        they are worth, the readings are likelier without.
+        """
+        tried = {r.effect.name for r in rivals} | {r.effect for r in self.rejected}
+        for kind in screening.kinds:
+            best = max(kind.peaks, key=lambda peak: peak.log_bayes)
+            p = p_values[kind.kind]
+            if p <= self.alpha and kind.kind not in tried and best.log_bayes <= 0.0:
+                self._refuse(best.effect, p, _UNLIKELIER)
 
     def _unfitted(
         self, peaks: Sequence[Peak], rivals: Sequence[Rival], p_values: Mapping[str, float]
