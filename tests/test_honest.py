@@ -19,8 +19,9 @@ from vcal.loop.chance import minus_log_beta_tail
 from vcal.loop.components import components
 from vcal.loop.confounded import confounded, unrecorded_time
 from vcal.loop.heldout import heldout_residuals, predictive_deviance
-from vcal.loop.screen import Screen
-from vcal.loop.screening import screen
+from vcal.loop.screen import Peak, Screen
+from vcal.loop.screening import KindResult, Screening, screen
+from vcal.loop.search import Search
 from vcal.loop.serial import serial
 from vcal.loop.state import fitted
 from vcal.loop.stray import displaced, scattered, stray_apart, stray_rows
@@ -374,6 +375,34 @@ def test_what_is_named_is_significant_itself(tracker):
     }
     assert own["Y"] == pytest.approx(found.corrected(kind), rel=1e-9) and own["Y"] < 1e-10
     assert max(own["X"], own["Z"]) > 0.01
+
+
+def test_what_looking_everywhere_costs_is_paid_once(tracker):
+    """An effect at the limit of what can be found is named where its p-value, which has paid for
+    all that was tried, says so; its evidence does not have to pay for all kinds of effects again.
+    """
+    measurement = with_noise(tracker, white(tracker, 23), tracker.effect("backlash:Y:size_um=1.4"))
+    closure = closed(tracker, measurement)
+    (found,) = closure.effects
+    assert found.effect.key == "backlash Y"
+    assert 0.001 < found.p_value < 0.01
+    # Three axes share the odds of a backlash, and the kinds those that anything is missing.
+    assert 0.0 < found.log_evidence - np.log(3.0) < np.log(len(closure.screenings[0].kinds))
+
+
+def test_what_is_significant_and_likelier_without_is_told(tracker):
+    """Of more parameters than it is worth: no name, but a reason."""
+    search = Search(None, [], 0.01, 50, 0, tracker.room, lambda text: None)
+    jump, drift = (
+        KindResult(key.split(":")[0], [Peak(effect, {}, np.zeros(1), 30.0, bayes, 6)], 1, 1, 1, 1)
+        for key, bayes in (("jump:tool:X_um=1,at_s=9", -1.5), ("drift:X:rate_EXX_um_per_h=1", 2.0))
+        for effect in [tracker.effect(key)]
+    )
+    kinds = Screening([jump, drift], 0.003, 14.0, 1.0, [])
+    search._left_behind(kinds, {"jump": 0.003, "drift": 0.004}, [])
+    (told,) = search.rejected
+    assert (told.effect, told.p_value) == ("jump", 0.003)
+    assert told.reason == "the readings are no likelier with it than without"
 
 
 def test_what_does_not_hold_on_other_readings_is_no_name(tracker, monkeypatch):

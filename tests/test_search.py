@@ -17,7 +17,7 @@ from vcal.loop.candidates import candidates
 from vcal.loop.close_loop import still_rejected
 from vcal.loop.closure import Rejected
 from vcal.loop.heldout import heldout_rms, improvement
-from vcal.loop.rivals import Names, refit_all
+from vcal.loop.rivals import Names, preferred, refit_all
 from vcal.loop.scan import Responses
 from vcal.loop.screen import Peak, Screen
 from vcal.loop.screening import screen
@@ -189,6 +189,23 @@ def test_names_are_ranked_by_all_their_places_however_unlikely():
     assert ranked[0][1] == pytest.approx(9.5 + np.log(2.0))
     assert ranked[2][1] == pytest.approx(10.0)
     assert ranked[3][1] < -600.0
+
+
+def test_of_names_that_may_be_one_of_an_expected_size_goes_first():
+    """The size of another had to be forgiven; what excludes all others goes first whatever."""
+    odds = {}
+
+    def rival(log_odds: float, leniency: float):
+        made = SimpleNamespace(leniency=leniency)
+        odds[id(made)] = log_odds
+        return made
+
+    large, expected, excluded = rival(12.0, 9.0), rival(11.5, 0.0), rival(8.0, 0.0)
+    ranked = [large, expected, excluded]
+    assert preferred(ranked, odds) == [expected, large, excluded]  # type: ignore[arg-type]
+    certain = rival(20.0, 15.0)
+    assert preferred([certain, *ranked], odds) == [certain, *ranked]  # type: ignore[arg-type]
+    assert preferred([], odds) == []
 
 
 # --- what judges it -------------------------------------------------------------------------------
