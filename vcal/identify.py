@@ -10,6 +10,7 @@ solver, so that a new effect, or a new shape, is only new data to a compiled sol
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -33,6 +34,7 @@ from .model import (
     observe_with_jacobian,
     port_values,
 )
+from .parameters import Parameter
 from .plan import Plan
 from .programs import outer_filter_jit
 from .spatial import require_float64
@@ -301,31 +303,45 @@ def identify(
     if theta is not None:
         estimate[: len(theta)] = theta
     rows = instrument.rows(plan)
-    steps, cost = 0, math.inf
     fixed: dict[int, Terms] = {}
-    for _ in range(_RELINEARISATIONS):
-        terms = linearised_terms(model, plan, current, estimate, fixed)
+
+    def solved(
+        shapes: dict[int, dict[str, float]], begin: np.ndarray, still: np.ndarray
+    ) -> _Solved:
+        terms = linearised_terms(model, plan, shapes, begin, fixed)
+        moving = np.concatenate([np.ones(amplitudes, bool), ~still])[terms.parameter]
+        held_terms = terms._replace(values=np.where(moving, terms.values, 0.0))  # type: ignore[arg-type]
         problem = _padded(
-            Problem(plan.position, rows, measurement.readings, whitener, terms, held),  # type: ignore[arg-type]
+            Problem(plan.position, rows, measurement.readings, whitener, held_terms, held),  # type: ignore[arg-type]
             room,
         )
-        start = np.zeros(problem.root_precision.shape[0])
-        start[:size] = estimate
+        start = _pad(begin, problem.root_precision)
         given = model.chain, instrument, plan, problem
-        found, status, used, now, rank, condition = _solve(*given, start, False)
-        if int(status) not in _ENDS:
-            found, status, used, now, rank, condition = _solve(*given, start, True)
-        steps += int(used)
-        estimate, end = np.array(found)[:size], Status(int(status))
-        if size == amplitudes or abs(cost - float(now)) < _SETTLED:
-            estimate[amplitudes:] = 0.0
+        found, *how = _solve(*given, start, False)
+        if int(how[0]) not in _ENDS:
+            found, *how = _solve(*given, start, True)
+        status, used, cost, rank, condition = how
+        return _Solved(
+            shapes, terms, problem, np.array(found)[:size], Status(int(status)), int(used),
+            float(cost), int(rank) - (len(start) - size), float(condition)
+        )  # fmt: skip
+
+    walk, steps = _Walk(model, plan, amplitudes, solved), 0
+    for _ in range(_RELINEARISATIONS if size > amplitudes else 1):
+        it, used = walk.solved(current, estimate)
+        steps += used
+        if size == amplitudes or walk.ends(it):
+            end = it.status
             break
-        cost = float(now)
-        _move_shapes(model, plan, current, estimate[amplitudes:])
-        estimate[amplitudes:] = 0.0
+        current, estimate = walk.next
     else:
+        # Linear about where it is, not about where it began.
+        it, _ = walk.solved(walk.last.shapes, walk.last.amplitudes(amplitudes))
         end = Status.STEP_LIMIT
-    residual, by_port = _evaluate(model.chain, instrument, plan, problem, _pad(estimate, start))
+    estimate, terms = it.amplitudes(amplitudes), it.terms
+    residual, by_port = _evaluate(
+        model.chain, instrument, plan, it.problem, _pad(estimate, it.problem.root_precision)
+    )
     residual, by_port = np.asarray(residual), np.asarray(by_port)
     by_term = (
         np.einsum("nij,njp->nip", whitener, by_port)[:, :, terms.port] * terms.values[:, None, :]
@@ -336,7 +352,7 @@ def identify(
         model=model,
         measurement=measurement,
         theta=estimate,
-        shapes=current,
+        shapes=it.shapes,
         residual=residual,
         whitener=whitener,
         whitened=np.einsum("nij,nj->ni", whitener, residual).reshape(-1),
@@ -345,13 +361,138 @@ def identify(
         precision=precision,
         status=end,
         steps=steps,
-        rank=int(rank) - (len(start) - size),
-        condition=float(condition),
+        rank=it.rank,
+        condition=it.condition,
     )
 
 
-def _pad(values: np.ndarray, like: np.ndarray) -> np.ndarray:
-    padded = np.zeros_like(like)
+class _Solved(NamedTuple):
+    """The solution of the problem that is linear in the shapes, about some of them."""
+
+    shapes: dict[int, dict[str, float]]
+    terms: Terms
+    problem: Problem
+    found: np.ndarray
+    """Amplitudes, and by how much the shapes should move (solver units)."""
+    status: Status
+    steps: int
+    cost: float
+    """With the shapes moved, as far as the linear model goes."""
+    rank: int
+    condition: float
+
+    def amplitudes(self, count: int) -> np.ndarray:
+        """What was found, the shapes where they are."""
+        return np.where(np.arange(len(self.found)) < count, self.found, 0.0)
+
+
+class _Walk:
+    """The way of the shapes from one linear problem to the next.
+
+    A step goes as far as the linear model says, but no shape by more than one step of its scan. One
+    that stands at an end of its scan and would go further stands still, and all others are found
+    beside it. Of an effect that is a hundred times the noise the linear model does not hold as far
+    as that, nor of one that a few readings see from afar: where all amplitudes at their best then
+    leave more than before, the step is taken back, and a quarter of it is tried.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        plan: Plan,
+        amplitudes: int,
+        solve: Callable[[dict[int, dict[str, float]], np.ndarray, np.ndarray], _Solved],
+    ):
+        self._model, self._plan, self._amplitudes = model, plan, amplitudes
+        self._solve = solve
+        self._reach = 1.0
+        self._last: _Solved | None = None
+        self._standing = math.inf
+        """Cost at the last shapes without a move, where it was asked for."""
+
+    def solved(self, shapes: dict[int, dict[str, float]], begin: np.ndarray) -> tuple[_Solved, int]:
+        """The linear problem about these shapes, and the steps its solution took."""
+        still, steps = np.zeros(len(begin) - self._amplitudes, bool), 0
+        while True:
+            it = self._solve(shapes, begin, still)
+            steps += it.steps
+            further = ~still & self._beyond(shapes, it.found[self._amplitudes :])
+            if not further.any():
+                return it, steps
+            still, begin = still | further, it.amplitudes(self._amplitudes)
+
+    @property
+    def last(self) -> _Solved:
+        """The last that was not taken back."""
+        assert self._last is not None
+        return self._last
+
+    def ends(self, it: _Solved) -> bool:
+        """Whether another step would change nothing any more."""
+        if self._last is None:
+            self._last = it
+            return False
+        change, k = it.cost - self._last.cost, self._amplitudes
+        if abs(change) < _SETTLED * self._reach**2:
+            return True
+        step, before = it.found[k:], self._last.found[k:]
+        growing = change > _SETTLED or float(step @ step) > float(before @ before)
+        if growing and self._rises(it):
+            self._reach /= 4.0
+            return False
+        if step @ before > 0.0:
+            self._reach = min(1.0, 2.0 * self._reach)
+        self._last, self._standing = it, math.inf
+        return False
+
+    @property
+    def next(self) -> tuple[dict[int, dict[str, float]], np.ndarray]:
+        """Shapes and amplitudes (solver units) to go on from."""
+        delta = self._reach * np.clip(self.last.found[self._amplitudes :], -1.0, 1.0)
+        shapes = {i: dict(shape) for i, shape in self.last.shapes.items()}
+        for move, (i, p, step, low, high) in zip(delta, self._moving(shapes), strict=True):
+            shapes[i][p.name] = float(np.clip(shapes[i][p.name] + step * move, low, high))
+        return shapes, self.last.amplitudes(self._amplitudes)
+
+    def _rises(self, it: _Solved) -> bool:
+        if self._standing == math.inf:
+            self._standing = self._cost_at(self.last)
+        return self._cost_at(it) > self._standing + _SETTLED
+
+    def _cost_at(self, it: _Solved) -> float:
+        amplitudes = it.amplitudes(self._amplitudes)
+        all_still = np.ones(len(amplitudes) - self._amplitudes, bool)
+        return self._solve(it.shapes, amplitudes, all_still).cost
+
+    def _beyond(self, shapes: dict[int, dict[str, float]], delta: np.ndarray) -> np.ndarray:
+        """Which shapes stand at an end of their scan and would go further."""
+        return np.array(
+            [
+                (move > 0.0 and shapes[i][p.name] >= high)
+                or (move < 0.0 and shapes[i][p.name] <= low)
+                for move, (i, p, _, low, high) in zip(delta, self._moving(shapes), strict=True)
+            ],
+            bool,
+        )
+
+    def _moving(
+        self, shapes: dict[int, dict[str, float]]
+    ) -> list[tuple[int, Parameter, float, float, float]]:
+        """Every shape parameter that moves: its effect's place, the step of its scan there and the
+        ends of that (SI).
+        """
+        found = []
+        for i, effect in enumerate(self._model.effects):
+            grids = effect.scan(self._plan) if effect.shapes else {}
+            for p in effect.shapes:
+                if p.moves:
+                    step, grid = shape_step(p, shapes[i][p.name], grids), grids[p.name]
+                    found.append((i, p, step, float(grid.min()), float(grid.max())))
+        return found
+
+
+def _pad(values: np.ndarray, like: Array) -> np.ndarray:
+    padded = np.zeros(len(like))
     padded[: len(values)] = values
     return padded
 
@@ -369,21 +510,3 @@ def _padded(problem: Problem, room: int) -> Problem:
         ),  # type: ignore[arg-type]
         root_precision=np.pad(problem.root_precision, (0, more), constant_values=1.0),
     )
-
-
-def _move_shapes(
-    model: Model, plan: Plan, shapes: dict[int, dict[str, float]], delta: np.ndarray
-) -> None:
-    """Move the shape parameters by `delta` solver units, at most one each, inside their scan."""
-    k = 0
-    for i, effect in enumerate(model.effects):
-        grids = effect.scan(plan) if effect.shapes else {}
-        for p in effect.shapes:
-            if not p.moves:
-                continue
-            old = shapes[i][p.name]
-            step = shape_step(p, old, grids)
-            grid = grids[p.name]
-            new = float(np.clip(old + step * np.clip(delta[k], -1, 1), grid.min(), grid.max()))
-            shapes[i][p.name] = new
-            k += 1

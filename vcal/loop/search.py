@@ -171,9 +171,8 @@ class Search:
         ranked = Names.of(classes).ranked() if named else []
         odds = {id(r): weight for r, weight in ranked}
         significant = [r for r, _ in ranked if own[id(r.effect)] <= self.alpha]
-        best = next((r for r in rivals if isinstance(r.effect, Empirical)), None)
-        if best is not None and own[id(best.effect)] > self.alpha:
-            best = None
+        descriptions = (r for r in rivals if isinstance(r.effect, Empirical))
+        best = next((r for r in descriptions if own[id(r.effect)] <= self.alpha), None)
         if best is not None and outdoes(best, [(r, odds[id(r)]) for r in significant]):
             self._description = best
             self.unexplained = described(
