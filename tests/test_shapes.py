@@ -1,0 +1,159 @@
+"""Shape parameters on their way: at the end of a scan, and where the linear model leads astray."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import least_squares, minimize_scalar
+
+from known import Known
+from vcal import Effect, Measurement, Parameter, identify
+from vcal.identify import _Solved, _Walk
+from vcal.least_squares import Status
+
+
+@pytest.fixture(scope="module")
+def tracker(tmp_path_factory) -> Known:
+    return Known("laser_tracker", tmp_path_factory.mktemp("shapes"))
+
+
+class Hump(Effect):
+    """A hump of X in Z, from three hundredths of the travel on."""
+
+    name = "hump"
+    narrowest = 0.03
+
+    @property
+    def parameters(self):
+        return (
+            Parameter("a", "um", sigma=50.0),
+            Parameter("centre", "m", shape=True),
+            Parameter("width", "m", shape=True),
+        )
+
+    @property
+    def needs(self):
+        return ("X",)
+
+    def response(self, plan, shape):
+        x = plan.x("X")
+        return {("EZX", "a"): jnp.exp(-0.5 * ((x - shape["centre"]) / shape["width"]) ** 2)}
+
+    def scan(self, plan):
+        x = np.asarray(plan.x("X"))
+        travel = float(np.ptp(x))
+        return {
+            "centre": np.linspace(x.min(), x.max(), 41),
+            "width": travel * np.geomspace(self.narrowest, 0.3, 9),
+        }
+
+
+def cost_at(it: Known, measurement: Measurement, shape: dict[str, float]) -> float:
+    """The least cost of a hump whose shape is known, which is a linear problem."""
+    given = tuple((name, float(value), 0.0) for name, value in shape.items())
+    fit = identify(it.model.with_effects(Hump(given=given)), measurement, room=it.room)
+    return fit.chi2 + float(fit.theta**2 @ fit.precision)
+
+
+def test_at_an_end_of_the_scan_all_others_are_at_their_best(tracker):
+    """A hump narrower than any that is looked for: the narrowest, with the amplitude and the centre
+    that suit that, by scipy over the centre.
+    """
+    x = np.asarray(tracker.plan.x("X"))
+    travel, at = float(np.ptp(x)), float(np.quantile(np.unique(x), 0.4))
+    true = {"a": 80.0, "centre": at, "width": 0.012 * travel}
+    hump = Hump(given=tuple((name, float(v), 0.0) for name, v in true.items()))
+    sigma = tracker.instrument.noise(tracker.plan, tracker.measurement.readings)
+    noise = sigma * np.random.default_rng(5).standard_normal(sigma.shape)
+    measurement = Measurement(tracker.plan, tracker.readings(hump) + noise)
+    place = len(tracker.model.effects)
+    begin = {place: {"centre": at + 0.01 * travel, "width": 0.05 * travel}}
+    model = tracker.model.with_effects(Hump())
+    fit = identify(model, measurement, shapes=begin, room=tracker.room)
+    assert fit.converged
+    narrowest = Hump().scan(tracker.plan)["width"].min()
+    assert fit.shapes[place]["width"] == narrowest
+    cost = fit.chi2 + float(fit.theta**2 @ fit.precision)
+    found = minimize_scalar(
+        lambda c: cost_at(tracker, measurement, {"centre": c, "width": narrowest}),
+        bounds=(at - 0.03 * travel, at + 0.03 * travel),
+        method="bounded",
+        options={"xatol": 1e-6 * travel},
+    )
+    assert cost == pytest.approx(found.fun, abs=0.01)
+    assert fit.shapes[place]["centre"] == pytest.approx(found.x, abs=1e-3 * travel)
+    uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
+    *others, width = uphill / np.sqrt((fit.jacobian**2).sum(0) + fit.precision)
+    assert np.abs(others).max() < 0.02  # standard uncertainties
+    assert width < -0.1  # and the width would go further
+
+
+def walked(factor: float, start: float, best: float = 0.3) -> tuple[list[float], bool]:
+    """The places of a shape whose linear model goes `factor` times as far as the minimum of
+    100 (s - best)^2 is, in a scan of steps of 0.1 from 0 to 1.
+    """
+    p = SimpleNamespace(name="s", moves=True, si=1.0)
+    effect = SimpleNamespace(shapes=(p,), scan=lambda plan: {"s": np.linspace(0.0, 1.0, 11)})
+
+    def solve(shapes, begin, still):
+        s = shapes[0]["s"]
+        cost = 100.0 * (s - best) ** 2
+        step = 0.0 if still.any() else factor * (best - s) / 0.1
+        # As far as it can see, the linear model leaves half.
+        return _Solved(
+            shapes, None, None, np.array([step]), Status.CONVERGED, 1,
+            cost if still.any() else 0.5 * cost, 1, 1.0
+        )  # type: ignore[arg-type]  # fmt: skip
+
+    walk = _Walk(SimpleNamespace(effects=(effect,)), None, 0, solve)  # type: ignore[arg-type]
+    shapes, begin, places = {0: {"s": start}}, np.zeros(1), []
+    for _ in range(25):
+        it, _ = walk.solved(shapes, begin)
+        places.append(it.shapes[0]["s"])
+        if walk.ends(it):
+            return places, True
+        shapes, begin = walk.next
+    return places, False
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.0, 1.6, 2.8, 6.0])
+def test_a_walk_comes_to_rest_where_steps_are_too_long(factor):
+    places, ended = walked(factor, 0.33)
+    assert ended
+    assert places[-1] == pytest.approx(0.3, abs=2e-3)
+
+
+def test_a_walk_goes_no_further_than_a_step_of_its_scan():
+    places, ended = walked(1.0, 0.85)
+    assert ended and places[-1] == pytest.approx(0.3, abs=2e-3)
+    assert np.abs(np.diff(places)).max() <= 0.1 + 1e-12
+
+
+def test_a_walk_stands_still_at_the_end_of_its_scan():
+    places, ended = walked(1.0, 0.15, best=-0.2)
+    assert ended
+    assert places[-1] == 0.0
+
+
+def test_a_warming_up_longer_than_the_measurement_against_scipy(tracker):
+    """A drift taken for a warming-up: at the end of the scan of its time constant, where amplitude
+    and all else are a linear problem.
+    """
+    measurement = Measurement(
+        tracker.plan, tracker.readings(tracker.effect("drift:Y:rate_EZY_um_per_h=3000"))
+    )
+    place = len(tracker.model.effects)
+    effect = tracker.effect("warm_up:Y:component=EZY")
+    effect = dataclasses.replace(effect, given=(("size_EZY", 0.0, 1e5),))
+    model = tracker.model.with_effects(effect)
+    fit = identify(model, measurement, room=tracker.room)
+    tau = fit.shapes[place]["tau"]
+    assert fit.converged and tau == effect.scan(tracker.plan)["tau"].max()
+    k = len(model.entries)
+    whole = np.vstack([fit.jacobian[:, :k], np.diag(np.sqrt(fit.precision[:k]))])
+    left = np.concatenate([fit.whitened, -np.sqrt(fit.precision[:k]) * fit.theta[:k]])
+    step = least_squares(lambda d: left - whole @ d, np.zeros(k), method="lm").x
+    sigma = np.sqrt(np.diag(np.linalg.inv(whole.T @ whole)))
+    np.testing.assert_allclose(step / sigma, 0.0, atol=0.05)
