@@ -44,7 +44,9 @@ _SLOTS = 32
 share one compiled solver."""
 
 
-_RELINEARISATIONS = 25
+_RELINEARISATIONS = 40
+_PLAIN, _SECANTS = 4, 2
+"""Steps after which the last few are taken together, and how many of their changes."""
 _SETTLED = 1e-4
 """Change of the cost (in units of the noise variance) below which shapes count as found: the
 parameters then move by less than a hundredth of their standard uncertainty."""
@@ -409,6 +411,11 @@ class _Walk:
         self._last: _Solved | None = None
         self._standing = math.inf
         """Cost at the last shapes without a move, where it was asked for."""
+        self._places: list[np.ndarray] = []
+        self._steps: list[np.ndarray] = []
+        """Shapes on the way, and by how much they should have moved from there (SI)."""
+        self._taken, self._together = 0, False
+        """Steps that were not taken back, and whether the next one is that of several together."""
 
     def solved(self, shapes: dict[int, dict[str, float]], begin: np.ndarray) -> tuple[_Solved, int]:
         """The linear problem about these shapes, and the steps its solution took."""
@@ -431,6 +438,7 @@ class _Walk:
         """Whether another step would change nothing any more."""
         if self._last is None:
             self._last = it
+            self._remember(it)
             return False
         change, k = it.cost - self._last.cost, self._amplitudes
         if abs(change) < _SETTLED * self._reach**2:
@@ -438,21 +446,48 @@ class _Walk:
         step, before = it.found[k:], self._last.found[k:]
         growing = change > _SETTLED or float(step @ step) > float(before @ before)
         if growing and self._rises(it):
-            self._reach /= 4.0
+            if not self._together:
+                self._reach /= 4.0
+            self._places, self._steps = self._places[-1:], self._steps[-1:]
             return False
+        self._taken += 1
         if step @ before > 0.0:
             self._reach = min(1.0, 2.0 * self._reach)
         self._last, self._standing = it, math.inf
+        self._remember(it)
         return False
 
     @property
     def next(self) -> tuple[dict[int, dict[str, float]], np.ndarray]:
         """Shapes and amplitudes (solver units) to go on from."""
-        delta = self._reach * np.clip(self.last.found[self._amplitudes :], -1.0, 1.0)
         shapes = {i: dict(shape) for i, shape in self.last.shapes.items()}
-        for move, (i, p, step, low, high) in zip(delta, self._moving(shapes), strict=True):
+        moving = self._moving(shapes)
+        units = np.array([step for _, _, step, _, _ in moving])
+        delta = self._reach * np.clip(self._step(units), -1.0, 1.0)
+        for move, (i, p, step, low, high) in zip(delta, moving, strict=True):
             shapes[i][p.name] = float(np.clip(shapes[i][p.name] + step * move, low, high))
         return shapes, self.last.amplitudes(self._amplitudes)
+
+    def _remember(self, it: _Solved) -> None:
+        moving = self._moving(it.shapes)
+        self._places.append(np.array([it.shapes[i][p.name] for i, p, *_ in moving]))
+        units = np.array([step for _, _, step, _, _ in moving])
+        self._steps.append(units * it.found[self._amplitudes :])
+
+    def _step(self, units: np.ndarray) -> np.ndarray:
+        """Where to go from the last shapes, in those units: as the linear model says and, where
+        that comes to no end, as its last few steps together say (Anderson 1965).
+        """
+        step = self._steps[-1] / units
+        self._together = self._taken >= _PLAIN and len(self._steps) > _SECANTS
+        if not self._together:
+            return step
+        moved, changed = (
+            np.diff(np.array(rows[-1 - _SECANTS :]), axis=0).T / units[:, None]
+            for rows in (self._places, self._steps)
+        )
+        weights = np.linalg.lstsq(changed, step, rcond=1e-6)[0]
+        return step - (moved + changed) @ weights
 
     def _rises(self, it: _Solved) -> bool:
         if self._standing == math.inf:
