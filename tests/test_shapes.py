@@ -10,8 +10,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from known import Known
 from vcal import Effect, Measurement, Parameter, identify
-from vcal.identify import _Solved, _Walk
-from vcal.least_squares import Status
+from vcal.walk import Walk
 
 
 @pytest.fixture(scope="module")
@@ -102,19 +101,22 @@ def walked(factor: float, start: float, best: float = 0.3) -> tuple[list[float],
         cost = 100.0 * (s - best) ** 2
         step = 0.0 if still.any() else factor * (best - s) / 0.1
         # As far as it can see, the linear model leaves half.
-        return _Solved(
-            shapes, None, None, np.array([step]), Status.CONVERGED, 1,
-            cost if still.any() else 0.5 * cost, 1, 1.0
-        )  # type: ignore[arg-type]  # fmt: skip
+        return SimpleNamespace(
+            shapes=shapes,
+            found=np.array([step]),
+            steps=1,
+            cost=cost if still.any() else 0.5 * cost,
+            amplitudes=lambda count: np.zeros(1),
+        )
 
-    walk = _Walk(SimpleNamespace(effects=(effect,)), None, 0, solve)  # type: ignore[arg-type]
+    walk = Walk(SimpleNamespace(effects=(effect,)), None, 0, solve)  # type: ignore[arg-type]
     shapes, begin, places = {0: {"s": start}}, np.zeros(1), []
     for _ in range(25):
         it, _ = walk.solved(shapes, begin)
         places.append(it.shapes[0]["s"])
         if walk.ends(it):
             return places, True
-        shapes, begin = walk.next
+        shapes, begin = walk.onward()
     return places, False
 
 
