@@ -18,6 +18,7 @@ from vcal.loop.candidates import candidates
 from vcal.loop.chance import minus_log_beta_tail
 from vcal.loop.components import components
 from vcal.loop.confounded import confounded, unrecorded_time
+from vcal.loop.empirical import LocalBump
 from vcal.loop.heldout import heldout_residuals, predictive_deviance
 from vcal.loop.screen import Peak, Screen
 from vcal.loop.screening import KindResult, Screening, screen
@@ -398,8 +399,10 @@ def test_what_is_significant_and_likelier_without_is_told(tracker):
         for key, bayes in (("jump:tool:X_um=1,at_s=9", -1.5), ("drift:X:rate_EXX_um_per_h=1", 2.0))
         for effect in [tracker.effect(key)]
     )
-    kinds = Screening([jump, drift], 0.003, 14.0, 1.0, [])
-    search._left_behind(kinds, {"jump": 0.003, "drift": 0.004}, [])
+    bump = LocalBump(port="EZX", unit="um", placement="X")
+    kink = KindResult("local_bump", [Peak(bump, {}, np.zeros(1), 30.0, -1.0, 1)], 1, 1, 1, 1)
+    kinds = Screening([jump, drift, kink], 0.003, 14.0, 1.0, [])
+    search._left_behind(kinds, {"jump": 0.003, "drift": 0.004, "local_bump": 0.005}, [])
     (told,) = search.rejected
     assert (told.effect, told.p_value) == ("jump", 0.003)
     assert told.reason == "the readings are no likelier with it than without"

@@ -240,7 +240,9 @@ class Search:
         for kind in screening.kinds:
             best = max(kind.peaks, key=lambda peak: peak.log_bayes)
             p = p_values[kind.kind]
-            if p <= self.alpha and kind.kind not in tried and best.log_bayes <= 0.0:
+            if p > self.alpha or kind.kind in tried or isinstance(best.effect, Empirical):
+                continue
+            if best.log_bayes <= 0.0:
                 self._refuse(best.effect, p, _UNLIKELIER)
 
     def _unfitted(
