@@ -198,8 +198,8 @@ class Search:
             # The readings of another instrument are no witness for an effect of this one.
             share = rms_fall(state.fit, after, np.asarray(rival.effect.rows(measurement.plan)))
             poor = chi2_per_dof(after) > _POOR and (state.noise is None or persists(after))
-            # What looking everywhere costs is in the p-value, and is not to be paid twice; but a size
-            # that has to be forgiven needs evidence that makes up for all kinds of effects.
+            # What looking everywhere costs is in the p-value, and is not to be paid twice; but a
+            # size that has to be forgiven needs evidence that makes up for all kinds of effects.
             needed = math.log(len(screening.kinds)) if rival.leniency > 0.0 else 0.0
             if odds[id(rival)] - rival.leniency - rival.log_prior <= needed:
                 self._reject(rival, own, _UNLIKELIER)
