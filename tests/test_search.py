@@ -21,7 +21,8 @@ from vcal.loop.rivals import Names, preferred, refit_all
 from vcal.loop.scan import Responses
 from vcal.loop.screen import Peak, Screen
 from vcal.loop.screening import screen
-from vcal.loop.search import Added, Search, _shortlist
+from vcal.loop.search import Added, Search, unlikely
+from vcal.loop.shortlist import shortlist
 from vcal.loop.state import fitted
 from vcal.loop.unexplained import dependence, from_structure
 
@@ -84,7 +85,7 @@ def test_the_best_candidate_is_refitted_however_many_are_close():
     peaks = sorted([peak("best", 10.0), *others], key=lambda p: -p.log_bayes)
     state = SimpleNamespace(refine=lambda p: p)
     once = {p.effect.name: 1 for p in peaks}
-    chosen = _shortlist(state, peaks[:1], peaks, once)  # type: ignore[arg-type]
+    chosen = shortlist(state, peaks[:1], peaks, once)  # type: ignore[arg-type]
     assert [p.effect.name for p in chosen] == ["best", *(f"kind {k}" for k in range(13, 2, -1))]
 
 
@@ -206,6 +207,19 @@ def test_of_names_that_may_be_one_of_an_expected_size_goes_first():
     certain = rival(20.0, 15.0)
     assert preferred([certain, *ranked], odds) == [certain, *ranked]  # type: ignore[arg-type]
     assert preferred([], odds) == []
+
+
+def test_a_size_that_is_forgiven_needs_more_evidence():
+    """Of 20 kinds, ln 20 = 3.0; what places and leniency add to the odds is no evidence."""
+    expected = SimpleNamespace(leniency=0.0, log_prior=-2.0)
+    large = SimpleNamespace(leniency=4.0, log_prior=0.0)
+
+    def why(rival, evidence: float) -> str | None:
+        return unlikely(rival, evidence + rival.leniency + rival.log_prior, 20)
+
+    assert why(expected, 0.1) is None and why(large, 3.1) is None
+    assert "no likelier" in why(expected, -0.1) and "no likelier" in why(large, -0.1)
+    assert "larger than expected" in why(large, 2.9)
 
 
 # --- what judges it -------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from .scan import Responses
 from .screen import Peak, Screen
 from .screening import Screening, screen
 from .serial import Serial, gain_beside, persists, serial
+from .shortlist import shortlist
 from .state import State, at_declared, chi2_per_dof, fitted, rescored, without
 from .unexplained import Unexplained, described
 from .whitened import declared_chi2
@@ -39,15 +40,11 @@ remains is no white noise: chance alignments with what is not modelled are then 
 being real."""
 _POOR = 2.0
 """Chi-square per degree of freedom from which a fit is far worse than the noise."""
-_MARGIN = 30.0
-_CLOSE = 8.0
-"""Candidates whose linear log evidence is further behind the best than `_MARGIN` are not refined,
-further than `_CLOSE` after that not refitted: their weight is below one in a thousand."""
 _CONTRADICTED = math.log(5.0)
 """Log odds of an effect that is refused over the next, from which that one is no name either: what
 fits as the one and holds as the other is something else."""
 _UNLIKELIER = "the readings are no likelier with it than without"
-_REFITS = 12
+_UNEXPECTED = "it is far larger than expected, which its evidence does not make up for"
 _WIDENINGS, _WIDER = 4, 4.0
 """How often, and by how much, the prior of an added effect grows that is larger than expected."""
 _INSTEAD = 1
@@ -149,7 +146,7 @@ class Search:
         instances = {kind.kind: kind.instances for kind in screening.kinds}
         p_values = {kind.kind: screening.corrected(kind) for kind in screening.kinds}
         worth = [p for p in screening.peaks if p_values[p.effect.name] <= self.alpha]
-        peaks = _shortlist(screen_state, worth, screening.peaks, instances)
+        peaks = shortlist(screen_state, worth, screening.peaks, instances)
         rivals = refit_all(fit, peaks, instances, state.keep, self.room)
         if rivals and not state.as_declared:
             fit = rescored(state, rivals[0].fit, self.room)
@@ -198,11 +195,8 @@ class Search:
             # The readings of another instrument are no witness for an effect of this one.
             share = rms_fall(state.fit, after, np.asarray(rival.effect.rows(measurement.plan)))
             poor = chi2_per_dof(after) > _POOR and (state.noise is None or persists(after))
-            # What looking everywhere costs is in the p-value, and is not to be paid twice; but a
-            # size that has to be forgiven needs evidence that makes up for all kinds of effects.
-            needed = math.log(len(screening.kinds)) if rival.leniency > 0.0 else 0.0
-            if odds[id(rival)] - rival.leniency - rival.log_prior <= needed:
-                self._reject(rival, own, _UNLIKELIER)
+            if why := unlikely(rival, odds[id(rival)], len(screening.kinds)):
+                self._reject(rival, own, why)
             elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
                 self._reject(
                     rival, own, "held-out readings are not foretold better beyond uncertainty"
@@ -424,6 +418,21 @@ class Search:
             self.rejected.append(Rejected(name, place, p_value, reason))
 
 
+def unlikely(rival: Rival, odds: float, kinds: int) -> str | None:
+    """Why the evidence of an effect, with these log odds of its name, is too little; else None.
+
+    What looking everywhere costs is in the p-value, and is not to be paid twice: the readings must
+    be likelier with it than without. A size that had to be forgiven makes chance as good a reason,
+    and needs evidence for all `kinds` of effects together.
+    """
+    evidence = odds - rival.leniency - rival.log_prior
+    if evidence <= 0.0:
+        return _UNLIKELIER
+    if rival.leniency > 0.0 and evidence <= math.log(kinds):
+        return _UNEXPECTED
+    return None
+
+
 def _in_the_prior(before: Fit, after: Fit, noise: float) -> bool:
     """Whether it is what was declared, more than the readings, that an effect is at odds without:
     other parameters had taken its part, far from what is known of them, and foretell as well.
@@ -449,45 +458,6 @@ def _same_effect(a: Effect, b: Effect) -> bool:
 
 def _dropped(item: Added, reason: str) -> Rejected:
     return Rejected(item.effect.name, item.effect.placement, item.p_value, reason)
-
-
-def _shortlist(
-    state: Screen, worth: Sequence[Peak], others: Sequence[Peak], instances: Mapping[str, int]
-) -> list[Peak]:
-    """The peaks to refit: the significant ones, and others close enough to be rivals, after their
-    shapes were moved to the best point between the steps of the scan. `instances` tells how many
-    places and components of each kind were tried.
-    """
-    if not worth:
-        return []
-    least = max(p.log_bayes_at_its_size for p in worth) - _MARGIN
-    near = [p for p in worth if p.log_bayes_at_its_size > least]
-    ids = {id(p) for p in near}
-    near += [p for p in others if id(p) not in ids and p.log_bayes_at_its_size > least]
-    # Of the empirical descriptions only the best of each kind: many are alike.
-    empirical: dict[str, Peak] = {}
-    for peak in others:
-        if isinstance(peak.effect, Empirical):
-            best = empirical.setdefault(peak.effect.name, peak)
-            if peak.log_bayes_at_its_size > best.log_bayes_at_its_size:
-                empirical[peak.effect.name] = peak
-    near = [p for p in near if not isinstance(p.effect, Empirical)]
-    near += [p for p in empirical.values() if p.log_bayes_at_its_size > least]
-
-    def weight(peak: Peak) -> float:
-        odds = math.log(peak.effect.odds / instances[peak.effect.name])
-        return peak.log_bayes_at_its_size + odds
-
-    refined = sorted((state.refine(p) for p in near), key=weight, reverse=True)
-    most = weight(refined[0])
-    close = [p for p in refined if weight(p) > most - _CLOSE]
-    # The best of every kind first: many places of one kind may be alike.
-    firsts = sorted({p.effect.name: p for p in reversed(close)}.values(), key=weight, reverse=True)
-    ids = {id(p) for p in firsts}
-    chosen = [*firsts, *(p for p in close if id(p) not in ids)][:_REFITS]
-    # A run of worthless rivals must not hide the next significant candidate, should the best fail.
-    chosen += [p for p in refined if weight(p) <= most - _CLOSE][: max(0, 2 - len(chosen))]
-    return sorted(chosen, key=weight, reverse=True)
 
 
 def place_of(item: Added, effects: Sequence[Effect]) -> int:
