@@ -206,6 +206,21 @@ def test_evidence_of_a_time_constant_at_the_end_of_its_scan(tracker, size):
     assert found + base.log_evidence() + scale[0] - scale[1] == pytest.approx(exact, abs=0.4)
 
 
+def test_the_order_of_peaks_has_no_say(tracker):
+    """All run to the same time constant, and its share of the scan is that of the highest."""
+    effect = tracker.effect("warm_up:Y:component=EZY")
+    true = tracker.effect("drift:Y:rate_EZY_um_per_h=80")
+    base = identify(tracker.model, measured(tracker, true))
+    peaks = Screen(base, 5, 0).test(effect).peaks(10)
+    assert len(peaks) > 2
+    shares = []
+    for order in (peaks, peaks[::-1]):
+        (only,) = refit_all(base, order, {"warm_up": 1}, base.used)
+        shares.append(only.log_shape)
+    assert shares[0] == pytest.approx(shares[1], abs=0.01)
+    assert shares[0] < 0.0
+
+
 def rival(chi2: float, weight: float, parameters: int, surprise: float = 0.0):
     """As much of a rival as the preference looks at, with odds of one beforehand."""
     fit = SimpleNamespace(chi2=chi2, dof=100.0)

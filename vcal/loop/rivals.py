@@ -240,16 +240,17 @@ def _log_shape_odds(fit: Fit) -> float:
 
 def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:
     """The fits less those whose peak ran to the optimum of a better one of the same effect: the
-    same fit at the same shape, as two pitches may fit equally well on a grid of positions.
+    same fit at the same shape, as two pitches may fit equally well on a grid of positions. With
+    every one the highest of the peaks that ran to it, whose share of the scan it has.
     """
     kept: list[tuple[Peak, Fit]] = []
     for peak, fit in sorted(fits, key=lambda pair: pair[1].chi2):
-        twins = (
-            abs(other.chi2 - fit.chi2) < 0.5 and _same_shape(other, fit)
-            for better, other in kept
-            if better.effect is peak.effect
-        )
-        if not any(twins):
+        for i, (highest, other) in enumerate(kept):
+            same = highest.effect is peak.effect and _same_shape(other, fit)
+            if same and abs(other.chi2 - fit.chi2) < 0.5:
+                kept[i] = max(highest, peak, key=lambda p: p.statistic), other
+                break
+        else:
             kept.append((peak, fit))
     return kept
 
