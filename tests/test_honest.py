@@ -18,11 +18,10 @@ from vcal.loop.candidates import candidates
 from vcal.loop.chance import minus_log_beta_tail
 from vcal.loop.components import components
 from vcal.loop.confounded import confounded, unrecorded_time
-from vcal.loop.empirical import LocalBump
+from vcal.loop.empirical import Kink
 from vcal.loop.heldout import heldout_residuals, predictive_deviance
-from vcal.loop.screen import Peak, Screen
-from vcal.loop.screening import KindResult, Screening, screen
-from vcal.loop.search import Search
+from vcal.loop.screen import Screen
+from vcal.loop.screening import screen
 from vcal.loop.serial import serial
 from vcal.loop.state import fitted
 from vcal.loop.stray import displaced, scattered, stray_apart, stray_rows
@@ -391,23 +390,6 @@ def test_what_looking_everywhere_costs_is_paid_once(tracker):
     assert 0.0 < found.log_evidence - np.log(3.0) < np.log(len(closure.screenings[0].kinds))
 
 
-def test_what_is_significant_and_likelier_without_is_told(tracker):
-    """Of more parameters than it is worth: no name, but a reason."""
-    search = Search(None, [], 0.01, 50, 0, tracker.room, lambda text: None)
-    jump, drift = (
-        KindResult(key.split(":")[0], [Peak(effect, {}, np.zeros(1), 30.0, bayes, 6)], 1, 1, 1, 1)
-        for key, bayes in (("jump:tool:X_um=1,at_s=9", -1.5), ("drift:X:rate_EXX_um_per_h=1", 2.0))
-        for effect in [tracker.effect(key)]
-    )
-    bump = LocalBump(port="EZX", unit="um", placement="X")
-    kink = KindResult("local_bump", [Peak(bump, {}, np.zeros(1), 30.0, -1.0, 1)], 1, 1, 1, 1)
-    kinds = Screening([jump, drift, kink], 0.003, 14.0, 1.0, [])
-    search._left_behind(kinds, {"jump": 0.003, "drift": 0.004, "local_bump": 0.005}, [])
-    (told,) = search.rejected
-    assert (told.effect, told.p_value) == ("jump", 0.003)
-    assert told.reason == "the readings are no likelier with it than without"
-
-
 def test_what_does_not_hold_on_other_readings_is_no_name(tracker, monkeypatch):
     """A significant effect that held-out readings refuse leaves something unexplained."""
     measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
@@ -433,6 +415,27 @@ def test_what_cannot_be_fitted_leaves_something_unexplained(tracker, monkeypatch
     (told,) = closure.rejected
     assert (told.placement, told.reason) == ("Y", "its fit does not end in a minimum")
     assert told.p_value < 1e-6
+    assert "a kink is significant" not in closure.unexplained.reason
+
+
+def test_a_description_that_cannot_be_fitted_leaves_something_unexplained(tracker, monkeypatch):
+    kink = Kink(port="EZX", unit="um", placement="X",
+                given=(("slope", 20.0, 0.0), ("at", 1000.0, 0.0)))  # fmt: skip
+    measurement = with_noise(tracker, white(tracker, 22), kink)
+    loop, rivals = (importlib.import_module(f"vcal.loop.{name}") for name in ("search", "rivals"))
+
+    def unfinished(*args):
+        return dataclasses.replace(refit(*args), status=Status.STEP_LIMIT)
+
+    refit = rivals.refit
+    monkeypatch.setattr(rivals, "refit", unfinished)
+    monkeypatch.setattr(loop, "EMPIRICAL", (Kink,))
+    closure = closed(tracker, measurement, effects=[])
+    assert (closure.verdict, closure.rejected) == ("unexplained", [])
+    assert (
+        closure.unexplained.reason == "a kink is significant, but its fit does not end in a minimum"
+    )
+    assert closure.unexplained.depends_on[0] == "X"
 
 
 def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch):

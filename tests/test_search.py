@@ -83,10 +83,31 @@ def test_the_best_candidate_is_refitted_however_many_are_close():
 
     others = [peak(f"kind {k}", 2.5 + 0.1 * k) for k in range(14)]
     peaks = sorted([peak("best", 10.0), *others], key=lambda p: -p.log_bayes)
-    state = SimpleNamespace(refine=lambda p: p)
+    state = SimpleNamespace(refine=lambda p: p, rarity_of=lambda p: 0.5 * p.statistic)
     once = {p.effect.name: 1 for p in peaks}
     chosen = shortlist(state, peaks[:1], peaks, once)  # type: ignore[arg-type]
     assert [p.effect.name for p in chosen] == ["best", *(f"kind {k}" for k in range(13, 2, -1))]
+
+
+def test_what_made_a_kind_significant_is_refitted_whatever_is_likelier():
+    """Six parameters may be significant that three of the same kind and others are likelier than;
+    nothing else would tell of it.
+    """
+
+    def peak(name: str, statistic: float, log_bayes: float) -> Peak:
+        effect = SimpleNamespace(name=name, odds=1.0)
+        return Peak(effect, {}, np.zeros(1), statistic, log_bayes, 1)  # type: ignore[arg-type]
+
+    rare, likely, far = (peak("jump", s, b) for s, b in ((30.0, -7.0), (20.0, 2.0), (29.0, -40.0)))
+    others = [peak(f"kind {k}", 10.0, 2.5 + 0.1 * k) for k in range(14)]
+    state = SimpleNamespace(refine=lambda p: p, rarity_of=lambda p: 0.5 * p.statistic)
+    peaks = sorted([rare, likely, *others], key=lambda p: -p.log_bayes)
+    once = {p.effect.name: 1 for p in peaks}
+    chosen = shortlist(state, [rare, likely], peaks, once)  # type: ignore[arg-type]
+    assert any(p is rare for p in chosen)
+    # Beside what is likelier by that much it has no say.
+    chosen = shortlist(state, [likely, far], [*peaks, far], once)  # type: ignore[arg-type]
+    assert not any(p is far for p in chosen)
 
 
 def test_a_candidate_that_sees_nothing_is_unseen(tracker):

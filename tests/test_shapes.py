@@ -10,6 +10,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from known import Known
 from vcal import Effect, Measurement, Parameter, identify
+from vcal.loop.empirical import Kink
 from vcal.walk import Walk
 
 
@@ -137,6 +138,40 @@ def test_a_walk_stands_still_at_the_end_of_its_scan():
     places, ended = walked(1.0, 0.15, best=-0.2)
     assert ended
     assert places[-1] == 0.0
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_a_walk_ends_at_a_corner(tracker, seed):
+    """A kink at a position that was measured: on either side the cost says that it is on the other
+    one, and no slope is zero. Against scipy over the position, at which all else is linear.
+    """
+    x = np.unique(tracker.plan.x("X"))
+    at = float(x[len(x) // 2])
+    kink = Kink(port="EZX", unit="um", placement="X")
+    given = ("slope", 90.0, 0.0), ("at", 1e3 * at, 0.0)
+    true = tracker.readings(dataclasses.replace(kink, given=given))
+    sigma = tracker.instrument.noise(tracker.plan, tracker.measurement.readings)
+    noise = 0.3 * sigma * np.random.default_rng(seed).standard_normal(sigma.shape)
+    measurement = Measurement(tracker.plan, true + noise)
+    place = len(tracker.model.effects)
+    begin = {place: {"at": at + 4e-4}}
+    fit = identify(tracker.model.with_effects(kink), measurement, shapes=begin, room=tracker.room)
+
+    def cost_of(fit) -> float:
+        return fit.chi2 + float(fit.theta**2 @ fit.precision)
+
+    def known(position: float) -> float:
+        shape = dataclasses.replace(kink, given=(("at", 1e3 * float(position), 0.0),))
+        return cost_of(identify(tracker.model.with_effects(shape), measurement, room=tracker.room))
+
+    assert fit.converged
+    near = fit.shapes[place]["at"]
+    found = minimize_scalar(known, bounds=(near - 2e-3, near + 2e-3), method="bounded",
+                            options={"xatol": 1e-7})  # fmt: skip
+    assert cost_of(fit) < found.fun + 2e-3
+    # Where readings are, where the slope is another one on either side.
+    assert np.abs(x - found.x).min() < 1e-6
+    assert (known(near + 1e-5) - known(near - 1e-5)) / 2e-5 != pytest.approx(0.0, abs=1.0)
 
 
 def test_a_warming_up_longer_than_the_measurement_against_scipy(tracker):

@@ -325,7 +325,11 @@ def identify(
     for _ in range(_RELINEARISATIONS if size > amplitudes else 1):
         it, used = walk.solved(current, estimate)
         steps += used
-        if size == amplitudes or walk.ends(it):
+        if size == amplitudes:
+            end = it.status
+            break
+        if walk.ends(it):
+            it = walk.last
             end = it.status
             break
         current, estimate = walk.onward()

@@ -25,6 +25,8 @@ _PLAIN, _SECANTS = 4, 2
 _SETTLED = 1e-4
 """Change of the cost (in units of the noise variance) below which shapes count as found: the
 parameters then move by less than a hundredth of their standard uncertainty."""
+_CORNER = 1e-3
+"""What may be left to gain at a corner of the cost, in the same unit."""
 
 
 class Solved(Protocol):
@@ -77,8 +79,8 @@ class Walk(Generic[S]):
         self._scans = {i: e.scan(plan) for i, e in enumerate(model.effects) if e.shapes}
         self._reach = 1.0
         self._last: S | None = None
-        self._standing = math.inf
-        """Cost at the last shapes without a move, where it was asked for."""
+        self._stood: list[tuple[S, S]] = []
+        """The last two where it was asked for, and the same with all shapes where they are."""
         self._places: list[np.ndarray] = []
         self._steps: list[np.ndarray] = []
         """Shapes on the way, and by how much they should have moved from there (SI)."""
@@ -98,7 +100,7 @@ class Walk(Generic[S]):
 
     @property
     def last(self) -> S:
-        """The last that was not taken back."""
+        """The last that was not taken back; after the end, the last of all."""
         assert self._last is not None
         return self._last
 
@@ -110,9 +112,14 @@ class Walk(Generic[S]):
             return False
         change, k = it.cost - self._last.cost, self._amplitudes
         if abs(change) < _SETTLED * self._reach**2:
+            self._last = it
             return True
         step, before = it.found[k:], self._last.found[k:]
         growing = change > _SETTLED or float(step @ step) > float(before @ before)
+        if self._cornered(it, self._last):
+            # With a move that is not made, the amplitudes would be those of another place.
+            self._last = min(map(self._standing, (it, self._last)), key=lambda one: one.cost)
+            return True
         if growing and self._rises(it):
             if not self._together:
                 self._reach /= 4.0
@@ -121,7 +128,7 @@ class Walk(Generic[S]):
         self._taken += 1
         if step @ before > 0.0:
             self._reach = min(1.0, 2.0 * self._reach)
-        self._last, self._standing = it, math.inf
+        self._last = it
         self._remember(it)
         return False
 
@@ -155,14 +162,37 @@ class Walk(Generic[S]):
         return step - (moved + changed) @ weights
 
     def _rises(self, it: S) -> bool:
-        if self._standing == math.inf:
-            self._standing = self._cost_at(self.last)
-        return self._cost_at(it) > self._standing + _SETTLED
+        return self._standing(it).cost > self._standing(self.last).cost + _SETTLED
 
-    def _cost_at(self, it: S) -> float:
+    def _standing(self, it: S) -> S:
+        """The same with all shapes where they are."""
+        for known, stood in self._stood:
+            if known is it:
+                return stood
         amplitudes = it.amplitudes(self._amplitudes)
         all_still = np.ones(len(amplitudes) - self._amplitudes, bool)
-        return self._solve(it.shapes, amplitudes, all_still).cost
+        stood = self._solve(it.shapes, amplitudes, all_still)
+        self._stood = [*self._stood[-1:], (it, stood)]
+        return stood
+
+    def _cornered(self, it: S, last: S) -> bool:
+        """Whether the minimum is at a corner between two places, with next to nothing to gain: each
+        would go past the other one, so that there is no place between them with a slope of zero (as
+        of a kink at a position that was measured).
+        """
+        steps = [one.found[self._amplitudes :] for one in (it, last)]
+        if (steps[0] * steps[1] > 0.0).any():
+            return False
+        units = self._moving(last.shapes)
+        apart = math.hypot(
+            *((it.shapes[i][p.name] - last.shapes[i][p.name]) / step for i, p, step, *_ in units)
+        )
+        shorter = min(float(np.linalg.norm(step)) for step in steps)
+        if shorter <= apart:
+            return False
+        # Along a step the linear model gains most at first: twice its whole gain over its length.
+        gain = max(self._standing(one).cost - one.cost for one in (it, last))
+        return 2.0 * gain * apart / shorter < _CORNER
 
     def _beyond(self, shapes: dict[int, dict[str, float]], delta: np.ndarray) -> np.ndarray:
         """Which shapes stand at an end of their scan and would go further."""

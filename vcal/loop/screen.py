@@ -330,6 +330,10 @@ class Screen:
         """
         return minus_log_beta_tail(stat / cost, self.count, rank)
 
+    def rarity_of(self, peak: Peak) -> float:
+        """-ln p of a peak by itself."""
+        return float(self.minus_log_p(peak.statistic, self.cost, peak.rank))
+
 
 def _neighbours(grid: np.ndarray, value: float) -> tuple[float, float]:
     """The steps of a scan before and after the one nearest to a value."""

@@ -153,14 +153,11 @@ class Search:
             rivals = refit_all(fit, peaks, instances, state.keep, self.room)
         named = [r for r in rivals if not isinstance(r.effect, Empirical)]
         # The p-value of a kind is that of its best candidate, which need not be this one.
+        tested = [*screening.peaks, *peaks]
         own = {
             id(r.effect): screening.corrected_as(
                 r.effect.name,
-                max(
-                    float(screen_state.minus_log_p(p.statistic, screen_state.cost, p.rank))
-                    for p in peaks
-                    if p.effect is r.effect
-                ),
+                max(screen_state.rarity_of(p) for p in tested if p.effect is r.effect),
             )
             for r in rivals
         }
@@ -222,38 +219,23 @@ class Search:
                 effect = refitted.model.effects[-1]
                 self.history.append(Added(effect, weighed, p, share, trials))
                 return refitted
-        self._left_behind(screening, p_values, rivals)
         self.refused = refused
         return None
-
-    def _left_behind(
-        self, screening: Screening, p_values: Mapping[str, float], rivals: Sequence[Rival]
-    ) -> None:
-        """Tell the significant kinds of effects of which none was refitted: of more parameters than
-        they are worth, the readings are likelier without.
-        """
-        tried = {r.effect.name for r in rivals} | {r.effect for r in self.rejected}
-        for kind in screening.kinds:
-            best = max(kind.peaks, key=lambda peak: peak.log_bayes)
-            p = p_values[kind.kind]
-            if p > self.alpha or kind.kind in tried or isinstance(best.effect, Empirical):
-                continue
-            if best.log_bayes <= 0.0:
-                self._refuse(best.effect, p, _UNLIKELIER)
 
     def _unfitted(
         self, peaks: Sequence[Peak], rivals: Sequence[Rival], p_values: Mapping[str, float]
     ) -> Effect | None:
-        """The first of the significant kinds of effects of which no refit ended in a minimum: none
-        can be held against readings.
+        """The first of the significant kinds of which no refit ended in a minimum: none can be held
+        against readings.
         """
         fitted_kinds, first = {r.effect.name for r in rivals}, None
         for peak in peaks:
             effect, p = peak.effect, p_values[peak.effect.name]
-            if p > self.alpha or effect.name in fitted_kinds or isinstance(effect, Empirical):
+            if p > self.alpha or effect.name in fitted_kinds:
                 continue
             first = first or effect
-            self._refuse(effect, p, "its fit does not end in a minimum")
+            if not isinstance(effect, Empirical):
+                self._refuse(effect, p, "its fit does not end in a minimum")
         return first
 
     def _at_its_size(self, state: State) -> State:

@@ -17,9 +17,9 @@ _REFITS = 12
 def shortlist(
     state: Screen, worth: Sequence[Peak], others: Sequence[Peak], instances: Mapping[str, int]
 ) -> list[Peak]:
-    """The peaks to refit: the significant ones, and others close enough to be rivals, after their
-    shapes were moved to the best point between the steps of the scan. `instances` tells how many
-    places and components of each kind were tried.
+    """The peaks to refit: what made each kind significant, and others close enough to be rivals,
+    after their shapes were moved to the best point between the steps of the scan. `instances` tells
+    how many places and components of each kind were tried.
     """
     if not worth:
         return []
@@ -34,14 +34,19 @@ def shortlist(
             best = empirical.setdefault(peak.effect.name, peak)
             if peak.log_bayes_at_its_size > best.log_bayes_at_its_size:
                 empirical[peak.effect.name] = peak
+    rarest = {p.effect.name: p for p in sorted(worth, key=state.rarity_of)}
+    first = [p for p in rarest.values() if p.log_bayes_at_its_size > least]
     near = [p for p in near if not isinstance(p.effect, Empirical)]
     near += [p for p in empirical.values() if p.log_bayes_at_its_size > least]
+    ids = {id(p) for p in near}
+    near += [p for p in first if id(p) not in ids]
 
     def weight(peak: Peak) -> float:
         odds = math.log(peak.effect.odds / instances[peak.effect.name])
         return peak.log_bayes_at_its_size + odds
 
-    refined = sorted((state.refine(p) for p in near), key=weight, reverse=True)
+    moved = {id(p): state.refine(p) for p in near}
+    refined = sorted(moved.values(), key=weight, reverse=True)
     most = weight(refined[0])
     close = [p for p in refined if weight(p) > most - _CLOSE]
     # The best of every kind first: many places of one kind may be alike.
@@ -50,4 +55,7 @@ def shortlist(
     chosen = [*firsts, *(p for p in close if id(p) not in ids)][:_REFITS]
     # A run of worthless rivals must not hide the next significant candidate, should the best fail.
     chosen += [p for p in refined if weight(p) <= most - _CLOSE][: max(0, 2 - len(chosen))]
+    # Whatever is likelier: what is significant, and is not added, has to have a reason.
+    ids = {id(p) for p in chosen}
+    chosen += [moved[id(p)] for p in first if id(moved[id(p)]) not in ids]
     return sorted(chosen, key=weight, reverse=True)

@@ -321,6 +321,8 @@ def _from_dependence(
             f"scatter persists over some {correlated.length:.0f} readings, as noise that is "
             "correlated in time does, or a drift that no effect of the catalogue has"
         )
+    elif quiet and isinstance(refused, Empirical):
+        reason = f"{refused.words} is significant, but its fit does not end in a minimum"
     elif quiet:
         reason = (
             "effects of the catalogue are significant, but none of them can be fitted and holds on "
