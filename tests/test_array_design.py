@@ -126,6 +126,7 @@ def test_elimination_against_the_readings_covariance(fresh):
     )
 
 
+@pytest.mark.slow
 def test_distances_say_the_same_as_their_precision():
     """Distances of all pairs, measured and calibrated, in place of coordinates and poses."""
     chain, errors = machine()

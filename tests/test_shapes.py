@@ -169,9 +169,11 @@ def test_a_walk_ends_at_a_corner(tracker, seed):
     found = minimize_scalar(known, bounds=(near - 2e-3, near + 2e-3), method="bounded",
                             options={"xatol": 1e-7})  # fmt: skip
     assert cost_of(fit) < found.fun + 2e-3
-    # Where readings are, where the slope is another one on either side.
-    assert np.abs(x - found.x).min() < 1e-6
-    assert (known(near + 1e-5) - known(near - 1e-5)) / 2e-5 != pytest.approx(0.0, abs=1.0)
+    # Where a reading is: from one side to the other the slope changes at once, and its sign.
+    corner = float(x[np.abs(x - found.x).argmin()])
+    assert found.x == pytest.approx(corner, abs=1e-6)
+    slopes = [(known(corner + s * 2e-6) - known(corner + s * 1e-6)) / (s * 1e-6) for s in (-1, 1)]
+    assert slopes[0] < -1.0 < 1.0 < slopes[1]
 
 
 def test_a_warming_up_longer_than_the_measurement_against_scipy(tracker):

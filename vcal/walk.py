@@ -6,7 +6,7 @@ it. Of an effect that is a hundred times the noise the linear model does not hol
 nor of one that a few readings see from afar: where all amplitudes at their best then leave more
 than before, the step is taken back, and a quarter of it is tried. Where steps come to no end, too
 long again and again or too short, the last few of them tell together how far to go (Anderson 1965,
-J. ACM 12, 547).
+J. ACM 12, 547). The way ends where another step would change nothing, or at a corner of the cost.
 """
 
 import math

@@ -35,11 +35,11 @@ def shortlist(
             if peak.log_bayes_at_its_size > best.log_bayes_at_its_size:
                 empirical[peak.effect.name] = peak
     rarest = {p.effect.name: p for p in sorted(worth, key=state.rarity_of)}
-    first = [p for p in rarest.values() if p.log_bayes_at_its_size > least]
+    significant = [p for p in rarest.values() if p.log_bayes_at_its_size > least]
     near = [p for p in near if not isinstance(p.effect, Empirical)]
     near += [p for p in empirical.values() if p.log_bayes_at_its_size > least]
     ids = {id(p) for p in near}
-    near += [p for p in first if id(p) not in ids]
+    near += [p for p in significant if id(p) not in ids]
 
     def weight(peak: Peak) -> float:
         odds = math.log(peak.effect.odds / instances[peak.effect.name])
@@ -57,5 +57,5 @@ def shortlist(
     chosen += [p for p in refined if weight(p) <= most - _CLOSE][: max(0, 2 - len(chosen))]
     # Whatever is likelier: what is significant, and is not added, has to have a reason.
     ids = {id(p) for p in chosen}
-    chosen += [moved[id(p)] for p in first if id(moved[id(p)]) not in ids]
+    chosen += [moved[id(p)] for p in significant if id(moved[id(p)]) not in ids]
     return sorted(chosen, key=weight, reverse=True)
