@@ -163,11 +163,13 @@ def _identified(r: Results, pictures: tuple[Picture, ...]) -> Section:
     for unknown, value, (low, high), told, z in zip(
         f.unknowns, f.values, f.interval(), f.told, true_z(), strict=True
     ):
+        # A delay is a difference, which is zero to rounding where nothing was changed.
+        put_in = round(float(unknown.value(z, f.declared)), 9) + 0.0
         rows.append(
             (
                 unknown.name,
                 unit(unknown.unit) or "× catalogue",
-                number(float(unknown.value(z, f.declared))),
+                number(put_in),
                 number(value, 4),
                 f"{number(low, 4)} … {number(high, 4)}",
                 percent(told) if told >= 0.001 else DASH,
