@@ -23,8 +23,9 @@ _MOST = 0.05
 """More suspected rows than this share are a structure, not stray readings."""
 _MOST_APART = 0.1
 """The same of rows that are only predicted, of which there are few."""
-_LASTING = 3
-"""As many suspected rows one after the other, and all displaced alike, are no stray readings."""
+_LASTING = 2
+"""As many suspected rows one after the other, and all displaced alike, are no stray readings. Two
+are alike only within their noise: of two vectors at random one pair in ten is roughly so."""
 _BEYOND = 3.0
 """Times the distance of the next one from which few readings do not belong, whatever is missing."""
 _FREE = 1e-6
@@ -100,8 +101,8 @@ def scattered(fit: Fit, found: Sequence[int]) -> bool:
 
 
 def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
-    """Those of these rows, left out of the fit, that a displaced tool explains: three or more at
-    the end or at the beginning of a pose, a run or a data set, all displaced alike.
+    """Those of these rows, left out of the fit, that a displaced tool explains: two or more at the
+    end or at the beginning of a pose, a run or a data set, all displaced alike.
 
     Something moved there. A reading that does not belong is alone, or good ones of the same pose
     follow it.
@@ -117,9 +118,11 @@ def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
     def alike(rows: np.ndarray) -> bool:
         columns, data = ports[rows].reshape(-1, 3), residual[rows].ravel()
         moved, _, rank, _ = np.linalg.lstsq(columns, data)
-        left = data - columns @ moved
+        left = float(((data - columns @ moved) ** 2).sum())
         n = int(present[rows].sum())
-        return bool(n > rank and left @ left * n < _ALIKE * (data @ data) * (n - rank))
+        if n <= rank or left * n >= _ALIKE * (data @ data) * (n - rank):
+            return False
+        return len(rows) > 2 or left < 2.0 * gammainccinv(0.5 * (n - rank), _CHANCE)
 
     lasting: set[int] = set()
     for inside in plan.parts.values():
