@@ -24,7 +24,7 @@ from vcal.loop.screen import Screen
 from vcal.loop.screening import screen
 from vcal.loop.serial import serial
 from vcal.loop.state import fitted
-from vcal.loop.stray import displaced, scattered, stray_apart, stray_rows
+from vcal.loop.stray import at_an_end, displaced, scattered, stray_apart, stray_rows
 from vcal.robust import identify_robust
 
 FACTORS = np.array([1.0, 0.7, 2.5])
@@ -210,6 +210,7 @@ def test_what_stays_displaced_is_no_stray_reading(tracker):
     assert displaced(fit, [*between, n - 4, *last]) == {n - 4, *last}
     assert displaced(fit, [*between, *last[1:]]) == set(last[1:])
     assert displaced(fit, [*between, n - 1]) == displaced(fit, between) == set()
+    assert at_an_end(fit, [*between, n - 1]) == {n - 1: "the last of its data set"}
     for factors in ([1.0, -1.0, 1.0], [1.0, 0.6, 1.0]):
         unlike = noise.copy()
         unlike[last] *= np.array(factors)[:, None]

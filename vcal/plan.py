@@ -129,6 +129,11 @@ class Plan(Record):
                 return name, int(inside[:row].sum())
         raise IndexError(f"found row {row}, expected one of {self.rows}")
 
+    def row_name(self, row: int) -> str:
+        """A row as its table counts it, from 1, and of which data set where there are several."""
+        name, number = self.place(row)
+        return f"{number + 1} of {name}" if name else str(number + 1)
+
     def of(self, name: str) -> "Plan":
         """All rows under the names that one data set uses. In the rows of others, what is its own
         is zero, and they are in none of its groups (-1).

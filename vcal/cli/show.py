@@ -46,8 +46,8 @@ def show_closure(closure: Closure) -> None:
             console.print(Text(f"    to be certain: {found.separation}"))
     console.print(_errors_table(closure.errors))
     if closure.suspected:
-        places = (closure.after.measurement.plan.place(s.row) for s in closure.suspected[:_MOST])
-        rows = ", ".join(f"{i + 1} of {name}" if name else str(i + 1) for name, i in places)
+        plan = closure.after.measurement.plan
+        rows = ", ".join(plan.row_name(s.row) for s in closure.suspected[:_MOST])
         more = ", ..." if len(closure.suspected) > _MOST else ""
         console.print(Text(f"Suspected readings, left out: rows {rows}{more}."))
     for note in closure.notes:

@@ -29,6 +29,7 @@ from .state import (
     scales_told,
 )
 from .steps import uncertainties
+from .stray import at_an_end
 from .together import contradiction
 from .unexplained import from_structure
 from .whitened import declared_residual
@@ -310,6 +311,12 @@ def _notes(scales: Mapping[str, float], state: State, run: Search) -> list[str]:
             f"only {state.fit.dof:.0f} degrees of freedom are left beside what is declared: "
             "effects that are not large go unseen"
         )
+    plan = state.fit.measurement.plan
+    notes += [
+        f"row {plan.row_name(row)}, left out, is {where}: had something moved there and stayed, "
+        "that would look the same; more readings of the same would tell"
+        for row, where in at_an_end(state.fit, [s.row for s in state.strays]).items()
+    ]
     betraying = [name for item in run.added(state) for name in item.effect.betrayed_by]
     if run.unexplained is not None:
         betraying += run.unexplained.depends_on[:1]
@@ -319,7 +326,6 @@ def _notes(scales: Mapping[str, float], state: State, run: Search) -> list[str]:
         for item in run.added(state)
         for shape, probability in item.weighed.other_shapes
     ]
-    plan = state.fit.measurement.plan
     notes += confounded(plan, betraying)
     if run.unexplained is not None:
         for name in run.unexplained.depends_on[:1]:

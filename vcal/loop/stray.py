@@ -1,6 +1,6 @@
 """Readings that do not belong: single rows far outside what all the others say."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from scipy.stats import hypergeom
 
 from ..fit import Fit
 from ..identify import declared_whitener
+from ..plan import DATA_SET, Plan
 from .chance import minus_log_chi2_tail
 from .recorded import distinct_covariates
 from .unexplained import bins
@@ -125,18 +126,42 @@ def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
         return len(rows) > 2 or left < 2.0 * gammainccinv(0.5 * (n - rank), _CHANCE)
 
     lasting: set[int] = set()
-    for inside in plan.parts.values():
-        rows = np.flatnonzero((fit.used | suspected) & inside)
-        for group in (None, *plan.groups):
-            index = np.zeros(len(rows)) if group is None else np.asarray(plan.groups[group])[rows]
-            for mine in np.split(rows, np.flatnonzero(np.diff(index)) + 1):
-                good = np.flatnonzero(~suspected[mine])
-                first, last = (good[0], good[-1] + 1) if len(good) else (0, 0)
-                # Good readings beside the step may be suspected too: any part of it may be it.
-                for side in (mine[:first], mine[last:][::-1]):
-                    if any(alike(side[:k]) for k in range(_LASTING, len(side) + 1)):
-                        lasting |= set(side.tolist())
+    for _, mine in _together(plan, fit.used | suspected):
+        good = np.flatnonzero(~suspected[mine])
+        first, last = (good[0], good[-1] + 1) if len(good) else (0, 0)
+        # Good readings beside the step may be suspected too: any part of it may be it.
+        for side in (mine[:first], mine[last:][::-1]):
+            if any(alike(side[:k]) for k in range(_LASTING, len(side) + 1)):
+                lasting |= set(side.tolist())
     return lasting
+
+
+def at_an_end(fit: Fit, found: Sequence[int]) -> dict[int, str]:
+    """Those of these rows that are the first or the last of a pose, a run or a data set, and where
+    they are, in words: something that moved beside them would look the same.
+    """
+    suspected = np.isin(np.arange(fit.measurement.plan.rows), found)
+    ends: dict[int, str] = {}
+    for group, mine in _together(fit.measurement.plan, fit.used | suspected):
+        if len(mine) > _FEW:
+            for row, way in ((mine[0], "first"), (mine[-1], "last")):
+                if suspected[row]:
+                    # A group that only one data set has goes by that one's name too.
+                    common = group.rpartition(":")[2] or DATA_SET
+                    ends[int(row)] = f"the {way} of its {common.replace('_', ' ')}"
+    return ends
+
+
+def _together(plan: Plan, taken: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Of the rows taken those, one after the other, of each data set, and of each pose, run and so
+    on, with what they have in common; nothing where it is the data set.
+    """
+    for inside in plan.parts.values():
+        rows = np.flatnonzero(taken & inside)
+        yield "", rows
+        for group, index in plan.groups.items():
+            changes = np.flatnonzero(np.diff(np.asarray(index)[rows])) + 1
+            yield from ((group, mine) for mine in np.split(rows, changes))
 
 
 def _outstanding(fit: Fit, weights: np.ndarray) -> list[Stray]:

@@ -82,7 +82,7 @@ def page(
         unseen=_unseen(closure),
         suspected=[
             {
-                "row": _row(closure, stray.row),
+                "row": closure.after.measurement.plan.row_name(stray.row),
                 "distance": text.number(stray.distance),
                 "p": text.probability(stray.p_value),
             }
@@ -185,12 +185,6 @@ def _noise_apart(closure: Closure) -> list[str]:
         if whole == 1.0 and abs(part.factor - 1.0) > _APART * part.u:
             found.append(f"{part.name} {text.number(part.factor)} ± {text.number(part.u, 2)}")
     return found
-
-
-def _row(closure: Closure, row: int) -> str:
-    """A row by its number in its table."""
-    name, number = closure.after.measurement.plan.place(row)
-    return f"{number + 1} of {name}" if name else str(number + 1)
 
 
 def _tiles(closure: Closure) -> list[dict[str, str]]:
