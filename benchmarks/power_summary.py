@@ -85,6 +85,14 @@ def listed_as_rival(line: dict) -> bool:
                for key, *_ in line["truth"])  # fmt: skip
 
 
+def something_else_too(line: dict) -> bool:
+    """Whether the right name has one beside it that is not right."""
+    truth, found = [t[0] for t in line["truth"]], line["found"]
+    return outcome(line) in {"wrong", "another first"} and all(
+        any(is_of(key, f) for f in found) for key in truth
+    )
+
+
 def pointed(line: dict) -> bool:
     """Whether an *unexplained* tells a covariate first that the effect depends on."""
     wanted = set(line["covariates"])
@@ -318,6 +326,7 @@ def summary(lines: Sequence[dict]) -> dict:
             "own_right": share(own, CERTAIN),
             "own_wrong": share(own, {"wrong"}),
             "far_another_first": share(seen, {"another first"}),
+            "far_something_else_too": counts(map(something_else_too, seen), seen),
             "far_unexplained": share(seen, {"unexplained"}),
             "far_nothing": share(seen, {"nothing"}),
             "far_failed": share(seen, {"failed"}),

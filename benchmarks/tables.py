@@ -46,6 +46,7 @@ def power(found: dict) -> str:
         ["where every set has its own noise: right name", ">= 97 %", _of(s["own_right"])],
         ["for certain a wrong one", "<= 1 %", _of(s["own_wrong"])],
         ["from three limits on: another first of several", "", _of(s["far_another_first"])],
+        ["the right one, and a second that is not", "", _of(s["far_something_else_too"])],
         ["unexplained", "", _of(s["far_unexplained"])],
         ["nothing", "", _of(s["far_nothing"])],
         ["while the machine just warms up: right name", "", _of(s["warming_right"])],
