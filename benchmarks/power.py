@@ -215,6 +215,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
         for e in closure.effects
     ]
     line["p"] = closure.screenings[0].p_value
+    line["p_rounds"] = [float(f"{s.p_value:.4g}") for s in closure.screenings]
     line["rejected"] = [
         [f"{r.effect} {r.placement}".strip(), r.reason] for r in closure.rejected[:4]
     ]
