@@ -55,6 +55,14 @@ def test_noise_free_data_give_the_truth_but_for_the_prior(kind, request):
     np.testing.assert_allclose(fit.theta[seen], it.theta[seen], rtol=0, atol=0.05)
 
 
+def test_condition_and_rank_against_numpy(tracker):
+    fit = identify(tracker.model, tracker.measurement, room=tracker.room)
+    whole = np.concatenate([fit.jacobian, np.diag(np.sqrt(fit.precision))])
+    unit = whole / np.linalg.norm(whole, axis=0)
+    assert fit.condition == pytest.approx(np.linalg.cond(unit), rel=1e-6)
+    assert fit.rank == np.linalg.matrix_rank(unit) == len(fit.theta)
+
+
 def test_estimate_against_scipy(tracker):
     """The same whitened residual, minimised by other means."""
     it, measurement = tracker, noisy(tracker, 1)

@@ -377,6 +377,45 @@ def test_a_given_derivative_is_used_and_nothing_is_traced_twice():
     assert len(traced) == count
 
 
+def test_a_given_jacobian_is_the_one_that_is_used():
+    """Of a residual whose forward derivative sees nothing."""
+
+    def residual(b, y):
+        return jax.lax.stop_gradient(b) ** 3 - y
+
+    def linearised(b, y):
+        return b**3 - y, jnp.diag(3.0 * b**2)
+
+    y = jnp.array([8.0, 27.0])
+    assert least_squares(residual, [1.0, 2.0], y).status == Status.SINGULAR
+    found = least_squares(residual, [1.0, 2.0], y, linearised=linearised)
+    assert found.converged and found.rank == 2
+    np.testing.assert_allclose(found.value, [2.0, 3.0], rtol=1e-9)
+    np.testing.assert_allclose(found.jacobian, np.diag([12.0, 27.0]), rtol=1e-9)
+    assert float(found.condition) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("power", [1, 4, 7, 9, 10.5, 13])
+def test_rank_and_step_at_every_condition(power):
+    """Whatever way R is solved with: rank against numpy's, and a linear problem in one step."""
+    rng = np.random.default_rng(4)
+    u, _ = np.linalg.qr(rng.standard_normal((30, 5)))
+    v, _ = np.linalg.qr(rng.standard_normal((5, 5)))
+    A = u @ np.diag(np.append(np.logspace(0, -1, 4), 10.0**-power)) @ v.T
+    y = rng.standard_normal(30)
+    found = least_squares(lambda b, y: A @ b - y, np.zeros(5), y, damped=False)
+    unit = A / np.linalg.norm(A, axis=0)
+    singular = np.linalg.svd(unit, compute_uv=False)
+    assert int(found.rank) == (singular > 1e-10 * singular[0]).sum()
+    if found.rank == 5:
+        best, *_ = np.linalg.lstsq(A, y, rcond=None)
+        np.testing.assert_allclose(A @ found.value, A @ best, rtol=0, atol=1e-6)
+        assert float(found.condition) == pytest.approx(np.linalg.cond(unit), rel=1e-2)
+    else:
+        best, *_ = np.linalg.lstsq(unit, y, rcond=1e-10)
+        np.testing.assert_allclose(A @ found.value, unit @ best, rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -51,8 +51,12 @@ class Fit:
     steps: int
     rank: int
     """Of the Jacobian, the prior's rows included."""
-    condition: float
-    """Of the same with columns of unit length."""
+
+    @cached_property
+    def condition(self) -> float:
+        """Of the same with columns of unit length; infinite where one is zero."""
+        singular = np.linalg.svd(_unit_columns(self), compute_uv=False)
+        return float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
 
     @property
     def converged(self) -> bool:
@@ -252,15 +256,20 @@ def shape_step(parameter: Parameter, value: float, grids: Mapping[str, np.ndarra
     return float(np.abs(np.gradient(grid))[np.argmin(np.abs(grid - value))])
 
 
+def _unit_columns(fit: Fit) -> np.ndarray:
+    """The Jacobian, the rows of the prior included, with columns of unit length or of zeros."""
+    whole = np.concatenate([fit.jacobian, np.diag(np.sqrt(fit.precision))])
+    length = np.linalg.norm(whole, axis=0)
+    return whole / np.where(length > 0.0, length, 1.0)
+
+
 def undetermined(fit: Fit) -> list[str]:
     """Parameters of which neither the data nor a prior tell a combination, by name.
 
     Those with a part in a right singular vector of the Jacobian (columns of unit length, the rows
     of the prior included) whose singular value is zero to rounding.
     """
-    whole = np.concatenate([fit.jacobian, np.diag(np.sqrt(fit.precision))])
-    length = np.linalg.norm(whole, axis=0)
-    _, s, vt = np.linalg.svd(whole / np.where(length > 0.0, length, 1.0), full_matrices=False)
+    _, s, vt = np.linalg.svd(_unit_columns(fit), full_matrices=False)
     part = np.abs(vt[s <= _LOST * s[0]]).max(0, initial=0.0)
     names = [f"{key} {p.name}" for key, p in fit.entries]
     return [name for name, share in zip(names, part, strict=True) if share > _PART]

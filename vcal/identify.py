@@ -79,9 +79,9 @@ def _residual_and_jacobian(
     by_port = -_whitened(instrument, problem, reduce(by_port))
     by_term = by_port[:, :, problem.terms.port] * problem.terms.values[:, None, :]
     size = theta.shape[0]
-    gather = jax.nn.one_hot(problem.terms.parameter, size, dtype=by_term.dtype)
     data = _whitened(instrument, problem, difference).reshape(-1)
-    jacobian = (by_term @ gather).reshape(-1, size)
+    columns = by_term.reshape(len(data), -1).T
+    jacobian = jax.ops.segment_sum(columns, problem.terms.parameter, size).T
     return (
         jnp.concatenate([data, problem.root_precision * theta]),
         jnp.concatenate([jacobian, jnp.diag(problem.root_precision)]),
@@ -107,16 +107,11 @@ def _solve_with(
     def reduce(values):
         return instrument.reduce(values, plan)
 
-    @jax.custom_jvp
     def residual(theta, problem):
         return _residual(chain, instrument, reduce, theta, problem)
 
-    @residual.defjvp
-    def _(primals, tangents):
-        # The dense Jacobian is cheap here and does not depend on the tangent, so that the solver,
-        # which pushes one basis vector per parameter through this rule, builds it only once.
-        value, jacobian = _residual_and_jacobian(chain, instrument, reduce, *primals)
-        return value, jacobian @ tangents[0]
+    def linearised(theta, problem):
+        return _residual_and_jacobian(chain, instrument, reduce, theta, problem)
 
     # The residuals are whitened: their standard deviation is known.
     return least_squares(
@@ -127,6 +122,7 @@ def _solve_with(
         noise=1.0,
         damped=damped,
         max_steps=_STEPS[damped],
+        linearised=linearised,
     )
 
 
@@ -138,9 +134,9 @@ def _solve(
     problem: Problem,
     start: Array,
     damped: bool,
-) -> tuple[Array, Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array]:
     s = _solve_with(chain, instrument, plan, problem, start, damped)
-    return s.value, s.status, s.steps, s.cost, s.rank, s.condition
+    return s.value, s.status, s.steps, s.cost, s.rank
 
 
 @outer_filter_jit
@@ -315,10 +311,10 @@ def identify(
         found, *how = _solve(*given, start, False)
         if int(how[0]) not in _ENDS:
             found, *how = _solve(*given, start, True)
-        status, used, cost, rank, condition = how
+        status, used, cost, rank = how
         return _Solved(
             shapes, terms, problem, np.array(found)[:size], Status(int(status)), int(used),
-            float(cost), int(rank) - (len(start) - size), float(condition)
+            float(cost), int(rank) - (len(start) - size),
         )  # fmt: skip
 
     walk, steps = Walk(model, plan, amplitudes, solved), 0
@@ -361,7 +357,6 @@ def identify(
         status=end,
         steps=steps,
         rank=it.rank,
-        condition=it.condition,
     )
 
 
@@ -378,7 +373,6 @@ class _Solved(NamedTuple):
     cost: float
     """With the shapes moved, as far as the linear model goes."""
     rank: int
-    condition: float
 
     def amplitudes(self, count: int) -> np.ndarray:
         """What was found, the shapes where they are."""

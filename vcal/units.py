@@ -4,6 +4,7 @@ Everything inside vcal is in metre, radian, second and kelvin (temperatures are 
 values in, degree Celsius: the same scale). Units appear in the *names* of columns and parameters.
 """
 
+import functools
 import re
 
 _FACTORS = {
@@ -28,6 +29,7 @@ _FACTORS = {
 }
 
 
+@functools.cache
 def si_factor(unit: str) -> float:
     """Factor that turns a value given in `unit` into SI.
 

@@ -13,7 +13,6 @@ from typing import Any
 import jax
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize
 
 from ..arrays import Array
 from ..programs import outer_jit
@@ -80,6 +79,9 @@ def minimax(
     def steepness(y: np.ndarray) -> np.ndarray:
         found = np.asarray(slopes(y[:-1]))
         return np.column_stack([-found / unit, np.ones(len(found))])
+
+    # Only here: whoever designs nothing need not wait for it.
+    from scipy.optimize import minimize
 
     target = np.zeros(len(z) + 1)
     target[-1] = 1.0

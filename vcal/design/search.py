@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from ..programs import outer_jit
@@ -48,6 +47,9 @@ def search(
     other for ever in its batched linear algebra. Ends where a step gains less than the relative
     `tolerance`, or after `steps`. Raises `ValueError` where the criterion is not finite at a start.
     """
+    # Only here: whoever designs nothing need not wait for it.
+    from scipy.optimize import minimize
+
     both = criterion if with_slope else outer_jit(jax.value_and_grad(criterion))
 
     def one(start: np.ndarray) -> Found:

@@ -59,7 +59,7 @@ class Rival:
     @property
     def leniency(self) -> float:
         """What that costs beyond what it may."""
-        return leniency(self.surprise)
+        return float(leniency(np.asarray(self.surprise)))
 
     @property
     def log_weight(self) -> float:
@@ -135,6 +135,8 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
     first = len(base.model.entries)
     added = slice(first, first + len(peak.effect.amplitudes))
     for _ in range(_WIDENINGS):
+        if not fit.determined:
+            break  # no reading tells the place of it, and so none its size
         if fit.converged:
             noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
             information, scores = at_its_shape(fit, added, noise)
@@ -208,7 +210,9 @@ def refit_all(
         gain = fit.log_evidence(noise) + more - reference
         shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
         rivals.append(
-            Rival(peak.effect, fit, gain + shape, odds, bic, shape, surprise(*declared), wider)
+            Rival(
+                peak.effect, fit, gain + shape, odds, bic, shape, float(surprise(*declared)), wider
+            )
         )
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
@@ -308,7 +312,7 @@ def likelier_together(fit: Fit, found: Sequence[tuple[int, Rival]], description:
         counts = [len(e.amplitudes) for e in its.model.effects]
         mine = slice(sum(counts[:place]), sum(counts[: place + 1]))
         more = over_scales(its, mine, noise) + rival.log_shape + rival.log_prior
-        gain += sign * (more + leniency(surprise(*at_its_shape(its, mine, noise))))
+        gain += sign * (more + float(leniency(surprise(*at_its_shape(its, mine, noise)))))
     by = (declared_chi2(description.fit) - declared_chi2(fit)) / noise**2
     return gain > _LIKELIER and by > _FITS_AS_WELL
 

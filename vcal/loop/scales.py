@@ -23,10 +23,10 @@ _SURPRISE = math.log(20.0)
 """Most that a size beyond its prior may count against a rival, as log odds."""
 
 
-def surprise(information: np.ndarray, scores: np.ndarray) -> float:
+def surprise(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
     """What it costs the log evidence that amplitudes are larger than expected, of a linear model as
-    in `log_gain`: what the prior adds to half the chi-square at its minimum, beyond what an
-    amplitude of one standard deviation costs.
+    in `log_gain` (..., c), as (...): what the prior adds to half the chi-square at its minimum,
+    beyond what an amplitude of one standard deviation costs.
 
     A prior that outweighs the readings makes an amplitude look small and the fit poor; that counts
     as well: with b = l x, half of l x^2 / (1 + l) is half of x^2 where the readings tell x.
@@ -34,14 +34,14 @@ def surprise(information: np.ndarray, scores: np.ndarray) -> float:
     seen = information > _TOLD
     size = np.where(seen, scores / np.where(seen, information, 1.0), 0.0)
     cost = 0.5 * (size**2 * information / (1.0 + information) - 1.0)
-    return float(np.maximum(cost, 0.0).sum())
+    return np.maximum(cost, 0.0).sum(-1)
 
 
-def leniency(surprise: float) -> float:
+def leniency(surprise: np.ndarray) -> np.ndarray:
     """What that costs beyond `_SURPRISE`: how large an effect may be is known roughly, enough to
     prefer one rival, not to exclude another.
     """
-    return max(0.0, surprise - _SURPRISE)
+    return np.maximum(surprise - _SURPRISE, 0.0)
 
 
 def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -> np.ndarray:

@@ -153,9 +153,9 @@ class Screen:
                 for (i, _), found in zip(together, drops, strict=True):
                     own[i].append(found)
             whole = [Drops.joined(own[i]) for i in members]
-            for i, drops, bayes in zip(members, whole, self._log_bayes(whole), strict=True):
+            for i, drops, evidence in zip(members, whole, self._evidence(whole), strict=True):
                 if drops.rank.max() > 0:
-                    tested[i] = Tested(effects[i], scans[i], drops, bayes, self._noise(drops))
+                    tested[i] = Tested(effects[i], scans[i], drops, *evidence)
         return tested
 
     def refine(self, peak: Peak, rounds: int = 3) -> Peak:
@@ -191,7 +191,7 @@ class Screen:
             mesh = np.array(list(itertools.product(*axes)))
             grid = {n: mesh[:, i] for i, n in enumerate(shape)}
             drops = self._at(peak.effect, grid)
-            (bayes,) = self._log_bayes([drops])
+            ((bayes, costs),) = self._evidence([drops])
             i = int(np.argmax(np.where(drops.rank > 0, bayes, -np.inf)))
             shape = {n: float(mesh[i, k]) for k, n in enumerate(shape)}
             width = {n: w / 4.0 for n, w in width.items()}
@@ -204,7 +204,7 @@ class Screen:
                 together,
                 int(drops.rank[i]),
                 together - float(bayes[i]),
-                drops.leniency(i, self._noise(drops)),
+                float(costs[i]),
             )
         return best
 
@@ -215,7 +215,7 @@ class Screen:
             self._at(effect, {n: v[i : i + _CHUNK] for n, v in grid.items()})
             for i in range(0, size, _CHUNK)
         ]
-        return self._log_bayes([Drops.joined(pieces)])[0]
+        return self._evidence([Drops.joined(pieces)])[0][0]
 
     def _at(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> "Drops":
         """What an effect would explain, without what it would of null residuals."""
@@ -302,9 +302,10 @@ class Screen:
             self._products[p, q] = np.einsum("nm,nm->n", self.ports[:, :, p], self.ports[:, :, q])
         return self._products[p, q]
 
-    def _log_bayes(self, of: Sequence["Drops"]) -> list[np.ndarray]:
-        """Gain in log evidence at every step of each scan: marginal likelihood of a linear model,
-        at the noise that the best of the scan leaves.
+    def _evidence(self, of: Sequence["Drops"]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """At every step of each scan the gain in log evidence, and what the size there costs it
+        beyond what it may (`scales.leniency`): marginal likelihood of a linear model, at the noise
+        that the best of the scan leaves.
         """
         sizes = [len(drops.stat) for drops in of]
         noise = [self._noise(drops) for drops in of]
@@ -312,8 +313,10 @@ class Screen:
         g = np.concatenate([drops.information for drops in of]) / every[:, None, None]
         s = np.concatenate([drops.scores for drops in of]) / every[:, None]
         values, vectors = np.linalg.eigh(g)
-        gains = log_mixture(np.maximum(values, 0.0), np.einsum("gab,ga->gb", vectors, s))
-        return np.split(gains, np.cumsum(sizes)[:-1])
+        model = np.maximum(values, 0.0), np.einsum("gab,ga->gb", vectors, s)
+        ends = np.cumsum(sizes)[:-1]
+        gains, costs = log_mixture(*model), leniency(surprise(*model))
+        return list(zip(np.split(gains, ends), np.split(costs, ends), strict=True))
 
     def _noise(self, drops: "Drops") -> float:
         """Variance of the noise that the best of a scan leaves, in units of that of the fit."""
@@ -361,14 +364,6 @@ class Drops:
     null: Mapping[int, np.ndarray]
     """Largest drop of each null residual (draws), by rank."""
 
-    def leniency(self, i: int, noise: float) -> float:
-        """What the size at one step costs the evidence beyond what it may (`scales.leniency`), with
-        a noise variance.
-        """
-        values, vectors = np.linalg.eigh(self.information[i] / noise)
-        scores = vectors.T @ (self.scores[i] / noise)
-        return leniency(surprise(np.maximum(values, 0.0), scores))
-
     @classmethod
     def joined(cls, parts: Sequence["Drops"]) -> "Drops":
         """All steps together."""
@@ -396,8 +391,9 @@ class Tested:
     scan: Scan
     drops: Drops
     bayes: np.ndarray
-    noise: float
-    """Variance that the best step leaves."""
+    """Gain in log evidence at every step."""
+    leniency: np.ndarray
+    """What the size there costs it beyond what it may."""
 
     def largest(self) -> dict[int, np.ndarray]:
         """The largest drop of each rank."""
@@ -408,7 +404,7 @@ class Tested:
     def peaks(self, most: int) -> list[Peak]:
         """The best local maxima of the statistic over the scan."""
         drops, names = self.drops, self.scan.names
-        grid = np.array(list(np.ndindex(*self.scan.lengths))).reshape(len(drops.stat), len(names))
+        grid = np.indices(self.scan.lengths).reshape(len(names), len(drops.stat)).T
         chosen: list[int] = []
         apart = 0 if any(p.choice for p in self.effect.shapes) else 2
         left = drops.rank > 0
@@ -427,7 +423,7 @@ class Tested:
                 log_bayes=float(self.bayes[i]) + spread - steps,
                 rank=int(drops.rank[i]),
                 log_share=spread - steps,
-                leniency=drops.leniency(i, self.noise),
+                leniency=float(self.leniency[i]),
             )
             for i, spread in zip(chosen, spreads, strict=True)
         ]

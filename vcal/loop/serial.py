@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.signal import lfilter
 from scipy.special import gammaincc
 
 from ..fit import Fit
@@ -140,6 +139,9 @@ class _Sequence:
         both = np.concatenate([residual[:, :, None], self.jacobian[:, :, kept]], axis=2)
         spread = 1.0
         if share > 0.0:
+            # Only here: to import it takes as long as to import all of jax, and few data need it.
+            from scipy.signal import lfilter
+
             q = (share * (1.0 - phi**2) + (1.0 - share) * (1.0 + phi**2)) / (phi * (1.0 - share))
             psi = 0.5 * (q - np.sqrt(q * q - 4.0))
             spread = phi * (1.0 - share) / psi

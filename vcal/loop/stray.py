@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import gammainccinv
-from scipy.stats import hypergeom
 
 from ..fit import Fit
 from ..identify import declared_whitener
@@ -210,6 +209,9 @@ def _improbable(
 
 def _gathered(fit: Fit, rows: np.ndarray, found: Sequence[int]) -> bool:
     """Whether more of them share a bin of some covariate than rows at random would."""
+    # Only here: to import it takes half as long as to import all of jax, and few data need it.
+    from scipy.stats import hypergeom
+
     among = np.isin(rows, found)
     least, tried = 1.0, 0
     for x in distinct_covariates(fit.measurement.plan).values():
