@@ -1,7 +1,8 @@
-"""Whole-process time and peak memory of what a user runs, cold and warm.
+"""Whole-process time and peak memory of what a user runs, cold and warm; time of one loop.
 
-Cold: with an empty cache of compiled programs; warm: with the cache the cold run left. Needs a
-POSIX system.
+Cold: with an empty cache of compiled programs; warm: with the cache the cold run left. Of the loop,
+which is one of 504 tracker points with the whole catalogue, only `close_loop` is timed: the first
+of a process without any compiled program, and further ones in it. Needs a POSIX system.
 
     python benchmarks/speed.py --data ../shared/data --out benchmarks/results/speed.json
 """
@@ -17,8 +18,11 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-LIMITS = {"import": 1.5, "demo": 20.0, "practice_02": 25.0, "irb120": 90.0}
+LIMITS = {"import": 1.5, "demo": 20.0, "practice_02": 25.0, "irb120": 90.0, "loop_504": 20.0}
 """Seconds that a cold run may take on two cores."""
+POINTS = (7, 6, 6)
+"""Grid of the loop's plan, measured in both directions."""
+BACKLASH = {"effect": "backlash", "axis": "X", "size_um": 6}
 
 
 def timed(command: list[str], cache: Path) -> dict[str, float]:
@@ -49,6 +53,38 @@ def timed(command: list[str], cache: Path) -> dict[str, float]:
         raise SystemExit(f"{' '.join(command)} failed: {found['err']}")
     found.pop("err")
     return found
+
+
+def loops(runs: int) -> list[float]:
+    """Seconds of loops, one after the other, on a tracker study of the tests' generator."""
+    script = (
+        "import json,sys,tempfile,time\n"
+        "from pathlib import Path\n"
+        "sys.path.insert(0,sys.argv[1])\n"
+        "import vcal\n"
+        "from oracle import make_case,write_study\n"
+        "vcal.enable_float64()\n"
+        "effect,shape,runs=json.loads(sys.argv[2])\n"
+        "case=make_case('laser_tracker',seed=5,effects=[effect],plan={'shape':shape})\n"
+        "folder=tempfile.TemporaryDirectory()\n"
+        "write_study(Path(folder.name),case)\n"
+        "study=vcal.load_study(Path(folder.name)/'setup.toml')\n"
+        "found=[]\n"
+        "for _ in range(runs):\n"
+        "    t=time.perf_counter()\n"
+        "    closure=vcal.close_loop(study.model,study.measurement,check=study.check)\n"
+        "    found.append(time.perf_counter()-t)\n"
+        "assert [e.effect.key for e in closure.effects]==['backlash X'],closure.sentence\n"
+        "print(json.dumps(found))\n"
+    )
+    tests = str(HERE.parent / "tests")
+    command = [sys.executable, "-c", script, tests, json.dumps([BACKLASH, POINTS, runs])]
+    with tempfile.TemporaryDirectory() as cache:
+        environment = dict(os.environ, XDG_CACHE_HOME=cache)
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    if done.returncode:
+        raise SystemExit(f"the loop failed: {done.stderr[-500:]}")
+    return json.loads(done.stdout)
 
 
 def main() -> None:
@@ -88,6 +124,14 @@ def main() -> None:
             f"peak {results[name]['peak_mib']:.0f} MiB",
             flush=True,
         )
+    cold_s, *warm_s = loops(options.runs + 1)
+    results["loop_504"] = {
+        "cold": {"wall_s": cold_s},
+        "warm_median_wall_s": sorted(warm_s)[len(warm_s) // 2],
+        "limit_s": LIMITS["loop_504"],
+    }
+    print(f"loop_504     cold {cold_s:6.1f} s (limit {LIMITS['loop_504']:g}), "
+          f"warm {results['loop_504']['warm_median_wall_s']:6.1f} s", flush=True)  # fmt: skip
     machine = {
         "cores": os.cpu_count(),
         "python": platform.python_version(),

@@ -190,7 +190,7 @@ def speed(found: dict) -> str:
             f"{r['cold']['wall_s']:.1f}",
             f"{r['limit_s']:g}",
             f"{r['warm_median_wall_s']:.1f}",
-            f"{r['peak_mib']:.0f}",
+            f"{r['peak_mib']:.0f}" if "peak_mib" in r else "",
         ]
         for name, r in found["results"].items()
     )
