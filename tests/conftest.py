@@ -14,11 +14,16 @@ jax.config.update("jax_enable_x64", True)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep compiled programs: most of the time goes into compilation, often of the same program.
+    """Keep compiled programs, small ones too: most of the time goes into compilation, often of the
+    same program.
 
-    All processes share them: a cache of limited size, which nothing here comes near, is locked
-    while it is written. Where there is a process for every core, one core is what each of them has.
+    All processes share them, without a lock: a cache that has one looks at each of its files
+    whenever it takes another. Of two that compile the same at the same time one may find the file
+    of the other half written; it is then told to be unreadable, and compiles for itself. Where
+    there is a process for every core, one core is what each of them has.
     """
+    unreadable = "ignore:Error reading persistent compilation cache entry:UserWarning"
+    config.addinivalue_line("filterwarnings", unreadable)
     if hasattr(config, "workerinput"):
         threadpool_limits(1)
     for name, value in _programs(config).items():
@@ -28,8 +33,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def _programs(config: pytest.Config) -> dict[str, str | int | float]:
     return {
         "jax_compilation_cache_dir": str(config.cache.mkdir("xla")),
-        "jax_compilation_cache_max_size": 2**33,
-        "jax_persistent_cache_min_compile_time_secs": 0.1,
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": 0,
     }
 
