@@ -50,6 +50,9 @@ _ROUNDING = 1e-12
 _DEFICIENT = 1e-10
 """Singular value, relative to the largest, below which a combination of parameters counts as free:
 its step would keep less than six digits."""
+_NEAR = 0.5
+"""Share of the tolerance within which the triangle of the point before may say how far it still is:
+it is off by the rate at which the steps converge."""
 _CERTAIN = 1e8
 """Bound of the condition number up to which no singular value can be that small: R is then solved
 with as it is, in a third of the time that its singular values take."""
@@ -123,6 +126,8 @@ class _Point(eqx.Module):
     projected: Float[Array, " k"]
     """Q' r."""
     rank: Int[Array, ""]
+    certain: Bool[Array, ""]
+    """Whether a bound of the condition says that the rank is full."""
     newton: Float[Array, " p"]
     """The shortest step to the minimum of the linear model, g = -J^+ r."""
     decrement: Float[Array, ""]
@@ -158,7 +163,7 @@ def _point(theta: Array, residual: Array, jacobian: Array) -> tuple[_Point, Arra
     both = jnp.linalg.qr(jnp.column_stack([jacobian / columns, residual]), mode="r")
     both = jnp.where(finite, both, 0.0)
     triangle, projected = both[:, :-1], both[:, -1]
-    rank, newton, decrement = _to_the_minimum(triangle, projected)
+    rank, certain, newton, decrement = _to_the_minimum(triangle, projected)
     point = _Point(
         residual=residual,
         jacobian=jacobian,
@@ -167,6 +172,7 @@ def _point(theta: Array, residual: Array, jacobian: Array) -> tuple[_Point, Arra
         triangle=triangle,
         projected=projected,
         rank=rank,
+        certain=certain,
         newton=newton / columns,
         decrement=decrement,
         rounding=_EPS * _norm(norms * theta),
@@ -174,8 +180,10 @@ def _point(theta: Array, residual: Array, jacobian: Array) -> tuple[_Point, Arra
     return point, finite
 
 
-def _to_the_minimum(triangle: Array, projected: Array) -> tuple[Array, Array, Array]:
-    """Rank of R, the shortest step to the minimum of |R x + Q'r|, and how much of it that takes."""
+def _to_the_minimum(triangle: Array, projected: Array) -> tuple[Array, Array, Array, Array]:
+    """Rank of R and whether it is certainly full, the shortest step to the minimum of |R x + Q'r|,
+    and how much of it that takes.
+    """
     k, p = triangle.shape
 
     def by_singular_values():
@@ -183,7 +191,7 @@ def _to_the_minimum(triangle: Array, projected: Array) -> tuple[Array, Array, Ar
         seen = _seen(singular)
         along = jnp.where(seen, projected @ u, 0.0)
         step = -((along / jnp.where(seen, singular, 1.0)) @ vt)
-        return jnp.sum(seen), step, _norm(along)
+        return jnp.sum(seen), jnp.array(False), step, _norm(along)
 
     if k < p:
         return by_singular_values()
@@ -193,9 +201,40 @@ def _to_the_minimum(triangle: Array, projected: Array) -> tuple[Array, Array, Ar
     certain = _norm(square.reshape(-1)) * _norm(inverse.reshape(-1)) < _CERTAIN
 
     def as_it_is():
-        return jnp.array(p), -(inverse @ projected[:p]), _norm(projected[:p])
+        return jnp.array(p), jnp.array(True), -(inverse @ projected[:p]), _norm(projected[:p])
 
     return jax.lax.cond(certain, as_it_is, by_singular_values)
+
+
+def _near(
+    theta: Array, residual: Array, jacobian: Array, before: _Point, tolerance: Array
+) -> tuple[_Point, Array]:
+    """The point with the triangle of the one before, and whether that tells that it is within the
+    tolerance of the minimum, in the same units: then its own, most of the work, need not be found.
+    """
+    p = len(theta)
+    norms, cost = _norm(jacobian), residual @ residual
+    if len(before.triangle) < p:
+        return before, jnp.array(False)
+    square = before.triangle[:p]
+    downhill = (residual @ jacobian) / before.columns
+    projected = jax.scipy.linalg.solve_triangular(square, downhill, trans=1)
+    newton = -jax.scipy.linalg.solve_triangular(square, projected) / before.columns
+    decrement = _norm(projected)
+    point = _Point(
+        residual=residual,
+        jacobian=jacobian,
+        cost=cost,
+        columns=jnp.where(norms > 0.0, norms, 1.0),
+        triangle=before.triangle,
+        projected=jnp.zeros_like(before.projected).at[:p].set(projected),
+        rank=before.rank,
+        certain=before.certain,
+        newton=newton,
+        decrement=decrement,
+        rounding=_EPS * _norm(norms * theta),
+    )
+    return point, before.certain & (decrement <= _NEAR * tolerance)
 
 
 def _norm(values: Array) -> Array:
@@ -237,6 +276,7 @@ class DampedGaussNewton(optx.AbstractLeastSquaresSolver):
             triangle=jnp.zeros((k, p), y.dtype),
             projected=jnp.zeros(k, y.dtype),
             rank=jnp.array(0),
+            certain=jnp.array(False),
             newton=jnp.zeros(p, y.dtype),
             decrement=jnp.full((), jnp.inf, y.dtype),
             rounding=zero,
@@ -262,8 +302,15 @@ class DampedGaussNewton(optx.AbstractLeastSquaresSolver):
             residual, jacobian = jax.vmap(push, out_axes=(None, 1))(jnp.eye(y.shape[0]))
         else:
             residual, jacobian = self.linearised(state.trial, args)
-        new, finite = _point(state.trial, residual, jacobian)
         old, first = state.point, state.evaluations == 0
+        close_by, near = _near(
+            state.trial, residual, jacobian, old, self.atol * self._scatter(residual, y)
+        )
+        new, finite = jax.lax.cond(
+            near,
+            lambda: (close_by, near),
+            lambda: _point(state.trial, residual, jacobian),
+        )
 
         reduction, noise = old.cost - new.cost, _noise(old)
         needed = jnp.where(state.damping == 0.0, _TRUSTED, _LOWERED)
@@ -312,11 +359,15 @@ class DampedGaussNewton(optx.AbstractLeastSquaresSolver):
         return y, state, None
 
     def _stationary(self, y: Array, point: _Point) -> Array:
-        n, p = point.jacobian.shape
-        scatter = jnp.maximum(jnp.sqrt(point.cost / max(n - p, 1)), self.noise)
+        scatter = self._scatter(point.residual, y)
         return (
             point.decrement <= jnp.maximum(self.atol * scatter, 2.0 * point.rounding)
         ) | jnp.all(jnp.abs(point.newton) <= self.rtol * jnp.abs(y))
+
+    def _scatter(self, residual: Array, y: Array) -> Array:
+        """Standard deviation of a residual, not less than what is known of it."""
+        free = max(len(residual) - len(y), 1)
+        return jnp.maximum(jnp.sqrt(residual @ residual / free), self.noise)
 
     def _next(self, fn, y, args, point: _Point, damping, scale):
         """The next trial, the reduction it is foretold to bring, and whether it may be used."""
@@ -412,7 +463,7 @@ def _solve(residual, solver: DampedGaussNewton, start: Array, args, max_steps: i
     # The first evaluation is that of the start.
     found = optx.least_squares(residual, solver, start, args, max_steps=max_steps + 1, throw=False)
     point = found.state.point
-    singular = jnp.linalg.svd(point.triangle, compute_uv=False)
+    singular = jnp.linalg.svd(point.jacobian / point.columns, compute_uv=False)
     smallest = singular[-1] if len(singular) == len(start) else jnp.array(0.0)
     zero = smallest == 0.0
     # A start that is no number is turned down before the first evaluation.
