@@ -341,6 +341,19 @@ def test_tolerance_is_in_standard_uncertainties():
     np.testing.assert_array_equal(noisy.value, loose.value)
 
 
+@pytest.mark.parametrize("name", ["DanWood", "Gauss1", "Kirby2"])
+def test_what_is_left_to_the_minimum_is_within_the_tolerance(name):
+    """By numpy, at the end of a fit: whatever told the solver how near it is."""
+    it, xy = SETS[name], data(name)
+    for tolerance in (0.3, 1e-3, 1e-6):
+        found = solve(residual_of(MODELS[name]), it["start2"], xy, tolerance=tolerance)
+        left, *_ = np.linalg.lstsq(found.jacobian, found.residual, rcond=None)
+        n, p = found.jacobian.shape
+        scatter = np.sqrt(float(found.cost) / (n - p))
+        assert found.converged
+        assert np.linalg.norm(found.jacobian @ left) <= tolerance * scatter, tolerance
+
+
 def test_against_scipy():
     """Estimate and covariance of a curve with noise, by MINPACK."""
     rng = np.random.default_rng(9)
