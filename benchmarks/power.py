@@ -251,6 +251,34 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     return line | {"seconds": round(time.perf_counter() - start, 2)}
 
 
+def p_without(line: dict) -> float:
+    """The corrected p-value of the first screening of a set with strays, had the readings that are
+    off not gone astray and their rows not been used: what the loop should find with them in place.
+    """
+    from power_cases import ENTRIES, drawn, make, noise_seed, world_of
+
+    import vcal
+    from vcal.identify import identify
+    from vcal.loop.candidates import candidates
+    from vcal.loop.empirical import EMPIRICAL
+    from vcal.loop.screen import Screen
+    from vcal.loop.screening import screen
+
+    entry, multiple, seed = ENTRIES[line["case"]], line["multiple"], line["seed"]
+    world = world_of(entry.instrument, seed)
+    given = world, drawn(entry, world), [multiple * limit for limit in line["limit"]]
+    noise = noise_seed(entry, multiple, seed)
+    astray = make(entry, *given, noise_seed=noise).case.truth["strays"]
+    study = load(make(replace(entry, strays=0.0), *given, noise_seed=noise).case)
+    keep = np.ones(study.measurement.rows, bool)
+    keep[astray] = False
+    room = len(study.model.entries) + 16
+    fit = identify(study.model, study.measurement, keep=keep, room=room)
+    tried, _ = candidates(study.model, study.measurement, vcal.CATALOGUE.values())
+    empirical, _ = candidates(study.model, study.measurement, EMPIRICAL)
+    return screen(Screen(fit, DRAWS, seed + 1), [*tried, *empirical]).p_value
+
+
 # --- the campaign --------------------------------------------------------------------------------
 
 

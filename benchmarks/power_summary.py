@@ -14,8 +14,10 @@ from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from power import LINES, known
+from power import LINES, known, p_without
 from power_cases import ENTRIES, GROUPS, INSTRUMENTS, OWN_NOISE, noise_seed
+
+import vcal
 
 HERE = Path(__file__).resolve().parent
 OUTCOMES = (
@@ -39,6 +41,8 @@ FAR = 3.0
 TOLD_APART = 9.0
 """Chi-square by which readings that fit the truth better tell it from something else."""
 CERTAIN = {"right", "right first"}
+SAME_P = 1e-3
+"""Share of a p-value within which two are the same."""
 
 
 def is_of(key: str, found: dict) -> bool:
@@ -272,12 +276,17 @@ def stray_row(name: str, lines: list[dict], every: dict) -> dict:
             f["key"] for f in b["found"]]
         for x, b in pairs if b is not None and "found" in x and "found" in b
     ]  # fmt: skip
+    compared = [x for x, b in pairs if b is not None and "found" in x and "found" in b]
+    others = [x for x, alike in zip(compared, same, strict=True) if not alike]
     strays = np.array([x["strays"] for x in lines if "strays" in x]).reshape(-1, 3)
     return {
         "case": name,
         "sets": len(lines),
         "compared": len(same),
         "same": sum(same),
+        "as_without_the_rows": sum(
+            math.isclose(x["p"], p_without(x), rel_tol=SAME_P) for x in others
+        ),
         "astray": int(strays[:, 0].sum()),
         "listed": int(strays[:, 1].sum()),
         "listed_wrongly": int(strays[:, 2].sum()),
@@ -404,6 +413,7 @@ def main() -> None:
     parser.add_argument("--lines", type=Path, default=LINES)
     parser.add_argument("--out", type=Path, default=HERE / "results" / "power.json")
     options = parser.parse_args()
+    vcal.enable_float64()
     found = summary(known(options.lines))
     options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     picture(found, options.out.with_suffix(".png"))

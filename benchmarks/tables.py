@@ -164,12 +164,13 @@ def power_strays(found: dict) -> str:
             r["case"].replace("/", ": "),
             str(r["sets"]),
             f"{r['same']} of {r['compared']}",
+            f"{r['as_without_the_rows']} of {r['compared'] - r['same']}",
             f"{r['listed']} of {r['astray']}",
             str(r["listed_wrongly"]),
         ]
         for r in found["strays"]
     )
-    head = "case,sets,same verdict as without,listed,listed wrongly"
+    head = "case,sets,same verdict as without,others as without their rows,listed,listed wrongly"
     return table(head.split(","), rows)
 
 
