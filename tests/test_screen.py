@@ -13,7 +13,7 @@ from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, identify
 from vcal.loop.candidates import candidates
 from vcal.loop.chance import minus_log_chi2_tail
-from vcal.loop.empirical import LocalBump
+from vcal.loop.empirical import EMPIRICAL, LocalBump
 from vcal.loop.rivals import classes_of, refit, refit_all, weigh
 from vcal.loop.screen import Peak, Screen
 from vcal.loop.screening import screen
@@ -250,6 +250,21 @@ def test_what_would_leave_its_scan_is_not_explained_by_another(known):
     left = Screen(fit, 5, 0).residual.reshape(-1)
     downhill = fit.jacobian.T @ left - fit.precision * (fit.theta + further)
     np.testing.assert_allclose(downhill, 0.0, atol=1e-6 * np.abs(uphill).max())
+
+
+def test_no_size_gains_more_than_the_drop_says(known):
+    """Whatever size is allowed: half the drop is the most that any prior of it could gain."""
+    it = known["laser_tracker"]
+    large = it.effect("geometric_order:EZY:P2_um=300")
+    state = screened(it, noisy(it, 6, large))
+    tried, _ = candidates(it.model, it.measurement, EMPIRICAL)
+    far_larger = 0
+    for tested in filter(None, state.tests(tried)):
+        most = 0.5 * tested.drops.stat.max()
+        for peak in (*tested.peaks(5), *map(state.refine, tested.peaks(2))):
+            assert peak.log_bayes_at_its_size <= max(most, 0.5 * peak.statistic) + 1e-6, peak
+            far_larger += peak.leniency > 20.0
+    assert far_larger
 
 
 def test_a_rival_that_the_data_do_not_see_is_left_out(known):

@@ -196,6 +196,7 @@ class Screen:
             shape = {n: float(mesh[i, k]) for k, n in enumerate(shape)}
             width = {n: w / 4.0 for n, w in width.items()}
             together = max(peak.log_bayes, float(bayes[i]) - offset)
+            at_size = max(peak.log_bayes_at_its_size, float(bayes[i] + costs[i]) - offset)
             best = Peak(
                 peak.effect,
                 shape,
@@ -204,7 +205,7 @@ class Screen:
                 together,
                 int(drops.rank[i]),
                 together - float(bayes[i]),
-                float(costs[i]),
+                max(at_size - together, 0.0),
             )
         return best
 
@@ -315,7 +316,11 @@ class Screen:
         values, vectors = np.linalg.eigh(g)
         model = np.maximum(values, 0.0), np.einsum("gab,ga->gb", vectors, s)
         ends = np.cumsum(sizes)[:-1]
-        gains, costs = log_mixture(*model), leniency(surprise(*model))
+        gains = log_mixture(*model)
+        # No size gains more than the drop says: what the model beside hardly leaves of a candidate
+        # is in no drop, but may look as large as it likes.
+        most = 0.5 * np.concatenate([drops.stat for drops in of]) / every - gains
+        costs = np.minimum(leniency(surprise(*model)), np.maximum(most, 0.0))
         return list(zip(np.split(gains, ends), np.split(costs, ends), strict=True))
 
     def _noise(self, drops: "Drops") -> float:
@@ -413,7 +418,10 @@ class Tested:
             chosen.append(i)
             left &= (np.abs(grid - grid[i]) > apart).any(1)
         steps = math.log(len(self.scan.mesh))
-        spreads = self._spreads(grid, chosen)
+        spreads = self._spreads(self.bayes, grid, chosen)
+        # Of all steps too: the sizes of those that the evidence is of may be smaller.
+        at_size = self.bayes + self.leniency
+        with_leniency = self._spreads(at_size, grid, chosen)
         return [
             Peak(
                 effect=self.effect,
@@ -423,17 +431,17 @@ class Tested:
                 log_bayes=float(self.bayes[i]) + spread - steps,
                 rank=int(drops.rank[i]),
                 log_share=spread - steps,
-                leniency=float(self.leniency[i]),
+                leniency=max(float(at_size[i] - self.bayes[i]) + more - spread, 0.0),
             )
-            for i, spread in zip(chosen, spreads, strict=True)
+            for i, spread, more in zip(chosen, spreads, with_leniency, strict=True)
         ]
 
-    def _spreads(self, grid: np.ndarray, chosen: list[int]) -> list[float]:
-        """How much more log evidence the steps about each peak have than the peak."""
+    def _spreads(self, bayes: np.ndarray, grid: np.ndarray, chosen: list[int]) -> list[float]:
+        """How much more log evidence the steps about each peak have together than the peak."""
         if not self.scan.names or any(p.choice for p in self.effect.shapes):
             return [0.0] * len(chosen)
         away = np.abs(grid[:, None, :] - grid[chosen]).max(-1)
         nearest = away.argmin(1)
-        over = np.where(self.drops.rank > 0, self.bayes - self.bayes[chosen][nearest], -np.inf)
+        over = np.where(self.drops.rank > 0, bayes - bayes[chosen][nearest], -np.inf)
         together = np.bincount(nearest, np.exp(np.minimum(over, 700.0)), minlength=len(chosen))
         return np.log(together).tolist()
