@@ -16,6 +16,7 @@ NAMES = {
     "demo": "`vcal demo`",
     "practice_02": "`vcal loop`, tracker with backlash (630 readings)",
     "irb120": "`vcal loop`, arm and tracker (785 poses)",
+    "loop_504": "`vcal.close_loop` alone, tracker with backlash (504 readings)",
 }
 
 
