@@ -87,6 +87,19 @@ def load(case):
         return vcal.load_study(Path(folder) / "setup.toml")
 
 
+def screened(study, fit, draws: int, seed: int):
+    """The first screening of the loop, of a fit of the declared model."""
+    import vcal
+    from vcal.loop.candidates import candidates
+    from vcal.loop.empirical import EMPIRICAL
+    from vcal.loop.screen import Screen
+    from vcal.loop.screening import screen
+
+    tried, _ = candidates(study.model, study.measurement, vcal.CATALOGUE.values())
+    empirical, _ = candidates(study.model, study.measurement, EMPIRICAL)
+    return screen(Screen(fit, draws, seed), [*tried, *empirical])
+
+
 def limit_of(entry, world, sized, kind) -> float:
     """Detection limit of one effect of a set, in its unit: the size at which the median statistic
     is that of a corrected p-value of alpha. Found from the screening of a large effect without
@@ -98,20 +111,13 @@ def limit_of(entry, world, sized, kind) -> float:
     from scipy.special import gammainccinv
     from scipy.stats import ncx2
 
-    import vcal
     from vcal.identify import identify
-    from vcal.loop.candidates import candidates
-    from vcal.loop.empirical import EMPIRICAL
-    from vcal.loop.screen import Screen
-    from vcal.loop.screening import screen
 
     alone = replace(entry, kinds=(kind,), strays=0.0)
     made = make(alone, world, [sized], [kind.large], noise=0.0)
     study = load(made.case)
     fit = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
-    tried, _ = candidates(study.model, study.measurement, vcal.CATALOGUE.values())
-    empirical, _ = candidates(study.model, study.measurement, EMPIRICAL)
-    screening = screen(Screen(fit, LIMIT_DRAWS, world.seed), [*tried, *empirical])
+    screening = screened(study, fit, LIMIT_DRAWS, world.seed)
     over_kinds = -math.expm1(math.log1p(-ALPHA) / screening.trials)
     own, ratios = made.terms[0].key, [0.0]
     for found in screening.kinds:
@@ -257,12 +263,7 @@ def p_without(line: dict) -> float:
     """
     from power_cases import ENTRIES, drawn, make, noise_seed, world_of
 
-    import vcal
     from vcal.identify import identify
-    from vcal.loop.candidates import candidates
-    from vcal.loop.empirical import EMPIRICAL
-    from vcal.loop.screen import Screen
-    from vcal.loop.screening import screen
 
     entry, multiple, seed = ENTRIES[line["case"]], line["multiple"], line["seed"]
     world = world_of(entry.instrument, seed)
@@ -274,9 +275,7 @@ def p_without(line: dict) -> float:
     keep[astray] = False
     room = len(study.model.entries) + 16
     fit = identify(study.model, study.measurement, keep=keep, room=room)
-    tried, _ = candidates(study.model, study.measurement, vcal.CATALOGUE.values())
-    empirical, _ = candidates(study.model, study.measurement, EMPIRICAL)
-    return screen(Screen(fit, DRAWS, seed + 1), [*tried, *empirical]).p_value
+    return screened(study, fit, DRAWS, seed + 1).p_value
 
 
 # --- the campaign --------------------------------------------------------------------------------

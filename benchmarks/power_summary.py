@@ -266,24 +266,24 @@ def undisturbed(lines: Sequence[dict]) -> dict[tuple[str, float, int], dict]:
     return {(x["case"], x["multiple"], x["seed"]): x for x in lines}
 
 
+def verdict_of(line: dict) -> tuple[str, list[str]]:
+    """The verdict with the names that were found."""
+    return line["verdict"], [f["key"] for f in line["found"]]
+
+
 def stray_row(name: str, lines: list[dict], every: dict) -> dict:
     """What stray readings change: verdicts against the same set without, and which are listed."""
     entry = ENTRIES[name]
     base = f"{entry.instrument}/" + (entry.kinds[0].name if entry.kinds else "clean")
     pairs = [(x, every.get((base, x["multiple"], x["seed"]))) for x in lines]
-    same = [
-        x["verdict"] == b["verdict"] and [f["key"] for f in x["found"]] == [
-            f["key"] for f in b["found"]]
-        for x, b in pairs if b is not None and "found" in x and "found" in b
-    ]  # fmt: skip
-    compared = [x for x, b in pairs if b is not None and "found" in x and "found" in b]
-    others = [x for x, alike in zip(compared, same, strict=True) if not alike]
+    compared = [(x, b) for x, b in pairs if b is not None and "found" in x and "found" in b]
+    others = [x for x, b in compared if verdict_of(x) != verdict_of(b)]
     strays = np.array([x["strays"] for x in lines if "strays" in x]).reshape(-1, 3)
     return {
         "case": name,
         "sets": len(lines),
-        "compared": len(same),
-        "same": sum(same),
+        "compared": len(compared),
+        "same": len(compared) - len(others),
         "as_without_the_rows": sum(
             math.isclose(x["p"], p_without(x), rel_tol=SAME_P) for x in others
         ),

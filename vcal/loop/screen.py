@@ -420,8 +420,7 @@ class Tested:
         steps = math.log(len(self.scan.mesh))
         spreads = self._spreads(self.bayes, grid, chosen)
         # Of all steps too: the sizes of those that the evidence is of may be smaller.
-        at_size = self.bayes + self.leniency
-        with_leniency = self._spreads(at_size, grid, chosen)
+        with_leniency = self._spreads(self.bayes + self.leniency, grid, chosen)
         return [
             Peak(
                 effect=self.effect,
@@ -431,7 +430,7 @@ class Tested:
                 log_bayes=float(self.bayes[i]) + spread - steps,
                 rank=int(drops.rank[i]),
                 log_share=spread - steps,
-                leniency=max(float(at_size[i] - self.bayes[i]) + more - spread, 0.0),
+                leniency=max(float(self.leniency[i]) + more - spread, 0.0),
             )
             for i, spread, more in zip(chosen, spreads, with_leniency, strict=True)
         ]
