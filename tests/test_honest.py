@@ -302,6 +302,37 @@ def test_readings_without_any_noise(tracker):
     exact = Measurement(tracker.plan, tracker.readings(theta=theta))
     closure = closed(tracker, exact, draws=50)
     assert closure.verdict == "nothing_missing" and closure.screenings[0].p_value == 1.0
+    assert any("scatter at most 0.01 times" in note for note in closure.notes)
+
+
+@pytest.mark.parametrize("size", [0.0, 20.0])
+@pytest.mark.parametrize(
+    "instrument", ["ball_array", pytest.param("laser_tracker", marks=pytest.mark.slow)]
+)
+def test_readings_of_another_simulation_without_any_noise(instrument, size, tmp_path):
+    """Nothing is told by how it rounds, and by what the prior holds back."""
+    true = [{"effect": "backlash", "axis": "Y", "size_um": size}] if size else []
+    case = make_case(instrument, seed=2, effects=true, noise_factor=0.0)
+    study = load_study(write_study(tmp_path, case) / "setup.toml")
+    closure = close_loop(study.model, study.measurement, draws=100)
+    assert closure.verdict == ("named" if size else "nothing_missing")
+    assert closure.suspected == [] and closure.screenings[-1].p_value > 0.01
+    assert [e.effect.key for e in closure.effects] == (["backlash Y"] if size else [])
+    for effect in closure.effects:
+        assert effect.parameters[0][1] == pytest.approx(size, rel=5e-3)
+
+
+def test_stray_readings_among_those_that_are_quieter_than_declared(tmp_path):
+    """They are told by the noise that there is."""
+    case = make_case("ball_array", seed=2, noise_factor=0.05)
+    study = load_study(write_study(tmp_path, case) / "setup.toml")
+    readings = np.array(study.measurement.readings)
+    rows = np.random.default_rng(5).choice(len(readings), 4, replace=False)
+    declared = study.model.instrument.noise(study.measurement.plan, readings)
+    readings[rows, 1] += 40.0 * 0.05 * declared[rows, 1]
+    closure = close_loop(study.model, Measurement(study.measurement.plan, readings), draws=100)
+    assert closure.verdict == "nothing_missing"
+    assert {stray.row for stray in closure.suspected} == set(rows)
 
 
 # --- few readings, and covariates that went together ---------------------------------------------

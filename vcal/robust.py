@@ -17,6 +17,7 @@ def identify_robust(
     rounds: int = 10,
     theta: np.ndarray | None = None,
     shapes: Shapes | None = None,
+    whitener: np.ndarray | None = None,
     keep: np.ndarray | None = None,
     room: int = 0,
 ) -> tuple[Fit, np.ndarray]:
@@ -24,10 +25,11 @@ def identify_robust(
 
     A row whose whitened residual has the norm d is weighted by min(1, c s / d): s is the robust
     scale of all rows (median of d over its expectation), c is `tuning` times the expected norm.
-    `keep` (n,) leaves rows out. Returns the fit and the weights (n,); rows with weights far below
-    one are suspect.
+    `whitener` (n, m, m) is that of the declared noise unless given, `keep` (n,) leaves rows out.
+    Returns the fit and the weights (n,); rows with weights far below one are suspect.
     """
-    whitener = declared_whitener(model, measurement)
+    if whitener is None:
+        whitener = declared_whitener(model, measurement)
     fit = identify(
         model, measurement, theta=theta, shapes=shapes, whitener=whitener, keep=keep, room=room
     )

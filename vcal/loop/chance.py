@@ -3,6 +3,15 @@
 import numpy as np
 from scipy.special import betainc, betaln, gammaincc, gammaln
 
+LEAST_NOISE = 0.01
+"""Of what is declared: the loop goes by no noise that is smaller. Readings of a simulation without
+any would else be judged by how numbers are rounded.
+"""
+SILENT = 0.1
+"""Variance, in that of the noise that a fit goes by, that residuals count for at least: by noise
+that was found theirs is one, but by the least noise it may be anything.
+"""
+
 
 def minus_log_chi2_tail(x: np.ndarray, dof: np.ndarray | float) -> np.ndarray:
     """-ln of the probability that chi-square with `dof` exceeds `x`, without underflow."""

@@ -15,6 +15,7 @@ from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from .begin import shapes_begun
+from .chance import LEAST_NOISE
 from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .confounded import confounded, unrecorded_time
 from .empirical import EMPIRICAL
@@ -295,8 +296,9 @@ def _notes(scales: Mapping[str, float], state: State, run: Search) -> list[str]:
         )
     else:
         notes += [
-            f"the readings{f' of {name}' if name else ''} scatter {noise:.2f} times as much as "
-            "declared; uncertainties "
+            f"the readings{f' of {name}' if name else ''} scatter "
+            f"{'at most ' if noise <= LEAST_NOISE else ''}{noise:.2f} times as much as declared; "
+            "uncertainties "
             + (
                 "are scaled accordingly"
                 if noise > 1

@@ -18,13 +18,12 @@ from scipy.special import gammaincc
 
 from ..fit import Fit
 from ..identify import absent, declared_covariances, whitener_of
+from .chance import LEAST_NOISE
 
 _ROUNDS = 100
 _SETTLED = 1e-3
 _TOLD = 10.0
 """Least degrees of freedom by which a component is estimated; others share one factor."""
-_LEAST = 1e-5
-"""Least factor: readings without any noise leave a covariance that can be inverted."""
 _CHANCE = 1e-3
 """Probability by chance below which the factors count as different."""
 
@@ -158,7 +157,7 @@ class _Problem:
         for _ in range(_ROUNDS):
             squares, trace, _ = self._shares(each, factors)
             new = np.where(told, factors * np.sqrt(squares / np.where(told, trace, 1.0)), factors)
-            new = np.maximum(new, _LEAST)
+            new = np.maximum(new, LEAST_NOISE)
             moved = np.abs(new / factors - 1.0).max()
             factors = new
             if moved < _SETTLED:

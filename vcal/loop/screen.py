@@ -17,15 +17,13 @@ from scipy.linalg import cho_solve, solve_triangular
 
 from ..effects.base import Effect
 from ..fit import Fit
-from .chance import minus_log_beta_tail
+from .chance import SILENT, minus_log_beta_tail
 from .scales import leniency, log_mixture, surprise
 from .scan import Response, Responses, Scan, filled
 
 _RESOLVED = 1e-4
 """Share of a candidate's columns that must be independent of the model for it to count."""
 _CHUNK = 512
-_NOTHING = 1e-12
-"""Cost (in units of the noise variance) of which no share is worth a name."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +78,8 @@ class Screen:
         self.dof = fit.dof
         self.chi2 = fit.chi2
         self.count = float(fit.counted.sum() - self.flat.sum())
-        # Readings without any noise, which the model explains, leave nothing: then all is chance.
-        self.cost = max(self._cost(fit.chi2, float(fit.theta**2 @ fit.precision)), _NOTHING)
+        cost = self._cost(fit.chi2, float(fit.theta**2 @ fit.precision))
+        self.cost = max(cost, SILENT * self.count)
         used = fit.counted.reshape(-1)
         rng = np.random.default_rng(seed)
         noise = rng.standard_normal((n * m, draws)) * used[:, None]

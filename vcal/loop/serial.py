@@ -20,6 +20,7 @@ from scipy.special import gammaincc
 
 from ..fit import Fit
 from ..plan import DATA_SET
+from .chance import SILENT
 
 _PHI = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
 _SHARE = (0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 0.97)
@@ -126,8 +127,8 @@ class _Sequence:
         for p in self.pieces:
             total += float((self.residual[p][1:] * self.residual[p][:-1]).sum())
             count += int(self.counted[p][1:].sum())
-        mean = float((self.residual**2).sum()) / self.counted.sum()
-        return total / count**0.5 / mean if count and mean else 0.0
+        mean = max(float((self.residual**2).sum()) / self.counted.sum(), SILENT)
+        return total / count**0.5 / mean if count else 0.0
 
     def likelihood(
         self, kept: np.ndarray | None = None, phi: float = 0.0, share: float = 0.0

@@ -75,7 +75,11 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     moved: set[int] = set()
     for _ in range(_SEARCHES):
         options |= {"theta": fit.theta, "shapes": fit.shapes}
-        found = stray_rows(fit, partial(identify_robust, model, measurement, **options))
+        judged = options
+        if not (fit.clusters >= 0).any() and _quieter(fit):
+            judged = options | {"whitener": components(fit).whitener_alike}
+        looked_at = fit if judged is options else identify(model, measurement, **judged)
+        found = stray_rows(looked_at, partial(identify_robust, model, measurement, **judged))
         found = [s for s in found if s.row not in moved]
         if not found:
             break

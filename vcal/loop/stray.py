@@ -10,7 +10,7 @@ from scipy.special import gammainccinv
 from ..fit import Fit
 from ..identify import declared_whitener
 from ..plan import DATA_SET, Plan
-from .chance import minus_log_chi2_tail
+from .chance import LEAST_NOISE, minus_log_chi2_tail
 from .recorded import distinct_covariates
 from .unexplained import bins
 from .whitened import declared_residual
@@ -199,7 +199,7 @@ def _improbable(
     if not len(rows):
         return []
     median = 2.0 * gammainccinv(0.5 * np.asarray(readings, float), 0.5)
-    scaled = squares / max(float(np.median(squares / median)), 1e-30)
+    scaled = squares / max(float(np.median(squares / median)), LEAST_NOISE**2)
     minus_log_p = minus_log_chi2_tail(scaled, readings)
     return [
         Stray(int(rows[i]), float(np.sqrt(scaled[i])), float(np.exp(-minus_log_p[i])))

@@ -11,7 +11,7 @@ from scipy.special import gammaincc
 from ..effects.base import Effect
 from ..fit import Fit
 from ..plan import DATA_SET
-from .chance import corrected, effective_trials
+from .chance import SILENT, corrected, effective_trials
 from .empirical import Empirical, Interval
 from .recorded import distinct_covariates
 from .rivals import Rival
@@ -115,7 +115,8 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         # In units of its own scatter: a precise data set would be lost beside a coarse one.
         mine = rows[used]
         both[mine] /= np.sqrt(np.mean(both[mine][:, :, 1:] ** 2)) if mine.any() else 1.0
-    total = np.maximum((both**2).sum((0, 1)), np.finfo(float).tiny)
+    total = (both**2).sum((0, 1))
+    total = np.maximum(total, SILENT * total[1:].mean())
     names, shares = [], []
     known = {name: x[used] for name, x in distinct_covariates(fit.measurement.plan).items()}
     known = {name: x for name, x in known.items() if np.unique(x[np.isfinite(x)]).size > 1}
