@@ -1,5 +1,8 @@
 """Small valid study folders, written from code: nominal readings and a little noise."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -11,6 +14,8 @@ from threadpoolctl import threadpool_limits
 from vcal.cli.folders import write_start
 
 jax.config.update("jax_enable_x64", True)
+
+_QUICK = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -26,8 +31,25 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("filterwarnings", unreadable)
     if hasattr(config, "workerinput"):
         threadpool_limits(1)
+    else:
+        _compile_quickly()
     for name, value in _programs(config).items():
         jax.config.update(name, value)
+
+
+def _compile_quickly() -> None:
+    """Most programs of a test run once: to make them fast takes longer than to run them. What
+    vcal compiles with options of its own keeps them, and the flags pass on to processes that are
+    started from here.
+
+    XLA ends a process that has a flag it does not know, so it is asked in another one.
+    """
+    if "XLA_FLAGS" in os.environ:
+        return
+    quick = os.environ | {"XLA_FLAGS": _QUICK}
+    asked = [sys.executable, "-c", "import jax; jax.devices()"]
+    if not subprocess.run(asked, env=quick, capture_output=True, check=False).returncode:
+        os.environ["XLA_FLAGS"] = _QUICK
 
 
 def _programs(config: pytest.Config) -> dict[str, str | int | float]:
