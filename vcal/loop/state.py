@@ -75,7 +75,7 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     moved: set[int] = set()
     for _ in range(_SEARCHES):
         options |= {"theta": fit.theta, "shapes": fit.shapes}
-        judged = options
+        judged: dict = options
         if not (fit.clusters >= 0).any() and _quieter(fit):
             judged = options | {"whitener": components(fit).whitener_alike}
         looked_at = fit if judged is options else identify(model, measurement, **judged)
