@@ -297,8 +297,8 @@ def _notes(scales: Mapping[str, float], state: State, run: Search) -> list[str]:
     else:
         notes += [
             f"the readings{f' of {name}' if name else ''} scatter "
-            f"{'at most ' if noise <= LEAST_NOISE else ''}{noise:.2f} times as much as declared; "
-            "uncertainties "
+            f"{'at most ' if noise <= LEAST_NOISE else ''}{max(noise, LEAST_NOISE):.2f} times as "
+            "much as declared; uncertainties "
             + (
                 "are scaled accordingly"
                 if noise > 1
