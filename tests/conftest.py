@@ -15,7 +15,10 @@ from vcal.cli.folders import write_start
 
 jax.config.update("jax_enable_x64", True)
 
-_QUICK = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+_QUICK = (
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
+    "--xla_cpu_use_fusion_emitters=false"
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:
