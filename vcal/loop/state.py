@@ -75,12 +75,7 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     moved: set[int] = set()
     for _ in range(_SEARCHES):
         options |= {"theta": fit.theta, "shapes": fit.shapes}
-        judged: dict = options
-        if not (fit.clusters >= 0).any() and _quieter(fit):
-            judged = options | {"whitener": components(fit).whitener_alike}
-        looked_at = fit if judged is options else identify(model, measurement, **judged)
-        found = stray_rows(looked_at, partial(identify_robust, model, measurement, **judged))
-        found = [s for s in found if s.row not in moved]
+        found = [s for s in _stray(fit, options) if s.row not in moved]
         if not found:
             break
         strays += found
@@ -111,6 +106,18 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
         if noise.uneven or _quieter(fit):
             scored = identify(model, measurement, whitener=_found_whitener(noise, noise), **options)
     return State(model, fit, scored, keep, sorted(strays, key=lambda s: s.row), noise)
+
+
+def _stray(fit: Fit, options: dict) -> list[Stray]:
+    """Stray readings of a fit with these options of `identify`; by the noise that there is where
+    that is less than declared, or what is known of the parameters would push some rows further out
+    than noise does.
+    """
+    model, measurement = fit.model, fit.measurement
+    if not (fit.clusters >= 0).any() and _quieter(fit):
+        options = options | {"whitener": components(fit).whitener_alike}
+        fit = identify(model, measurement, **options)
+    return stray_rows(fit, partial(identify_robust, model, measurement, **options))
 
 
 def at_declared(fit: Fit, state: State, room: int) -> Fit:
