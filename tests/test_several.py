@@ -28,7 +28,8 @@ from vcal.instruments.r_test import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.io.simulated import parse_with, write_simulated
 from vcal.loop.candidates import candidates
-from vcal.loop.close_loop import _foretold
+from vcal.loop.close_loop import _worse
+from vcal.loop.closure import Errors
 from vcal.loop.heldout import Rms, check_rms, heldout_residuals, heldout_rms, rms_fall
 from vcal.loop.recorded import distinct_covariates
 from vcal.loop.screen import Screen
@@ -448,13 +449,23 @@ def test_an_effect_of_one_data_set_gains_there(clean, clean_fit):
     assert rms_fall(worse, clean_fit, rows) < 0.1
 
 
-def test_held_out_readings_that_are_foretold_worse_are_told():
-    (said,) = _foretold(Rms(25.6, 0.5), Rms(27.2, 0.8), True)
+def test_readings_and_check_points_that_speak_against_what_was_found_are_told():
+    def errors(heldout: Rms, check: Rms | None = None) -> Errors:
+        return Errors(check, check, heldout, heldout, 1.0)
+
+    before = errors(Rms(25.6, 0.5))
+    (said,) = _worse(before, errors(Rms(27.2, 0.8)), True)
+    assert said.startswith("held-out") and "the readings that were fitted" in said
     assert "(27.2 ± 0.8 µm) than before (25.6 ± 0.5 µm): what was found" in said
-    (said,) = _foretold(Rms(25.6, 0.5), Rms(27.2, 0.8), False)
+    (said,) = _worse(before, errors(Rms(27.2, 0.8)), False)
     assert "the noise that was found" in said
     for after in (Rms(26.4, 0.8), Rms(20.0, 0.5), Rms(np.nan, np.nan)):
-        assert _foretold(Rms(25.6, 0.5), after, True) == []
+        assert _worse(before, errors(after), True) == []
+    before = errors(Rms(25.6, 0.5), Rms(3.9, 1.6))
+    (said,) = _worse(before, errors(Rms(25.0, 0.5), Rms(50.8, 11.8)), True)
+    assert said.startswith("the error at the check points is larger")
+    assert "(50.8 ± 10 µm) than before (3.9 ± 2 µm)" in said
+    assert _worse(before, errors(Rms(25.0, 0.5), Rms(5.0, 1.6)), True) == []
 
 
 # --- covariates ----------------------------------------------------------------------------------

@@ -192,7 +192,7 @@ def _finish(
         notes=[
             *([apart] if apart else []),
             *_not_at_the_check(after, run.check),
-            *_foretold(wrong["before"].heldout, wrong["after"].heldout, bool(found)),
+            *_worse(wrong["before"], wrong["after"], bool(found)),
             *_notes(scales, state, run),
         ],
     )
@@ -223,16 +223,23 @@ def _not_at_the_check(after: Fit, check: CheckPoints | None) -> list[str]:
     ]
 
 
-def _foretold(before: Rms, after: Rms, found: bool) -> list[str]:
-    """That held-out readings speak against what was found, where they do."""
-    if not after.value - before.value > math.hypot(before.u, after.u):
-        return []
+def _worse(before: Errors, after: Errors, found: bool) -> list[str]:
+    """That held-out readings or check points speak against what was found, where they do."""
     what = "what was found describes" if found else "the noise that was found suits"
+    compared = (
+        ("held-out readings are foretold worse", before.heldout, after.heldout),
+        ("the error at the check points is larger", before.check, after.check),
+    )
     return [
-        f"held-out readings are foretold worse after closing the loop ({after.value:.3g} ± "
-        f"{after.u:.1g} µm) than before ({before.value:.3g} ± {before.u:.1g} µm): {what} the "
-        "readings that were fitted, no more, and is not to be relied on"
+        f"{said} after closing the loop ({_um(new)}) than before ({_um(old)}): {what} the readings "
+        "that were fitted, no more, and is not to be relied on"
+        for said, old, new in compared
+        if old is not None and new is not None and new.value - old.value > math.hypot(old.u, new.u)
     ]
+
+
+def _um(it: Rms) -> str:
+    return f"{it.value:.3g} ± {float(f'{it.u:.1g}'):g} µm"
 
 
 def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
