@@ -1,7 +1,7 @@
 """Close the loop: find what a measurement says is missing, name it, add it, report the gain."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal
 
 from threadpoolctl import threadpool_limits
@@ -18,6 +18,7 @@ from .begin import shapes_begun
 from .chance import LEAST_NOISE
 from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .confounded import confounded, unrecorded_time
+from .doubt import Doubt
 from .empirical import EMPIRICAL
 from .heldout import Rms, check_rms, fit_rms, heldout_rms
 from .rivals import CERTAIN, Weighed
@@ -156,6 +157,7 @@ def _finish(
     noise, scales = scales_told(state)
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, run.room) for item in run.added(state)]
+    doubts = [_doubt(item.weighed) for item in run.added(state)]
     verdict: Verdict | None = None if interrupted else "nothing_missing"
     if run.unexplained is not None:
         verdict = "unexplained"
@@ -166,7 +168,7 @@ def _finish(
     wrong: dict[Literal["uncompensated", "before", "after"], Errors] = {
         "uncompensated": errors(nominal, run.check),
         "before": errors(before, run.check),
-        "after": errors(after, run.check),
+        "after": errors(after, run.check, doubts),
     }
     apart = "" if interrupted else contradiction(before, after, run.room)
     return Closure(
@@ -176,6 +178,7 @@ def _finish(
         before=before,
         after=after,
         nominal=nominal,
+        doubts=doubts,
         check=run.check,
         unexplained=run.unexplained,
         suspected=state.strays,
@@ -260,6 +263,10 @@ def _separation(weighed: Weighed) -> str:
     return f"vary {betrays} independently of what betrays {other}"
 
 
+def _doubt(weighed: Weighed) -> Doubt:
+    return Doubt(weighed.best.fit, tuple((p, rival.fit) for p, rival in weighed.instead))
+
+
 def _nominal(model: Model, state: State, room: int) -> Fit:
     """The machine without any error, from the readings that the final fit uses."""
     nuisances = tuple(e for e in model.effects if e.kind == "nuisance" or e.where == "instrument")
@@ -269,9 +276,11 @@ def _nominal(model: Model, state: State, room: int) -> Fit:
     return identify(bare, measurement, shapes=begun, keep=keep, room=room)
 
 
-def errors(fit: Fit, check: CheckPoints | None) -> Errors:
-    """How wrong a fitted model is, on all the data there are."""
-    aligned, raw = (None, None) if check is None else check_rms(fit, check)
+def errors(fit: Fit, check: CheckPoints | None, doubts: Sequence[Doubt] = ()) -> Errors:
+    """How wrong a fitted model is, on all the data there are; what it may be instead is part of the
+    uncertainty at the check points.
+    """
+    aligned, raw = (None, None) if check is None else check_rms(fit, check, doubts)
     return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), chi2_per_dof(fit), _by_set(fit))
 
 

@@ -1,6 +1,6 @@
 """What closing the loop found: numbers and names only, from which pages and files are made."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -10,6 +10,7 @@ from ..instruments.conditions import file_column
 from ..measurement import CheckPoints
 from .candidates import Untestable
 from .components import Component
+from .doubt import Doubt
 from .empirical import Empirical
 from .heldout import Rms
 from .screening import Screening
@@ -34,7 +35,8 @@ class Errors:
     """How wrong a model is."""
 
     check: Rms | None
-    """Volumetric error at the check points after rigid alignment; None without check data."""
+    """Volumetric error at the check points after rigid alignment; None without check data. What an
+    effect may be instead, where its name is not certain, is part of its uncertainty."""
     check_raw: Rms | None
     heldout: Rms
     fit: Rms
@@ -88,6 +90,8 @@ class Closure:
     after: Fit = field(repr=False)
     nominal: Fit = field(repr=False)
     """The nominal machine with only the nuisances fitted."""
+    doubts: Sequence[Doubt] = field(repr=False)
+    """What each of `effects` may be instead, as far as its name is not certain."""
     check: CheckPoints | None = field(repr=False)
     unexplained: Unexplained | None
     suspected: list[Stray]

@@ -1,6 +1,7 @@
 """Errors a fit makes on readings it has not seen, and on independent check points."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from ..fit import Fit
 from ..measurement import CheckPoints, Measurement
 from ..model import Model, Terms, concatenate, effect_terms, tool_points_with_jacobian
 from ..spatial import align_rigid
+from .doubt import Doubt
 
 _BLOCK, _BLOCKS = 8, 25
 """Least rows of a block that is foretold as one, and about how many blocks a fold may have."""
@@ -149,24 +151,35 @@ def compensated_points(fit: Fit, plan) -> tuple[np.ndarray, np.ndarray]:
     return points, by_term @ gather
 
 
-def check_rms(fit: Fit, check: CheckPoints) -> tuple[Rms, Rms]:
+def check_rms(fit: Fit, check: CheckPoints, doubts: Sequence[Doubt] = ()) -> tuple[Rms, Rms]:
     """rms volumetric error at the check points: after the best rigid alignment, and raw, um.
 
-    The uncertainty joins the scatter over the points and what the posterior of the parameters
-    passes on.
+    The uncertainty joins the scatter over the points, what the posterior of the parameters passes
+    on, and by how much the rms would be another one with other names of the effects in `doubts`.
     """
     points, jacobian = compensated_points(fit, check.plan)
-    raw = check.tool_point - points
-    aligned = align_rigid(check.tool_point, raw)
+
+    def errors(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        raw = check.tool_point - points
+        return align_rigid(check.tool_point, raw), raw
+
+    found = [rms((error**2).sum(1)) for error in errors(points)]
+    doubted = np.zeros(2)
+    for doubt in doubts:
+        named = compensated_points(doubt.found, check.plan)[0]
+        for probability, other in doubt.others:
+            moved = points + compensated_points(other, check.plan)[0] - named
+            left = (rms((error**2).sum(1)) for error in errors(moved))
+            change = [a.value - b.value for a, b in zip(left, found, strict=True)]
+            doubted += probability * np.square(change)
     covariance = fit.covariance
     results = []
-    for error in (aligned, raw):
-        found = rms((error**2).sum(1))
-        if found.value > 0:
-            gradient = np.einsum("ni,nik->k", error, jacobian) / (len(error) * found.value * 1e-6)
+    for error, here, more in zip(errors(points), found, np.sqrt(doubted), strict=True):
+        passed = 0.0
+        if here.value > 0:
+            gradient = np.einsum("ni,nik->k", error, jacobian) / (len(error) * here.value * 1e-6)
             passed = math.sqrt(gradient @ covariance @ gradient) * 1e6
-            found = Rms(found.value, math.hypot(found.u, passed))
-        results.append(found)
+        results.append(Rms(here.value, math.hypot(here.u, passed, more)))
     return results[0], results[1]
 
 

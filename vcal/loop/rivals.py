@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +22,8 @@ _TOLD = 1.0
 tell the two apart."""
 _SHAPE_TOLD = 0.02
 """Probability from which another shape of the same effect is told."""
+_LEAST = 1e-4
+"""Probability below which a rival is none."""
 _SAME_SHAPE = 2.0
 """Standard uncertainties within which two shapes are the same."""
 _FITS_AS_WELL = 10.0
@@ -90,6 +92,10 @@ class Weighed:
     """(identifier, placement, probability) of the others."""
     other_shapes: list[tuple[dict[str, float], float]] = field(default_factory=list)
     """Other shapes (SI) that the best may have, with their probability."""
+    instead: tuple[tuple[float, Rival], ...] = ()
+    """(probability, rival) of what else it may be as far as its name is certain: all others where
+    it is not, else those of the same name.
+    """
 
 
 def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0, wider: float = 1.0) -> Fit:
@@ -435,15 +441,16 @@ def weigh(
     total = sum(weights.values())
     key = best.effect.key
     equivalent = sorted({r.effect.key for r in members_of[key]} - {key})
+    probability = weights[key] / total
     others = sorted(((w / total, k) for k, w in weights.items() if k != key), reverse=True)
     return Weighed(
         best=best,
-        probability=weights[key] / total,
+        probability=probability,
         equivalent=equivalent,
         alternatives=[
             (members_of[k][0].effect.name, members_of[k][0].effect.placement, p)
             for p, k in others
-            if p > 1e-4
+            if p > _LEAST
         ],
         other_shapes=[
             (dict(rival.fit.shapes[len(rival.fit.model.effects) - 1]), share)
@@ -452,4 +459,17 @@ def weigh(
             and rival.effect is best.effect
             and (share := math.exp(rival.log_weight - top) / total) > _SHAPE_TOLD
         ],
+        instead=_instead(best, members_of.values() if probability < CERTAIN else [members_of[key]]),
+    )
+
+
+def _instead(best: Rival, names: Iterable[Sequence[Rival]]) -> tuple[tuple[float, Rival], ...]:
+    """The members of these names other than the best, with their shares in all of them."""
+    members = [rival for its in names for rival in its]
+    weights = np.exp([rival.log_weight - best.log_weight for rival in members])
+    shares = weights / weights.sum()
+    return tuple(
+        (float(share), rival)
+        for share, rival in zip(shares, members, strict=True)
+        if rival is not best and share > _LEAST
     )

@@ -10,6 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from ..fit import Fit
+from ..loop.doubt import Doubt, of_doubts
 from ..loop.heldout import compensated_points, heldout_residuals, squared_errors
 from ..measurement import CheckPoints
 from ..plan import Plan
@@ -37,12 +38,15 @@ class Field:
     """Standard uncertainty of the length of the error vector, (planes, n, n), um."""
 
 
-def error_field(before: Fit, after: Fit, check: CheckPoints | None = None) -> Field | None:
+def error_field(
+    before: Fit, after: Fit, check: CheckPoints | None = None, doubts: Sequence[Doubt] = ()
+) -> Field | None:
     """The identified error field of a machine with the axes X, Y and Z; None for other machines,
     and for models that hold nothing that depends on the position.
 
     Only what depends on the axis positions alone is in it: no direction, temperature or time. With
-    check points the grid is made to fit their number, so that nothing has to be compiled anew.
+    check points the grid is made to fit their number, so that nothing has to be compiled anew. What
+    effects may be instead (`doubts`) is part of the uncertainty.
     """
     chain = after.model.chain
     if set(chain.axes) != set("XYZ"):
@@ -60,12 +64,18 @@ def error_field(before: Fit, after: Fit, check: CheckPoints | None = None) -> Fi
     position = np.concatenate([_plane(chain.axes, line, middle, *pair) for pair in _PLANES])
     order = [chain.axes.index(axis) for axis in "XYZ"]
     nominal = position[:, order] + np.asarray(chain.tool_offset)
-    errors, jacobian = [], np.zeros(0)
-    for fit in (before, after):
-        points, jacobian = _in_blocks(fit, position, size or len(position))
-        errors.append(align_rigid(nominal, points - nominal) * 1e6)
+
+    def points(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+        return _in_blocks(fit, position, size or len(position))
+
+    def identified(fit: Fit) -> np.ndarray:
+        return align_rigid(nominal, points(fit)[0] - nominal)
+
+    found, jacobian = points(after)
+    errors = [1e6 * identified(before), 1e6 * align_rigid(nominal, found - nominal)]
     free = align_rigid(nominal, jacobian)
     variance = ((free @ after.covariance) * free).sum((1, 2))
+    variance += of_doubts(doubts, identified, np.zeros_like(nominal)).sum(1)
     shape = (len(_PLANES), nodes, nodes)
     if variance.max() == 0.0 and max(np.abs(e).max() for e in errors) < _NOTHING_UM:
         return None

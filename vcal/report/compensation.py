@@ -4,7 +4,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.linalg import cho_solve
 
 from ..fit import Fit
 from ..loop.closure import Closure
+from ..loop.doubt import Doubt, of_doubts
 from ..plan import Plan
 from ..plots import ErrorMotionTable
 from ..units import si_factor
@@ -22,18 +23,41 @@ _GEOMETRY = ("geometric", "geometric_order")
 _LOCATION = re.compile(r"E[ABCXYZ]0\w+")
 
 
-def error_motion_tables(fit: Fit, nodes: int = NODES) -> list[ErrorMotionTable]:
+def error_motion_tables(
+    fit: Fit, nodes: int = NODES, doubts: Sequence[Doubt] = ()
+) -> list[ErrorMotionTable]:
     """Every error motion on `nodes` positions over its axis's travel (or the range used, where no
     travel is declared), then the location errors.
 
     Value and standard uncertainty are those of the posterior, E = F theta and sqrt(F C F'), with
-    F the family's functions; refinements by `geometric_order` are included.
+    F the family's functions; refinements by `geometric_order` are included. Where the effects in
+    `doubts` may be others, with which error motions are not the same, that is part of the
+    uncertainty.
     """
-    chain, model = fit.model.chain, fit.model
-    lines = [_line(fit, axis, nodes) for axis in chain.axes]
+    lines = [_line(fit, axis, nodes) for axis in fit.model.chain.axes]
+    functions = _functions(fit, lines)
+    proper = fit.precision > 0
+    spread = _Spread(
+        stated=fit.covariance,
+        # The share of information is that of the plan, whatever the residuals turned out to be.
+        planned=cho_solve(fit.factor, np.eye(len(fit.theta))),
+        prior=np.where(proper, 1.0 / np.where(proper, fit.precision, 1.0), 0.0),
+    )
+    doubted = _doubted(doubts, lines, {name: len(mean) for name, (_, mean) in functions.items()})
+    return [
+        _table(name, *functions[name], doubted[name], fit, spread, lines)
+        for name in _sorted(functions, fit.model.chain.axes)
+    ]
+
+
+def _functions(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """F (nodes, k) of every error motion on these positions of every axis, or (1, k) of a location
+    error, and its mean, SI.
+    """
+    model, nodes = fit.model, len(lines[0])
     # As many rows as the measurement has, the last one repeated: shapes that are compiled already.
     rows = np.minimum(np.arange(max(nodes, fit.measurement.rows)), nodes - 1)
-    on_lines = Plan(chain.axes, np.stack(lines, axis=1)[rows])
+    on_lines = Plan(model.chain.axes, np.stack(lines, axis=1)[rows])
     columns: dict[str, np.ndarray] = {}
     means: dict[str, np.ndarray] = {}
     start = 0
@@ -53,17 +77,25 @@ def error_motion_tables(fit: Fit, nodes: int = NODES) -> list[ErrorMotionTable]:
             mean = means.setdefault(name, np.zeros(len(column)))
             if not located or not mean.any():
                 means[name] = mean + column * p.mean * p.si
-    proper = fit.precision > 0
-    spread = _Spread(
-        stated=fit.covariance,
-        # The share of information is that of the plan, whatever the residuals turned out to be.
-        planned=cho_solve(fit.factor, np.eye(len(fit.theta))),
-        prior=np.where(proper, 1.0 / np.where(proper, fit.precision, 1.0), 0.0),
-    )
-    return [
-        _table(name, block, means[name], fit, spread, lines)
-        for name, block in _sorted(columns, chain.axes)
-    ]
+    return {name: (block, means[name]) for name, block in columns.items()}
+
+
+def _doubted(
+    doubts: Sequence[Doubt], lines: Sequence[np.ndarray], sizes: Mapping[str, int]
+) -> dict[str, np.ndarray]:
+    """Variance of every error motion of so many nodes, m^2 or rad^2, by what effects may be
+    instead.
+    """
+
+    def of(fit: Fit) -> np.ndarray:
+        functions = _functions(fit, lines)
+        found = {name: mean + block @ fit.theta for name, (block, mean) in functions.items()}
+        # What one of them has and another has not, such as a degree more, is nothing there.
+        return np.concatenate([found.get(name, np.zeros(n)) for name, n in sizes.items()])
+
+    variance = of_doubts(doubts, of, np.zeros(sum(sizes.values())))
+    parts = np.split(variance, np.cumsum(list(sizes.values()))[:-1])
+    return dict(zip(sizes, parts, strict=True))
 
 
 @dataclass(frozen=True)
@@ -85,12 +117,10 @@ class _Spread:
         return np.sqrt(np.maximum(stated, 0.0)), np.sqrt(prior), information
 
 
-def _sorted(columns: dict[str, np.ndarray], axes: Sequence[str]):
+def _sorted(names: Iterable[str], axes: Sequence[str]) -> list[str]:
     """Error motions axis by axis, then location errors."""
     order = [f"E{c}{axis}" for axis in axes for c in "XYZABC"]
-    return sorted(
-        columns.items(), key=lambda kv: order.index(kv[0]) if kv[0] in order else len(order)
-    )
+    return sorted(names, key=lambda name: order.index(name) if name in order else len(order))
 
 
 def _line(fit: Fit, axis: str, nodes: int) -> np.ndarray:
@@ -106,6 +136,7 @@ def _table(
     name: str,
     block: np.ndarray,
     mean: np.ndarray,
+    doubted: np.ndarray,
     fit: Fit,
     spread: _Spread,
     lines: Sequence[np.ndarray],
@@ -124,7 +155,7 @@ def _table(
         position=np.zeros(0) if located else lines[axes.index(axis)] / si_factor(position_unit),
         position_unit=position_unit,
         value=(mean + block @ fit.theta) / si,
-        u=u / si,
+        u=np.sqrt(u**2 + doubted) / si,
         prior=prior / si,
         information=information,
     )

@@ -120,7 +120,7 @@ def _errors(closure: Closure) -> Iterator[Picture]:
             "colour scale throughout; seen from above (top) and from the front (bottom)."
         )
         yield Picture("check_points", "volumetric", caption, plots.png(figure))
-    values = plots.error_field(closure.before, closure.after, closure.check)
+    values = plots.error_field(closure.before, closure.after, closure.check, closure.doubts)
     if values is not None:
         figure = plots.field(values)
         caption = (

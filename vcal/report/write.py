@@ -61,7 +61,7 @@ def _make(
     closure: Closure, study: Study, work: Path, command: str, seconds: float
 ) -> Sequence[str]:
     """All files of the report in the folder `work`; returns their names."""
-    tables = error_motion_tables(closure.after)
+    tables = error_motion_tables(closure.after, doubts=closure.doubts)
     drawn = list(pictures(closure, tables))
     texts = {
         "index.html": page(closure, study, tables, drawn, command=command, seconds=seconds),

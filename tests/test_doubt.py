@@ -1,0 +1,132 @@
+"""What a name that is not certain adds to the uncertainty of what is foretold."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from known import Known
+from oracle import make_case, write_study
+from vcal import Effect, Measurement, close_loop, identify, load_study
+from vcal.fit import Fit
+from vcal.loop.doubt import Doubt
+from vcal.loop.heldout import check_rms
+from vcal.loop.rivals import CERTAIN, Rival, classes_of, refit_all, weigh
+from vcal.loop.screen import Screen
+from vcal.plots import error_field
+from vcal.report import error_motion_tables
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    case = make_case("laser_tracker", seed=31)
+    return load_study(write_study(tmp_path_factory.mktemp("doubt") / "study", case))
+
+
+@pytest.fixture(scope="module")
+def fit(study):
+    return identify(study.model, study.measurement, room=len(study.model.entries) + 16)
+
+
+def moved(fit, seed: int):
+    """The fit with other amplitudes: another explanation of the same readings."""
+    by = np.random.default_rng(seed).standard_normal(len(fit.theta))
+    return dataclasses.replace(fit, theta=fit.theta + by)
+
+
+def doubts(fit):
+    """Two effects that may be others: the second may be two."""
+    named, a, b, c = (moved(fit, seed) for seed in range(4))
+    return [Doubt(named, ((0.3, a),)), Doubt(a, ((0.1, b), (0.2, c)))]
+
+
+def test_the_error_at_check_points_is_that_of_the_other_name_so_often(study, fit):
+    """u^2 has the sum of p (rms by the other name - rms)^2 more; the rms stays."""
+    other = moved(fit, 1)
+    alone = check_rms(fit, study.check)
+    doubted = check_rms(fit, study.check, [Doubt(fit, ((0.3, other),))])
+    for one, more, its in zip(alone, doubted, check_rms(other, study.check), strict=True):
+        assert more.value == one.value
+        assert more.u**2 - one.u**2 == pytest.approx(0.3 * (its.value - one.value) ** 2, rel=1e-6)
+        assert more.u > 1.1 * one.u
+    # What a later round found is there by either name.
+    later = moved(fit, 2)
+    after = dataclasses.replace(fit, theta=fit.theta + later.theta - fit.theta)
+    base = dataclasses.replace(fit, theta=other.theta + later.theta - fit.theta)
+    (expected, _), (value, _) = check_rms(base, study.check), check_rms(after, study.check)
+    (found, _) = check_rms(after, study.check, [Doubt(fit, ((0.3, other),))])
+    more = 0.3 * (expected.value - value.value) ** 2
+    assert found.u**2 - value.u**2 == pytest.approx(more, rel=0.02)
+
+
+def test_error_motions_are_those_of_the_other_name_so_often(fit):
+    """u^2 of every node has the sum of p (difference)^2 of every doubt more."""
+    plain = error_motion_tables(fit)
+    found = error_motion_tables(fit, doubts=doubts(fit))
+    by = [{t.name: t.value for t in error_motion_tables(moved(fit, seed))} for seed in range(4)]
+    for before, after in zip(plain, found, strict=True):
+        named, a, b, c = (values[before.name] for values in by)
+        more = 0.3 * (a - named) ** 2 + 0.1 * (b - a) ** 2 + 0.2 * (c - a) ** 2
+        np.testing.assert_allclose(after.value, before.value)
+        np.testing.assert_allclose(after.information, before.information)
+        np.testing.assert_allclose(after.u**2 - before.u**2, more, rtol=1e-6, atol=1e-9)
+        assert more.max() > 0.0
+
+
+def test_error_field_is_that_of_the_other_name_so_often(fit):
+    plain, found = error_field(fit, fit), error_field(fit, fit, doubts=doubts(fit))
+    a, b, c = (error_field(moved(fit, i), moved(fit, j)) for i, j in ((0, 1), (1, 2), (1, 3)))
+    more = sum(p * (f.change**2).sum(-1) for p, f in ((0.3, a), (0.1, b), (0.2, c)))
+    np.testing.assert_allclose(found.u**2 - plain.u**2, more, rtol=1e-6)
+    np.testing.assert_array_equal(found.error, plain.error)
+
+
+def rivals_on(it: Known, *given: Effect) -> tuple[Fit, list[Rival]]:
+    """A backlash of every axis, refitted to readings of a machine with the given effects."""
+    fit = identify(it.model, Measurement(it.plan, it.readings(*given)), room=it.room)
+    effects = [dataclasses.replace(it.effect(f"backlash:{axis}"), given=()) for axis in "XYZ"]
+    state = Screen(fit, 20, 0)
+    peaks = [peak for effect in effects for peak in state.test(effect).peaks(1)]
+    return fit, refit_all(fit, peaks, {"backlash": 3}, fit.used, it.room)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "apart", "certain", "shared"),
+    [
+        ((20, 30, 40), 0.5, False, False),  # told apart, and not certain
+        ((20, 30, 40), 50.0, True, False),  # certain: no doubt
+        ((0, 0, 0), 0.5, True, True),  # one class: certain, and any of them
+    ],
+)
+def test_what_a_name_excludes_is_no_doubt(sizes, apart, certain, shared, tmp_path):
+    """Probabilities of the others against log odds that are `apart` from one to the next."""
+    it = Known("laser_tracker", tmp_path)
+    given = [it.effect(f"backlash:{a}:size_um={s}") for a, s in zip("XYZ", sizes, strict=True)]
+    fit, rivals = rivals_on(it, *given)
+    assert len(rivals) == 3
+    ranked = [
+        dataclasses.replace(r, log_bayes=-apart * i, surprise=0.0) for i, r in enumerate(rivals)
+    ]
+    weighed = weigh(classes_of(fit, ranked), ranked[0])
+    assert (weighed.probability >= CERTAIN) == certain
+    weights = np.exp(-apart * np.arange(3.0))
+    expected = dict(enumerate((weights / weights.sum())[1:], start=1))
+    found = {i: p for p, it in weighed.instead for i, r in enumerate(ranked) if it is r}
+    assert found == pytest.approx(expected if shared or not certain else {})
+
+
+def test_an_ambiguous_effect_is_in_the_uncertainty_of_the_error_after(tmp_path):
+    """A small drift, which temperatures that rise with time describe nearly as well."""
+    drift = {"effect": "drift", "axis": "X", "um_per_h": 3.0}
+    case = make_case("laser_tracker", seed=44, effects=[drift])
+    study = load_study(write_study(tmp_path / "study", case))
+    closure = close_loop(study.model, study.measurement, check=study.check, draws=100)
+    assert closure.verdict == "ambiguous"
+    for effect, doubt in zip(closure.effects, closure.doubts, strict=True):
+        assert effect.status == "ambiguous"
+        # Other components of its own name are among them: what the name itself leaves open.
+        others = sum(p for p, _ in doubt.others)
+        assert sum(p for *_, p in effect.alternatives) < others < 1.0
+    after, alone = closure.errors["after"].check, check_rms(closure.after, study.check)[0]
+    assert after.value == alone.value
+    assert after.u > 1.2 * alone.u
