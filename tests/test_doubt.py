@@ -7,9 +7,10 @@ import pytest
 
 from known import Known
 from oracle import make_case, write_study
-from vcal import Effect, Measurement, close_loop, identify, load_study
+from vcal import CheckPoints, Effect, Measurement, Model, close_loop, identify, load_study
 from vcal.fit import Fit
 from vcal.loop.doubt import Doubt
+from vcal.loop.empirical import Factor, Interaction
 from vcal.loop.heldout import check_rms
 from vcal.loop.rivals import CERTAIN, Rival, classes_of, refit_all, weigh
 from vcal.loop.screen import Screen
@@ -113,6 +114,30 @@ def test_what_a_name_excludes_is_no_doubt(sizes, apart, certain, shared, tmp_pat
     expected = dict(enumerate((weights / weights.sum())[1:], start=1))
     found = {i: p for p, it in weighed.instead for i, r in enumerate(ranked) if it is r}
     assert found == pytest.approx(expected if shared or not certain else {})
+
+
+def test_a_description_by_what_the_check_points_lack_foretells_nothing_there(study, fit):
+    """Which two quantities a product is of goes by its shape, and so does what it needs."""
+    plan = study.measurement.plan
+    air = Factor("T_air", 20.0, 1.0)
+    product = Interaction(
+        port="EXX", unit="um", placement="X", products=((Factor("X", 0, 1), air),)
+    )
+    old = study.model
+    model = Model(old.chain, old.instrument, (product, *old.effects, *old.random))
+    more = identify(model, study.measurement, shapes={0: {"which": 0.0}})
+    assert product.needs_at({"which": 0.0}) == ("X", "X", "T_air")
+    without = {k: v for k, v in study.check.plan.covariates.items() if k != "T_air"}
+    assert set(without) < set(plan.covariates)
+    check = CheckPoints(
+        dataclasses.replace(study.check.plan, covariates=without), study.check.tool_point
+    )
+    fewer = dataclasses.replace(more, theta=np.r_[0.0, more.theta[1:]])  # without what it found
+    assert check_rms(fit, check, [Doubt(fit, ((0.3, more),))])[0].value == (
+        check_rms(fit, study.check)[0].value
+    )
+    assert check_rms(more, check)[0].value == check_rms(fewer, study.check)[0].value
+    assert check_rms(more, study.check)[0].value != check_rms(fewer, study.check)[0].value
 
 
 def test_an_ambiguous_effect_is_in_the_uncertainty_of_the_error_after(tmp_path):

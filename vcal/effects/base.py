@@ -113,6 +113,11 @@ class Effect(Record):
         """Covariates, groups or axes of the plan without which it cannot be evaluated."""
         return ()
 
+    def needs_at(self, shape: Mapping[str, float]) -> tuple[str, ...]:
+        """What it needs at given shape values: more than `needs` where these select a covariate."""
+        del shape
+        return self.needs
+
     @property
     def betrayed_by(self) -> tuple[str, ...]:
         """Covariates against which its residual shows, most telling first (for pictures)."""

@@ -198,6 +198,9 @@ class Interaction(Empirical):
     def needs(self) -> tuple[str, ...]:
         return (self.placement,) if self.placement else ()
 
+    def needs_at(self, shape: Mapping[str, float]) -> tuple[str, ...]:
+        return (*self.needs, *(factor.name for factor in self.products[int(shape["which"])]))
+
     @property
     def joint(self) -> bool:
         return True

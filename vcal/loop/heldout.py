@@ -127,8 +127,9 @@ def machine_terms(fit: Fit, plan) -> tuple[Terms, np.ndarray]:
     blocks, start, used = [], 0, np.zeros(len(fit.theta), bool)
     for i, effect in enumerate(model.effects):
         count = len(effect.amplitudes)
-        if effect.where == "machine" and plan.has(*effect.needs):
-            blocks.append(effect_terms(effect, model.layout, plan, fit.shapes.get(i, {}), start))
+        shape = fit.shapes.get(i, {})
+        if effect.where == "machine" and plan.has(*effect.needs_at(shape)):
+            blocks.append(effect_terms(effect, model.layout, plan, shape, start))
             used[start : start + count] = True
         start += count
     return concatenate(blocks, plan.rows, len(model.layout)), used
