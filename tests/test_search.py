@@ -205,12 +205,15 @@ def test_names_are_ranked_by_all_their_places_however_unlikely():
     one, twin, other, hopeless = (
         rival("a X", 9.5), rival("a Z", 9.5), rival("b", 10.0), rival("c", -2000.0)
     )  # fmt: skip
-    classes = [[other], [one, twin], [hopeless]]
+    same = rival("a X", 7.5)
+    classes = [[other], [one, twin], [same], [hopeless]]
     ranked = Names.of(classes).ranked()  # type: ignore[arg-type]
-    assert [r for r, _ in ranked] == [one, twin, other, hopeless]
-    assert ranked[0][1] == pytest.approx(9.5 + np.log(2.0))
-    assert ranked[2][1] == pytest.approx(10.0)
-    assert ranked[3][1] < -600.0
+    assert [r for r, _ in ranked] == [one, twin, same, other, hopeless]
+    of_the_name = 9.5 + np.log(2.0 + np.exp(-2.0))
+    assert ranked[0][1] == ranked[1][1] == pytest.approx(of_the_name)
+    assert ranked[2][1] == pytest.approx(of_the_name - 2.0)  # another shape, less likely itself
+    assert ranked[3][1] == pytest.approx(10.0)
+    assert ranked[4][1] < -600.0
 
 
 def test_of_names_that_may_be_one_of_an_expected_size_goes_first():

@@ -266,9 +266,9 @@ def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:
 
 
 def preferred(ranked: Sequence[Rival], odds: Mapping[int, float]) -> list[Rival]:
-    """Rivals (by the log odds of their names, most probable first) in the order in which they are
-    to be added: of names that do not exclude each other, one of a size that is expected goes before
-    one whose size had to be forgiven.
+    """Rivals (with their log odds as of `Names.ranked`, most probable first) in the order in which
+    they are to be added: of those that do not exclude each other, one of a size that is expected
+    goes before one whose size had to be forgiven.
     """
     if not ranked:
         return []
@@ -406,12 +406,20 @@ class Names:
         return cls(weights, found)
 
     def ranked(self) -> list[tuple[Rival, float]]:
-        """All rivals with the log odds of their name, that of the most probable name first."""
+        """All rivals, the most probable name first, with the log odds of their name, less what they
+        are themselves less likely than the most probable of it: another pitch that does not fit has
+        no part in what its name is worth.
+        """
         top = max(rival.log_weight for members in self.members.values() for rival in members)
         order = sorted(self.weights, key=lambda key: -self.weights[key])
-        # A name may be so unlikely that its odds are zero in floating point.
-        odds = {key: top + math.log(max(self.weights[key], 1e-300)) for key in order}
-        return [(rival, odds[key]) for key in order for rival in self.members[key]]
+        found = []
+        for key in order:
+            members = self.members[key]
+            first = max(rival.log_weight for rival in members)
+            # A name may be so unlikely that its odds are zero in floating point.
+            odds = top + math.log(max(self.weights[key], 1e-300))
+            found += [(rival, odds + rival.log_weight - first) for rival in members]
+        return found
 
 
 def classes_of(base: Fit, rivals: Sequence[Rival]) -> list[list[Rival]]:
@@ -466,7 +474,8 @@ def weigh(
 def _instead(best: Rival, names: Iterable[Sequence[Rival]]) -> tuple[tuple[float, Rival], ...]:
     """The members of these names other than the best, with their shares in all of them."""
     members = [rival for its in names for rival in its]
-    weights = np.exp([rival.log_weight - best.log_weight for rival in members])
+    logs = np.array([rival.log_weight for rival in members])
+    weights = np.exp(logs - logs.max())
     shares = weights / weights.sum()
     return tuple(
         (float(share), rival)
