@@ -1,7 +1,7 @@
 """Errors a fit makes on readings it has not seen, and on independent check points."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -260,15 +260,27 @@ def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, flo
     return float(fall.sum()), float(error)
 
 
-def rms_fall(before: Fit, after: Fit, rows: np.ndarray | bool = True) -> float:
+def weighted_squares(fit: Fit, residuals: np.ndarray) -> np.ndarray:
+    """Sum of squares of every row in units of the noise of the fit; nan rows are left out."""
+    told = np.isfinite(residuals).all(1)
+    whitened = np.einsum("nij,nj->ni", fit.whitener[told], residuals[told])
+    return (whitened**2).sum(1)
+
+
+def rms_fall(
+    before: Fit,
+    after: Fit,
+    rows: np.ndarray | bool = True,
+    squares: Callable[[Fit, np.ndarray], np.ndarray] = squared_errors,
+) -> float:
     """Fall of the held-out rms as a share, of several data sets that where it fell most, if they
-    have any of `rows` (n,).
+    have any of `rows` (n,); of other `squares` than those of lengths.
     """
     a, b = heldout_residuals(before), heldout_residuals(after)
     shares = [-math.inf]
     for inside in before.measurement.plan.parts.values():
         left, right = (np.where(inside[:, None], residual, np.nan) for residual in (a, b))
         if (inside & rows).any() and np.isfinite(left).any():
-            was, now = rms(squared_errors(before, left)), rms(squared_errors(after, right))
+            was, now = rms(squares(before, left)), rms(squares(after, right))
             shares.append(1.0 - now.value / was.value)
     return max(shares)

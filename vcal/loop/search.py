@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ..fit import Fit
 from .candidates import Untestable, candidates
 from .closure import Rejected
 from .empirical import EMPIRICAL, Empirical
-from .heldout import improvement, rms_fall
+from .heldout import improvement, rms_fall, weighted_squares
 from .rivals import (
     Names,
     Rival,
@@ -35,9 +35,9 @@ from .unexplained import Unexplained, described
 from .whitened import declared_chi2
 
 _PRACTICAL = 0.02
-"""Least fall of the held-out rms that counts where the fit is far worse than the noise, and what
-remains is no white noise: chance alignments with what is not modelled are then significant without
-being real."""
+"""Least fall of the held-out rms, in lengths or in units of the noise, that counts where the fit is
+far worse than the noise, and what remains is no white noise: chance alignments with what is not
+modelled are then significant without being real."""
 _POOR = 2.0
 """Chi-square per degree of freedom from which a fit is far worse than the noise."""
 _CONTRADICTED = math.log(5.0)
@@ -190,8 +190,10 @@ class Search:
             noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
             fall, error = improvement(fit, rival.fit, noise)
             # The readings of another instrument are no witness for an effect of this one.
-            share = rms_fall(state.fit, after, np.asarray(rival.effect.rows(measurement.plan)))
+            rows = np.asarray(rival.effect.rows(measurement.plan))
+            share = rms_fall(state.fit, after, rows)
             poor = chi2_per_dof(after) > _POOR and (state.noise is None or persists(after))
+            weighted = rms_fall(fit, rival.fit, rows, weighted_squares)
             if why := unlikely(rival, odds[id(rival)], len(screening.kinds)):
                 self._reject(rival, own, why)
             elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
@@ -199,7 +201,11 @@ class Search:
                     rival, own, "held-out readings are not foretold better beyond uncertainty"
                 )
                 refused = refused or rival.effect
-            elif poor and share < _PRACTICAL and not _in_the_prior(fit, rival.fit, noise):
+            elif (
+                poor
+                and max(share, weighted) < _PRACTICAL
+                and not _in_the_prior(fit, rival.fit, noise)
+            ):
                 way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
                 self._reject(rival, own, f"held-out rms {way}")
                 refused = refused or rival.effect
@@ -278,7 +284,9 @@ class Search:
             found is None or _same_effect(self.history[-1].effect, item.effect)
         ):
             if found is not None:
-                self.history.pop()
+                # What it may be instead is told beside what was found after it.
+                told = replace(item, weighed=self.history.pop().weighed)
+                self.history = [told if other is item else other for other in self.history]
             self.rejected, _, self.refused = kept
             return state
         self.rejected.append(_dropped(item, "beside the others it is something else"))

@@ -1,0 +1,55 @@
+"""Closing the loop on large effects, and on many at once."""
+
+import pytest
+
+from oracle import make_case, write_study
+from vcal import close_loop, load_study
+
+
+def closed(folder, seed: int, *effects: dict, **options):
+    case = make_case("laser_tracker", seed=seed, plan={"cycles": True}, effects=effects)
+    study = load_study(write_study(folder / "study", case))
+    return close_loop(study.model, study.measurement, check=study.check, seed=seed, **options)
+
+
+def play(axis: str) -> dict:
+    return {"effect": "backlash", "axis": axis, "size_um": 12}
+
+
+def tilt(axis: str, component: str) -> dict:
+    return {"effect": "thermal_tilt", "axis": axis, "component": component, "urad_per_K": 40}
+
+
+def cyclic(axis: str, amplitude: float) -> dict:
+    return {"effect": "screw_cyclic", "axis": axis, "amplitude_um": amplitude, "pitch": 0.02}
+
+
+@pytest.mark.parametrize(("seed", "amplitude"), [(1, 50.0), (2, 200.0)])
+def test_a_large_cyclic_error_has_its_own_pitch(seed, amplitude, tmp_path):
+    """Not an alias, of which less of the size has to be forgiven."""
+    closure = closed(tmp_path, seed, cyclic("Y", amplitude))
+    (found,) = closure.effects
+    assert closure.verdict == "named"
+    values = {name: value for name, value, *_ in found.parameters}
+    assert found.effect.key == "screw_cyclic Y"
+    assert values["pitch"] == pytest.approx(20.0, abs=0.01)
+    assert values["sine"] == pytest.approx(amplitude, abs=1.0)
+    before, after = closure.errors["uncompensated"].check, closure.errors["after"].check
+    assert after.value < 0.05 * before.value
+
+
+def test_seven_effects_of_one_machine_are_all_named(tmp_path):
+    """Each of them is little beside the six others, in lengths where its readings are the best."""
+    reversal = {"effect": "angular_reversal", "axis": "X", "component": "C", "size_urad": 30}
+    effects = (
+        *map(play, "XYZ"), reversal, tilt("X", "B"), tilt("Y", "A"), cyclic("Z", 8.0)
+    )  # fmt: skip
+    closure = closed(tmp_path, 2, *effects, max_effects=8, draws=200)
+    assert closure.verdict == "named"
+    assert {found.effect.key for found in closure.effects} == {
+        f"{effect['effect']} {effect['axis']}" for effect in effects
+    }
+    # What each of them may be instead is told beside all others, of which some came later.
+    assert all(sum(p for *_, p in found.alternatives) < 0.05 for found in closure.effects)
+    before, after = closure.errors["uncompensated"].check, closure.errors["after"].check
+    assert after.value < 0.05 * before.value
