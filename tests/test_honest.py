@@ -22,7 +22,7 @@ from vcal.loop.empirical import Kink
 from vcal.loop.heldout import heldout_residuals, predictive_deviance
 from vcal.loop.screen import Screen
 from vcal.loop.screening import screen
-from vcal.loop.serial import serial
+from vcal.loop.serial import _PHI, _SHARE, serial
 from vcal.loop.state import fitted
 from vcal.loop.stray import at_an_end, displaced, scattered, stray_apart, stray_rows
 from vcal.robust import identify_robust
@@ -136,7 +136,9 @@ def test_correlated_noise_is_measured(tracker, phi):
         return max(dense(fit, s * unit) for s in np.geomspace(0.5, 20.0, 40))
 
     here, whiteness = likelihood(found.phi, found.share), likelihood(0.5, 0.0)
-    assert here - whiteness == pytest.approx(found.log_bayes + np.log(63), abs=4.0)
+    assert here - whiteness == pytest.approx(
+        found.log_bayes + np.log(len(_PHI) * len(_SHARE)), abs=4.0
+    )
     assert here > likelihood(0.99, 0.2) and here > likelihood(0.3, 0.9)
 
 
@@ -155,6 +157,15 @@ def test_correlated_noise_gets_no_name(tracker):
     beside = closed(tracker, with_noise(tracker, noise, tracker.effect("backlash:Y:size_um=25")))
     assert [e.effect.key for e in beside.effects] == ["backlash Y"]
     assert "follow each other" in beside.unexplained.reason
+
+
+@pytest.mark.parametrize(("seed", "phi"), [(3, 0.9), (5, 0.98)])
+def test_noise_that_only_persists_is_told_as_such(tracker, seed, phi):
+    """Whatever changes slowly describes some of it: no jump, no temperature, no product of them."""
+    closure = closed(tracker, with_noise(tracker, persisting(tracker, seed, phi)))
+    assert (closure.verdict, closure.effects) == ("unexplained", [])
+    assert closure.unexplained.empirical is None
+    assert "noise that is correlated in time" in closure.sentence
 
 
 # --- stray readings ------------------------------------------------------------------------------

@@ -95,6 +95,8 @@ def close_loop(
 
     try:
         state = run.rounds(state, max_effects, reached)
+        if run.described_by_noise(state):
+            run.unexplained = None
         if run.unexplained is None:
             state, correlated = run.prune_correlated(run.prune(state, reached), reached)
             if learn:

@@ -210,6 +210,8 @@ class Closure:
             said = what.words or "an error"
             of = f" with {columns[0]}" if columns[0] != column else ""
             return f"{said}{along}{of} where {column} is {low:.4g} to {high:.4g}"
+        if what.words and what.empirical is None:
+            return f"{what.words}{along}, most of it with {columns[0]}"
         if what.words:
             return f"{what.words}{along} ({' times '.join(columns)})"
         return f"it depends on {' times '.join(columns) if what.joint else columns[0]}"

@@ -85,6 +85,7 @@ class Search:
         self._describing = True
         """Whether empirical descriptions are candidates."""
         self._description: Rival | None = None
+        self._description_trials = 1.0
         """The one that ended the search, in whatever words what is unexplained is told."""
         self._outdone: list[Rejected] = []
         """What was rejected for its sake."""
@@ -169,6 +170,7 @@ class Search:
         best = next((r for r in descriptions if own[id(r.effect)] <= self.alpha), None)
         if best is not None and outdoes(best, [(r, odds[id(r)]) for r in significant]):
             self._description = best
+            self._description_trials = trials_of(screening, best.effect.name)
             self.unexplained = described(
                 fit,
                 state.scored,
@@ -219,9 +221,7 @@ class Search:
                 self.progress(f"round {number}: adding {rival.effect.key}")
                 refitted = self._at_its_size(fitted(rival.fit.model, measurement, after, self.room))
                 # Last, so that an interruption leaves no effect without its fit.
-                trials = screening.trials * next(
-                    kind.trials for kind in screening.kinds if kind.kind == rival.effect.name
-                )
+                trials = trials_of(screening, rival.effect.name)
                 effect = refitted.model.effects[-1]
                 self.history.append(Added(effect, weighed, p, share, trials))
                 return refitted
@@ -394,6 +394,20 @@ class Search:
         found = serial(state.remaining)
         return state, found if found is not None and found.p_value <= self.alpha else None
 
+    def described_by_noise(self, state: State) -> bool:
+        """Whether the search ended with a description of what noise correlated in time describes
+        as well: its evidence beside such noise does not pay for the search, as above.
+        """
+        description = self._description
+        if self.unexplained is None or description is None:
+            return False
+        noise = serial(state.remaining)
+        if noise is None or noise.p_value > self.alpha:
+            return False
+        fit = description.fit
+        gain = gain_beside(fit, _columns_of(fit, len(fit.model.effects) - 1))
+        return self._description_trials * math.exp(-min(gain, 700.0)) > self.alpha
+
     def _drop(self, item: Added, less: Fit, reason: str) -> State:
         dropped = fitted(less.model, less.measurement, less, self.room)
         self.rejected.append(_dropped(item, reason))
@@ -406,6 +420,11 @@ class Search:
         name, place = effect.name, effect.placement
         if not any((r.effect, r.placement) == (name, place) for r in self.rejected):
             self.rejected.append(Rejected(name, place, p_value, reason))
+
+
+def trials_of(screening: Screening, kind: str) -> float:
+    """Effective number of independent trials in which a candidate of a kind was found."""
+    return screening.trials * next(k.trials for k in screening.kinds if k.kind == kind)
 
 
 def unlikely(rival: Rival, odds: float, kinds: int) -> str | None:

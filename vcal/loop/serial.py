@@ -23,8 +23,8 @@ from ..plan import DATA_SET
 from .chance import SILENT
 
 _PHI = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
-_SHARE = (0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 0.97)
-_COARSE = tuple((phi, s) for phi in (0.5, 0.8, 0.95, 0.99) for s in (0.2, 0.5, 0.9))
+_SHARE = (0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 0.97, 0.99, 0.999)
+_COARSE = tuple((phi, s) for phi in (0.5, 0.8, 0.95, 0.99) for s in (0.2, 0.5, 0.9, 0.99))
 _SUSPICIOUS = 3.0
 """Lag-one correlation, in its standard deviations by chance, from which the grid is looked at."""
 _BREAKS = ("run", "pose", DATA_SET)

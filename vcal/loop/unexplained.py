@@ -22,6 +22,10 @@ _BINS = 10
 _CLEARLY = 1.2
 """What a covariate must describe of the variance, over what an empirical effect does, to be told
 first: that says where."""
+_AS_NOISE = "noise that is correlated in time, or a drift"
+_MOSTLY = 2.0
+"""Share of the variance that persists from reading to reading, over what the best covariate
+describes, from which no covariate is told alone: all that changes slowly describes some."""
 _FEWEST = 10.0
 """Degrees of freedom from which it is asked what the residual depends on: a covariate has ten bins,
 and of dozens of products one describes a handful of numbers whatever they are."""
@@ -53,7 +57,7 @@ class Unexplained:
     p_value: float
     reason: str
     words: str = ""
-    """What the empirical description is, where there is one."""
+    """What it is: the empirical description, or noise, where there is one."""
     empirical: Rival | None = None
     """The empirical description, where there is one."""
     products: tuple[tuple[str, str, float], ...] = ()
@@ -351,6 +355,7 @@ def _from_dependence(
         share_of_variance=excess if spread else best,
         p_value=told.p_value,
         reason=reason,
+        words=_AS_NOISE if correlated is not None and correlated.share > _MOSTLY * best else "",
         products=tuple(told.products),
         joint=told.joint,
     )
