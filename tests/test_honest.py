@@ -165,7 +165,11 @@ def test_noise_that_only_persists_is_told_as_such(tracker, seed, phi):
     closure = closed(tracker, with_noise(tracker, persisting(tracker, seed, phi)))
     assert (closure.verdict, closure.effects) == ("unexplained", [])
     assert closure.unexplained.empirical is None
-    assert "noise that is correlated in time" in closure.sentence
+    assert "as noise that is correlated in time does" in closure.unexplained.reason
+    # No covariate is told alone where the noise says far more.
+    assert ("noise that is correlated in time" in closure.sentence) == (
+        max(closure.unexplained.shares) < 0.5
+    )
 
 
 # --- stray readings ------------------------------------------------------------------------------
