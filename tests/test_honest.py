@@ -147,6 +147,25 @@ def test_white_noise_is_not_correlated(tracker):
     assert sum(serial(identify(tracker.model, m)) is not None for m in measured) <= 1
 
 
+def test_readings_follow_each_other_in_time(tracker):
+    """However the rows of a file are sorted."""
+    measurement = with_noise(tracker, persisting(tracker, 4, 0.9))
+    found = serial(identify(tracker.model, measurement))
+    order = np.random.default_rng(1).permutation(tracker.plan.rows)
+    plan = dataclasses.replace(
+        tracker.plan,
+        position=np.asarray(tracker.plan.position)[order],
+        **{
+            kind: {k: np.asarray(v)[order] for k, v in getattr(tracker.plan, kind).items()}
+            for kind in ("covariates", "groups")
+        },
+    )
+    shuffled = serial(identify(tracker.model, Measurement(plan, measurement.readings[order])))
+    assert found is not None and shuffled is not None
+    assert (shuffled.phi, shuffled.share) == (found.phi, found.share)
+    assert shuffled.log_bayes == pytest.approx(found.log_bayes, rel=1e-6)
+
+
 @pytest.mark.slow
 def test_correlated_noise_gets_no_name(tracker):
     """Half of the noise drifts: nothing is named; what is there is found beside it."""

@@ -99,18 +99,22 @@ class _Sequence:
 
     @classmethod
     def of(cls, fit: Fit) -> "_Sequence":
-        used = fit.used
         n, m = fit.residual.shape
-        groups = fit.measurement.plan.groups
+        plan = fit.measurement.plan
+        used = np.flatnonzero(fit.used)
+        if plan.has("t"):
+            # As they were taken, however the file is sorted.
+            sets = plan.values(DATA_SET)[used] if plan.has(DATA_SET) else np.zeros(len(used))
+            used = used[np.lexsort((plan.values("t")[used], sets))]
         marks = [
             np.asarray(index)[used]
-            for name, index in groups.items()
+            for name, index in plan.groups.items()
             if name.rpartition(":")[2] in _BREAKS
         ]
-        breaks = np.zeros(int(used.sum()) - 1, bool)
+        breaks = np.zeros(len(used) - 1, bool)
         for mark in marks:
             breaks |= np.diff(mark) != 0
-        ends = [0, *(np.flatnonzero(breaks) + 1), int(used.sum())]
+        ends = [0, *(np.flatnonzero(breaks) + 1), len(used)]
         return cls(
             [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)],
             fit.whitened.reshape(n, m)[used],
