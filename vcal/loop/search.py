@@ -187,7 +187,6 @@ class Search:
             self._outdone = self.rejected[known:]
             return None
         refused: Effect | None = self._unfitted(peaks, rivals, p_values)
-        likeliest = max(odds.values(), default=-math.inf)
         for rival in preferred(significant, odds):
             after = at_declared(rival.fit, state, self.room)
             noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
@@ -212,10 +211,7 @@ class Search:
                 way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
                 self._reject(rival, own, f"held-out rms {way}")
                 refused = refused or rival.effect
-                # What hides it says nothing against others; beside them it is looked at again.
-                classes = [left for its in classes if (left := [r for r in its if r is not rival])]
-                likeliest = max((odds[id(r)] for its in classes for r in its), default=-math.inf)
-            elif likeliest - odds[id(rival)] > _CONTRADICTED:
+            elif ranked[0][1] - odds[id(rival)] > _CONTRADICTED:
                 why = "is not significant itself" if refused is None else "does not hold"
                 self._reject(rival, own, f"a far likelier one {why}")
                 refused = refused or rival.effect
