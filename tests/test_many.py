@@ -6,8 +6,9 @@ from oracle import make_case, write_study
 from vcal import close_loop, load_study
 
 
-def closed(folder, seed: int, *effects: dict, **options):
-    case = make_case("laser_tracker", seed=seed, plan={"cycles": True}, effects=effects)
+def closed(folder, seed: int, *effects: dict, instrument: str = "laser_tracker", **options):
+    plan = {"cycles": True} if instrument == "laser_tracker" else None
+    case = make_case(instrument, seed=seed, plan=plan, effects=effects)
     study = load_study(write_study(folder / "study", case))
     return close_loop(study.model, study.measurement, check=study.check, seed=seed, **options)
 
@@ -53,3 +54,14 @@ def test_seven_effects_of_one_machine_are_all_named(tmp_path):
     assert all(sum(p for *_, p in found.alternatives) < 0.05 for found in closure.effects)
     before, after = closure.errors["uncompensated"].check, closure.errors["after"].check
     assert after.value < 0.05 * before.value
+
+
+def test_two_effects_that_hide_each_other_are_both_named(tmp_path):
+    """Alone a warming-up of the machine describes more of them than either does."""
+    head = {"effect": "head_expansion", "um_per_K": 1.4}
+    closure = closed(tmp_path, 16, head, play("Z"), instrument="laser_frame", draws=200)
+    assert closure.verdict == "named"
+    found = {e.effect.key: {n: v for n, v, *_ in e.parameters} for e in closure.effects}
+    assert set(found) == {"head_expansion", "backlash Z"}
+    assert found["head_expansion"]["k"] == pytest.approx(1.4, abs=0.05)
+    assert found["backlash Z"]["size"] == pytest.approx(12.0, abs=0.5)

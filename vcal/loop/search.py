@@ -12,6 +12,7 @@ from .candidates import Untestable, candidates
 from .closure import Rejected
 from .empirical import EMPIRICAL, Empirical
 from .heldout import improvement, rms_fall, weighted_squares
+from .pairs import Pair, best_pair
 from .rivals import (
     Names,
     Rival,
@@ -168,6 +169,9 @@ class Search:
         significant = [r for r, _ in ranked if own[id(r.effect)] <= self.alpha]
         descriptions = (r for r in rivals if isinstance(r.effect, Empirical))
         best = next((r for r in descriptions if own[id(r.effect)] <= self.alpha), None)
+        if pair := self._hidden_by_each_other(state, fit, rivals, significant):
+            self.progress(f"round {number}: adding {pair.first.effect.key}, one of two")
+            return self._add(pair.first, state, classes, None, own, screening)
         if best is not None and outdoes(best, [(r, odds[id(r)]) for r in significant]):
             self._description = best
             self._description_trials = trials_of(screening, best.effect.name)
@@ -194,7 +198,7 @@ class Search:
             # The readings of another instrument are no witness for an effect of this one.
             rows = np.asarray(rival.effect.rows(measurement.plan))
             share = rms_fall(state.fit, after, rows)
-            poor = chi2_per_dof(after) > _POOR and (state.noise is None or persists(after))
+            poor = _is_poor(after, state)
             weighted = rms_fall(fit, rival.fit, rows, weighted_squares)
             if why := unlikely(rival, odds[id(rival)], len(screening.kinds)):
                 self._reject(rival, own, why)
@@ -216,17 +220,50 @@ class Search:
                 self._reject(rival, own, f"a far likelier one {why}")
                 refused = refused or rival.effect
             else:
-                weighed = weigh(classes, rival, best)
-                p = own[id(rival.effect)]
                 self.progress(f"round {number}: adding {rival.effect.key}")
-                refitted = self._at_its_size(fitted(rival.fit.model, measurement, after, self.room))
-                # Last, so that an interruption leaves no effect without its fit.
-                trials = trials_of(screening, rival.effect.name)
-                effect = refitted.model.effects[-1]
-                self.history.append(Added(effect, weighed, p, share, trials))
-                return refitted
+                return self._add(rival, state, classes, best, own, screening)
         self.refused = refused
         return None
+
+    def _add(
+        self,
+        rival: Rival,
+        state: State,
+        classes: Sequence[Sequence[Rival]],
+        described: Rival | None,
+        p_values: Mapping[int, float],
+        screening: Screening,
+    ) -> State:
+        """The state with one effect more."""
+        measurement = state.fit.measurement
+        weighed = weigh(classes, rival, described)
+        after = at_declared(rival.fit, state, self.room)
+        rows = np.asarray(rival.effect.rows(measurement.plan))
+        share = rms_fall(state.fit, after, rows)
+        refitted = self._at_its_size(fitted(rival.fit.model, measurement, after, self.room))
+        trials = trials_of(screening, rival.effect.name)
+        effect = refitted.model.effects[-1]
+        # Last, so that an interruption leaves no effect without its fit.
+        self.history.append(Added(effect, weighed, p_values[id(rival.effect)], share, trials))
+        return refitted
+
+    def _hidden_by_each_other(
+        self, state: State, fit: Fit, rivals: Sequence[Rival], significant: Sequence[Rival]
+    ) -> Pair | None:
+        """Two significant effects that together leave no more than noise where everything alone,
+        descriptions too, leaves far more: what seems likeliest alone may be a part of both.
+        """
+        if len(significant) < 2:
+            return None
+        alone = min(rivals, key=lambda r: r.fit.chi2)
+        if not _is_poor(at_declared(alone.fit, state, self.room), state):
+            return None
+        pair = best_pair(significant, state.keep, self.room)
+        if pair is None or _is_poor(at_declared(pair.fit, state, self.room), state):
+            return None
+        noise = math.sqrt(max(1.0, pair.fit.chi2 / pair.fit.dof))
+        fall, error = improvement(fit, pair.fit, noise)
+        return pair if fall > error else None
 
     def _unfitted(
         self, peaks: Sequence[Peak], rivals: Sequence[Rival], p_values: Mapping[str, float]
@@ -420,6 +457,13 @@ class Search:
         name, place = effect.name, effect.placement
         if not any((r.effect, r.placement) == (name, place) for r in self.rejected):
             self.rejected.append(Rejected(name, place, p_value, reason))
+
+
+def _is_poor(fit: Fit, state: State) -> bool:
+    """Whether a fit with the declared noise is far worse than that, and what remains no white
+    noise.
+    """
+    return chi2_per_dof(fit) > _POOR and (state.noise is None or persists(fit))
 
 
 def trials_of(screening: Screening, kind: str) -> float:
