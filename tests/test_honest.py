@@ -462,7 +462,7 @@ def test_what_looking_everywhere_costs_is_paid_once(tracker):
 def test_what_does_not_hold_on_other_readings_is_no_name(tracker, monkeypatch):
     """A significant effect that held-out readings refuse leaves something unexplained."""
     measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
-    loop = importlib.import_module("vcal.loop.search")
+    loop = importlib.import_module("vcal.loop.round")
     monkeypatch.setattr(loop, "improvement", lambda before, after, noise: (-1.0, 1.0))
     closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
     assert (closure.verdict, closure.effects) == ("unexplained", [])
@@ -509,7 +509,7 @@ def test_a_description_that_cannot_be_fitted_leaves_something_unexplained(tracke
 def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch):
     """Held-out readings that refuse the likeliest effect, but not the next, tell of a third."""
     measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
-    loop = importlib.import_module("vcal.loop.search")
+    loop = importlib.import_module("vcal.loop.round")
     hold = loop.improvement
 
     def refusing(before, after, noise):

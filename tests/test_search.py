@@ -18,10 +18,11 @@ from vcal.loop.close_loop import still_rejected
 from vcal.loop.closure import Rejected
 from vcal.loop.heldout import heldout_rms, improvement
 from vcal.loop.rivals import Names, preferred, refit_all
+from vcal.loop.round import unlikely
 from vcal.loop.scan import Responses
 from vcal.loop.screen import Peak, Screen
 from vcal.loop.screening import screen
-from vcal.loop.search import Added, Search, unlikely
+from vcal.loop.search import Added, Search
 from vcal.loop.shortlist import shortlist
 from vcal.loop.state import fitted
 from vcal.loop.unexplained import dependence, from_structure

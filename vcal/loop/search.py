@@ -1,7 +1,7 @@
 """The search of the loop: what was tried, added, refused and left over."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,41 +11,20 @@ from ..fit import Fit
 from .candidates import Untestable, candidates
 from .closure import Rejected
 from .empirical import EMPIRICAL, Empirical
-from .heldout import improvement, rms_fall, weighted_squares
-from .pairs import Pair, best_pair
-from .rivals import (
-    Names,
-    Rival,
-    Weighed,
-    classes_of,
-    likelier_together,
-    outdoes,
-    preferred,
-    refit_all,
-    weigh,
-    widened,
-)
+from .rivals import Rival, Weighed, likelier_together, preferred, weigh, widened
+from .round import Round
 from .scales import over_scales
 from .scan import Responses
-from .screen import Peak, Screen
+from .screen import Screen
 from .screening import Screening, screen
-from .serial import Serial, gain_beside, persists, serial
-from .shortlist import shortlist
-from .state import State, at_declared, chi2_per_dof, fitted, rescored, without
+from .serial import Serial, gain_beside, serial
+from .state import State, chi2_per_dof, fitted, without
 from .unexplained import Unexplained, described
 from .whitened import declared_chi2
 
-_PRACTICAL = 0.02
-"""Least fall of the held-out rms, in lengths or in units of the noise, that counts where the fit is
-far worse than the noise, and what remains is no white noise: chance alignments with what is not
-modelled are then significant without being real."""
-_POOR = 2.0
-"""Chi-square per degree of freedom from which a fit is far worse than the noise."""
 _CONTRADICTED = math.log(5.0)
 """Log odds of an effect that is refused over the next, from which that one is no name either: what
 fits as the one and holds as the other is something else."""
-_UNLIKELIER = "the readings are no likelier with it than without"
-_UNEXPECTED = "it is far larger than expected, which its evidence does not make up for"
 _WIDENINGS, _WIDER = 4, 4.0
 """How often, and by how much, the prior of an added effect grows that is larger than expected."""
 _INSTEAD = 1
@@ -145,134 +124,70 @@ class Search:
         if screening.p_value > self.alpha:
             return None
         self.progress(f"round {number}: refitting the best candidates")
-        instances = {kind.kind: kind.instances for kind in screening.kinds}
-        p_values = {kind.kind: screening.corrected(kind) for kind in screening.kinds}
-        worth = [p for p in screening.peaks if p_values[p.effect.name] <= self.alpha]
-        peaks = shortlist(screen_state, worth, screening.peaks, instances)
-        rivals = refit_all(fit, peaks, instances, state.keep, self.room)
-        if rivals and not state.as_declared:
-            fit = rescored(state, rivals[0].fit, self.room)
-            rivals = refit_all(fit, peaks, instances, state.keep, self.room)
-        named = [r for r in rivals if not isinstance(r.effect, Empirical)]
-        # The p-value of a kind is that of its best candidate, which need not be this one.
-        tested = [*screening.peaks, *peaks]
-        own = {
-            id(r.effect): screening.corrected_as(
-                r.effect.name,
-                max(screen_state.rarity_of(p) for p in tested if p.effect is r.effect),
-            )
-            for r in rivals
-        }
-        classes = classes_of(fit, named)
-        ranked = Names.of(classes).ranked() if named else []
-        odds = {id(r): weight for r, weight in ranked}
-        significant = [r for r, _ in ranked if own[id(r.effect)] <= self.alpha]
-        descriptions = (r for r in rivals if isinstance(r.effect, Empirical))
-        best = next((r for r in descriptions if own[id(r.effect)] <= self.alpha), None)
-        if pair := self._hidden_by_each_other(state, fit, rivals, significant):
+        found = Round.of(state, screen_state, screening, self.alpha, self.room)
+        if pair := found.hidden_by_each_other():
             self.progress(f"round {number}: adding {pair.first.effect.key}, one of two")
-            return self._add(pair.first, state, classes, None, own, screening)
-        if best is not None and outdoes(best, [(r, odds[id(r)]) for r in significant]):
-            self._description = best
-            self._description_trials = trials_of(screening, best.effect.name)
-            self.unexplained = described(
-                fit,
-                state.scored,
-                best,
-                own[id(best.effect)],
-                chi2_per_dof(state.fit),
-                self.alpha,
-                self.draws,
-                self.seed + number,
-            )
-            known = len(self.rejected)
-            for rival in significant:
-                self._reject(rival, own, f"{best.effect.summary}: describes the residual better")
-            self._outdone = self.rejected[known:]
+            return self._add(found, pair.first, None)
+        if found.outdone():
+            self._described(found, self.seed + number)
             return None
-        refused: Effect | None = self._unfitted(peaks, rivals, p_values)
-        for rival in preferred(significant, odds):
-            after = at_declared(rival.fit, state, self.room)
-            noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
-            fall, error = improvement(fit, rival.fit, noise)
-            # The readings of another instrument are no witness for an effect of this one.
-            rows = np.asarray(rival.effect.rows(measurement.plan))
-            share = rms_fall(state.fit, after, rows)
-            poor = _is_poor(after, state)
-            weighted = rms_fall(fit, rival.fit, rows, weighted_squares)
-            if why := unlikely(rival, odds[id(rival)], len(screening.kinds)):
-                self._reject(rival, own, why)
-            elif fall <= error and not _in_the_prior(fit, rival.fit, noise):
-                self._reject(
-                    rival, own, "held-out readings are not foretold better beyond uncertainty"
-                )
-                refused = refused or rival.effect
-            elif (
-                poor
-                and max(share, weighted) < _PRACTICAL
-                and not _in_the_prior(fit, rival.fit, noise)
-            ):
-                way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
-                self._reject(rival, own, f"held-out rms {way}")
-                refused = refused or rival.effect
-            elif ranked[0][1] - odds[id(rival)] > _CONTRADICTED:
-                why = "is not significant itself" if refused is None else "does not hold"
-                self._reject(rival, own, f"a far likelier one {why}")
-                refused = refused or rival.effect
-            else:
+        refused = self._unfitted(found)
+        odds = found.odds
+        for rival in preferred(found.significant, odds):
+            if why := found.unlikely(rival):
+                self._reject(found, rival, why)
+                continue
+            why = found.fails(rival)
+            if not why and found.ranked[0][1] - odds[id(rival)] > _CONTRADICTED:
+                held = "is not significant itself" if refused is None else "does not hold"
+                why = f"a far likelier one {held}"
+            if not why:
                 self.progress(f"round {number}: adding {rival.effect.key}")
-                return self._add(rival, state, classes, best, own, screening)
+                return self._add(found, rival, found.description)
+            self._reject(found, rival, why)
+            refused = refused or rival.effect
         self.refused = refused
         return None
 
-    def _add(
-        self,
-        rival: Rival,
-        state: State,
-        classes: Sequence[Sequence[Rival]],
-        described: Rival | None,
-        p_values: Mapping[int, float],
-        screening: Screening,
-    ) -> State:
+    def _add(self, found: Round, rival: Rival, described: Rival | None) -> State:
         """The state with one effect more."""
-        measurement = state.fit.measurement
-        weighed = weigh(classes, rival, described)
-        after = at_declared(rival.fit, state, self.room)
-        rows = np.asarray(rival.effect.rows(measurement.plan))
-        share = rms_fall(state.fit, after, rows)
+        measurement = found.state.fit.measurement
+        weighed, gain = weigh(found.classes, rival, described), found.gain(rival)
+        after = found.at_declared(rival.fit)
         refitted = self._at_its_size(fitted(rival.fit.model, measurement, after, self.room))
-        trials = trials_of(screening, rival.effect.name)
-        effect = refitted.model.effects[-1]
+        effect, p, trials = refitted.model.effects[-1], found.p_value(rival), found.trials(rival)
         # Last, so that an interruption leaves no effect without its fit.
-        self.history.append(Added(effect, weighed, p_values[id(rival.effect)], share, trials))
+        self.history.append(Added(effect, weighed, p, gain, trials))
         return refitted
 
-    def _hidden_by_each_other(
-        self, state: State, fit: Fit, rivals: Sequence[Rival], significant: Sequence[Rival]
-    ) -> Pair | None:
-        """Two significant effects that together leave no more than noise where everything alone,
-        descriptions too, leaves far more: what seems likeliest alone may be a part of both.
-        """
-        if len(significant) < 2:
-            return None
-        alone = min(rivals, key=lambda r: r.fit.chi2)
-        if not _is_poor(at_declared(alone.fit, state, self.room), state):
-            return None
-        pair = best_pair(significant, state.keep, self.room)
-        if pair is None or _is_poor(at_declared(pair.fit, state, self.room), state):
-            return None
-        noise = math.sqrt(max(1.0, pair.fit.chi2 / pair.fit.dof))
-        fall, error = improvement(fit, pair.fit, noise)
-        return pair if fall > error else None
+    def _described(self, found: Round, seed: int) -> None:
+        """End the search with the empirical description of a round."""
+        best, state = found.description, found.state
+        assert best is not None
+        self._description, self._description_trials = best, found.trials(best)
+        self.unexplained = described(
+            found.fit,
+            state.scored,
+            best,
+            found.p_value(best),
+            chi2_per_dof(state.fit),
+            self.alpha,
+            self.draws,
+            seed,
+        )
+        known = len(self.rejected)
+        for rival in found.significant:
+            self._reject(found, rival, f"{best.effect.summary}: describes the residual better")
+        self._outdone = self.rejected[known:]
 
-    def _unfitted(
-        self, peaks: Sequence[Peak], rivals: Sequence[Rival], p_values: Mapping[str, float]
-    ) -> Effect | None:
+    def _unfitted(self, found: Round) -> Effect | None:
         """The first of the significant kinds of which no refit ended in a minimum: none can be held
         against readings.
         """
-        fitted_kinds, first = {r.effect.name for r in rivals}, None
-        for peak in peaks:
+        screening = found.screening
+        p_values = {kind.kind: screening.corrected(kind) for kind in screening.kinds}
+        fitted_kinds, first = {r.effect.name for r in found.rivals}, None
+        for peak in found.peaks:
             effect, p = peak.effect, p_values[peak.effect.name]
             if p > self.alpha or effect.name in fitted_kinds:
                 continue
@@ -450,49 +365,13 @@ class Search:
         self.rejected.append(_dropped(item, reason))
         return dropped
 
-    def _reject(self, rival: Rival, p_values: dict[int, float], reason: str) -> None:
-        self._refuse(rival.effect, p_values[id(rival.effect)], reason)
+    def _reject(self, found: Round, rival: Rival, reason: str) -> None:
+        self._refuse(rival.effect, found.p_value(rival), reason)
 
     def _refuse(self, effect: Effect, p_value: float, reason: str) -> None:
         name, place = effect.name, effect.placement
         if not any((r.effect, r.placement) == (name, place) for r in self.rejected):
             self.rejected.append(Rejected(name, place, p_value, reason))
-
-
-def _is_poor(fit: Fit, state: State) -> bool:
-    """Whether a fit with the declared noise is far worse than that, and what remains no white
-    noise.
-    """
-    return chi2_per_dof(fit) > _POOR and (state.noise is None or persists(fit))
-
-
-def trials_of(screening: Screening, kind: str) -> float:
-    """Effective number of independent trials in which a candidate of a kind was found."""
-    return screening.trials * next(k.trials for k in screening.kinds if k.kind == kind)
-
-
-def unlikely(rival: Rival, odds: float, kinds: int) -> str | None:
-    """Why the evidence of an effect, with these log odds of its name, is too little; else None.
-
-    What looking everywhere costs is in the p-value, and is not to be paid twice: the readings must
-    be likelier with it than without. A size that had to be forgiven makes chance as good a reason,
-    and needs evidence for all `kinds` of effects together.
-    """
-    evidence = odds - rival.leniency - rival.log_prior
-    if evidence <= 0.0:
-        return _UNLIKELIER
-    if rival.leniency > 0.0 and evidence <= math.log(kinds):
-        return _UNEXPECTED
-    return None
-
-
-def _in_the_prior(before: Fit, after: Fit, noise: float) -> bool:
-    """Whether it is what was declared, more than the readings, that an effect is at odds without:
-    other parameters had taken its part, far from what is known of them, and foretell as well.
-    """
-    data = (before.chi2 - after.chi2) / noise**2
-    prior = float(before.theta**2 @ before.precision - after.theta**2 @ after.precision)
-    return prior > data
 
 
 def _no_worse(less: Fit, state: State, item: Added) -> bool:

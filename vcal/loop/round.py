@@ -1,0 +1,184 @@
+"""One round of the search: what was significant, refitted and weighed before something is added."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..fit import Fit
+from .empirical import Empirical
+from .heldout import improvement, rms_fall, weighted_squares
+from .pairs import Pair, best_pair
+from .rivals import Names, Rival, classes_of, outdoes, refit_all
+from .screen import Peak, Screen
+from .screening import Screening
+from .serial import persists
+from .shortlist import shortlist
+from .state import State, at_declared, chi2_per_dof, rescored
+
+_PRACTICAL = 0.02
+"""Least fall of the held-out rms, in lengths or in units of the noise, that counts where the fit is
+far worse than the noise, and what remains is no white noise: chance alignments with what is not
+modelled are then significant without being real."""
+_POOR = 2.0
+"""Chi-square per degree of freedom from which a fit is far worse than the noise."""
+_UNLIKELIER = "the readings are no likelier with it than without"
+_UNEXPECTED = "it is far larger than expected, which its evidence does not make up for"
+
+
+@dataclass(frozen=True)
+class Round:
+    """The candidates of one round, refitted and weighed against each other."""
+
+    state: State
+    fit: Fit
+    """What they are weighed against: the state's fit for tests and evidence."""
+    screening: Screening
+    peaks: list[Peak]
+    """Which were refitted."""
+    rivals: list[Rival]
+    """What came of it, most probable first, descriptions among them."""
+    p_values: dict[int, float]
+    """Corrected p-value of every rival, by the id of its effect."""
+    classes: list[list[Rival]]
+    """Effects that the data cannot tell apart, together."""
+    ranked: list[tuple[Rival, float]]
+    """Effects with their log odds, the most probable name first."""
+    alpha: float
+    room: int
+
+    @classmethod
+    def of(
+        cls, state: State, screen: Screen, screening: Screening, alpha: float, room: int
+    ) -> "Round":
+        """Refit and weigh what a screening found significant, and what may be a rival of that."""
+        fit = state.scored
+        instances = {kind.kind: kind.instances for kind in screening.kinds}
+        significant = {k.kind for k in screening.kinds if screening.corrected(k) <= alpha}
+        worth = [p for p in screening.peaks if p.effect.name in significant]
+        peaks = shortlist(screen, worth, screening.peaks, instances)
+        rivals = refit_all(fit, peaks, instances, state.keep, room)
+        if rivals and not state.as_declared:
+            fit = rescored(state, rivals[0].fit, room)
+            rivals = refit_all(fit, peaks, instances, state.keep, room)
+        # The p-value of a kind is that of its best candidate, which need not be this one.
+        tested = [*screening.peaks, *peaks]
+        p_values = {
+            id(r.effect): screening.corrected_as(
+                r.effect.name, max(screen.rarity_of(p) for p in tested if p.effect is r.effect)
+            )
+            for r in rivals
+        }
+        classes = classes_of(fit, [r for r in rivals if not isinstance(r.effect, Empirical)])
+        ranked = Names.of(classes).ranked() if classes else []
+        return cls(state, fit, screening, peaks, rivals, p_values, classes, ranked, alpha, room)
+
+    @property
+    def odds(self) -> dict[int, float]:
+        """Log odds of the effects, by the id of the rival."""
+        return {id(rival): odds for rival, odds in self.ranked}
+
+    @property
+    def significant(self) -> list[Rival]:
+        """Effects that are significant themselves, the most probable name first."""
+        return [rival for rival, _ in self.ranked if self.p_value(rival) <= self.alpha]
+
+    @property
+    def description(self) -> Rival | None:
+        """The most probable empirical description that is significant."""
+        found = (r for r in self.rivals if isinstance(r.effect, Empirical))
+        return next((r for r in found if self.p_value(r) <= self.alpha), None)
+
+    def p_value(self, rival: Rival) -> float:
+        """Corrected for the search."""
+        return self.p_values[id(rival.effect)]
+
+    def trials(self, rival: Rival) -> float:
+        """Effective number of independent trials in which a rival was found."""
+        kinds = self.screening.kinds
+        its = next(kind.trials for kind in kinds if kind.kind == rival.effect.name)
+        return self.screening.trials * its
+
+    def outdone(self) -> bool:
+        """Whether an empirical description is preferred to every effect."""
+        best, odds = self.description, self.odds
+        return best is not None and outdoes(best, [(r, odds[id(r)]) for r in self.significant])
+
+    def at_declared(self, fit: Fit) -> Fit:
+        """A fit of this round, with the declared noise."""
+        return at_declared(fit, self.state, self.room)
+
+    def gain(self, rival: Rival) -> float:
+        """Fall of the held-out rms, in lengths, as a share."""
+        return rms_fall(self.state.fit, self.at_declared(rival.fit), self._rows(rival))
+
+    def unlikely(self, rival: Rival) -> str:
+        """Why the evidence of an effect is too little; empty where it is not."""
+        return unlikely(rival, self.odds[id(rival)], len(self.screening.kinds)) or ""
+
+    def fails(self, rival: Rival) -> str:
+        """Why an effect does not hold on readings it was not fitted to; empty where it does."""
+        noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
+        fall, error = improvement(self.fit, rival.fit, noise)
+        if _in_the_prior(self.fit, rival.fit, noise):
+            return ""
+        if fall <= error:
+            return "held-out readings are not foretold better beyond uncertainty"
+        if not self._poor(rival.fit):
+            return ""
+        share = self.gain(rival)
+        weighted = rms_fall(self.fit, rival.fit, self._rows(rival), weighted_squares)
+        if max(share, weighted) >= _PRACTICAL:
+            return ""
+        way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
+        return f"held-out rms {way}"
+
+    def hidden_by_each_other(self) -> Pair | None:
+        """Two significant effects that together leave no more than noise where everything alone,
+        descriptions too, leaves far more: what seems likeliest alone may be a part of both.
+        """
+        significant = self.significant
+        if len(significant) < 2:
+            return None
+        alone = min(self.rivals, key=lambda r: r.fit.chi2)
+        if not self._poor(alone.fit):
+            return None
+        pair = best_pair(significant, self.state.keep, self.room)
+        if pair is None or self._poor(pair.fit):
+            return None
+        noise = math.sqrt(max(1.0, pair.fit.chi2 / pair.fit.dof))
+        fall, error = improvement(self.fit, pair.fit, noise)
+        return pair if fall > error else None
+
+    def _rows(self, rival: Rival) -> np.ndarray:
+        # The readings of another instrument are no witness for an effect of this one.
+        return np.asarray(rival.effect.rows(self.state.fit.measurement.plan))
+
+    def _poor(self, fit: Fit) -> bool:
+        """Whether a fit is far worse than the declared noise, and what remains no white noise."""
+        after = self.at_declared(fit)
+        return chi2_per_dof(after) > _POOR and (self.state.noise is None or persists(after))
+
+
+def unlikely(rival: Rival, odds: float, kinds: int) -> str | None:
+    """Why the evidence of an effect, with these log odds of its name, is too little; else None.
+
+    What looking everywhere costs is in the p-value, and is not to be paid twice: the readings must
+    be likelier with it than without. A size that had to be forgiven makes chance as good a reason,
+    and needs evidence for all `kinds` of effects together.
+    """
+    evidence = odds - rival.leniency - rival.log_prior
+    if evidence <= 0.0:
+        return _UNLIKELIER
+    if rival.leniency > 0.0 and evidence <= math.log(kinds):
+        return _UNEXPECTED
+    return None
+
+
+def _in_the_prior(before: Fit, after: Fit, noise: float) -> bool:
+    """Whether it is what was declared, more than the readings, that an effect is at odds without:
+    other parameters had taken its part, far from what is known of them, and foretell as well.
+    """
+    data = (before.chi2 - after.chi2) / noise**2
+    prior = float(before.theta**2 @ before.precision - after.theta**2 @ after.precision)
+    return prior > data
