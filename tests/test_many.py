@@ -4,10 +4,11 @@ import pytest
 
 from oracle import make_case, write_study
 from vcal import close_loop, load_study
+from vcal.loop.components import components
 
 
 def closed(folder, seed: int, *effects: dict, instrument: str = "laser_tracker", **options):
-    plan = {"cycles": True} if instrument == "laser_tracker" else None
+    plan = None if instrument == "laser_frame" else {"cycles": True}
     case = make_case(instrument, seed=seed, plan=plan, effects=effects)
     study = load_study(write_study(folder / "study", case))
     return close_loop(study.model, study.measurement, check=study.check, seed=seed, **options)
@@ -65,3 +66,19 @@ def test_two_effects_that_hide_each_other_are_both_named(tmp_path):
     assert set(found) == {"head_expansion", "backlash Z"}
     assert found["head_expansion"]["k"] == pytest.approx(1.4, abs=0.05)
     assert found["backlash Z"]["size"] == pytest.approx(12.0, abs=0.5)
+
+
+@pytest.mark.parametrize("size", [30.0, 1000.0])
+def test_a_ball_that_is_far_off_is_named(size, tmp_path):
+    """It stretches what is declared of the machine far beyond its prior; that is no noise, and the
+    p-value is none the worse for it.
+    """
+    ball = {"effect": "ball_error", "ball": 4, "vector_um": [size, -size / 2, size / 5]}
+    closure = closed(tmp_path, 1, ball, instrument="ball_array", draws=200)
+    assert closure.verdict == "named"
+    (found,) = closure.effects
+    assert found.effect.key == "ball_error ball 4"
+    assert found.parameters[0][1] == pytest.approx(size, abs=4.0)
+    assert closure.screenings[0].p_value < 1e-100
+    assert components(closure.before).factor == pytest.approx(1.0, abs=0.1)
+    assert closure.before.chi2 > (1e4 if size > 100.0 else 600.0)

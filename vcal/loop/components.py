@@ -86,7 +86,8 @@ def components(fit: Fit) -> Components:
     back = np.linalg.inv(fit.whitener[used])
     jacobian = back @ fit.jacobian.reshape(n, m, -1)[used]
     missing = absent(fit.model, fit.measurement.plan)
-    problem = _Problem(fit.residual[used], jacobian, fit.theta, fit.precision, missing[used])
+    precision = fit.precision / _stretched(fit)
+    problem = _Problem(fit.residual[used], jacobian, fit.theta, precision, missing[used])
     whole, dof, level = problem.estimate(each.sum(0)[None], np.ones(1, bool))
     factors = np.full(len(each), whole[0])
     told = problem.seen(each, factors) > _TOLD
@@ -101,6 +102,15 @@ def components(fit: Fit) -> Components:
     ]
     every = np.array([v for _, v in parts])
     return Components(tuple(known), p_value, every, missing, float(whole[0]))
+
+
+def _stretched(fit: Fit) -> float:
+    """Mean square of the parameters in units of their prior, at least one: where something that is
+    missing has stretched them far beyond that, the prior is wrong, and must not turn the rest of it
+    into noise.
+    """
+    informed = np.count_nonzero(fit.precision)
+    return max(1.0, float(fit.theta**2 @ fit.precision) / max(informed, 1))
 
 
 @dataclass(frozen=True)

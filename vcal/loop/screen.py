@@ -94,9 +94,11 @@ class Screen:
 
     def _cost(self, chi2, prior):
         """What a drop is a share of: squares of readings and of the prior, which counts as much as
-        the noise that was found, if not less than declared.
+        the noise that was found, if not less than declared. What is beyond any prior, stretched by
+        something that is missing, counts as it does in a drop.
         """
-        return chi2 + np.maximum(chi2 / self.dof, 1.0) * prior
+        expected = np.minimum(prior, float(np.count_nonzero(self.fit.precision)))
+        return chi2 + np.maximum(chi2 / self.dof, 1.0) * expected + (prior - expected)
 
     def contract(self, port: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residual (n), null residuals (n, draws) and Jacobian (n, k) seen through one port."""
