@@ -537,6 +537,16 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("laser_frame", "head_expansion", "backlash"),
     ("laser_frame", "refraction", "thermal_tilt"),
 )
+SEVERAL: tuple[tuple[str, ...], ...] = (
+    ("laser_tracker", "backlash", "thermal_tilt", "screw_cyclic"),
+    ("laser_tracker", "encoder_eccentricity", "jump of the frame", "scale_growth"),
+    ("laser_tracker", "payload_sag", "backlash", "cross_axis", "jump of the tool"),
+    ("ball_array", "backlash", "thermal_tilt", "ball_error"),
+    ("ball_array", "payload_sag", "thermal_offset", "artefact_bending", "scale_growth"),
+    ("laser_frame", "head_expansion", "backlash", "thermal_tilt"),
+    ("laser_frame", "angular_reversal", "thermal_offset", "scale_growth"),
+    ("r_test", "reversal_spike", "servo_lag", "scale_interpolation"),
+)
 WITH_STRAYS: tuple[tuple[str, str], ...] = (
     ("laser_tracker", "backlash"),
     ("laser_tracker", "thermal_tilt"),
@@ -574,6 +584,7 @@ GROUPS = {
     "warming up": "the same where temperatures and time look alike",
     "outside": "what is in no catalogue",
     "pairs": "two effects",
+    "several": "three effects or four",
     "strays": "some readings go astray",
 }
 MULTIPLES = (3.0, 1.0, 5.0, 2.0, 0.5)
@@ -601,6 +612,10 @@ def _entries() -> tuple[Entry, ...]:
     for at, one, other in PAIRS:
         kinds = by_name[one], by_name[other]
         found.append(Entry(f"{at}/{one} and {other}", at, "pairs", kinds, multiples=(5.0,)))
+    for at, *names in SEVERAL:
+        name = f"{at}/{', '.join(names[:-1])} and {names[-1]}"
+        kinds = tuple(by_name[n] for n in names)
+        found.append(Entry(name, at, "several", kinds, multiples=(5.0, 10.0)))
     for at, name in WITH_STRAYS:
         found.append(
             Entry(f"{at}/{name}, strays", at, "strays", (by_name[name],), strays=STRAYS,

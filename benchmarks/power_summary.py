@@ -67,6 +67,11 @@ def outcome(line: dict) -> str:
     return "right" if all(f["status"] == "named" for f in found) else "right first"
 
 
+def is_beyond(line: dict) -> bool:
+    """Whether a size is above those that every campaign tries."""
+    return line["multiple"] > max(ENTRIES[line["case"]].multiples)
+
+
 def other_component(line: dict) -> bool:
     """Whether a right name stands for another component of the effect than the true one."""
     if outcome(line) not in CERTAIN:
@@ -307,6 +312,10 @@ def summary(lines: Sequence[dict]) -> dict:
             good = [x for x in part if x["verdict"] != "failed"]
             if good:
                 clean.append(clean_row(good, name, at))
+    # Sizes that are tried now and then only, far above the others, have a row of their own.
+    beyond = {g: [x for x in group[g] if is_beyond(x) and outcome(x) != "not detectable"]
+              for g in GROUPS}  # fmt: skip
+    group = {g: [x for x in group[g] if not is_beyond(x)] for g in GROUPS}
     far = [x for x in group["catalogue"] if x["multiple"] >= FAR]
     seen = [x for x in far if outcome(x) != "not detectable"]
     own = [x for x in seen if x["seed"] >= OWN_NOISE]
@@ -316,6 +325,7 @@ def summary(lines: Sequence[dict]) -> dict:
     outside = [x for x in group["outside"] if x["multiple"] >= FAR]
     outside = [x for x in outside if outcome(x) != "not detectable"]
     pairs = [x for x in group["pairs"] if outcome(x) != "not detectable"]
+    several = [x for x in group["several"] if outcome(x) != "not detectable"]
     nothing = [x for x in group["clean"] if x["verdict"] != "failed"]
     every = undisturbed(lines)
     ratios = [ratio(x) for x in seen]
@@ -355,6 +365,16 @@ def summary(lines: Sequence[dict]) -> dict:
                 (outcome(x) == "unexplained" and pointed(x) for x in outside), outside
             ),
             "pairs_both": share(pairs, CERTAIN),
+            "several_all": share(several, CERTAIN),
+            "several_wrong": share(several, {"wrong"}),
+            "beyond_right": share(beyond["catalogue"], CERTAIN),
+            "beyond_wrong": share(beyond["catalogue"], {"wrong"}),
+            "beyond_both": share(beyond["pairs"], CERTAIN),
+            "beyond_outside_wrong": share(beyond["outside"], {"wrong"}),
+            "beyond_outside_pointed": counts(
+                (outcome(x) == "unexplained" and pointed(x) for x in beyond["outside"]),
+                beyond["outside"],
+            ),
             "at_the_limit": counts((x["p"] <= 0.01 for x in at_limit), at_limit),
         },
         "clean": clean,

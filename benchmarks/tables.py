@@ -67,6 +67,13 @@ def power(found: dict) -> str:
         ["one that is called one of several", "", _of(s["outside_another_first"])],
         ["unexplained, the right covariate first", ">= 80 %", _of(s["outside_pointed"])],
         ["two effects, both found", ">= 90 %", _of(s["pairs_both"])],
+        ["three or four effects, all found", "", _of(s["several_all"])],
+        ["a wrong one for certain among them", "", _of(s["several_wrong"])],
+        ["at ten and at thirty limits: right name", "", _of(s["beyond_right"])],
+        ["for certain a wrong one", "", _of(s["beyond_wrong"])],
+        ["both of two", "", _of(s["beyond_both"])],
+        ["outside the catalogue: a wrong name", "", _of(s["beyond_outside_wrong"])],
+        ["unexplained, the right covariate first", "", _of(s["beyond_outside_pointed"])],
         [
             "error after / that of a fit that was told, median",
             "<= 1.1",
@@ -125,8 +132,8 @@ def _outcomes(part: dict | None) -> str:
 
 
 def power_cases(found: dict) -> str:
-    groups = ("catalogue", "warming up", "pairs")
-    multiples = ("0.5", "1", "2", "3", "5")
+    groups = ("catalogue", "warming up", "pairs", "several")
+    multiples = ("0.5", "1", "2", "3", "5", "10", "30")
     rows = (
         [
             c["case"].replace("/", ": "),
@@ -141,16 +148,17 @@ def power_cases(found: dict) -> str:
 
 
 def power_outside(found: dict) -> str:
+    sizes = ("3", "5", "10", "30")
     rows = (
         [
             c["case"].replace("/", ": "),
             _limits(c),
-            *(_outside(c["multiples"][m]) if m in c["multiples"] else "" for m in ("3", "5")),
+            *(_outside(c["multiples"][m]) if m in c["multiples"] else "" for m in sizes),
         ]
         for c in found["cases"]
         if c["group"] == "outside"
     )
-    return table(["case", "limit", "3", "5"], rows)
+    return table(["case", "limit", *sizes], rows)
 
 
 def _outside(part: dict) -> str:
