@@ -200,21 +200,21 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
 
 
 def test_names_are_ranked_by_all_their_places_however_unlikely():
-    def rival(key: str, log_weight: float):
-        return SimpleNamespace(effect=SimpleNamespace(key=key), log_weight=log_weight)
+    def rival(key: str, log_weight: float, effect=None):
+        return SimpleNamespace(effect=effect or SimpleNamespace(key=key), log_weight=log_weight)
 
     one, twin, other, hopeless = (
         rival("a X", 9.5), rival("a Z", 9.5), rival("b", 10.0), rival("c", -2000.0)
     )  # fmt: skip
-    same = rival("a X", 7.5)
-    classes = [[other], [one, twin], [same], [hopeless]]
+    component, shape = rival("a X", 8.0), rival("a X", 7.5, one.effect)
+    classes = [[other], [one, twin], [component], [shape], [hopeless]]
     ranked = Names.of(classes).ranked()  # type: ignore[arg-type]
-    assert [r for r, _ in ranked] == [one, twin, same, other, hopeless]
-    of_the_name = 9.5 + np.log(2.0 + np.exp(-2.0))
-    assert ranked[0][1] == ranked[1][1] == pytest.approx(of_the_name)
-    assert ranked[2][1] == pytest.approx(of_the_name - 2.0)  # another shape, less likely itself
-    assert ranked[3][1] == pytest.approx(10.0)
-    assert ranked[4][1] < -600.0
+    assert [r for r, _ in ranked] == [one, twin, component, shape, other, hopeless]
+    of_the_name = 9.5 + np.log(2.0 + np.exp(-1.5) + np.exp(-2.0))
+    assert ranked[0][1] == ranked[1][1] == ranked[2][1] == pytest.approx(of_the_name)
+    assert ranked[3][1] == pytest.approx(of_the_name - 2.0)  # another shape, less likely itself
+    assert ranked[4][1] == pytest.approx(10.0)
+    assert ranked[5][1] < -600.0
 
 
 def test_of_names_that_may_be_one_of_an_expected_size_goes_first():

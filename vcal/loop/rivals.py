@@ -407,18 +407,23 @@ class Names:
 
     def ranked(self) -> list[tuple[Rival, float]]:
         """All rivals, the most probable name first, with the log odds of their name, less what they
-        are themselves less likely than the most probable of it: another pitch that does not fit has
-        no part in what its name is worth.
+        are themselves less likely than the most probable shape of the same effect: another pitch
+        that does not fit has no part in what its name is worth.
         """
         top = max(rival.log_weight for members in self.members.values() for rival in members)
         order = sorted(self.weights, key=lambda key: -self.weights[key])
         found = []
         for key in order:
-            members = self.members[key]
-            first = max(rival.log_weight for rival in members)
+            best: dict[int, float] = {}
+            for rival in self.members[key]:
+                weight = best.get(id(rival.effect), -math.inf)
+                best[id(rival.effect)] = max(weight, rival.log_weight)
             # A name may be so unlikely that its odds are zero in floating point.
             odds = top + math.log(max(self.weights[key], 1e-300))
-            found += [(rival, odds + rival.log_weight - first) for rival in members]
+            found += [
+                (rival, odds + rival.log_weight - best[id(rival.effect)])
+                for rival in self.members[key]
+            ]
         return found
 
 
