@@ -443,6 +443,21 @@ def test_report_without_check_points(closed, tmp_path):
     assert "error_field.png" in content["files"]
 
 
+def test_report_of_circles_that_have_no_error_motions(tmp_path):
+    """An R-test declares none: there is nothing to tabulate, and the rest is told."""
+    spike = {"effect": "reversal_spike", "size_um": 4.0, "decay_mm": 0.06}
+    make_case("r_test", seed=3, effects=[spike], folder=tmp_path / "study")
+    study = load_study(tmp_path / "study")
+    assert study.measurement is not None
+    tried = [CATALOGUE["reversal_spike"], CATALOGUE["servo_lag"]]
+    closure = close_loop(study.model, study.measurement, effects=tried, draws=50)
+    write_report(closure, study, tmp_path / "report")
+    content = strict(tmp_path / "report" / "report.json")
+    assert [e["effect"] for e in content["effects"]] == ["reversal_spike"]
+    assert len((tmp_path / "report" / "compensation.csv").read_text().splitlines()) == 1
+    assert "error_motions.png" not in content["files"]
+
+
 @pytest.mark.slow
 def test_report_of_an_arm(small_arm_study, tmp_path):
     study = load_study(small_arm_study)

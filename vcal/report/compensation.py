@@ -93,6 +93,8 @@ def _doubted(
         # What one of them has and another has not, such as a degree more, is nothing there.
         return np.concatenate([found.get(name, np.zeros(n)) for name, n in sizes.items()])
 
+    if not sizes:
+        return {}  # no error motions are declared, as for circles of an R-test
     variance = of_doubts(doubts, of, np.zeros(sum(sizes.values())))
     parts = np.split(variance, np.cumsum(list(sizes.values()))[:-1])
     return dict(zip(sizes, parts, strict=True))
