@@ -30,7 +30,15 @@ from vcal.io.simulated import parse_with, write_simulated
 from vcal.loop.candidates import candidates
 from vcal.loop.close_loop import _worse
 from vcal.loop.closure import Errors
-from vcal.loop.heldout import Rms, check_rms, heldout_residuals, heldout_rms, rms_fall
+from vcal.loop.heldout import (
+    Rms,
+    check_rms,
+    folds_of,
+    heldout_residuals,
+    heldout_rms,
+    rms_fall,
+    weighted_squares,
+)
 from vcal.loop.recorded import distinct_covariates
 from vcal.loop.screen import Screen
 from vcal.loop.state import chi2_per_dof, fitted
@@ -265,6 +273,21 @@ def test_a_stray_reading_is_found_in_its_own_data_set(framed, framed_fit):
     spoilt = identify(study.model, Measurement(study.plan, readings), room=ROOM)
     (stray,) = stray_rows(spoilt, lambda: (spoilt, weights))
     assert stray.row == row and study.plan.place(row) == ("frame", 40)
+
+
+def test_rows_that_are_never_fitted_weigh_as_the_others_do(small_arm_study):
+    """The last fifth of an arm's poses is foretold only: its rows have no whitener of their own."""
+    study = load_study(small_arm_study)
+    _, apart = folds_of(study.model, study.measurement)
+    fit = identify(study.model, study.measurement, keep=~apart)
+    residuals = heldout_residuals(fit)
+    told = np.isfinite(residuals).all(1)
+    squares = weighted_squares(fit, residuals)
+    assert apart.any() and (squares[apart[told]] > 0.0).all()
+    typical = np.median(fit.whitener[fit.used], axis=0)
+    expected = ((residuals[apart & told] @ typical.T) ** 2).sum(1)
+    np.testing.assert_allclose(squares[apart[told]], expected)
+    assert rms_fall(fit, fit, squares=weighted_squares) == 0.0
 
 
 @pytest.mark.slow

@@ -263,7 +263,12 @@ def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, flo
 def weighted_squares(fit: Fit, residuals: np.ndarray) -> np.ndarray:
     """Sum of squares of every row in units of the noise of the fit; nan rows are left out."""
     told = np.isfinite(residuals).all(1)
-    whitened = np.einsum("nij,nj->ni", fit.whitener[told], residuals[told])
+    whitener = np.array(fit.whitener)
+    for inside in fit.measurement.plan.parts.values():
+        if (fitted := fit.used & inside).any():
+            # Rows that are never fitted have no weight of their own.
+            whitener[~fit.used & inside] = np.median(whitener[fitted], axis=0)
+    whitened = np.einsum("nij,nj->ni", whitener[told], residuals[told])
     return (whitened**2).sum(1)
 
 
