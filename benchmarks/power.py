@@ -39,20 +39,27 @@ Job = tuple[str, float, int]
 
 def jobs(names: Sequence[str], multiples: Sequence[float], sets: range) -> Iterator[Job]:
     """Every set in an order in which all entries grow together: seed by seed, multiple by multiple;
-    of clean ones, which take more sets, ten with every seed of the others, spread among them.
+    of clean ones, which take more sets, ten with every seed of the others, spread among them. Of
+    the `multiples` asked for an entry has those of its own, and those above all of them.
     """
     from power_cases import ENTRIES
 
     entries = [ENTRIES[name] for name in names]
     clean = [entry.name for entry in entries if entry.clean]
     others = [entry for entry in entries if not entry.clean]
+    sizes = {
+        entry.name: [
+            *(m for m in entry.multiples if not multiples or not entry.kinds or m in multiples),
+            *(m for m in multiples if entry.kinds and m > max(entry.multiples)),
+        ]
+        for entry in others
+    }
     for place, seed in enumerate(sets):
         wanted = [
-            (entry.name, entry.multiples[i], seed)
-            for i in range(max((len(e.multiples) for e in others), default=0))
-            for entry in others
-            if i < len(entry.multiples)
-            and (not multiples or not entry.kinds or entry.multiples[i] in multiples)
+            (name, its[i], seed)
+            for i in range(max(map(len, sizes.values()), default=0))
+            for name, its in sizes.items()
+            if i < len(its)
         ]
         between = [(name, 0.0, sets.start + 10 * place + k) for k in range(10) for name in clean]
         # By how far along its own list each of them is.

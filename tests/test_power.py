@@ -149,6 +149,10 @@ def test_every_set_has_its_place_once():
     for name, entry in ENTRIES.items():
         mine = [job for job in found if job[0] == name]
         assert len(mine) == (20 if entry.clean else 2 * len(entry.multiples))
+    far = list(power.jobs(names, [3.0, 30.0], range(SEED, SEED + 1)))
+    assert ("laser_tracker/backlash", 3.0, SEED) in far
+    assert ("laser_tracker/backlash", 30.0, SEED) in far and len(far) == len(set(far))
+    assert ("laser_tracker/backlash", 5.0, SEED) not in far
     assert {kind.name for kind in OUTSIDE} <= {k.name for e in ENTRIES.values() for k in e.kinds}
 
 
