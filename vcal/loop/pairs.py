@@ -30,9 +30,11 @@ def best_pair(rivals: Sequence[Rival], keep: np.ndarray, room: int = 0) -> Pair 
     What adds the best one after the other (forward selection) takes what describes a part of each
     of two for a third one; of two it takes all pairs of the most probable names.
     """
-    leads = list({r.effect.key: r for r in reversed(rivals)}.values())[::-1][:_MOST]
+    leads: dict[str, Rival] = {}
+    for rival in rivals:
+        leads.setdefault(rival.effect.key, rival)
     found = []
-    for first, second in itertools.combinations(leads, 2):
+    for first, second in itertools.combinations(list(leads.values())[:_MOST], 2):
         fit = refit(first.fit, _as_peak(second), keep, room, second.wider)
         if fit.converged and fit.determined and _regular(fit):
             found.append(Pair(first, second, fit))
