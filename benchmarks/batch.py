@@ -197,7 +197,7 @@ def timings(host_draws: int, draws: int, repeats: int) -> dict:
         tight(y, zero, 1e-8)
     rows["scipy, compiled residual and Jacobian"] = (time.perf_counter() - begin) / host_draws
     # mapped and batched
-    few = part if accelerator else 16
+    few = 256 if accelerator else 16
     damped = optx.LevenbergMarquardt(1e-4, 1e-4)
     rows["optimistix LevenbergMarquardt, mapped"] = per_draw(mapped(damped, 30), few, few, 1)
     newton = optx.GaussNewton(1e-4, 1e-4, linear_solver=lx.QR())

@@ -15,10 +15,9 @@ from vcal.cli.folders import write_start
 
 jax.config.update("jax_enable_x64", True)
 
-_QUICK = (
-    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
-    "--xla_cpu_use_fusion_emitters=false"
-)
+_LAZY = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+_QUICK = (f"{_LAZY} --xla_cpu_use_fusion_emitters=false", _LAZY)
+"""The first that this release of XLA knows is taken; that of jax 0.12 has fewer flags."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -49,15 +48,21 @@ def _compile_quickly() -> None:
     """
     if "XLA_FLAGS" in os.environ:
         return
-    quick = os.environ | {"XLA_FLAGS": _QUICK}
     asked = [sys.executable, "-c", "import jax; jax.devices()"]
-    if not subprocess.run(asked, env=quick, capture_output=True, check=False).returncode:
-        os.environ["XLA_FLAGS"] = _QUICK
+    for flags in _QUICK:
+        quick = os.environ | {"XLA_FLAGS": flags}
+        if not subprocess.run(asked, env=quick, capture_output=True, check=False).returncode:
+            os.environ["XLA_FLAGS"] = flags
+            return
 
 
 def _programs(config: pytest.Config) -> dict[str, str | int | float]:
+    """Nowhere without the cache of pytest (`-p no:cacheprovider`)."""
+    cache = getattr(config, "cache", None)
+    if cache is None:
+        return {}
     return {
-        "jax_compilation_cache_dir": str(config.cache.mkdir("xla")),
+        "jax_compilation_cache_dir": str(cache.mkdir("xla")),
         "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": 0,
     }

@@ -1,7 +1,7 @@
 """Compiled programs that no other one contains, compiled in two thirds of the time."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import ParamSpec, TypeVar
 
 import equinox as eqx
@@ -10,30 +10,32 @@ import jax
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-_OPTIONS: dict[str, bool | int | str] = {
-    "xla_cpu_use_fusion_emitters": False,
-    "xla_backend_optimization_level": 1,
-}
+_Options = dict[str, bool | int | str]
+
+_OPTIONS: _Options = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
 """Fits run as fast with these; campaigns of a tracker take up to a fifth longer, those of a ball
 array a third of the time. Without any optimisation (0) compilation takes a third less still, but
 short loops over rows up to half as long again."""
 
 
-@functools.cache
-def _options() -> dict[str, bool | int | str]:
+def known_options(options: Mapping[str, bool | int | str]) -> _Options:
     """Those of the options that this release of the compiler knows: nobody promised them, and
-    nothing but time depends on them. None on an accelerator, which has a compiler of its own.
+    nothing but time may depend on them (jax 0.12 has no `xla_cpu_use_fusion_emitters`).
     """
-    if jax.default_backend() != "cpu":
-        return {}
     known = {}
-    for name, value in _OPTIONS.items():
+    for name, value in options.items():
         try:
             jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
         except jax.errors.JaxRuntimeError:
             continue
         known[name] = value
     return known
+
+
+@functools.cache
+def _options() -> _Options:
+    """None on an accelerator, which has a compiler of its own."""
+    return known_options(_OPTIONS) if jax.default_backend() == "cpu" else {}
 
 
 def outer_jit(function: Callable[_P, _T]) -> Callable[_P, _T]:
