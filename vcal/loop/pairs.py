@@ -10,8 +10,8 @@ from ..fit import Fit
 from .rivals import Rival, refit
 from .screen import Peak
 
-_MOST = 6
-"""Most names of which pairs are fitted."""
+MOST = 6
+"""Most names of which pairs are to be fitted."""
 
 
 @dataclass(frozen=True)
@@ -24,17 +24,14 @@ class Pair:
 
 
 def best_pair(rivals: Sequence[Rival], keep: np.ndarray, room: int = 0) -> Pair | None:
-    """The two rivals (most probable first) of different names whose fit beside each other has the
+    """The two rivals (one of every name, most probable first) whose fit beside each other has the
     highest evidence; None where no such fit ends in a minimum.
 
     What adds the best one after the other (forward selection) takes what describes a part of each
     of two for a third one; of two it takes all pairs of the most probable names.
     """
-    leads: dict[str, Rival] = {}
-    for rival in rivals:
-        leads.setdefault(rival.effect.key, rival)
     found = []
-    for first, second in itertools.combinations(list(leads.values())[:_MOST], 2):
+    for first, second in itertools.combinations(rivals, 2):
         fit = refit(first.fit, _as_peak(second), keep, room, second.wider)
         if fit.converged and fit.determined and _regular(fit):
             found.append(Pair(first, second, fit))

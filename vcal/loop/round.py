@@ -1,6 +1,7 @@
 """One round of the search: what was significant, refitted and weighed before something is added."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from ..fit import Fit
 from .empirical import Empirical
 from .heldout import improvement, rms_fall, weighted_squares
-from .pairs import Pair, best_pair
+from .pairs import MOST, Pair, best_pair
 from .rivals import Names, Rival, classes_of, outdoes, refit_all
 from .screen import Peak, Screen
 from .screening import Screening
@@ -22,6 +23,8 @@ far worse than the noise, and what remains is no white noise: chance alignments 
 modelled are then significant without being real."""
 _POOR = 2.0
 """Chi-square per degree of freedom from which a fit is far worse than the noise."""
+_BEYOND_NOISE = 5.0
+"""Standard deviations of chi-square by which a fit leaves more than the declared noise."""
 _UNLIKELIER = "the readings are no likelier with it than without"
 _UNEXPECTED = "it is far larger than expected, which its evidence does not make up for"
 
@@ -44,6 +47,8 @@ class Round:
     """Effects that the data cannot tell apart, together."""
     ranked: list[tuple[Rival, float]]
     """Effects with their log odds, the most probable name first."""
+    behind: list[Rival]
+    """Significant kinds whose evidence is far behind, where all that is likelier fits badly."""
     alpha: float
     room: int
 
@@ -61,17 +66,23 @@ class Round:
         if rivals and not state.as_declared:
             fit = rescored(state, rivals[0].fit, room)
             rivals = refit_all(fit, peaks, instances, state.keep, room)
+        classes = classes_of(fit, [r for r in rivals if not isinstance(r.effect, Empirical)])
+        ranked = Names.of(classes).ranked() if classes else []
+        behind = []
+        if rivals and _structured(state, min(rivals, key=lambda r: r.fit.chi2).fit, room):
+            others = _of_other_kinds(worth, rivals, max(0, MOST - len(classes)))
+            behind = refit_all(fit, others, instances, state.keep, room)
         # The p-value of a kind is that of its best candidate, which need not be this one.
         tested = [*screening.peaks, *peaks]
         p_values = {
             id(r.effect): screening.corrected_as(
                 r.effect.name, max(screen.rarity_of(p) for p in tested if p.effect is r.effect)
             )
-            for r in rivals
+            for r in [*rivals, *behind]
         }
-        classes = classes_of(fit, [r for r in rivals if not isinstance(r.effect, Empirical)])
-        ranked = Names.of(classes).ranked() if classes else []
-        return cls(state, fit, screening, peaks, rivals, p_values, classes, ranked, alpha, room)
+        return cls(
+            state, fit, screening, peaks, rivals, p_values, classes, ranked, behind, alpha, room
+        )
 
     @property
     def odds(self) -> dict[int, float]:
@@ -82,6 +93,15 @@ class Round:
     def significant(self) -> list[Rival]:
         """Effects that are significant themselves, the most probable name first."""
         return [rival for rival, _ in self.ranked if self.p_value(rival) <= self.alpha]
+
+    @property
+    def leads(self) -> list[Rival]:
+        """The first of every name that is significant: what the readings cannot tell apart once."""
+        names = {id(r): members[0].effect.key for members in self.classes for r in members}
+        found: dict[str, Rival] = {}
+        for rival in self.significant:
+            found.setdefault(names[id(rival)], rival)
+        return list(found.values())
 
     @property
     def description(self) -> Rival | None:
@@ -135,16 +155,16 @@ class Round:
 
     def hidden_by_each_other(self) -> Pair | None:
         """Two significant effects that together leave no more than noise where everything alone,
-        descriptions too, leaves far more: what seems likeliest alone may be a part of both.
+        descriptions too, leaves more: what seems likeliest alone may be a part of both.
         """
-        significant = self.significant
-        if len(significant) < 2:
+        names = [*self.leads, *self.behind]
+        if len(names) < 2:
             return None
         alone = min(self.rivals, key=lambda r: r.fit.chi2)
-        if not self._poor(alone.fit):
+        if not _structured(self.state, alone.fit, self.room):
             return None
-        pair = best_pair(significant, self.state.keep, self.room)
-        if pair is None or self._poor(pair.fit):
+        pair = best_pair(names[:MOST], self.state.keep, self.room)
+        if pair is None or _structured(self.state, pair.fit, self.room):
             return None
         noise = math.sqrt(max(1.0, pair.fit.chi2 / pair.fit.dof))
         fall, error = improvement(self.fit, pair.fit, noise)
@@ -158,6 +178,22 @@ class Round:
         """Whether a fit is far worse than the declared noise, and what remains no white noise."""
         after = self.at_declared(fit)
         return chi2_per_dof(after) > _POOR and (self.state.noise is None or persists(after))
+
+
+def _structured(state: State, fit: Fit, room: int) -> bool:
+    """Whether a fit leaves more than the declared noise, and what remains is no white noise."""
+    after = at_declared(fit, state, room)
+    beyond = chi2_per_dof(after) - 1.0 > _BEYOND_NOISE * math.sqrt(2.0 / after.dof)
+    return beyond and (state.noise is None or persists(after))
+
+
+def _of_other_kinds(peaks: Sequence[Peak], rivals: Sequence[Rival], most: int) -> list[Peak]:
+    """The best peaks of as many kinds that have no rival."""
+    known, best = {r.effect.name for r in rivals}, {}
+    for peak in sorted(peaks, key=lambda p: -p.log_bayes_at_its_size):
+        if peak.effect.name not in known and not isinstance(peak.effect, Empirical):
+            best.setdefault(peak.effect.name, peak)
+    return list(best.values())[:most]
 
 
 def unlikely(rival: Rival, odds: float, kinds: int) -> str | None:

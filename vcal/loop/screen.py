@@ -436,10 +436,15 @@ class Tested:
         ]
 
     def _spreads(self, bayes: np.ndarray, grid: np.ndarray, chosen: list[int]) -> list[float]:
-        """How much more log evidence the steps about each peak have together than the peak."""
+        """How much more log evidence the steps about each peak have together than the peak.
+
+        A step that is better than the peak next to it is on the slope of a higher one, and counts
+        there.
+        """
         if not self.scan.names or any(p.choice for p in self.effect.shapes):
             return [0.0] * len(chosen)
         away = np.abs(grid[:, None, :] - grid[chosen]).max(-1)
+        away[bayes[:, None] > bayes[chosen]] += len(grid)
         nearest = away.argmin(1)
         over = np.where(self.drops.rank > 0, bayes - bayes[chosen][nearest], -np.inf)
         together = np.bincount(nearest, np.exp(np.minimum(over, 700.0)), minlength=len(chosen))

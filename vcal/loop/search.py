@@ -29,8 +29,13 @@ _WIDENINGS, _WIDER = 4, 4.0
 """How often, and by how much, the prior of an added effect grows that is larger than expected."""
 _INSTEAD = 1
 """How often several effects may take the place of a description that ended the search."""
+_SUPERFLUOUS = "superfluous after later effects"
 _AGAIN = 2
 """How often the search goes on after an effect was replaced."""
+_SAME = 1.0
+"""Difference in chi-square of two fits that are the same."""
+_EXCHANGES = 1
+"""How often one of several effects gives way to others that leave nothing unexplained."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,7 @@ class Search:
         self.refused: Effect | None = None
         """What was significant in the last round, and did not hold."""
         self._again = _AGAIN
-        self._instead = _INSTEAD
+        self._instead, self._exchanges = _INSTEAD, _EXCHANGES
         self._describing = True
         """Whether empirical descriptions are candidates."""
         self._description: Rival | None = None
@@ -92,7 +97,7 @@ class Search:
         before = state
         if self.unexplained is not None:
             state = self.beside_empirical(state)
-            several = self.instead_of_description(state, most)
+            several = self.instead_of_description(state, most) or self.exchanged(state, most)
             if several is not None:
                 reached(several)
                 return self.rounds(several, most, reached)
@@ -214,7 +219,8 @@ class Search:
 
     def anew(self, state: State, item: Added) -> State:
         """Search anew, beside the others, for what one of several effects is: what was found first
-        may have stood for a part of what was not yet known.
+        may have stood for a part of what was not yet known. Where nothing is significant without
+        it, nor is it.
         """
         less = without(state, _place(state, item), self.room)
         if not less.converged:
@@ -227,7 +233,10 @@ class Search:
         except KeyboardInterrupt:
             self.rejected, self.screenings, self.refused = kept
             raise
+        significant = self.screenings[-1].p_value <= self.alpha
         self.screenings = kept[1]
+        if not significant:
+            return self._drop(item, less, _SUPERFLUOUS)
         if self.unexplained is not None and not self._describes_better(state):
             self.unexplained = None
             self.rejected, _, self.refused = kept
@@ -259,30 +268,79 @@ class Search:
         """
         if self.unexplained is None or self._description is None or not self._instead:
             return None
-        kept = (list(self.history), list(self.rejected), list(self.screenings), self.refused,
-                self.unexplained)  # fmt: skip
+        kept = self._kept()
         self.unexplained, self._describing = None, False
         self.rejected = [r for r in self.rejected if r not in self._outdone]
-        found, begun = state, len(self.added(state))
+        begun = len(self.added(state))
         better = False
         try:
-            while len(self.added(found)) < most:
-                further = self.step(found)
-                if further is None:
-                    break
-                found = further
+            found = self._added_to(state, most)
             items = self.added(found)[begun:]
             weighed = [(place_of(item, found.model.effects), item.weighed.best) for item in items]
             better = len(items) > 1 and likelier_together(found.scored, weighed, self._description)
         finally:
             self._describing = True
             if not better:
-                (self.history, self.rejected, self.screenings, self.refused,
-                 self.unexplained) = kept  # fmt: skip
+                self._restore(kept)
         if not better:
             return None
         self._instead -= 1
         return found
+
+    def exchanged(self, state: State, most: int) -> State | None:
+        """Other effects in the place of one of several beside which something is unexplained, so
+        that nothing is; None where there are none. What was found first may have stood for parts
+        of two others, and hides both.
+        """
+        items = self.added(state)
+        if self.unexplained is None or not self._exchanges or not 1 < len(items) < most:
+            return None
+        kept = self._kept()
+        for item in items:
+            less = without(state, _place(state, item), self.room)
+            if not less.converged:
+                continue
+            self.progress(f"searching for what may take the place of {item.effect.key}")
+            self.unexplained = self.refused = None
+            self.rejected.append(_dropped(item, "others leave nothing unexplained"))
+            bare = fitted(less.model, less.measurement, less, self.room)
+            done = False
+            try:
+                found = self._added_to(bare, most, state)
+                done = self.screenings[-1].p_value > self.alpha
+            finally:
+                if not done:
+                    self._restore(kept)
+            if done:
+                self._exchanges -= 1
+                return found
+        return None
+
+    def _added_to(self, state: State, most: int, but: State | None = None) -> State:
+        """Effects added one after the other, until none is to be added, or the first leads back to
+        the state that was left.
+        """
+        while len(self.added(state)) < most:
+            further = self.step(state)
+            if further is None:
+                break
+            state = further
+            if but is not None and abs(state.fit.chi2 - but.fit.chi2) < _SAME:
+                break
+            but = None
+        return state
+
+    def _kept(self) -> tuple:
+        """What an attempt changes, to restore it where nothing comes of it."""
+        return (list(self.history), list(self.rejected), list(self.screenings), self.refused,
+                self.unexplained, self._description, self._description_trials,
+                list(self._outdone))  # fmt: skip
+
+    def _restore(self, kept: tuple) -> None:
+        history, rejected, screenings, self.refused, self.unexplained, *described = kept
+        self.history, self.rejected, self.screenings = [*history], [*rejected], [*screenings]
+        self._description, self._description_trials, outdone = described
+        self._outdone = [*outdone]
 
     def beside_empirical(self, state: State) -> State:
         """Do without the effects that are superfluous beside the empirical description that ended
@@ -321,7 +379,7 @@ class Search:
         for item in self.added(state)[:-1]:
             less = without(state, _place(state, item), self.room)
             if less.converged and _no_worse(less, state, item):
-                reached(state := self._drop(item, less, "superfluous after later effects"))
+                reached(state := self._drop(item, less, _SUPERFLUOUS))
         return state
 
     def prune_correlated(
