@@ -68,6 +68,38 @@ def test_two_effects_that_hide_each_other_are_both_named(tmp_path):
     assert found["backlash Z"]["size"] == pytest.approx(12.0, abs=0.5)
 
 
+@pytest.mark.parametrize("seed", [3, 4])
+def test_three_effects_that_hide_each_other_are_all_found(seed, tmp_path):
+    """No two of them leave little enough to be told from noise."""
+    head = {"effect": "head_expansion", "um_per_K": 1.4}
+    lean = {"effect": "thermal_tilt", "axis": "Z", "component": "B", "urad_per_K": 25}
+    closure = closed(tmp_path, seed, head, play("Z"), lean, instrument="laser_frame", draws=200)
+    assert closure.verdict in ("named", "ambiguous")
+    found = {e.effect.key: e for e in closure.effects}
+    assert len(found) == 3
+    assert found["head_expansion"].parameters[0][1] == pytest.approx(1.4, abs=0.06)
+    assert found["backlash Z"].parameters[0][1] == pytest.approx(12.0, abs=0.5)
+    (third,) = (e for key, e in found.items() if key not in ("head_expansion", "backlash Z"))
+    assert "thermal_tilt Z" in (third.effect.key, *third.equivalent)
+
+
+def test_four_large_effects_are_all_named(tmp_path):
+    """Found one after the other, the first two of them while far more than noise is left."""
+    effects = (
+        {"effect": "cross_axis", "axis": "Y", "component": "Z", "other": "X", "size_um": 110},
+        {"effect": "backlash", "axis": "Z", "size_um": 40},
+        {"effect": "jump", "axis": "Z", "component": "X", "size_um": 37, "t0_s": 1254.0},
+        tilt("X", "B"),
+    )
+    closure = closed(tmp_path, 2, *effects, draws=200)
+    assert closure.verdict == "named"
+    found = {name for e in closure.effects for name in (e.effect.key, *e.equivalent)}
+    assert len(closure.effects) == 4
+    assert {"cross_axis Y", "backlash Z", "jump tool", "thermal_tilt X"} <= found
+    before, after = closure.errors["uncompensated"].check, closure.errors["after"].check
+    assert after.value < 0.05 * before.value
+
+
 @pytest.mark.parametrize("size", [30.0, 1000.0])
 def test_a_ball_that_is_far_off_is_named(size, tmp_path):
     """It stretches what is declared of the machine far beyond its prior; that is no noise, and the

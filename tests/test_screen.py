@@ -221,6 +221,18 @@ def test_pitch_between_the_steps_of_the_scan_is_found(pitch_mm, tmp_path):
     assert np.min(np.diff(np.sort(others))) * covered > 0.5
 
 
+@pytest.mark.parametrize("size_um", [6, 600])
+def test_a_step_on_the_slope_of_a_peak_counts_for_that_peak(size_um, known):
+    """However steep it is: other moments would have the evidence of the right one beside theirs."""
+    it = known["laser_tracker"]
+    true = it.effect(f"jump:frame:X_um={size_um},Y_um={size_um / 2},at_s=600")
+    state = screened(it, noisy(it, 3, true), draws=5)
+    peaks = state.test(it.effect("jump:frame")).peaks(5)
+    assert len(peaks) > 2
+    assert all(peak.log_share <= 1e-9 for peak in peaks)
+    assert max(peaks, key=lambda p: p.log_bayes) is peaks[0]
+
+
 @pytest.mark.parametrize("text", ["jump:tool", "warm_up:Y:component=EZY", "screw_cyclic:X"])
 def test_the_peaks_share_the_evidence_of_the_whole_scan(text, known):
     it = known["laser_tracker"]

@@ -433,6 +433,7 @@ def test_a_search_anew_does_not_end_with_less(monkeypatch, left, kept):
 
     def step(state):
         search.rejected.append("on the way")
+        search.screenings.append(SimpleNamespace(p_value=0.001))
         search._description = SimpleNamespace(fit="described")
         search.unexplained = "something"
 
@@ -443,3 +444,53 @@ def test_a_search_anew_does_not_end_with_less(monkeypatch, left, kept):
     found = search.anew(state, item)
     assert (found is state, search.unexplained is None) == (kept, kept)
     assert (search.rejected == ["before"]) == kept
+
+
+@pytest.mark.parametrize("ends", ["explained", "unexplained", "as before"])
+def test_one_of_several_gives_way_to_what_leaves_nothing_unexplained(monkeypatch, ends):
+    """It stays where something is left without it too, or where it is found again."""
+    module = importlib.import_module("vcal.loop.search")
+
+    def state(*names, chi2=2000.0):
+        return SimpleNamespace(names=names, fit=SimpleNamespace(chi2=chi2))
+
+    def item(name):
+        effect = SimpleNamespace(key=name, name=name, placement="")
+        return SimpleNamespace(effect=effect, p_value=1e-9)
+
+    def without(state, place, room):
+        left = (*state.names[:place], *state.names[place + 1 :])
+        return SimpleNamespace(converged=True, model=left, measurement=None)
+
+    monkeypatch.setattr(module, "without", without)
+    monkeypatch.setattr(module, "fitted", lambda model, *rest: state(*model))
+    monkeypatch.setattr(module, "_place", lambda state, item: state.names.index(item.effect.key))
+    search = Search(None, (), 0.01, 20, 0, 0, lambda text: None)
+    monkeypatch.setattr(search, "added", lambda state: [item(name) for name in state.names])
+    tried = []
+
+    def step(now):
+        tried.append(now.names)
+        if len(now.names) < 2:
+            new = "jump" if ends == "as before" else "backlash"
+            return state(*now.names, new, chi2=900.0 if ends == "as before" else 300.0)
+        search.screenings.append(SimpleNamespace(p_value=0.5 if ends == "explained" else 0.001))
+        search.unexplained = None if ends == "explained" else "something else"
+        return None
+
+    monkeypatch.setattr(search, "step", step)
+    search.unexplained, search.rejected = "something", ["before"]
+    search.screenings = [SimpleNamespace(p_value=0.001)]
+    found = search.exchanged(state("jump", "sag", chi2=900.0), 6)
+    if ends == "explained":
+        assert found.names == ("sag", "backlash")
+        assert search.unexplained is None
+        assert [r if r == "before" else r.effect for r in search.rejected] == ["before", "jump"]
+    else:
+        assert found is None
+        assert (search.unexplained, search.rejected) == ("something", ["before"])
+        assert len(search.screenings) == 1
+    # What was there before leads nowhere new.
+    assert len(tried) == {"explained": 2, "unexplained": 4, "as before": 2}[ends]
+    # With no room for another one nothing is tried.
+    assert search.exchanged(state("jump", "sag"), 2) is None

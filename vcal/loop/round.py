@@ -9,13 +9,13 @@ import numpy as np
 from ..fit import Fit
 from .empirical import Empirical
 from .heldout import improvement, rms_fall, weighted_squares
-from .pairs import MOST, Pair, best_pair
 from .rivals import Names, Rival, classes_of, outdoes, refit_all
 from .screen import Peak, Screen
 from .screening import Screening
 from .serial import persists
 from .shortlist import shortlist
 from .state import State, at_declared, chi2_per_dof, rescored
+from .subsets import MOST, Subset, smallest_subset
 
 _PRACTICAL = 0.02
 """Least fall of the held-out rms, in lengths or in units of the noise, that counts where the fit is
@@ -153,22 +153,31 @@ class Round:
         way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
         return f"held-out rms {way}"
 
-    def hidden_by_each_other(self) -> Pair | None:
-        """Two significant effects that together leave no more than noise where everything alone,
-        descriptions too, leaves more: what seems likeliest alone may be a part of both.
+    def hidden_by_each_other(self) -> Subset | None:
+        """Significant effects that together leave no more than noise where everything alone,
+        descriptions too, leaves more: what seems likeliest alone may be a part of all of them.
         """
-        names = [*self.leads, *self.behind]
+        names = [*self.leads, *self.behind][:MOST]
         if len(names) < 2:
             return None
         alone = min(self.rivals, key=lambda r: r.fit.chi2)
         if not _structured(self.state, alone.fit, self.room):
             return None
-        pair = best_pair(names[:MOST], self.state.keep, self.room)
-        if pair is None or _structured(self.state, pair.fit, self.room):
+
+        def enough(fit: Fit) -> bool:
+            return not _structured(self.state, fit, self.room)
+
+        found = smallest_subset(self.fit, names, enough, self.state.keep, self.room)
+        if found is None:
             return None
-        noise = math.sqrt(max(1.0, pair.fit.chi2 / pair.fit.dof))
-        fall, error = improvement(self.fit, pair.fit, noise)
-        return pair if fall > error else None
+        noise = math.sqrt(max(1.0, found.fit.chi2 / found.fit.dof))
+        fall, error = improvement(self.fit, found.fit, noise)
+        return found if fall > error else None
+
+    def classes_with(self, rival: Rival) -> list[list[Rival]]:
+        """The classes, and one more for a rival that is in none of them."""
+        among = any(one is rival for members in self.classes for one in members)
+        return self.classes if among else [*self.classes, [rival]]
 
     def _rows(self, rival: Rival) -> np.ndarray:
         # The readings of another instrument are no witness for an effect of this one.

@@ -130,9 +130,10 @@ class Search:
             return None
         self.progress(f"round {number}: refitting the best candidates")
         found = Round.of(state, screen_state, screening, self.alpha, self.room)
-        if pair := found.hidden_by_each_other():
-            self.progress(f"round {number}: adding {pair.first.effect.key}, one of two")
-            return self._add(found, pair.first, None)
+        if several := found.hidden_by_each_other():
+            first, size = several.rivals[0], len(several.rivals)
+            self.progress(f"round {number}: adding {first.effect.key}, one of {size}")
+            return self._add(found, first, None)
         if found.outdone():
             self._described(found, self.seed + number)
             return None
@@ -157,7 +158,7 @@ class Search:
     def _add(self, found: Round, rival: Rival, described: Rival | None) -> State:
         """The state with one effect more."""
         measurement = found.state.fit.measurement
-        weighed, gain = weigh(found.classes, rival, described), found.gain(rival)
+        weighed, gain = weigh(found.classes_with(rival), rival, described), found.gain(rival)
         after = found.at_declared(rival.fit)
         refitted = self._at_its_size(fitted(rival.fit.model, measurement, after, self.room))
         effect, p, trials = refitted.model.effects[-1], found.p_value(rival), found.trials(rival)

@@ -1,0 +1,151 @@
+"""Several effects at once, where one alone fits badly: each may hide the others."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ..fit import Fit
+from ..identify import identify
+from .rivals import Rival, widened
+
+MOST = 10
+"""Most names of which subsets are weighed."""
+_TOGETHER = 4
+"""Most effects of a subset."""
+_REFITS = 3
+"""Subsets of every size that are refitted."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Subset:
+    """Some rivals, and a fit with all of them."""
+
+    rivals: tuple[Rival, ...]
+    fit: Fit
+
+
+def smallest_subset(
+    base: Fit,
+    rivals: Sequence[Rival],
+    enough: Callable[[Fit], bool],
+    keep: np.ndarray,
+    room: int = 0,
+) -> Subset | None:
+    """The fewest rivals (one of every name), two or more, whose fit beside each other is `enough`;
+    of as many those with the highest evidence. None where there are none.
+
+    What adds the best one after the other (forward selection) takes what describes a part of each
+    of two for a third one. All subsets are weighed by a linear fit of the sizes, with the shapes
+    that each rival has alone; the best of every number of rivals are refitted.
+    """
+    linear = _Linear.of(base, rivals)
+    for size in range(2, min(_TOGETHER, len(rivals)) + 1):
+        sets = list(itertools.combinations(range(len(rivals)), size))
+        noise = max(1.0, min(linear.chi2(places) / base.dof for places in sets)) ** 0.5
+        sets.sort(key=lambda places: -linear.log_evidence(places, noise))
+        found = []
+        for places in sets[:_REFITS]:
+            chosen = tuple(rivals[i] for i in places)
+            fit = _together(base, chosen, keep, room)
+            if fit.converged and fit.determined and _regular(fit) and enough(fit):
+                found.append(Subset(chosen, fit))
+        if found:
+            noise = max(1.0, min(one.fit.chi2 / one.fit.dof for one in found)) ** 0.5
+            return max(found, key=lambda one: _evidence(one, noise))
+    return None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Linear:
+    """The sizes of all rivals, beside the parameters of a fit, which are eliminated."""
+
+    residual: float
+    """Sum of squares that the fit leaves, its prior included."""
+    gram: np.ndarray
+    slope: np.ndarray
+    precision: np.ndarray
+    columns: list[np.ndarray]
+    """Of every rival."""
+    log_prior: np.ndarray
+
+    @classmethod
+    def of(cls, base: Fit, rivals: Sequence[Rival]) -> "_Linear":
+        """At the minimum of the fit."""
+        root = np.sqrt(base.precision)
+        known = np.linalg.qr(np.vstack([base.jacobian, np.diag(root)]))[0]
+
+        def beside(columns: np.ndarray) -> np.ndarray:
+            return columns - known @ (known.T @ columns)
+
+        first = len(base.model.entries)
+        responses, precision, places, end = [], [], [], 0
+        for rival in rivals:
+            size = len(rival.effect.amplitudes)
+            mine = slice(first, first + size)
+            response = rival.fit.jacobian[:, mine]
+            responses.append(np.vstack([response, np.zeros((len(root), size))]))
+            precision.append(rival.fit.precision[mine])
+            places.append(np.arange(end, end := end + size))
+        left = beside(np.concatenate([base.whitened, -root * base.theta]))
+        response = beside(np.hstack(responses))
+        return cls(
+            float(left @ left),
+            response.T @ response,
+            response.T @ left,
+            np.concatenate(precision),
+            places,
+            np.array([rival.log_prior for rival in rivals]),
+        )
+
+    def chi2(self, places: Sequence[int]) -> float:
+        """What a fit with these rivals leaves, their priors included."""
+        return self.residual - 2.0 * self._solved(places, 1.0)[0]
+
+    def log_evidence(self, places: Sequence[int], noise: float) -> float:
+        """Over the fit without any, with so many times the noise."""
+        gain, h, precision = self._solved(places, noise)
+        proper = precision[precision > 0.0]
+        occam = 0.5 * (np.log(proper).sum() - np.linalg.slogdet(h)[1])
+        return float(gain + occam + self.log_prior[list(places)].sum())
+
+    def _solved(self, places: Sequence[int], noise: float) -> tuple[float, np.ndarray, np.ndarray]:
+        its = np.concatenate([self.columns[i] for i in places])
+        h = self.gram[np.ix_(its, its)] / noise**2 + np.diag(self.precision[its])
+        slope = self.slope[its] / noise**2
+        # Two that are the same on these readings may leave a flat direction.
+        return 0.5 * float(slope @ np.linalg.lstsq(h, slope)[0]), h, self.precision[its]
+
+
+def _together(base: Fit, rivals: Sequence[Rival], keep: np.ndarray, room: int) -> Fit:
+    """The refit with all of them, from where each alone ended."""
+    first, alone = len(base.model.entries), len(base.model.effects)
+    model = base.model.with_effects(*(widened(r.effect, r.wider) for r in rivals))
+    sizes = [r.fit.theta[first : first + len(r.effect.amplitudes)] for r in rivals]
+    shapes = dict(base.shapes)
+    for place, rival in enumerate(rivals, start=alone):
+        if shape := rival.fit.shapes.get(alone):
+            shapes[place] = dict(shape)
+    return identify(
+        model,
+        base.measurement,
+        theta=np.concatenate([base.theta[:first], *sizes]),
+        shapes=shapes,
+        whitener=base.whitener,
+        keep=keep,
+        room=room,
+    )
+
+
+def _regular(fit: Fit) -> bool:
+    """Whether two effects that are the same on these readings are told apart by their priors."""
+    try:
+        return bool(np.isfinite(fit.factor[0]).all())
+    except np.linalg.LinAlgError:
+        return False
+
+
+def _evidence(one: Subset, noise: float) -> float:
+    return one.fit.log_evidence(noise) + math.fsum(rival.log_prior for rival in one.rivals)
