@@ -1,6 +1,7 @@
 """Effects that hide each other: what subsets of them are worth, and which are found."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -46,6 +47,7 @@ def test_the_evidence_of_a_subset_is_that_of_its_fit(known):
         fit = _together(base, tuple(rivals[i] for i in places), keep, known.room)
         prior = float(fit.theta**2 @ fit.precision)
         assert linear.chi2(places) == pytest.approx(fit.chi2 + prior, rel=1e-4)
+        assert linear.declared_chi2(places) == pytest.approx(fit.chi2, rel=1e-3)
         # Both fits have the declared noise: at more, their minimum is a little off.
         for noise, within in ((1.0, 0.01), (1.7, 1.0)):
             gain = fit.log_evidence(noise) - base.log_evidence(noise)
@@ -65,8 +67,9 @@ def test_no_more_are_taken_than_are_needed(known, number):
     def enough(fit) -> bool:
         return chi2_per_dof(fit) < 1.3
 
-    found = smallest_subset(base, rivals, enough, keep, known.room)
+    found = smallest_subset(base, rivals, enough, math.inf, keep, known.room)
     assert found is not None
     keys = {" ".join(text.split(":")[:2]) for text in present}
     assert {rival.effect.key for rival in found.rivals} == keys
-    assert smallest_subset(base, rivals, lambda fit: False, keep, known.room) is None
+    assert smallest_subset(base, rivals, lambda fit: False, math.inf, keep, known.room) is None
+    assert smallest_subset(base, rivals, enough, 0.0, keep, known.room) is None

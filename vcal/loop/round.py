@@ -16,6 +16,7 @@ from .serial import persists
 from .shortlist import shortlist
 from .state import State, at_declared, chi2_per_dof, rescored
 from .subsets import MOST, Subset, smallest_subset
+from .whitened import declared_chi2
 
 _PRACTICAL = 0.02
 """Least fall of the held-out rms, in lengths or in units of the noise, that counts where the fit is
@@ -25,6 +26,11 @@ _POOR = 2.0
 """Chi-square per degree of freedom from which a fit is far worse than the noise."""
 _BEYOND_NOISE = 5.0
 """Standard deviations of chi-square by which a fit leaves more than the declared noise."""
+_PLAINLY = 3.0
+"""How many times what is more than the noise is so beyond doubt, before a fit with that noise."""
+_HOPELESS, _FALL = 3.0, 0.3
+"""Chi-square per degree of freedom by a linear fit, and as a share of the best that one effect
+leaves, from which several are not refitted: they would not leave noise."""
 _UNLIKELIER = "the readings are no likelier with it than without"
 _UNEXPECTED = "it is far larger than expected, which its evidence does not make up for"
 
@@ -167,7 +173,8 @@ class Round:
         def enough(fit: Fit) -> bool:
             return not _structured(self.state, fit, self.room)
 
-        found = smallest_subset(self.fit, names, enough, self.state.keep, self.room)
+        most = self.fit.dof * max(_HOPELESS, _FALL * declared_chi2(alone.fit) / alone.fit.dof)
+        found = smallest_subset(self.fit, names, enough, most, self.state.keep, self.room)
         if found is None:
             return None
         noise = math.sqrt(max(1.0, found.fit.chi2 / found.fit.dof))
@@ -191,9 +198,11 @@ class Round:
 
 def _structured(state: State, fit: Fit, room: int) -> bool:
     """Whether a fit leaves more than the declared noise, and what remains is no white noise."""
-    after = at_declared(fit, state, room)
-    beyond = chi2_per_dof(after) - 1.0 > _BEYOND_NOISE * math.sqrt(2.0 / after.dof)
-    return beyond and (state.noise is None or persists(after))
+    limit = 1.0 + _BEYOND_NOISE * math.sqrt(2.0 / fit.dof)
+    if declared_chi2(fit) <= _PLAINLY * limit * fit.dof:
+        fit = at_declared(fit, state, room)
+    beyond = chi2_per_dof(fit) > limit
+    return beyond and (state.noise is None or persists(fit))
 
 
 def _of_other_kinds(peaks: Sequence[Peak], rivals: Sequence[Rival], most: int) -> list[Peak]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..fit import Fit
-from ..identify import identify
+from ..identify import declared_whitener, identify
 from .rivals import Rival, widened
 
 MOST = 10
@@ -31,6 +31,7 @@ def smallest_subset(
     base: Fit,
     rivals: Sequence[Rival],
     enough: Callable[[Fit], bool],
+    most: float,
     keep: np.ndarray,
     room: int = 0,
 ) -> Subset | None:
@@ -39,7 +40,8 @@ def smallest_subset(
 
     What adds the best one after the other (forward selection) takes what describes a part of each
     of two for a third one. All subsets are weighed by a linear fit of the sizes, with the shapes
-    that each rival has alone; the best of every number of rivals are refitted.
+    that each rival has alone; of every number of rivals the best are refitted, but those that
+    leave more than `most`, chi2 against the declared noise.
     """
     linear = _Linear.of(base, rivals)
     for size in range(2, min(_TOGETHER, len(rivals)) + 1):
@@ -48,6 +50,8 @@ def smallest_subset(
         sets.sort(key=lambda places: -linear.log_evidence(places, noise))
         found = []
         for places in sets[:_REFITS]:
+            if linear.declared_chi2(places) > most:
+                continue
             chosen = tuple(rivals[i] for i in places)
             fit = _together(base, chosen, keep, room)
             if fit.converged and fit.determined and _regular(fit) and enough(fit):
@@ -62,8 +66,12 @@ def smallest_subset(
 class _Linear:
     """The sizes of all rivals, beside the parameters of a fit, which are eliminated."""
 
-    residual: float
-    """Sum of squares that the fit leaves, its prior included."""
+    left: np.ndarray
+    """Whitened residual of the fit, and of its prior."""
+    response: np.ndarray
+    """What the sizes do to that, the parameters of the fit being fitted again."""
+    declared: np.ndarray
+    """(n, m, m), from the whitened readings of a row to those in units of the declared noise."""
     gram: np.ndarray
     slope: np.ndarray
     precision: np.ndarray
@@ -91,8 +99,11 @@ class _Linear:
             places.append(np.arange(end, end := end + size))
         left = beside(np.concatenate([base.whitened, -root * base.theta]))
         response = beside(np.hstack(responses))
+        declared = declared_whitener(base.model, base.measurement)
         return cls(
-            float(left @ left),
+            left,
+            response,
+            np.einsum("nij,njk->nik", declared, np.linalg.pinv(np.asarray(base.whitener))),
             response.T @ response,
             response.T @ left,
             np.concatenate(precision),
@@ -102,7 +113,16 @@ class _Linear:
 
     def chi2(self, places: Sequence[int]) -> float:
         """What a fit with these rivals leaves, their priors included."""
-        return self.residual - 2.0 * self._solved(places, 1.0)[0]
+        return float(self.left @ self.left) - 2.0 * self._solved(places, 1.0)[0]
+
+    def declared_chi2(self, places: Sequence[int]) -> float:
+        """The same of the readings alone, against the declared noise."""
+        its = self._places(places)
+        h = self.gram[np.ix_(its, its)] + np.diag(self.precision[its])
+        left = self.left - self.response[:, its] @ np.linalg.lstsq(h, self.slope[its])[0]
+        n, m, _ = self.declared.shape
+        rows = np.einsum("nij,nj->ni", self.declared, left[: n * m].reshape(n, m))
+        return float((rows**2).sum())
 
     def log_evidence(self, places: Sequence[int], noise: float) -> float:
         """Over the fit without any, with so many times the noise."""
@@ -111,8 +131,11 @@ class _Linear:
         occam = 0.5 * (np.log(proper).sum() - np.linalg.slogdet(h)[1])
         return float(gain + occam + self.log_prior[list(places)].sum())
 
+    def _places(self, places: Sequence[int]) -> np.ndarray:
+        return np.concatenate([self.columns[i] for i in places])
+
     def _solved(self, places: Sequence[int], noise: float) -> tuple[float, np.ndarray, np.ndarray]:
-        its = np.concatenate([self.columns[i] for i in places])
+        its = self._places(places)
         h = self.gram[np.ix_(its, its)] / noise**2 + np.diag(self.precision[its])
         slope = self.slope[its] / noise**2
         # Two that are the same on these readings may leave a flat direction.
