@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -57,6 +57,7 @@ class Round:
     """Significant kinds whose evidence is far behind, where all that is likelier fits badly."""
     alpha: float
     room: int
+    _declared: dict[int, tuple[Fit, Fit]] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def of(
@@ -132,7 +133,10 @@ class Round:
 
     def at_declared(self, fit: Fit) -> Fit:
         """A fit of this round, with the declared noise."""
-        return at_declared(fit, self.state, self.room)
+        if id(fit) not in self._declared:
+            # The fit is kept with it, so that its id stays its own.
+            self._declared[id(fit)] = fit, at_declared(fit, self.state, self.room)
+        return self._declared[id(fit)][1]
 
     def gain(self, rival: Rival) -> float:
         """Fall of the held-out rms, in lengths, as a share."""
