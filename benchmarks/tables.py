@@ -240,7 +240,7 @@ def practice(found: list[dict]) -> str:
 def batch(found: dict) -> str:
     times = found["seconds_per_draw"]
     rows = (
-        [name, f"{1e3 * seconds:.4f}", f"{seconds / times['vcal']:.1f}"]
+        [name, f"{1e3 * seconds:.3g}", f"{seconds / times['vcal']:,.1f}"]
         for name, seconds in times.items()
     )
     machine = found["machine"]
@@ -348,6 +348,7 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "practice": ("practice", practice),
     "speed": ("speed", speed),
     "batch": ("batch", batch),
+    "batch_gpu": ("batch_gpu", batch),
     "campaigns": ("batch", campaigns),
     "interrupted": ("interrupted", interrupted),
     "strd": ("strd", strd),
@@ -355,6 +356,8 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "artefact_design": ("artefact_design", artefact_design),
     "dynamics": ("dynamics", dynamics),
     "r_tests": ("dynamics", r_tests),
+    "dynamics_gpu": ("dynamics_gpu", dynamics),
+    "r_tests_gpu": ("dynamics_gpu", r_tests),
 }
 """Name of the table: the file in results/ and how it is laid out."""
 
