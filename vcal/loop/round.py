@@ -53,8 +53,10 @@ class Round:
     """Effects that the data cannot tell apart, together."""
     ranked: list[tuple[Rival, float]]
     """Effects with their log odds, the most probable name first."""
+    structured: bool
+    """Whether the best fit leaves more than the declared noise, and what remains is not white."""
     behind: list[Rival]
-    """Significant kinds whose evidence is far behind, where all that is likelier fits badly."""
+    """Significant kinds whose evidence is far behind, where that is so."""
     alpha: float
     room: int
     _declared: dict[int, tuple[Fit, Fit]] = field(default_factory=dict, init=False, repr=False)
@@ -76,7 +78,8 @@ class Round:
         classes = classes_of(fit, [r for r in rivals if not isinstance(r.effect, Empirical)])
         ranked = Names.of(classes).ranked() if classes else []
         behind = []
-        if rivals and _structured(state, min(rivals, key=lambda r: r.fit.chi2).fit, room):
+        structured = bool(rivals) and _structured(state, _best(rivals).fit, room)
+        if structured:
             others = _of_other_kinds(worth, rivals, max(0, MOST - len(classes)))
             behind = refit_all(fit, others, instances, state.keep, room)
         # The p-value of a kind is that of its best candidate, which need not be this one.
@@ -88,8 +91,9 @@ class Round:
             for r in [*rivals, *behind]
         }
         return cls(
-            state, fit, screening, peaks, rivals, p_values, classes, ranked, behind, alpha, room
-        )
+            state, fit, screening, peaks, rivals, p_values, classes, ranked, structured, behind,
+            alpha, room
+        )  # fmt: skip
 
     @property
     def odds(self) -> dict[int, float]:
@@ -168,11 +172,9 @@ class Round:
         descriptions too, leaves more: what seems likeliest alone may be a part of all of them.
         """
         names = [*self.leads, *self.behind][:MOST]
-        if len(names) < 2:
+        if not self.structured or len(names) < 2:
             return None
-        alone = min(self.rivals, key=lambda r: r.fit.chi2)
-        if not _structured(self.state, alone.fit, self.room):
-            return None
+        alone = _best(self.rivals)
 
         def enough(fit: Fit) -> bool:
             return not _structured(self.state, fit, self.room)
@@ -196,8 +198,7 @@ class Round:
 
     def _poor(self, fit: Fit) -> bool:
         """Whether a fit is far worse than the declared noise, and what remains no white noise."""
-        after = self.at_declared(fit)
-        return chi2_per_dof(after) > _POOR and (self.state.noise is None or persists(after))
+        return _beyond(self.state, self.at_declared(fit), _POOR)
 
 
 def _structured(state: State, fit: Fit, room: int) -> bool:
@@ -205,8 +206,15 @@ def _structured(state: State, fit: Fit, room: int) -> bool:
     limit = 1.0 + _BEYOND_NOISE * math.sqrt(2.0 / fit.dof)
     if declared_chi2(fit) <= _PLAINLY * limit * fit.dof:
         fit = at_declared(fit, state, room)
-    beyond = chi2_per_dof(fit) > limit
-    return beyond and (state.noise is None or persists(fit))
+    return _beyond(state, fit, limit)
+
+
+def _beyond(state: State, fit: Fit, limit: float) -> bool:
+    return chi2_per_dof(fit) > limit and (state.noise is None or persists(fit))
+
+
+def _best(rivals: Sequence[Rival]) -> Rival:
+    return min(rivals, key=lambda rival: rival.fit.chi2)
 
 
 def _of_other_kinds(peaks: Sequence[Peak], rivals: Sequence[Rival], most: int) -> list[Peak]:

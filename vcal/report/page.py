@@ -31,6 +31,9 @@ _TITLES = {
 _HARDLY = 0.05
 """Share of information below which the data have said practically nothing."""
 
+_WORTH_NAMING = 0.0005
+"""Probability of a rival from which it is on the page, where it would else be 0.0 %."""
+
 _APART = 3.0
 """Standard uncertainties from which the scatter of a kind of reading is not as declared."""
 
@@ -257,6 +260,7 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
         "alternatives": [
             {"key": f"{name} {placement}".strip(), "probability": text.percent(p)}
             for name, placement, p in found.alternatives
+            if p >= _WORTH_NAMING
         ],
         "separation": found.separation,
     }
