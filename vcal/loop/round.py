@@ -28,6 +28,8 @@ _BEYOND_NOISE = 5.0
 """Standard deviations of chi-square by which a fit leaves more than the declared noise."""
 _PLAINLY = 3.0
 """How many times what is more than the noise is so beyond doubt, before a fit with that noise."""
+_BEHIND = 4
+"""Most kinds that are refitted although their evidence is far behind."""
 _HOPELESS, _FALL = 3.0, 0.3
 """Chi-square per degree of freedom by a linear fit, and as a share of the best that one effect
 leaves, from which several are not refitted: they would not leave noise."""
@@ -80,7 +82,7 @@ class Round:
         behind = []
         structured = bool(rivals) and _structured(state, _best(rivals).fit, room)
         if structured:
-            others = _of_other_kinds(worth, rivals, max(0, MOST - len(classes)))
+            others = _of_other_kinds(worth, rivals, min(_BEHIND, max(0, MOST - len(classes))))
             behind = refit_all(fit, others, instances, state.keep, room)
         # The p-value of a kind is that of its best candidate, which need not be this one.
         tested = [*screening.peaks, *peaks]
