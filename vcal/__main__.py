@@ -1,5 +1,7 @@
 """``python -m vcal`` is ``vcal``, whose entry point this is."""
 
+import gc
+
 from .starting import starting
 
 
@@ -7,6 +9,7 @@ def main() -> None:
     """Run the command line; the process ends with its exit code."""
     with starting():
         from .cli import main as run
+    gc.freeze()  # what has been imported stays; collections need not look at it again
     run()
 
 
