@@ -615,3 +615,10 @@ def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
         assert (found.returncode, told) == (130, "vcal: interrupted\n")
     else:
         assert "KeyboardInterrupt" in told
+
+
+@pytest.mark.parametrize("collecting", [True, False])
+def test_importing_leaves_the_collector_as_it_was(collecting):
+    code = f"import gc; gc.{'enable' if collecting else 'disable'}(); import vcal; print(gc.isenabled())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(collecting)

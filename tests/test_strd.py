@@ -434,6 +434,25 @@ def test_rank_and_step_at_every_condition(power):
         np.testing.assert_allclose(A @ found.value, unit @ best, rtol=0, atol=1e-6)
 
 
+def test_mapped_problems_of_every_condition_do_not_share_the_way():
+    """One of them needs reflections, the others do not, and each is solved as it is alone."""
+    rng = np.random.default_rng(5)
+    u, _ = np.linalg.qr(rng.standard_normal((30, 5)))
+    v, _ = np.linalg.qr(rng.standard_normal((5, 5)))
+    A = np.stack([u @ np.diag(np.append(np.logspace(0, -1, 4), 10.0**-k)) @ v.T for k in (1, 7, 2)])
+    y = rng.standard_normal(30)
+
+    def solve(A):
+        return least_squares(lambda b, A: A @ b - y, np.zeros(5), A, damped=False)
+
+    together = jax.vmap(solve)(jnp.asarray(A))
+    for k, one in enumerate(A):
+        alone, best = solve(one), np.linalg.lstsq(one, y, rcond=None)[0]
+        np.testing.assert_allclose(one @ together.value[k], one @ best, rtol=0, atol=1e-8)
+        assert int(together.steps[k]) == int(alone.steps)
+        assert int(together.rank[k]) == 5
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -53,6 +53,9 @@ its step would keep less than six digits."""
 _NEAR = 0.5
 """Share of the tolerance within which the triangle of the point before may say how far it still is:
 it is off by the rate at which the steps converge."""
+_SQUARED = 1e6
+"""The same up to which R is taken from J'J, of which Householder's way to it is most of the work:
+what the square may lose, 1e-4 of a step, the next step makes good."""
 _CERTAIN = 1e8
 """Bound of the condition number up to which no singular value can be that small: R is then solved
 with as it is, in a third of the time that its singular values take."""
@@ -159,10 +162,7 @@ def _point(theta: Array, residual: Array, jacobian: Array) -> tuple[_Point, Arra
     norms, cost = _norm(jacobian), residual @ residual
     finite = jnp.isfinite(jnp.sum(norms) + cost)
     columns = jnp.where(norms > 0.0, norms, 1.0)
-    # R alone is enough: the residual, carried along as a last column, comes out as Q' r.
-    both = jnp.linalg.qr(jnp.column_stack([jacobian / columns, residual]), mode="r")
-    both = jnp.where(finite, both, 0.0)
-    triangle, projected = both[:, :-1], both[:, -1]
+    triangle, projected = _triangle(jacobian / columns, residual, finite)
     rank, certain, newton, decrement = _to_the_minimum(triangle, projected)
     point = _Point(
         residual=residual,
@@ -178,6 +178,36 @@ def _point(theta: Array, residual: Array, jacobian: Array) -> tuple[_Point, Arra
         rounding=_EPS * _norm(norms * theta),
     )
     return point, finite
+
+
+def _triangle(scaled: Array, residual: Array, finite: Array) -> tuple[Array, Array]:
+    """R of J = Q R and Q' r, for columns of unit length; zero where not all of it is finite."""
+    n, p = scaled.shape
+    k = min(n, p + 1)
+
+    def by_reflections(_):
+        # R alone is enough: the residual, carried along as a last column, comes out as Q' r.
+        both = jnp.linalg.qr(jnp.column_stack([scaled, residual]), mode="r")
+        both = jnp.where(finite, both, 0.0)
+        return both[:, :-1], both[:, -1], jnp.array(True)
+
+    if n < p + 1:
+        return by_reflections(None)[:2]
+    lower = jnp.linalg.cholesky(scaled.T @ scaled, symmetrize_input=False)
+    inverse = jax.scipy.linalg.solve_triangular(lower, jnp.eye(p), lower=True)
+    good = _condition(lower, inverse) < _SQUARED
+    begin = (
+        jnp.zeros((k, p)).at[:p].set(lower.T),
+        jnp.zeros(k).at[:p].set(inverse @ (residual @ scaled)),
+        good & finite,
+    )
+    # A loop, as of many problems that are mapped both branches of a condition would be computed.
+    return jax.lax.while_loop(lambda found: ~found[2], by_reflections, begin)[:2]
+
+
+def _condition(square: Array, inverse: Array) -> Array:
+    """|R|_F |R^-1|_F, which is never less than the condition; no number where R is singular."""
+    return _norm(square.reshape(-1)) * _norm(inverse.reshape(-1))
 
 
 def _to_the_minimum(triangle: Array, projected: Array) -> tuple[Array, Array, Array, Array]:
@@ -197,8 +227,7 @@ def _to_the_minimum(triangle: Array, projected: Array) -> tuple[Array, Array, Ar
         return by_singular_values()
     square = triangle[:p]
     inverse = jax.scipy.linalg.solve_triangular(square, jnp.eye(p))
-    # |R|_F |R^-1|_F is never less than the condition; no number where a diagonal element is zero.
-    certain = _norm(square.reshape(-1)) * _norm(inverse.reshape(-1)) < _CERTAIN
+    certain = _condition(square, inverse) < _CERTAIN
 
     def as_it_is():
         return jnp.array(p), jnp.array(True), -(inverse @ projected[:p]), _norm(projected[:p])

@@ -27,7 +27,7 @@ def starting() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """Importing leaves nothing behind that could be freed; looking for it is a sixth of the time."""
+    """Importing leaves nothing behind to be freed, and looking for it is a sixth of the time."""
     if not gc.isenabled():
         yield
         return
