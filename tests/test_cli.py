@@ -619,6 +619,7 @@ def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
 
 @pytest.mark.parametrize("collecting", [True, False])
 def test_importing_leaves_the_collector_as_it_was(collecting):
-    code = f"import gc; gc.{'enable' if collecting else 'disable'}(); import vcal; print(gc.isenabled())"
+    before = "enable" if collecting else "disable"
+    code = f"import gc; gc.{before}(); import vcal; print(gc.isenabled())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(collecting)
