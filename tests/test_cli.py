@@ -623,3 +623,25 @@ def test_importing_leaves_the_collector_as_it_was(collecting):
     code = f"import gc; gc.{before}(); import vcal; print(gc.isenabled())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(collecting)
+
+
+@pytest.mark.parametrize(("argument", "given", "expected"), [
+    (["-m", "vcal"], None, "1"), (["-m", "vcal"], "3", "3"), (["-c", "import vcal"], None, "None"),
+])  # fmt: skip
+def test_a_command_has_one_thread_for_linear_algebra_unless_it_is_told(
+    tmp_path, argument, given, expected
+):
+    (tmp_path / "jax.py").write_text(
+        "import os\nprint(os.environ.get('OPENBLAS_NUM_THREADS'), flush=True)\nos._exit(0)\n"
+    )
+    kept = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    path = os.pathsep.join([str(tmp_path), str(Path(vcal.__file__).parents[1])])
+    more = {"OPENBLAS_NUM_THREADS": given} if given else {}
+    done = subprocess.run(
+        [sys.executable, *argument],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**kept, **more, "PYTHONPATH": path},
+    )
+    assert done.stdout.strip() == expected

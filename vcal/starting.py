@@ -1,4 +1,4 @@
-"""While the modules are imported, which takes seconds: Ctrl-C, and no garbage collection."""
+"""While the modules are imported, which takes seconds: Ctrl-C, no garbage collection, threads."""
 
 import contextlib
 import gc
@@ -15,13 +15,17 @@ _INTERRUPTED = 130
 
 @contextlib.contextmanager
 def starting() -> Iterator[None]:
-    """End the process at once where it is interrupted in this block, without a traceback, if it was
-    started as ``vcal`` or ``python -m vcal``. Any other program sees its `KeyboardInterrupt`.
+    """Import in this block what takes seconds.
 
-    By a handler of its own, as an exception can be lost: in a callback of the garbage collector, of
-    which JAX has one, it is printed and forgotten.
+    A process that was started as ``vcal`` or ``python -m vcal`` ends at once where it is
+    interrupted here, without a traceback, and its linear algebra is for one core. Any other program
+    sees its `KeyboardInterrupt` and keeps its threads.
     """
-    with _uncollected(), _at_once():
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_uncollected())
+        if _is_command():
+            _alone()
+            stack.enter_context(_ended_at_once())
         yield
 
 
@@ -38,11 +42,22 @@ def _uncollected() -> Iterator[None]:
         gc.enable()
 
 
+def _alone() -> None:
+    """One thread for OpenBLAS, unless the user wants more: the matrices of a command are small.
+    Further threads make nothing faster, and where other work shares the cores they wait for each
+    other, fifty times as long in a campaign of R-tests.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 @contextlib.contextmanager
-def _at_once() -> Iterator[None]:
+def _ended_at_once() -> Iterator[None]:
+    """By a handler, as an exception can be lost: in a callback of the garbage collector, of which
+    JAX has one, it is printed and forgotten.
+    """
     before = signal.getsignal(signal.SIGINT)
     # Whoever started the process without Ctrl-C, such as nohup, meant it.
-    if not _is_command() or before is not signal.default_int_handler:
+    if before is not signal.default_int_handler:
         yield
         return
     signal.signal(signal.SIGINT, _leave)
