@@ -93,8 +93,8 @@ class Weighed:
     other_shapes: list[tuple[dict[str, float], float]] = field(default_factory=list)
     """Other shapes (SI) that the best may have, with their probability."""
     instead: tuple[tuple[float, Rival], ...] = ()
-    """(probability, rival) of what else it may be as far as its name is certain: all others where
-    it is not, else those of the same name.
+    """(probability, rival) of what else it may be, under the same name or another, however certain
+    that is.
     """
 
 
@@ -472,7 +472,7 @@ def weigh(
             and rival.effect is best.effect
             and (share := math.exp(rival.log_weight - top) / total) > _SHAPE_TOLD
         ],
-        instead=_instead(best, members_of.values() if probability < CERTAIN else [members_of[key]]),
+        instead=_instead(best, members_of.values()),
     )
 
 
