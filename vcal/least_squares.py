@@ -53,12 +53,12 @@ its step would keep less than six digits."""
 _NEAR = 0.5
 """Share of the tolerance within which the triangle of the point before may say how far it still is:
 it is off by the rate at which the steps converge."""
-_SQUARED = 1e6
-"""The same up to which R is taken from J'J, of which Householder's way to it is most of the work:
-what the square may lose, 1e-4 of a step, the next step makes good."""
 _CERTAIN = 1e8
 """Bound of the condition number up to which no singular value can be that small: R is then solved
 with as it is, in a third of the time that its singular values take."""
+_SQUARED = 1e6
+"""The same bound up to which R is taken from J'J, as finding it by reflections is most of the work
+of a large fit. What the square may lose, 1e-4 of a step, the next step makes good."""
 _LEAST = 1e-6
 """Remaining step relative to the residual at which one that shrinks no further is rounding."""
 _RELATIVE = 1e-11
