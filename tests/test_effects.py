@@ -354,14 +354,12 @@ def test_jump_and_station_drift_are_the_oracles(known):
 def test_artefact_effects_are_the_oracles(known):
     it = known["ball_array"]
     balls, run = it.case.balls, it.case.run
-    middle = balls.balls.mean(0)
-    origin = balls.origin + balls.rotation @ middle
 
     def expected(*effects):
-        """Ball centres with effects, for an artefact whose frame sits at its middle."""
+        """Ball centres with effects."""
         supports = it.instrument.supports
-        own = balls.balls - middle
-        return ball_positions(own, run, balls.rotation, origin, effects, supports)
+        its = balls.balls, run, balls.rotation, balls.origin
+        return ball_positions(*its, effects, supports)
 
     for text, effect in [
         ("ball_error:ball 4:X_um=10,Y_um=-20,Z_um=30",

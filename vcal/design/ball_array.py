@@ -92,8 +92,8 @@ class Conditions(NamedTuple):
 
 
 def derived(poses: ArrayPoses, beam: Float[np.ndarray, "3"]) -> dict[str, Float[Array, "m N"]]:
-    """Covariates that follow from the poses and the artefact: gravity in its frame, places of the
-    balls from their centroid, and along the `beam`, the direction of its long axis.
+    """Covariates that follow from the poses and the artefact: gravity and places of the balls
+    in its frame, and places along the `beam`, the direction of its long axis.
     """
     m, n = poses.rotation.shape[0], poses.balls.shape[0]
     down = -poses.rotation[:, 2, :]
@@ -103,7 +103,7 @@ def derived(poses: ArrayPoses, beam: Float[np.ndarray, "3"]) -> dict[str, Float[
     found = {f"gravity_{c}": down[:, i, None] for i, c in enumerate("xyz")}
     found["tilt"] = jnp.arcsin(jnp.clip(-down @ beam, -1.0, 1.0))[:, None]
     found["along_beam"] = along[None]
-    found |= {f"ball_{c}": arm[None, :, i] for i, c in enumerate("xyz")}
+    found |= {f"ball_{c}": poses.balls[None, :, i] for i, c in enumerate("xyz")}
     return {name: jnp.broadcast_to(values, (m, n)) for name, values in found.items()}
 
 

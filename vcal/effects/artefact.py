@@ -113,7 +113,9 @@ class ArtefactBending(Effect):
 
 @register
 class ArtefactExpansion(Effect):
-    """The artefact expands with the air: alpha (T_air - 20 degC) d, d from its centre."""
+    """The artefact expands with the air: a ball calibrated at p is at (1 + alpha (T_air - 20 degC))
+    p, in the frame of the calibration, whose origin stays where the pose holds it.
+    """
 
     name = "artefact_expansion"
     summary = "thermal expansion of the artefact"

@@ -188,7 +188,7 @@ class BallArray(TableInstrument):
 
     def with_geometry(self, plan: Plan) -> Plan:
         """A plan with what follows from the artefact and its poses: the direction of gravity, the
-        tilt of the beam, and every ball's place.
+        tilt of the beam, and every ball's place in the artefact's frame.
         """
         index = np.searchsorted(self.pose_numbers, plan.groups["pose"])
         beam, along = self.beam()
@@ -196,8 +196,8 @@ class BallArray(TableInstrument):
         derived = {f"gravity_{c}": down[:, i] for i, c in enumerate("xyz")}
         derived["tilt"] = np.arcsin(np.clip(-down @ beam, -1.0, 1.0))
         derived["along_beam"] = along[self._ball_rows(plan)]
-        arm = self._from_centroid()[self._ball_rows(plan)]
-        derived |= {f"ball_{c}": arm[:, i] for i, c in enumerate("xyz")}
+        balls = self.centres[self._ball_rows(plan)]
+        derived |= {f"ball_{c}": balls[:, i] for i, c in enumerate("xyz")}
         return Plan(plan.axes, plan.position, {**plan.covariates, **derived}, plan.groups)
 
     def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
