@@ -179,3 +179,42 @@ def test_two_effects_that_one_description_fits_better_than_each(name, seed, size
     assert not any("describes the residual better" in r.reason for r in closure.rejected)
     # It is a description that ends the first search, and the second one begins without any.
     assert told.count("round 1: screening") == 2
+
+
+@pytest.mark.slow
+def test_one_wrong_name_that_hides_another():
+    """A play and a jump: a temperature and a jump at another moment, of which each alone is the
+    best beside the other. Only where neither is to be the answer are the true ones found.
+    """
+    entry = ENTRIES["laser_tracker/payload_sag, backlash, cross_axis and jump of the tool"]
+    world = world_of(entry.instrument, 20_074)
+    sizes = [0.4946, 7.726, 8.598, 9.425]
+    made = make(entry, world, drawn(entry, world), sizes, noise_seed=noise_seed(entry, 10, 20_074))
+    study = power.load(made.case)
+    closure = close_loop(study.model, study.measurement, draws=200)
+    found = [{e.effect.key, *e.equivalent} for e in closure.effects]
+    assert len(found) == 4
+    assert all(any(term.key in names for names in found) for term in made.terms)
+    assert closure.unexplained is None
+    (jump,) = (e for e in closure.effects if e.effect.name == "jump")
+    (at,) = (value for name, value, *_ in jump.parameters if name == "at")
+    assert at == pytest.approx(made.terms[3].shape["at"], abs=10.0)
+
+
+@pytest.mark.slow
+def test_what_a_plan_tells_little_of_is_not_lost_between_large_rivals():
+    """Of the true component the plan leaves a 50,000th part, in which a roll of 500 urad or a cross
+    term of 87 um explain the readings as well: the one nearer to what machines do is named, not for
+    certain, and the machine is not worse for it.
+    """
+    entry = ENTRIES["laser_frame/cross_axis"]
+    world = world_of(entry.instrument, 20_078)
+    made = make(entry, world, drawn(entry, world), [80.02],
+                noise_seed=noise_seed(entry, 10, 20_078))  # fmt: skip
+    study = power.load(made.case)
+    closure = close_loop(study.model, study.measurement, check=study.check, draws=200, seed=1)
+    (found,) = closure.effects
+    assert found.status == "ambiguous"
+    assert found.effect.key in {made.terms[0].key, *found.equivalent}
+    after, bare = (closure.errors[name].check for name in ("after", "uncompensated"))
+    assert after.value - bare.value < after.u

@@ -479,7 +479,8 @@ def test_one_of_several_gives_way_to_what_leaves_nothing_unexplained(monkeypatch
         return None
 
     monkeypatch.setattr(search, "step", step)
-    search.unexplained, search.rejected = "something", ["before"]
+    search.unexplained, search.rejected, search._bars = "something", ["before"], 0
+    search._description = SimpleNamespace()  # type: ignore[assignment]
     search.screenings = [SimpleNamespace(p_value=0.001)]
     found = search.exchanged(state("jump", "sag", chi2=900.0), 6)
     if ends == "explained":
@@ -494,3 +495,111 @@ def test_one_of_several_gives_way_to_what_leaves_nothing_unexplained(monkeypatch
     assert len(tried) == {"explained": 2, "unexplained": 4, "as before": 2}[ends]
     # With no room for another one nothing is tried.
     assert search.exchanged(state("jump", "sag"), 2) is None
+
+
+@pytest.mark.parametrize("likelier", [True, False])
+def test_what_is_barred_lets_others_be_found(monkeypatch, likelier):
+    """Beside `trend`, `jump` at a wrong moment is the best, and beside that `trend` is. Where it is
+    barred, a play is found, and what is searched anew beside that is a jump at another moment.
+    """
+    module = importlib.import_module("vcal.loop.search")
+
+    def state(*names):
+        return SimpleNamespace(names=names, fit=SimpleNamespace(chi2=2000.0 - 300.0 * len(names)))
+
+    def item(name):
+        effect = SimpleNamespace(key=name, name=name, placement="", parameters=())
+        return SimpleNamespace(
+            effect=effect, p_value=1e-9, weighed=SimpleNamespace(equivalent=[name + "'"])
+        )
+
+    def without(state, place, room):
+        left = (*state.names[:place], *state.names[place + 1 :])
+        return SimpleNamespace(converged=True, model=left, measurement=None)
+
+    monkeypatch.setattr(module, "without", without)
+    monkeypatch.setattr(module, "fitted", lambda model, *rest: state(*model))
+    monkeypatch.setattr(module, "_place", lambda state, item: state.names.index(item.effect.key))
+    search = Search(None, (), 0.01, 20, 0, 0, lambda text: None)
+    monkeypatch.setattr(search, "added", lambda state: [item(name) for name in state.names])
+    barred = []
+
+    def step(now):
+        barred.append(search._barred)
+        left = {"trend", "jump", "play", "slip"} - {*now.names} - search._barred
+        wanted = {"jump": "trend", "trend": "jump"} | {n: "play" for n in ("slip", "play")}
+        new = "play" if "trend" in search._barred else wanted[now.names[0]]
+        if len(now.names) < 2 and new in left:
+            return state(*now.names, new)
+        done = {*now.names} == {"play", "slip"}
+        search.screenings.append(SimpleNamespace(p_value=0.5 if done else 0.001))
+        search.refused = None if done else "something"
+        return None
+
+    def anew(now, one):
+        names = ["slip" if n == "jump" and "play" in now.names else n for n in now.names]
+        return state(*names)
+
+    compared = []
+
+    def compare(found, old, description):
+        compared.append((found.names, old.names, description))
+        return likelier
+
+    monkeypatch.setattr(search, "step", step)
+    monkeypatch.setattr(search, "anew", anew)
+    monkeypatch.setattr(search, "_likelier", compare)
+    search.refused, search.rejected = "something", ["before"]
+    search.screenings = [SimpleNamespace(p_value=0.001)]
+    found = search.exchanged(state("trend", "jump"), 6)
+    assert compared[0] == (("slip", "play"), ("trend", "jump"), None)
+    assert search._barred == frozenset() and frozenset({"trend", "trend'"}) in barred
+    if likelier:
+        assert found.names == ("slip", "play") and search.refused is None
+        assert [r if r == "before" else r.effect for r in search.rejected] == ["before", "trend"]
+    else:
+        assert found is None
+        assert (search.refused, search.rejected) == ("something", ["before"])
+        before = len(barred)  # once only
+        assert search.exchanged(state("trend", "jump"), 6) is None
+        assert not any(barred[before:])
+    # Where nothing is left there is nothing to search for.
+    search.refused = search.unexplained = None
+    assert search.exchanged(state("trend", "jump"), 6) is None
+
+
+def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, monkeypatch):
+    """One of an expected size goes first, although another is seven times as likely; where that
+    one does not hold, neither does what fits as it does.
+    """
+    module = importlib.import_module("vcal.loop.search")
+    run = searching(tracker)
+    state = fitted(tracker.model, noisy(tracker, 3), None, tracker.room)
+    large, expected = (
+        SimpleNamespace(effect=bare(tracker, f"backlash:{a}:size_um=1"), leniency=x)
+        for a, x in (("X", 9.0), ("Y", 0.0))
+    )
+    holds = {id(large): "", id(expected): ""}
+
+    def found():
+        ranked = [(large, 12.0), (expected, 10.0)]
+        return SimpleNamespace(
+            hidden_by_each_other=lambda: None, outdone=lambda: False, ranked=ranked,
+            odds={id(r): odds for r, odds in ranked}, significant=[r for r, _ in ranked],
+            unlikely=lambda r: "", fails=lambda r: holds[id(r)], description=None,
+            p_value=lambda r: 1e-9,
+        )  # fmt: skip
+
+    screening = SimpleNamespace(unseen=[], p_value=1e-9)
+    monkeypatch.setattr(module, "screen", lambda *rest: screening)
+    monkeypatch.setattr(module.Round, "of", lambda *rest: found())
+    monkeypatch.setattr(run, "_unfitted", lambda found: None)
+    monkeypatch.setattr(run, "_add", lambda found, rival, described: rival)
+    assert run.step(state) is expected
+    holds[id(expected)] = "does not"
+    assert run.step(state) is large
+    # The likelier one was tried, and is none.
+    holds.update({id(expected): "", id(large): "does not"})
+    large.leniency, run.rejected = 0.0, []
+    assert run.step(state) is None
+    assert [r.reason for r in run.rejected] == ["does not", "a far likelier one does not hold"]

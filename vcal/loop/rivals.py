@@ -159,11 +159,16 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
             break
         more = wider * _WIDER ** math.ceil(math.log(size, _WIDER))
         grown = refit(base, peak, keep, room, more)
-        worse = fit.converged and grown.chi2 > fit.chi2
+        # Its own share of the prior falls: what is more all the same is another minimum.
+        worse = fit.converged and _cost(grown) > _cost(fit)
         if not grown.converged or worse or _at_an_end(grown):
             break
         wider, fit = more, grown
     return fit, wider
+
+
+def _cost(fit: Fit) -> float:
+    return fit.chi2 + float(fit.theta**2 @ fit.precision)
 
 
 def _at_an_end(fit: Fit) -> bool:
@@ -307,20 +312,32 @@ def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
     return all(map(better, others))
 
 
-def likelier_together(fit: Fit, found: Sequence[tuple[int, Rival]], description: Rival) -> bool:
-    """Whether several effects (their places in the model of `fit`, and what spoke for each) fit
-    better than an empirical description does and are clearly likelier, their sizes apart.
+def likelier(
+    fit: Fit,
+    found: Sequence[tuple[int, Rival]],
+    than: Fit,
+    others: Sequence[tuple[int, Rival]],
+) -> bool:
+    """Whether effects (their places in the model of `fit`, and what spoke for each) fit better than
+    others do in another fit and are clearly likelier together, their sizes apart. What neither
+    names has no part in it.
     """
     noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
-    gain = fit.log_evidence(noise) - description.fit.log_evidence(noise)
-    for place, rival in [*found, (len(description.fit.model.effects) - 1, description)]:
-        its, sign = (description.fit, -1.0) if rival is description else (fit, 1.0)
-        counts = [len(e.amplitudes) for e in its.model.effects]
-        mine = slice(sum(counts[:place]), sum(counts[: place + 1]))
-        more = over_scales(its, mine, noise) + rival.log_shape + rival.log_prior
-        gain += sign * (more + float(leniency(surprise(*at_its_shape(its, mine, noise)))))
-    by = (declared_chi2(description.fit) - declared_chi2(fit)) / noise**2
+    gain = fit.log_evidence(noise) - than.log_evidence(noise)
+    gain += math.fsum(_odds_in(fit, place, rival, noise) for place, rival in found)
+    gain -= math.fsum(_odds_in(than, place, rival, noise) for place, rival in others)
+    by = (declared_chi2(than) - declared_chi2(fit)) / noise**2
     return gain > _LIKELIER and by > _FITS_AS_WELL
+
+
+def _odds_in(fit: Fit, place: int, rival: Rival, noise: float) -> float:
+    """What the effect at that place of a fit adds to its log odds beyond the evidence of the fit
+    (`Fit.log_evidence`), its size apart.
+    """
+    counts = [len(e.amplitudes) for e in fit.model.effects]
+    mine = slice(sum(counts[:place]), sum(counts[: place + 1]))
+    more = over_scales(fit, mine, noise) + rival.log_shape + rival.log_prior
+    return more + float(leniency(surprise(*at_its_shape(fit, mine, noise))))
 
 
 def in_doubt(description: Rival, best: Rival) -> bool:
@@ -477,9 +494,11 @@ def weigh(
 
 
 def _instead(best: Rival, names: Iterable[Sequence[Rival]]) -> tuple[tuple[float, Rival], ...]:
-    """The members of these names other than the best, with their shares in all of them."""
+    """The members of these names other than the best, with their shares in all of them. A name may
+    owe something to the size that is expected; what is foretold is not to be surer for that.
+    """
     members = [rival for its in names for rival in its]
-    logs = np.array([rival.log_weight for rival in members])
+    logs = np.array([rival.log_weight_at_its_size for rival in members])
     weights = np.exp(logs - logs.max())
     shares = weights / weights.sum()
     return tuple(

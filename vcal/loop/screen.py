@@ -21,7 +21,7 @@ from .chance import SILENT, minus_log_beta_tail
 from .scales import leniency, log_mixture, surprise
 from .scan import Response, Responses, Scan, filled
 
-_RESOLVED = 1e-4
+_RESOLVED = 1e-5
 """Share of a candidate's columns that must be independent of the model for it to count."""
 _CHUNK = 512
 

@@ -11,7 +11,7 @@ from ..fit import Fit
 from .candidates import Untestable, candidates
 from .closure import Rejected
 from .empirical import EMPIRICAL, Empirical
-from .rivals import Rival, Weighed, likelier_together, preferred, weigh, widened
+from .rivals import Rival, Weighed, likelier, preferred, weigh, widened
 from .round import Round
 from .scales import over_scales
 from .scan import Responses
@@ -36,6 +36,9 @@ _SAME = 1.0
 """Difference in chi-square of two fits that are the same."""
 _EXCHANGES = 1
 """How often one of several effects gives way to others that leave nothing unexplained."""
+
+_BARS = 1
+"""How often each of several is not to be the answer, while others are searched for."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,9 @@ class Search:
         """What was significant in the last round, and did not hold."""
         self._again = _AGAIN
         self._instead, self._exchanges = _INSTEAD, _EXCHANGES
+        self._bars = _BARS
+        self._barred: frozenset[str] = frozenset()
+        """Names that are not to be candidates."""
         self._describing = True
         """Whether empirical descriptions are candidates."""
         self._description: Rival | None = None
@@ -106,6 +112,9 @@ class Search:
                 reached(state := self.anew(state, item))
                 if self.unexplained is not None:
                     return state
+            if (others := self.exchanged(state, most)) is not None:
+                reached(others)
+                return self.rounds(others, most, reached)
         reached(state)
         if state is not before and self.unexplained is None and self._again:
             self._again -= 1
@@ -118,6 +127,7 @@ class Search:
         fit, measurement = state.scored, state.fit.measurement
         self.progress(f"round {number}: screening")
         tried, self.untestable = candidates(state.model, measurement, self.classes)
+        tried = [effect for effect in tried if effect.key not in self._barred]
         kinds = EMPIRICAL if self._describing else ()
         empirical, _ = candidates(state.model, measurement, kinds)
         if self._responses is None or self._responses.plan is not measurement.plan:
@@ -138,13 +148,17 @@ class Search:
             self._described(found, self.seed + number)
             return None
         refused = self._unfitted(found)
-        odds = found.odds
-        for rival in preferred(found.significant, odds):
+        odds, significant = found.odds, found.significant
+        likeliest = found.ranked[0][0] if found.ranked else None
+        untried = {id(rival) for rival in significant}
+        for rival in preferred(significant, odds):
+            untried.discard(id(rival))
             if why := found.unlikely(rival):
                 self._reject(found, rival, why)
                 continue
             why = found.fails(rival)
-            if not why and found.ranked[0][1] - odds[id(rival)] > _CONTRADICTED:
+            behind = odds[id(likeliest)] - odds[id(rival)]
+            if not why and behind > _CONTRADICTED and id(likeliest) not in untried:
                 held = "is not significant itself" if refused is None else "does not hold"
                 why = f"a far likelier one {held}"
             if not why:
@@ -276,9 +290,11 @@ class Search:
         better = False
         try:
             found = self._added_to(state, most)
-            items = self.added(found)[begun:]
-            weighed = [(place_of(item, found.model.effects), item.weighed.best) for item in items]
-            better = len(items) > 1 and likelier_together(found.scored, weighed, self._description)
+            items, description = self.added(found)[begun:], self._description
+            better = len(items) > 1 and likelier(
+                found.scored, _placed(items, found.scored),
+                description.fit, [(len(description.fit.model.effects) - 1, description)],
+            )  # fmt: skip
         finally:
             self._describing = True
             if not better:
@@ -289,33 +305,79 @@ class Search:
         return found
 
     def exchanged(self, state: State, most: int) -> State | None:
-        """Other effects in the place of one of several beside which something is unexplained, so
-        that nothing is; None where there are none. What was found first may have stood for parts
-        of two others, and hides both.
+        """Other effects in the place of one of several beside which something is left, so that
+        nothing is; None where there are none. What was found first may have stood for parts of two
+        others, and hides both.
+
+        Each is left out, and all are searched again; then, where that leads nowhere, each is not to
+        be the answer either, and what is found in its stead must be clearly likelier: one wrong
+        name may hide that another one is wrong, of which each alone is the best beside the other.
         """
         items = self.added(state)
-        if self.unexplained is None or not self._exchanges or not 1 < len(items) < most:
+        left = self.unexplained is not None or self.refused is not None
+        if not left or not self._exchanges or not 1 < len(items) < most:
             return None
-        kept = self._kept()
-        for item in items:
-            less = without(state, _place(state, item), self.room)
-            if not less.converged:
-                continue
-            self.progress(f"searching for what may take the place of {item.effect.key}")
-            self.unexplained = self.refused = None
-            self.rejected.append(_dropped(item, "others leave nothing unexplained"))
-            bare = fitted(less.model, less.measurement, less, self.room)
-            done = False
-            try:
-                found = self._added_to(bare, most, state)
-                done = self.screenings[-1].p_value > self.alpha
-            finally:
-                if not done:
-                    self._restore(kept)
-            if done:
-                self._exchanges -= 1
-                return found
+        for barred in (False, True):
+            if barred and not self._bars:
+                break
+            self._bars -= barred
+            for item in items:
+                found = self._instead_of(state, item, most, barred)
+                if found is not None:
+                    self._exchanges -= 1
+                    return found
         return None
+
+    def _instead_of(self, state: State, item: Added, most: int, barred: bool) -> State | None:
+        """What leaves nothing in the place of one effect, where there is such."""
+        less = without(state, _place(state, item), self.room)
+        if not less.converged:
+            return None
+        self.progress(f"searching for what may take the place of {item.effect.key}")
+        kept, description = self._kept(), self._description
+        if self.unexplained is None:
+            description = None
+        self.unexplained = self.refused = None
+        self.rejected.append(_dropped(item, "others leave nothing unexplained"))
+        if barred:
+            self._barred = frozenset({item.effect.key, *item.weighed.equivalent})
+        bare = fitted(less.model, less.measurement, less, self.room)
+        done = False
+        try:
+            found = self._added_to(bare, most, state)
+            if barred and not self._nothing_left():
+                found = self._looked_at_again(found, most)
+            needed = barred or description is None
+            done = self._nothing_left() and (
+                not needed or self._likelier(found, state, description)
+            )
+        finally:
+            self._barred = frozenset()
+            if not done:
+                self._restore(kept)
+        return found if done else None
+
+    def _nothing_left(self) -> bool:
+        return self.screenings[-1].p_value > self.alpha
+
+    def _looked_at_again(self, state: State, most: int) -> State:
+        """A state whose effects were each searched anew beside the others, and what is then found
+        beside them.
+        """
+        for item in self.added(state):
+            if any(_same_effect(item.effect, one.effect) for one in self.added(state)):
+                self.unexplained = None
+                state = self.anew(state, item)
+        self.unexplained = self.refused = None
+        return self._added_to(state, most)
+
+    def _likelier(self, found: State, state: State, description: Rival | None) -> bool:
+        """Whether a state is clearly likelier than another with what describes what that leaves."""
+        fit = state.scored if description is None else description.fit
+        others = _placed(self.added(state), fit)
+        if description is not None:
+            others.append((len(fit.model.effects) - 1, description))
+        return likelier(found.scored, _placed(self.added(found), found.scored), fit, others)
 
     def _added_to(self, state: State, most: int, but: State | None = None) -> State:
         """Effects added one after the other, until none is to be added, or the first leads back to
@@ -454,6 +516,11 @@ def _dropped(item: Added, reason: str) -> Rejected:
 def place_of(item: Added, effects: Sequence[Effect]) -> int:
     """Where among the effects of a model an added one is."""
     return next(i for i, e in enumerate(effects) if _same_effect(e, item.effect))
+
+
+def _placed(items: Sequence[Added], fit: Fit) -> list[tuple[int, Rival]]:
+    """Added effects by their place in the model of a fit, with what spoke for each."""
+    return [(place_of(item, fit.model.effects), item.weighed.best) for item in items]
 
 
 def _place(state: State, item: Added) -> int:
