@@ -218,3 +218,18 @@ def test_what_a_plan_tells_little_of_is_not_lost_between_large_rivals():
     assert found.effect.key in {made.terms[0].key, *found.equivalent}
     after, bare = (closure.errors[name].check for name in ("after", "uncompensated"))
     assert after.value - bare.value < after.u
+
+
+@pytest.mark.slow
+def test_what_the_readings_cannot_have_a_size_of_is_no_rival():
+    """A reversal error of which the plan leaves next to nothing would explain a play with more than
+    256 times the size that is expected: it is forgiven none of that, and refutes no other name.
+    """
+    entry = ENTRIES["laser_frame/backlash"]
+    world = world_of(entry.instrument, 20_080)
+    made = make(entry, world, drawn(entry, world), [2.073],
+                noise_seed=noise_seed(entry, 3, 20_080))  # fmt: skip
+    study = power.load(made.case)
+    closure = close_loop(study.model, study.measurement, draws=200)
+    assert [e.effect.key for e in closure.effects] == [made.terms[0].key]
+    assert closure.unexplained is None

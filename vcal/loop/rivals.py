@@ -11,7 +11,15 @@ from scipy.linalg import cho_solve
 from ..effects.base import Effect
 from ..fit import Fit
 from ..identify import identify
-from .scales import at_its_shape, leniency, log_gain, log_mixture, over_scales, surprise
+from .scales import (
+    at_its_shape,
+    leniency,
+    log_gain,
+    log_mixture,
+    over_scales,
+    size_told,
+    surprise,
+)
 from .screen import Peak
 from .whitened import declared_chi2
 
@@ -31,6 +39,9 @@ _FITS_AS_WELL = 10.0
 to be preferred to it ..."""
 _WIDENINGS, _WIDER = 4, 4.0
 """How often, and by how much, the prior of an effect grows that is larger than expected."""
+_WIDEST = _WIDER**_WIDENINGS
+"""Prior standard deviations from which a size is that of readings that do not tell it: no prior is
+that wrong. Nothing of it is forgiven."""
 _LIKELIER = math.log(20.0)
 """... unless it has no fewer parameters, fits no worse and has log odds over it of so much, without
 what the effect loses by being larger than expected."""
@@ -148,14 +159,12 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
             information, scores = at_its_shape(fit, added, noise)
             if leniency(surprise(information, scores)) == 0.0:
                 break
-            seen = information > 0.0
-            size = float(np.linalg.norm(scores[seen] / information[seen]))
+            size = size_told(information, scores)
         elif wider == 1.0 and peak.leniency > 0.0:
             size = float(np.linalg.norm(peak.amplitudes))
         else:
             break
-        # A size that no prior is that wrong about is of readings that do not tell it.
-        if not 1.0 < wider * size <= _WIDER**_WIDENINGS:
+        if not 1.0 < wider * size <= _WIDEST:
             break
         more = wider * _WIDER ** math.ceil(math.log(size, _WIDER))
         grown = refit(base, peak, keep, room, more)
@@ -220,10 +229,18 @@ def refit_all(
             more = over_scales(fit, added, noise)
         gain = fit.log_evidence(noise) + more - reference
         shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
+        told = size_told(*declared) <= _WIDEST
         rivals.append(
             Rival(
-                peak.effect, fit, gain + shape, odds, bic, shape, float(surprise(*declared)), wider
-            )
+                peak.effect,
+                fit,
+                gain + shape,
+                odds,
+                bic,
+                shape,
+                float(surprise(*declared)) if told else 0.0,
+                wider,
+            )  # fmt: skip
         )
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 

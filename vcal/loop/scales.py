@@ -31,10 +31,20 @@ def surprise(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
     A prior that outweighs the readings makes an amplitude look small and the fit poor; that counts
     as well: with b = l x, half of l x^2 / (1 + l) is half of x^2 where the readings tell x.
     """
-    seen = information > _TOLD
-    size = np.where(seen, scores / np.where(seen, information, 1.0), 0.0)
-    cost = 0.5 * (size**2 * information / (1.0 + information) - 1.0)
+    cost = 0.5 * (_sizes(information, scores) ** 2 * information / (1.0 + information) - 1.0)
     return np.maximum(cost, 0.0).sum(-1)
+
+
+def size_told(information: np.ndarray, scores: np.ndarray) -> float:
+    """How large the readings alone say that amplitudes (c,) are together, in prior standard
+    deviations.
+    """
+    return float(np.linalg.norm(_sizes(information, scores)))
+
+
+def _sizes(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    seen = information > _TOLD
+    return np.where(seen, scores / np.where(seen, information, 1.0), 0.0)
 
 
 def leniency(surprise: np.ndarray) -> np.ndarray:
