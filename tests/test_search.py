@@ -542,8 +542,8 @@ def test_what_is_barred_lets_others_be_found(monkeypatch, likelier):
 
     compared = []
 
-    def compare(found, old, description):
-        compared.append((found.names, old.names, description))
+    def compare(found, old, items, description):
+        compared.append((found.names, tuple(i.effect.key for i in items), description))
         return likelier
 
     monkeypatch.setattr(search, "step", step)

@@ -105,7 +105,8 @@ class Weighed:
     """Other shapes (SI) that the best may have, with their probability."""
     instead: tuple[tuple[float, Rival], ...] = ()
     """(probability, rival) of what else it may be, under the same name or another, however certain
-    that is.
+    that is: what others lose by being larger than expected apart, so not less than their share in
+    `alternatives`.
     """
 
 
@@ -511,11 +512,12 @@ def weigh(
 
 
 def _instead(best: Rival, names: Iterable[Sequence[Rival]]) -> tuple[tuple[float, Rival], ...]:
-    """The members of these names other than the best, with their shares in all of them. A name may
-    owe something to the size that is expected; what is foretold is not to be surer for that.
+    """The members of these names other than the best, with their shares in all of them. The best
+    may owe something to the size that is expected of others; what is foretold is not to be surer
+    for that.
     """
     members = [rival for its in names for rival in its]
-    logs = np.array([rival.log_weight_at_its_size for rival in members])
+    logs = np.array([r.log_weight if r is best else r.log_weight_at_its_size for r in members])
     weights = np.exp(logs - logs.max())
     shares = weights / weights.sum()
     return tuple(

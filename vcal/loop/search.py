@@ -8,6 +8,7 @@ import numpy as np
 
 from ..effects.base import Effect
 from ..fit import Fit
+from ..identify import identify
 from .candidates import Untestable, candidates
 from .closure import Rejected
 from .empirical import EMPIRICAL, Empirical
@@ -135,6 +136,7 @@ class Search:
         screen_state = Screen(fit, self.draws, self.seed + number, self._responses)
         screening = screen(screen_state, [*tried, *empirical])
         self.screenings.append(screening)
+        self.refused = None
         self.unseen = [effect.key for effect in screening.unseen]
         if screening.p_value > self.alpha:
             return None
@@ -149,17 +151,18 @@ class Search:
             return None
         refused = self._unfitted(found)
         odds, significant = found.odds, found.significant
-        likeliest = found.ranked[0][0] if found.ranked else None
         untried = {id(rival) for rival in significant}
         for rival in preferred(significant, odds):
             untried.discard(id(rival))
+            likeliest = found.ranked[0][0]
             if why := found.unlikely(rival):
                 self._reject(found, rival, why)
                 continue
             why = found.fails(rival)
             behind = odds[id(likeliest)] - odds[id(rival)]
             if not why and behind > _CONTRADICTED and id(likeliest) not in untried:
-                held = "is not significant itself" if refused is None else "does not hold"
+                significant_itself = found.p_value(likeliest) <= self.alpha
+                held = "does not hold" if significant_itself else "is not significant itself"
                 why = f"a far likelier one {held}"
             if not why:
                 self.progress(f"round {number}: adding {rival.effect.key}")
@@ -322,18 +325,23 @@ class Search:
                 break
             self._bars -= barred
             for item in items:
-                found = self._instead_of(state, item, most, barred)
+                found = self._instead_of(state, items, item, most, barred)
                 if found is not None:
                     self._exchanges -= 1
                     return found
         return None
 
-    def _instead_of(self, state: State, item: Added, most: int, barred: bool) -> State | None:
-        """What leaves nothing in the place of one effect, where there is such."""
+    def _instead_of(
+        self, state: State, items: Sequence[Added], item: Added, most: int, barred: bool
+    ) -> State | None:
+        """What leaves nothing in the place of one of these effects, where there is such. Where the
+        effect is barred, or nothing describes what is left beside it, that must be likelier too.
+        """
         less = without(state, _place(state, item), self.room)
         if not less.converged:
             return None
         self.progress(f"searching for what may take the place of {item.effect.key}")
+        bare = fitted(less.model, less.measurement, less, self.room)
         kept, description = self._kept(), self._description
         if self.unexplained is None:
             description = None
@@ -341,16 +349,18 @@ class Search:
         self.rejected.append(_dropped(item, "others leave nothing unexplained"))
         if barred:
             self._barred = frozenset({item.effect.key, *item.weighed.equivalent})
-        bare = fitted(less.model, less.measurement, less, self.room)
         done = False
         try:
             found = self._added_to(bare, most, state)
             if barred and not self._nothing_left():
                 found = self._looked_at_again(found, most)
-            needed = barred or description is None
-            done = self._nothing_left() and (
-                not needed or self._likelier(found, state, description)
-            )
+            done = self._nothing_left()
+            if done and barred:
+                # Nor is anything left of what was barred.
+                self._barred = frozenset()
+                done = self.step(found) is None and self._nothing_left()
+            if done and (barred or description is None):
+                done = self._likelier(found, state, items, description)
         finally:
             self._barred = frozenset()
             if not done:
@@ -371,13 +381,25 @@ class Search:
         self.unexplained = self.refused = None
         return self._added_to(state, most)
 
-    def _likelier(self, found: State, state: State, description: Rival | None) -> bool:
-        """Whether a state is clearly likelier than another with what describes what that leaves."""
-        fit = state.scored if description is None else description.fit
-        others = _placed(self.added(state), fit)
+    def _likelier(
+        self, found: State, state: State, items: Sequence[Added], description: Rival | None
+    ) -> bool:
+        """Whether a state is clearly likelier than another, of these effects, with what describes
+        what that leaves: on readings that both use, with the noise that the one leaves.
+        """
+        one, other = found.scored, state.scored if description is None else description.fit
+        others = _placed(items, other)
         if description is not None:
-            others.append((len(fit.model.effects) - 1, description))
-        return likelier(found.scored, _placed(self.added(found), found.scored), fit, others)
+            others.append((len(other.model.effects) - 1, description))
+        mine = _placed(self.added(found), one)
+        if not np.array_equal(one.whitener, other.whitener):
+            keep, whitener = one.used & other.used, one.whitener
+            one, other = (
+                identify(f.model, f.measurement, theta=f.theta, shapes=f.shapes,
+                         whitener=whitener, keep=keep, room=self.room)
+                for f in (one, other)
+            )  # fmt: skip
+        return likelier(one, mine, other, others)
 
     def _added_to(self, state: State, most: int, but: State | None = None) -> State:
         """Effects added one after the other, until none is to be added, or the first leads back to
