@@ -20,7 +20,8 @@ class Doubt:
 
     found: Fit
     others: tuple[tuple[float, Fit], ...]
-    """(probability, fit) of the others."""
+    """(probability, fit) of the others; what they lose by being larger than expected has no part in
+    it, as it has in what they are worth as names."""
 
 
 def of_doubts(
