@@ -446,17 +446,9 @@ def test_a_search_anew_does_not_end_with_less(monkeypatch, left, kept):
     assert (search.rejected == ["before"]) == kept
 
 
-@pytest.mark.parametrize("ends", ["explained", "unexplained", "as before"])
-def test_one_of_several_gives_way_to_what_leaves_nothing_unexplained(monkeypatch, ends):
-    """It stays where something is left without it too, or where it is found again."""
+def of_names(monkeypatch, state, item) -> Search:
+    """A search whose states are but the names in them."""
     module = importlib.import_module("vcal.loop.search")
-
-    def state(*names, chi2=2000.0):
-        return SimpleNamespace(names=names, fit=SimpleNamespace(chi2=chi2))
-
-    def item(name):
-        effect = SimpleNamespace(key=name, name=name, placement="")
-        return SimpleNamespace(effect=effect, p_value=1e-9)
 
     def without(state, place, room):
         left = (*state.names[:place], *state.names[place + 1 :])
@@ -467,6 +459,21 @@ def test_one_of_several_gives_way_to_what_leaves_nothing_unexplained(monkeypatch
     monkeypatch.setattr(module, "_place", lambda state, item: state.names.index(item.effect.key))
     search = Search(None, (), 0.01, 20, 0, 0, lambda text: None)
     monkeypatch.setattr(search, "added", lambda state: [item(name) for name in state.names])
+    return search
+
+
+@pytest.mark.parametrize("ends", ["explained", "unexplained", "as before"])
+def test_one_of_several_gives_way_to_what_leaves_nothing_unexplained(monkeypatch, ends):
+    """It stays where something is left without it too, or where it is found again."""
+
+    def state(*names, chi2=2000.0):
+        return SimpleNamespace(names=names, fit=SimpleNamespace(chi2=chi2))
+
+    def item(name):
+        effect = SimpleNamespace(key=name, name=name, placement="")
+        return SimpleNamespace(effect=effect, p_value=1e-9)
+
+    search = of_names(monkeypatch, state, item)
     tried = []
 
     def step(now):
@@ -502,7 +509,6 @@ def test_what_is_barred_lets_others_be_found(monkeypatch, likelier):
     """Beside `trend`, `jump` at a wrong moment is the best, and beside that `trend` is. Where it is
     barred, a play is found, and what is searched anew beside that is a jump at another moment.
     """
-    module = importlib.import_module("vcal.loop.search")
 
     def state(*names):
         return SimpleNamespace(names=names, fit=SimpleNamespace(chi2=2000.0 - 300.0 * len(names)))
@@ -513,15 +519,7 @@ def test_what_is_barred_lets_others_be_found(monkeypatch, likelier):
             effect=effect, p_value=1e-9, weighed=SimpleNamespace(equivalent=[name + "'"])
         )
 
-    def without(state, place, room):
-        left = (*state.names[:place], *state.names[place + 1 :])
-        return SimpleNamespace(converged=True, model=left, measurement=None)
-
-    monkeypatch.setattr(module, "without", without)
-    monkeypatch.setattr(module, "fitted", lambda model, *rest: state(*model))
-    monkeypatch.setattr(module, "_place", lambda state, item: state.names.index(item.effect.key))
-    search = Search(None, (), 0.01, 20, 0, 0, lambda text: None)
-    monkeypatch.setattr(search, "added", lambda state: [item(name) for name in state.names])
+    search = of_names(monkeypatch, state, item)
     barred = []
 
     def step(now):

@@ -152,6 +152,11 @@ class Fit:
         variance = np.diag(cho_solve(self.factor, np.eye(len(self.theta))))
         return np.where(self.precision > 0, 1.0 - variance * self.precision, 1.0)
 
+    @property
+    def cost(self) -> float:
+        """What identification minimises: chi2 + theta' L theta, L the prior's precision."""
+        return self.chi2 + float(self.theta**2 @ self.precision)
+
     def log_evidence(self, noise_scale: float = 1.0) -> float:
         """Laplace's approximation of ln p(y | model), up to a constant of the data alone.
 

@@ -46,7 +46,7 @@ def shapes_begun(model: Model, measurement: Measurement, keep: np.ndarray, room:
             tried = found | {plainest: shape}
             fit = _identified(model, sorted([*kept, plainest]), tried, measurement, keep, room)
             at = dict(fit.shapes[sorted([*kept, plainest]).index(plainest)])
-            cost = _cost(fit) + _unlikely(effect, at)
+            cost = fit.cost + _unlikely(effect, at)
             if best is None or cost < best[0]:
                 best = cost, at
         assert best is not None
@@ -76,10 +76,6 @@ def _unlikely(effect: Effect, shape: dict[str, float]) -> float:
     """-2 ln of the declared density of shape parameters, where one is declared."""
     laws = [(p.law, shape[p.name] / p.si) for p in effect.shapes if p.law is not None]
     return sum(-2.0 * float(law.log_density(np.asarray(x))) for law, x in laws)
-
-
-def _cost(fit: Fit) -> float:
-    return fit.chi2 + float(fit.theta**2 @ fit.precision)
 
 
 def _identified(

@@ -105,8 +105,7 @@ class Weighed:
     """Other shapes (SI) that the best may have, with their probability."""
     instead: tuple[tuple[float, Rival], ...] = ()
     """(probability, rival) of what else it may be, under the same name or another, however certain
-    that is: what others lose by being larger than expected apart, so not less than their share in
-    `alternatives`.
+    that is; what others lose by being larger than expected apart.
     """
 
 
@@ -170,15 +169,11 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
         more = wider * _WIDER ** math.ceil(math.log(size, _WIDER))
         grown = refit(base, peak, keep, room, more)
         # Its own share of the prior falls: what is more all the same is another minimum.
-        worse = fit.converged and _cost(grown) > _cost(fit)
+        worse = fit.converged and grown.cost > fit.cost
         if not grown.converged or worse or _at_an_end(grown):
             break
         wider, fit = more, grown
     return fit, wider
-
-
-def _cost(fit: Fit) -> float:
-    return fit.chi2 + float(fit.theta**2 @ fit.precision)
 
 
 def _at_an_end(fit: Fit) -> bool:
@@ -230,19 +225,8 @@ def refit_all(
             more = over_scales(fit, added, noise)
         gain = fit.log_evidence(noise) + more - reference
         shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
-        told = size_told(*declared) <= _WIDEST
-        rivals.append(
-            Rival(
-                peak.effect,
-                fit,
-                gain + shape,
-                odds,
-                bic,
-                shape,
-                float(surprise(*declared)) if told else 0.0,
-                wider,
-            )  # fmt: skip
-        )
+        lost = float(surprise(*declared)) if size_told(*declared) <= _WIDEST else 0.0
+        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape, lost, wider))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
 

@@ -37,7 +37,6 @@ _SAME = 1.0
 """Difference in chi-square of two fits that are the same."""
 _EXCHANGES = 1
 """How often one of several effects gives way to others that leave nothing unexplained."""
-
 _BARS = 1
 """How often each of several is not to be the answer, while others are searched for."""
 
