@@ -446,6 +446,49 @@ def test_a_search_anew_does_not_end_with_less(monkeypatch, left, kept):
     assert (search.rejected == ["before"]) == kept
 
 
+@pytest.mark.parametrize(("left", "taken"), [(150.0, True), (199.5, False), (250.0, False)])
+def test_a_search_anew_takes_the_same_effect_at_a_better_moment(monkeypatch, left, taken):
+    """It may have begun at a wrong one, beside what was not yet known; of the readings, those count
+    that both fits use.
+    """
+    module = importlib.import_module("vcal.loop.search")
+    monkeypatch.setattr(module, "without", lambda *args: SimpleNamespace(
+        converged=True, model=None, measurement=None))  # fmt: skip
+    monkeypatch.setattr(module, "fitted", lambda *args: None)
+    monkeypatch.setattr(module, "_place", lambda *args: 0)
+    used = np.array([True, True, False]), np.array([False, True, True])
+    fits = [SimpleNamespace(chi2=c, used=u) for c, u in zip((200.0, left), used, strict=True)]
+    asked = []
+
+    def declared_chi2(fit, rows):
+        asked.append(list(rows))
+        return fit.chi2
+
+    monkeypatch.setattr(module, "declared_chi2", declared_chi2)
+    state, better = (SimpleNamespace(fit=fit) for fit in fits)
+    search = Search(None, (), 0.01, 20, 0, 0, lambda text: None)
+
+    def item(moment):
+        effect = SimpleNamespace(key="jump", name="jump", placement="", parameters=())
+        return Added(effect, f"weighed {moment}", 0.001, float(moment), 1.0)  # type: ignore
+
+    old, other = item(1), item(3)
+    search.history, search.rejected = [old, other], ["before"]
+
+    def step(state):
+        search.rejected.append("on the way")
+        search.screenings.append(SimpleNamespace(p_value=0.001))
+        search.history.append(item(2))
+        return better
+
+    monkeypatch.setattr(search, "step", step)
+    assert search.anew(state, old) is (better if taken else state)
+    first, last = search.history
+    assert (first.weighed, first.gain) == ("weighed 2", 2.0 if taken else 1.0)
+    assert last is other and search.rejected == ["before"]
+    assert asked == 2 * [[False, True, False]]
+
+
 def of_names(monkeypatch, state, item) -> Search:
     """A search whose states are but the names in them."""
     module = importlib.import_module("vcal.loop.search")

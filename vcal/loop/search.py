@@ -261,12 +261,18 @@ class Search:
         if self.unexplained is None and (
             found is None or _same_effect(self.history[-1].effect, item.effect)
         ):
-            if found is not None:
-                # What it may be instead is told beside what was found after it.
-                told = replace(item, weighed=self.history.pop().weighed)
-                self.history = [told if other is item else other for other in self.history]
             self.rejected, _, self.refused = kept
-            return state
+            if found is None:
+                return state
+            # What it may be instead is told beside what was found after it.
+            again = self.history.pop()
+            both = found.fit.used & state.fit.used
+            left, before = (declared_chi2(one.fit, both) for one in (found, state))
+            # Of the same name, it may begin at another moment.
+            better = left < before - _SAME
+            told = again if better else replace(item, weighed=again.weighed)
+            self.history = [told if other is item else other for other in self.history]
+            return found if better else state
         self.rejected.append(_dropped(item, "beside the others it is something else"))
         self.refused = None
         return bare if found is None else found
@@ -418,12 +424,12 @@ class Search:
         """What an attempt changes, to restore it where nothing comes of it."""
         return (list(self.history), list(self.rejected), list(self.screenings), self.refused,
                 self.unexplained, self._description, self._description_trials,
-                list(self._outdone))  # fmt: skip
+                list(self._outdone), self.unseen)  # fmt: skip
 
     def _restore(self, kept: tuple) -> None:
         history, rejected, screenings, self.refused, self.unexplained, *described = kept
         self.history, self.rejected, self.screenings = [*history], [*rejected], [*screenings]
-        self._description, self._description_trials, outdone = described
+        self._description, self._description_trials, outdone, self.unseen = described
         self._outdone = [*outdone]
 
     def beside_empirical(self, state: State) -> State:

@@ -1,7 +1,7 @@
 """Residuals in units of the declared noise, whatever noise a fit is with."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..fit import Fit
 from ..identify import declared_whitener
@@ -13,6 +13,6 @@ def declared_residual(fit: Fit) -> Float[np.ndarray, "n m"]:
     return np.einsum("nij,nj->ni", whitener, fit.residual)
 
 
-def declared_chi2(fit: Fit) -> float:
-    """Sum of their squares over the rows that were used."""
-    return float((declared_residual(fit)[fit.used] ** 2).sum())
+def declared_chi2(fit: Fit, rows: Bool[np.ndarray, " n"] | None = None) -> float:
+    """Sum of their squares over the rows that were used, or over these."""
+    return float((declared_residual(fit)[fit.used if rows is None else rows] ** 2).sum())
