@@ -1,6 +1,7 @@
 """What a name that is not certain adds to the uncertainty of what is foretold."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -158,3 +159,25 @@ def test_an_ambiguous_effect_is_in_the_uncertainty_of_the_error_after(tmp_path):
     after, alone = closure.errors["after"].check, check_rms(closure.after, study.check)[0]
     assert after.value == alone.value
     assert after.u > 1.2 * alone.u
+
+
+def test_what_is_unexplained_is_in_the_uncertainty_of_the_error_after(tmp_path):
+    """The declared parameters have taken a part of a kink in roll: how far that leads off, a
+    description of it tells.
+    """
+    kink = {"effect": "kink", "axis": "Y", "component": "B", "coefficient": 1e-3, "at_mm": 250}
+    case = make_case("laser_frame", seed=12, effects=[kink])
+    study = load_study(write_study(tmp_path / "study", case))
+    closure = close_loop(study.model, study.measurement, check=study.check, draws=100)
+    assert (closure.verdict, closure.effects) == ("unexplained", [])
+    (doubt,) = closure.doubts
+    described = closure.unexplained.empirical.fit
+    assert [p for p, _ in doubt.others] == [1.0] and doubt.others[0][1] is described
+    after, alone = closure.errors["after"].check, check_rms(closure.after, study.check)[0]
+    less = check_rms(described, study.check)[0]
+    assert after.value == alone.value
+    assert after.u > 1.5 * alone.u
+    assert math.hypot(alone.u, after.value - less.value) == pytest.approx(after.u, rel=0.1)
+    # The machine is known to the generator: that is where it is.
+    assert less.value < after.value - alone.u
+    assert any("which is most of its uncertainty" in note for note in closure.notes)

@@ -21,7 +21,7 @@ from .confounded import confounded, unrecorded_time
 from .doubt import Doubt
 from .empirical import EMPIRICAL
 from .heldout import Rms, check_rms, fit_rms, heldout_rms
-from .rivals import CERTAIN, Weighed
+from .rivals import CERTAIN, Rival, Weighed
 from .search import Added, Search, place_of
 from .state import (
     State,
@@ -160,6 +160,9 @@ def _finish(
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, run.room) for item in run.added(state)]
     doubts = [_doubt(item.weighed) for item in run.added(state)]
+    described = run.unexplained.empirical if run.unexplained is not None else None
+    if described is not None:
+        doubts.append(Doubt(state.scored, ((1.0, described.fit),)))
     verdict: Verdict | None = None if interrupted else "nothing_missing"
     if run.unexplained is not None:
         verdict = "unexplained"
@@ -198,6 +201,7 @@ def _finish(
             *([apart] if apart else []),
             *_not_at_the_check(after, run.check),
             *_worse(wrong["before"], wrong["after"], bool(found)),
+            *_described_at_the_check(described, wrong["after"], run.check),
             *_notes(scales, state, run),
         ],
     )
@@ -240,6 +244,25 @@ def _worse(before: Errors, after: Errors, found: bool) -> list[str]:
         "that were fitted, no more, and is not to be relied on"
         for said, old, new in compared
         if old is not None and new is not None and new.value - old.value > math.hypot(old.u, new.u)
+    ]
+
+
+def _described_at_the_check(
+    described: Rival | None, after: Errors, check: CheckPoints | None
+) -> list[str]:
+    """What the error at the check points would be with the description of what is unexplained,
+    where that is most of its uncertainty.
+    """
+    if described is None or check is None or after.check is None:
+        return []
+    value = check_rms(described.fit, check)[0].value
+    apart = abs(value - after.check.value)
+    if not apart > math.sqrt(0.5) * after.check.u:
+        return []
+    summary = described.effect.summary.removeprefix("empirical: ")
+    return [
+        f"the error at the check points is {_um(after.check)}: with what describes what is "
+        f"unexplained ({summary}) it would be {value:.3g} µm, which is most of its uncertainty"
     ]
 
 

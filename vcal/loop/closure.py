@@ -36,7 +36,7 @@ class Errors:
 
     check: Rms | None
     """Volumetric error at the check points after rigid alignment; None without check data. What an
-    effect may be instead is part of its uncertainty."""
+    effect may be instead, and what is unexplained, is part of its uncertainty."""
     check_raw: Rms | None
     heldout: Rms
     fit: Rms
@@ -91,7 +91,7 @@ class Closure:
     nominal: Fit = field(repr=False)
     """The nominal machine with only the nuisances fitted."""
     doubts: Sequence[Doubt] = field(repr=False)
-    """What each of `effects` may be instead."""
+    """What each of `effects` may be instead; then what describes what is unexplained."""
     check: CheckPoints | None = field(repr=False)
     unexplained: Unexplained | None
     suspected: list[Stray]

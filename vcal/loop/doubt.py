@@ -10,12 +10,15 @@ from ..fit import Fit
 
 @dataclass(frozen=True)
 class Doubt:
-    """What an added effect may be instead: fits of the same readings, at its round of the search.
+    """What an added effect may be instead, or what nothing has a name for: fits of the same
+    readings, at a round of the search.
 
     The posterior of a fit says how well its parameters are known if its name is right. With
     probability p it has another one, and then what is foretold differs by d, most where no reading
     told the names apart: its mean square about what the chosen name foretells is larger by the sum
-    of p d^2 (law of total variance).
+    of p d^2 (law of total variance). What is unexplained is there (p = 1), in whatever words: the
+    declared parameters have taken a part of it, and d is what they and the machine are with a
+    description of it.
     """
 
     found: Fit
