@@ -350,6 +350,7 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "batch": ("batch", batch),
     "batch_gpu": ("batch_gpu", batch),
     "campaigns": ("batch", campaigns),
+    "campaigns_gpu": ("campaigns_gpu", campaigns),
     "interrupted": ("interrupted", interrupted),
     "strd": ("strd", strd),
     "laser_frame": ("laser_frame", laser_frame),
