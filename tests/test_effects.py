@@ -447,6 +447,8 @@ def test_joint_compliance_spans_the_oracles_torque(known):
     (effect,) = (
         e for e in CATALOGUE["joint_compliance"].candidates(it.setup) if e.placement == "J2"
     )
+    weights = effect.levers.weights
+    assert (weights.max(0) == np.abs(weights).max(0)).all()  # a sign that does not hang on rounding
     response = effect.response(it.plan, {})
     assert {port for port, _ in response} == {"ECJ2"}
     columns = np.column_stack([*response.values(), np.ones(it.plan.rows)])

@@ -60,7 +60,8 @@ class JointCompliance(Effect):
 
     The torque is a sum over the unknown masses behind the joint, z_j . ((o_k - o_j) x g); the
     patterns these give on the plan are reduced by singular value decomposition to independent
-    ones of unit rms, so that a parameter is the rms rotation of the joint due to its pattern.
+    ones of unit rms, so that a parameter is the rms rotation of the joint due to its pattern,
+    positive where the place that counts most in it carries a weight.
     """
 
     name = "joint_compliance"
@@ -101,7 +102,9 @@ class JointCompliance(Effect):
             if s[0] < 1e-6 * np.sqrt(len(levers)):
                 continue  # gravity has no changing torque about this joint
             kept = int((s > _KEPT * s[0]).sum())
-            weights = vt[:kept].T / s[:kept] * np.sqrt(len(levers))
+            # The sign of a singular vector is anyone's: the place that counts most pulls down.
+            strongest = vt[np.arange(kept), np.abs(vt[:kept]).argmax(1)]
+            weights = vt[:kept].T * np.sign(strongest) / s[:kept] * np.sqrt(len(levers))
             yield cls(chain=setup.chain, levers=_Levers(weights, kept), placement=joint.name)
 
 
