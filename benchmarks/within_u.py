@@ -13,8 +13,9 @@ results/within_u.json.
 import argparse
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -138,9 +139,10 @@ def one_set(case: Sized, seed: int) -> dict:
     return {"case": case.name, "seed": seed, **compared(closure, case.key, truth)}
 
 
-def jobs(sets: int) -> Iterator[tuple[Sized, int]]:
+def jobs(sets: int, patterns: Sequence[str]) -> Iterator[tuple[Sized, int]]:
     """Every set, seed by seed."""
-    yield from ((case, seed) for seed in range(FIRST_SEED, FIRST_SEED + sets) for case in CASES)
+    cases = [case for case in CASES if any(fnmatch(case.name, p) for p in patterns)]
+    yield from ((case, seed) for seed in range(FIRST_SEED, FIRST_SEED + sets) for case in cases)
 
 
 def work(options: argparse.Namespace, part: int) -> None:
@@ -150,7 +152,7 @@ def work(options: argparse.Namespace, part: int) -> None:
     vcal.enable_float64()
     done = {(line["case"], line["seed"]) for line in known(options.lines)}
     commit = commit_of(HERE.parent)
-    for number, (case, seed) in enumerate(jobs(options.sets)):
+    for number, (case, seed) in enumerate(jobs(options.sets, options.cases)):
         if number % options.jobs != part or (case.name, seed) in done:
             continue
         line = one_set(case, seed)
@@ -217,6 +219,7 @@ def summed(lines: list[dict]) -> list[dict]:
 def main() -> None:
     """Run the campaign in single-threaded processes, then sum it up."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", nargs="+", default=["*"], help="patterns such as 'r_test*'")
     parser.add_argument("--sets", type=int, default=200, help="of every case")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--data", type=Path, help="folder with the practice data")
