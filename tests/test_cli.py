@@ -617,12 +617,16 @@ def test_ctrl_c_while_modules_are_imported(tmp_path, argument):
         assert "KeyboardInterrupt" in told
 
 
-@pytest.mark.parametrize("collecting", [True, False])
-def test_importing_leaves_the_collector_as_it_was(collecting):
-    before = "enable" if collecting else "disable"
-    code = f"import gc; gc.{before}(); import vcal; print(gc.isenabled())"
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [("enable", "True False"), ("disable", "False False"), ("freeze", "True True")],
+)
+def test_importing_leaves_the_collector_as_it_was(before, after):
+    code = (
+        f"import gc; gc.{before}(); import vcal; print(gc.isenabled(), gc.get_freeze_count() > 0)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == str(collecting)
+    assert done.stdout.strip() == after
 
 
 @pytest.mark.parametrize(("argument", "given", "expected"), [

@@ -26,7 +26,7 @@ _Count = Annotated[int, Field(ge=2, le=200)]
 class DesignSettings(BaseModel):
     """What every ``[design]`` table holds; each kind of instrument adds its own keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
     goal: Goal = "volume"
     """What is made small: the expected rms volumetric error, the largest uncertainty of some
     errors, or the determinant of their covariance.

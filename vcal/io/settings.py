@@ -34,7 +34,7 @@ COMPUTABLE = f"zero, or a number from {_SMALLEST:g} to {_LARGEST:g} in size"
 class Table(BaseModel):
     """A table of a study file: keys that are not declared are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class JointSettings(Table):
@@ -159,7 +159,7 @@ class AnyFamilySettings(Table):
 class EffectSettings(BaseModel):
     """A row of ``[[model.effect]]``; the further keys are parameters with their unit."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="allow", frozen=True)
     __pydantic_extra__: dict[str, Any] = Field(init=False)
     name: str
     """Identifier of the catalogue, or of an effect in `effects_file`."""
