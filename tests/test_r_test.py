@@ -232,6 +232,15 @@ def test_the_loop_names_the_matrix(study):
         assert abs(v - E[i, j]) < 4 * u
 
 
+def test_what_a_missing_plane_leaves_open_is_told(tmp_path):
+    """Nothing accelerates along Z: its column of the matrix is what was believed before."""
+    s = load_study(write(tmp_path / "one", circles(planes=("XY",))))
+    found = close_loop(s.model, s.measurement)
+    assert [e.effect.key for e in found.effects] == ["acceleration_crosstalk"]
+    (note,) = (n for n in found.notes if "next to nothing" in n)
+    assert "of matrix_XZ, matrix_YZ, matrix_ZZ; what" in note
+
+
 @pytest.mark.parametrize(
     "seed",
     [pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.campaign)],

@@ -13,6 +13,8 @@ from .measurement import Measurement
 from .model import Model, Shapes
 from .parameters import Parameter
 
+HARDLY_TOLD = 0.05
+"""Share of information below which the data have said practically nothing."""
 _UNSEEN = 1e-8
 """Information (per solver unit squared) that counts as none: a standard deviation of 1e4 units."""
 

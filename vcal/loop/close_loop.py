@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
-from ..fit import Fit
+from ..fit import HARDLY_TOLD, Fit
 from ..identify import identify
 from ..instruments.conditions import file_column
 from ..learn import learned_sizes, with_sizes
@@ -202,6 +202,7 @@ def _finish(
             *_not_at_the_check(after, run.check),
             *_worse(wrong["before"], wrong["after"], bool(found)),
             *_described_at_the_check(described, wrong["after"], run.check),
+            *_untold(after, [item.effect.key for item in found]),
             *_notes(scales, state, run),
         ],
     )
@@ -263,6 +264,20 @@ def _described_at_the_check(
     return [
         f"the error at the check points is {_um(after.check)}: with what describes what is "
         f"unexplained ({summary}) it would be {value:.3g} µm, which is most of its uncertainty"
+    ]
+
+
+def _untold(after: Fit, found: Sequence[str]) -> list[str]:
+    """Which parameters of the effects that were `found` are as uncertain as before: such as an
+    acceleration in a direction in which nothing moved.
+    """
+    told = zip(after.entries, after.information, strict=True)
+    hardly = [(key, p.name) for (key, p), share in told if share < HARDLY_TOLD]
+    return [
+        f"{key}: the readings say next to nothing of {', '.join(names)}; what is given is what "
+        "was known before"
+        for key in found
+        if (names := [name for its, name in hardly if its == key])
     ]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from ..effects.registry import CATALOGUE
+from ..fit import HARDLY_TOLD
 from ..io.study import Study
 from ..loop.closure import Closure, FoundEffect
 from ..loop.empirical import EMPIRICAL
@@ -28,9 +29,6 @@ _TITLES = {
     "ambiguous": "Ambiguous",
     "unexplained": "Unexplained",
 }
-_HARDLY = 0.05
-"""Share of information below which the data have said practically nothing."""
-
 _WORTH_NAMING = 0.0005
 """Probability of a rival from which it is on the page, where it would else be 0.0 %."""
 
@@ -412,7 +410,9 @@ def _information(closure: Closure) -> dict[str, Any]:
     inverse = cho_solve(fit.factor, np.eye(len(fit.theta)))
     scaled = inverse[np.ix_(proper, proper)] * np.outer(root, root)
     learnt = 1.0 - np.linalg.eigvalsh(scaled)
-    hardly = [names[k] for k, v in zip(proper, np.diag(scaled), strict=True) if 1.0 - v < _HARDLY]
+    hardly = [
+        names[k] for k, v in zip(proper, np.diag(scaled), strict=True) if 1.0 - v < HARDLY_TOLD
+    ]
     return {
         "directions": len(proper),
         "determined": int((learnt > 0.5).sum()),
