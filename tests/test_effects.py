@@ -68,13 +68,14 @@ def r_test():
     study = load_study(FOLDER / "start" / "r_test")
     plan = study.plan.take(np.arange(0, study.plan.rows, 4))
     model = study.model
+    (crosstalk,) = CATALOGUE["acceleration_crosstalk"].candidates(model.setup(plan))
     return SimpleNamespace(
         chain=study.chain,
         instrument=study.instrument,
         plan=plan,
         model=model,
         theta=0.5 * np.ones(len(model.entries)),
-        setup=Setup(study.chain, model.layout, plan, model.effects),
+        setup=Setup(study.chain, model.layout, plan, (*model.effects, crosstalk)),
     )
 
 

@@ -8,12 +8,13 @@ import pytest
 import vcal
 from oracle import PLANES, measure_circles
 from vcal import Measurement, close_loop, load_study, predict
-from vcal.circles import FAR, fit_circle
+from vcal.circles import fit_circle
 from vcal.dynamics import measured_phasors
 from vcal.dynamics.evaluate import evaluate, even_ellipse
 from vcal.errors import StudyError
 from vcal.identify import identify
 from vcal.io import write_table
+from vcal.loop.unexplained import dependence
 
 E = np.array([[0.9, 0.1, -1.55], [0.05, 0.6, 0.3], [-0.4, 0.2, 1.1]])
 """um s^2/m."""
@@ -28,12 +29,12 @@ LEVELS = (0.5, 1.0, 2.0, 3.0, 4.5)
 
 
 def circles(*, planes=PLANES, levels=LEVELS, matrix=E, seed=0, noise=1.0, spike=None, late=0.0,
-            grating=None, **more):  # fmt: skip
+            grating=None, others=(), **more):  # fmt: skip
     """Columns of the data of an R-test by the oracle: `spike` is the size (um) and the decay (mm)
     of quadrant peaks; `late` (s) by how much the clock of the probes is behind; `grating` the
-    amplitude (um) and the period (um) of the error of the scale of X.
+    amplitude (um) and the period (um) of the error of the scale of X; `others` further effects.
     """
-    effects = [{"effect": "acceleration_crosstalk", "matrix_um_s2_per_m": matrix}]
+    effects = [{"effect": "acceleration_crosstalk", "matrix_um_s2_per_m": matrix}, *others]
     if late:
         effects.append({"effect": "servo_lag", "T": late})
     if grating is not None:
@@ -119,7 +120,7 @@ def test_way_since_the_reversal():
         # Where it turns within a step, either end of the way is right.
         later = (t > 2 * np.pi / 30) & (np.array(since) < 0.99999 * 4e-3)
         np.testing.assert_allclose(found[later, axis], np.array(since)[later], atol=1e-7)
-    assert (found[:, 2] == FAR).all()
+    np.testing.assert_allclose(found[:, 2], 2e-3, atol=1e-9)  # at rest
 
 
 def test_no_circle():
@@ -239,6 +240,72 @@ def test_what_a_missing_plane_leaves_open_is_told(tmp_path):
     assert [e.effect.key for e in found.effects] == ["acceleration_crosstalk"]
     (note,) = (n for n in found.notes if "next to nothing" in n)
     assert "of matrix_XZ, matrix_YZ, matrix_ZZ; what" in note
+
+
+def test_one_element_of_the_matrix_is_the_matrix(tmp_path):
+    """Not a product of an acceleration with the way that its axis has gone since a reversal."""
+    table = circles(matrix=[[0, 0, -1.5], [0, 0, 0], [0, 0, 0]], samples=40)
+    s = load_study(write(tmp_path / "one", table))
+    found = close_loop(s.model, s.measurement)
+    assert found.verdict == "named"
+    assert [e.effect.key for e in found.effects] == ["acceleration_crosstalk"]
+
+
+@pytest.mark.slow
+def test_the_loop_names_what_a_mode_adds(tmp_path):
+    """Against a resonance whose gain is not expanded in the angular velocity."""
+    w, zeta = 2 * np.pi * 50.0, 0.05
+    mode = {"effect": "resonance", "matrix_um_s2_per_m": E, "frequency": 50.0, "zeta": zeta}
+    table = circles(matrix=np.zeros((3, 3)), others=[mode], samples=240)
+    s = load_study(write(tmp_path / "mode", table))
+    found = close_loop(s.model, s.measurement)
+    parts = {e.effect.key: {n: (v, u) for n, v, _, u in e.parameters} for e in found.effects}
+    assert list(parts) == ["acceleration_crosstalk", "jerk_crosstalk", "snap_crosstalk"]
+    # um s^2/m, nm s^3/m, nm s^4/m
+    expected = E, -1e3 * 2 * zeta / w * E, -1e3 * (1 - 4 * zeta**2) / w**2 * E
+    for values, true in zip(parts.values(), expected, strict=True):
+        for i, j in np.ndindex(3, 3):
+            v, u = values[f"matrix_{'XYZ'[i]}{'XYZ'[j]}"]
+            assert abs(v - true[i, j]) < 4 * u
+    assert found.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.04)
+
+
+def test_at_one_pace_there_is_nothing_to_tell_a_mode_from_its_compliance(tmp_path):
+    s = load_study(write(tmp_path / "one", circles(levels=(4.5,))))
+    setup = s.model.with_effects(bend(s.chain)).setup(s.plan)
+    for name in ("jerk_crosstalk", "snap_crosstalk", "probe_matrix"):
+        assert not list(vcal.CATALOGUE[name].candidates(setup))
+
+
+@pytest.mark.slow
+def test_the_loop_names_probes_that_are_worse_than_declared(tmp_path):
+    skew = 5e-4 * np.array([[1.0, 0.2, 0.0], [0.0, 1.0, -0.3], [0.0, 0.0, 1.0]])
+    table = circles(matrix=np.zeros((3, 3)), skew=skew)
+    s = load_study(write(tmp_path / "probes", table))
+    found = close_loop(s.model, s.measurement)
+    assert found.verdict == "named"
+    (one,) = found.effects
+    assert one.effect.key == "probe_matrix"
+    for name, v, _, u in one.parameters:
+        i, j = ("XYZ".index(c) for c in name.removeprefix("S_"))
+        assert abs(v - 1e6 * skew[i, j]) < 4 * u
+
+
+@pytest.mark.slow
+def test_a_circle_with_three_bumps_gets_no_name(tmp_path):
+    bumps = {"effect": "harmonic", "size_um": 0.5, "order": 3}
+    table = circles(matrix=np.zeros((3, 3)), others=[bumps], samples=120)
+    s = load_study(write(tmp_path / "bumps", table))
+    found = close_loop(s.model, s.measurement)
+    assert found.verdict == "unexplained" and not found.effects
+
+
+def test_what_the_place_of_the_sphere_takes_is_told_of_nothing(study):
+    """A residual cannot depend on the run: an offset of every run is fitted."""
+    fit = fitted(study, bend(study.chain))
+    told = dependence(fit, 50, 0)
+    assert {"run", "plane", "a_set_m_s2"}.isdisjoint(name for name, _ in told.single)
+    assert told.p_value > 0.02
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from vcal import (
 from vcal.demo import FOLDER
 from vcal.effects.data_set import OfDataSet
 from vcal.effects.geometric import GeometricErrors
-from vcal.instruments.r_test import ProbeMatrix
+from vcal.effects.r_test import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.io.simulated import parse_with, write_simulated
 from vcal.loop.candidates import candidates

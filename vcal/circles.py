@@ -8,11 +8,12 @@ at 5 m/s^2), and so do accelerations; what a machine's structure answers to is t
 
 from dataclasses import dataclass
 
+import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-FAR = 1.0
-"""What counts as the distance, m, since a reversal that never was: finite, for its derivatives."""
+from .arrays import Array
+
 _STEPS = 20
 _STILL = 0.02
 """Amplitude over that of the circle below which an axis is at rest: a held axis gives way to what
@@ -58,11 +59,14 @@ class Circle:
 
     def since_reversal(self, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n axes"]:
         """Distance travelled since the last reversal of every axis, m, as if the circle had been
-        travelled for ever; `FAR` for an axis that takes no part.
+        travelled for ever; the radius for an axis that takes no part, half of the way to the next
+        one: were it far, all axes that move would seem alike beside it, and a product with the
+        distance that an axis has travelled would be a product with whether it moves.
         """
         phase = np.arctan2(-self.sine, self.cosine)
         angle = np.mod(self.omega * np.asarray(t)[:, None] + phase, np.pi)
-        return np.where(self.moving, self.amplitude * (1.0 - np.cos(angle)), FAR)
+        way = self.amplitude * (1.0 - np.cos(angle))
+        return np.where(self.moving, way, self.amplitude.max())
 
     def _wave(self, t: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
         angle = self.omega * np.asarray(t)[:, None]
@@ -98,3 +102,22 @@ def fit_circle(t: Float[np.ndarray, " n"], position: Float[np.ndarray, "n axes"]
     columns = np.column_stack([np.ones_like(t), np.cos(omega * t), np.sin(omega * t)])
     c, a, b = np.linalg.lstsq(columns, x, rcond=None)[0]
     return Circle(float(omega), c, a, b)
+
+
+def squared_pace(
+    run: Int[np.ndarray, " n"],
+    velocity: Float[Array, "n axes"],
+    acceleration: Float[Array, "n axes"],
+) -> Float[Array, " n"]:
+    """omega^2 of the circle of every row, (rad/s)^2: the mean square of the acceleration in its run
+    over that of the velocity.
+    """
+    runs, index = np.unique(np.asarray(run), return_inverse=True)
+
+    def sums(squares: Array) -> Array:
+        if isinstance(squares, jax.Array):
+            return jax.ops.segment_sum(squares, index, len(runs))
+        return np.bincount(index, squares, len(runs))
+
+    a2, v2 = (sums((x * x).sum(1)) for x in (acceleration, velocity))
+    return (a2 / v2)[index]

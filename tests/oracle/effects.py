@@ -209,6 +209,8 @@ ON_BALLS = ("ball_error", "artefact_bending", "artefact_expansion", "probe_lobin
 ON_LASER = (*ON_FRAME, "head_expansion", "frame_expansion", "refraction", "psd_linearity")
 ON_CIRCLES = (
     "acceleration_crosstalk",
+    "resonance",
+    "harmonic",
     "reversal_spike",
     "servo_lag",
     "scale_interpolation",

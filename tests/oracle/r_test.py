@@ -6,6 +6,8 @@ difference is the error of the structure in between.  Effects, in SI once `in_si
 | effect | adds to what the probes see | keys |
 |---|---|---|
 | acceleration_crosstalk | E a | matrix (s^2) |
+| resonance | E a / (1 - x^2 + 2 i zeta x), x = omega/omega_0 | matrix (s^2), frequency (Hz), zeta |
+| harmonic | size cos(n phi) outwards, phi the angle in the plane of the circle | size, order |
 | reversal_spike | -size sgn(v) exp(-s/decay), s the way since the reversal | axis or all, these |
 | servo_lag | -T v | axis or all, T (s) |
 | scale_interpolation | amplitude sin(2 pi x/period + phase) along the axis | axis and these |
@@ -69,6 +71,10 @@ def moved(motion: Circle, effects: Iterable[Effect]) -> Array:
         match effect["effect"]:
             case "acceleration_crosstalk":
                 off += motion.acceleration @ np.asarray(effect["matrix"], dtype=float).T
+            case "resonance":
+                off += resonance(motion, effect)
+            case "harmonic":
+                off += harmonic(motion, effect)
             case "reversal_spike":
                 peak = effect["size"] * np.exp(-motion.since / effect["decay"])
                 off[:, axes] -= (motion.way * peak)[:, axes]
@@ -84,6 +90,25 @@ def moved(motion: Circle, effects: Iterable[Effect]) -> Array:
             case name:
                 raise ValueError(f"no such effect on a circle: {name!r}")
     return off
+
+
+def resonance(motion: Circle, effect: Effect) -> Array:
+    """What a structure with one mode makes of the acceleration, (n, 3) m: its complex gain times
+    a, where i a is the acceleration a quarter of a turn later, -omega v.
+    """
+    omega = np.sqrt((motion.acceleration**2).sum() / (motion.velocity**2).sum())
+    x = omega / (2 * np.pi * effect["frequency"])
+    gain = 1 / (1 - x**2 + 2j * effect["zeta"] * x)
+    bent = gain.real * motion.acceleration - gain.imag * omega * motion.velocity
+    return bent @ np.asarray(effect["matrix"], dtype=float).T
+
+
+def harmonic(motion: Circle, effect: Effect) -> Array:
+    """A circle with bumps, (n, 3) m: outwards by the cosine of a multiple of the angle."""
+    first, second = np.flatnonzero(np.ptp(motion.position, axis=0))
+    phi = np.arctan2(motion.position[:, second], motion.position[:, first])
+    out = motion.position / np.linalg.norm(motion.position, axis=1, keepdims=True)
+    return effect["size"] * np.cos(effect["order"] * phi)[:, None] * out
 
 
 def measure_circles(

@@ -1,11 +1,19 @@
-"""Effects of acceleration: a structure that bends while it is being driven."""
+"""Effects of acceleration: a structure that bends while it is being driven.
+
+Below its first mode a machine answers to what its axes do by d = E a + D j + S s, the first terms
+of its frequency response times (i omega)^2: a the acceleration, j and s its first and second
+derivative in time. Of one mode of the angular frequency w and the damping ratio zeta,
+D = -2 zeta/w E and S = -1/w^2 E (1 - 4 zeta^2).
+"""
 
 from collections.abc import Iterable, Mapping
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, namespace
+from ..circles import squared_pace
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup
@@ -55,3 +63,107 @@ class AccelerationCrosstalk(Effect):
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         if all(joint.kind == "prismatic" for joint in setup.chain.joints):
             yield cls(axes=setup.chain.axes)
+
+
+_PACES = 2.0
+"""Ratio of omega^2 of the fastest and the slowest circle from which their derivatives differ."""
+
+
+def paces_differ(plan: Plan, axes: Iterable[str]) -> bool:
+    """Whether a plan has circles, of angular velocities that tell apart what goes with position,
+    acceleration and the second derivative of that: at one pace all three are the same.
+    """
+    if "run" not in plan.groups or not plan.has(*_motion(axes)):
+        return False
+    squared = np.asarray(_squared_pace(plan, axes))
+    return bool(squared.max() > _PACES * squared.min())
+
+
+def _motion(axes: Iterable[str]) -> list[str]:
+    return [f"{kind}_{axis}" for kind in ("v", "a") for axis in axes]
+
+
+def _squared_pace(plan: Plan, axes: Iterable[str]) -> Array:
+    axes = list(axes)
+    columns = ([plan.covariate(f"{kind}_{axis}") for axis in axes] for kind in ("v", "a"))
+    v, a = (namespace(*its).stack(its, axis=1) for its in columns)
+    return squared_pace(np.asarray(plan.groups["run"]), v, a)
+
+
+class _Derivative(Effect):
+    """Displacement in proportion to a derivative of acceleration on circles.
+
+    It is there only beside `AccelerationCrosstalk`: a correction of what a structure that is stiff
+    against its own pace would do. On a circle of angular velocity omega the first derivative of
+    the acceleration is -omega^2 v, the second -omega^2 a.
+    """
+
+    of: ClassVar[str]
+    """Covariate that goes with it on a circle."""
+    unit: ClassVar[str]
+    sigma: ClassVar[float]
+    axes: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"matrix_{i}{j}", self.unit, sigma=self.sigma)
+            for i in _LETTERS
+            for j in self.axes
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (*_motion(self.axes), "run")
+
+    @property
+    def betrayed_by(self) -> tuple[str, ...]:
+        return tuple(f"{self.of}_{axis}" for axis in self.axes)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        squared = _squared_pace(plan, self.axes)
+        columns = {j: -squared * plan.covariate(f"{self.of}_{j}") for j in self.axes}
+        return {
+            (f"tool.{i}", f"matrix_{i}{j}"): column
+            for i in _LETTERS
+            for j, column in columns.items()
+        }
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        beside = any(effect.name == AccelerationCrosstalk.name for effect in setup.declared)
+        axes = setup.chain.axes
+        if beside and paces_differ(setup.plan, axes):
+            yield cls(axes=axes)
+
+
+@register
+class JerkCrosstalk(_Derivative):
+    """Displacement of the tool point in proportion to jerk, d = D j, beside d = E a: the phase by
+    which a damped structure is late.
+
+    D is a matrix (nm s^3/m), ``matrix_XZ`` the displacement along X per jerk of Z. It is looked for
+    on circles, where j = -omega^2 v.
+    """
+
+    name = "jerk_crosstalk"
+    summary = "damping of the structure: displacements in proportion to jerk"
+    of = "v"
+    unit = "nm s3/m"
+    sigma = 0.3
+
+
+@register
+class SnapCrosstalk(_Derivative):
+    """Displacement of the tool point in proportion to the second derivative of acceleration,
+    d = S s, beside d = E a: what a mode near the pace of the motion adds to the quasi-static part.
+
+    S is a matrix (nm s^4/m), ``matrix_XZ`` the displacement along X per snap of Z. It is looked for
+    on circles, where s = -omega^2 a.
+    """
+
+    name = "snap_crosstalk"
+    summary = "first mode of the structure: displacements that grow faster than acceleration"
+    of = "a"
+    unit = "nm s4/m"
+    sigma = 0.01

@@ -16,7 +16,9 @@ from .registry import register
 class CrossAxis(Effect):
     """An error motion of one axis that depends on another's position too (a moving mass).
 
-    E = a u v + b u^2 v + c u v^2, u and v the two axes' positions over their travel, -1 to 1.
+    E = a u v + b u^2 v + c u v^2, u and v the two axes' positions over their travel, -1 to 1. It
+    is for axes of a declared travel: a mass that moves by the millimetres of a circle bends nothing
+    by how far it went, and as polynomials the terms would describe whatever goes round with it.
     """
 
     name = "cross_axis"
@@ -56,22 +58,17 @@ class CrossAxis(Effect):
             for other in setup.chain.joints:
                 if joint is other or "revolute" in (joint.kind, other.kind):
                     continue
-                travel = (*_range(setup, joint.name), *_range(setup, other.name))
-                for c in "XYZABC":
+                (a, b), (c, d) = joint.travel.tolist(), other.travel.tolist()
+                travel = (a, b, c, d)
+                if not np.isfinite(travel).all():
+                    continue
+                for letter in "XYZABC":
                     yield cls(
-                        motion=f"E{c}{joint.name}",
+                        motion=f"E{letter}{joint.name}",
                         other=other.name,
                         travel=travel,
                         placement=joint.name,
                     )
-
-
-def _range(setup: Setup, axis: str) -> tuple[float, float]:
-    low, high = setup.chain.joint(axis).travel
-    if np.isfinite(low) and np.isfinite(high):
-        return float(low), float(high)
-    x = np.asarray(setup.plan.x(axis))
-    return float(x.min()), float(x.max() if np.ptp(x) > 0 else x.min() + 1.0)
 
 
 @register

@@ -148,7 +148,6 @@ class ReversalSpike(Effect):
         return found
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        # An axis at rest is far from any reversal.
         moving = [np.asarray(plan.covariate(f"dir_{axis}")) != 0.0 for axis in self.axes]
         since = [np.asarray(plan.covariate(f"since_{axis}")) for axis in self.axes]
         reached = np.concatenate([s[m] for s, m in zip(since, moving, strict=True)])

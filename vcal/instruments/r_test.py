@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, Self
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,6 +19,7 @@ from ..arrays import Array
 from ..chain import Chain
 from ..circles import Circle, fit_circle
 from ..effects.base import Effect, Response
+from ..effects.r_test import ProbeMatrix, middle_of_runs
 from ..errors import RowError
 from ..parameters import Parameter
 from ..plan import Plan
@@ -106,32 +106,6 @@ class RunOffsets(Effect):
         index = plan.groups["run"]
         return {
             (f"sphere.{c}", f"{run}.{c}"): (index == run) * 1.0 for run in self.runs for c in _XYZ
-        }
-
-
-class ProbeMatrix(Effect):
-    """Errors of the probes' sensitivities and directions: a displacement p is read as (1 + S) p.
-
-    S has nine independent elements; their standard deviation u/range makes the standard uncertainty
-    of a coordinate u at the end of the range. One S for all runs: what circles of one acceleration
-    cannot tell from the machine, those of several can.
-    """
-
-    name = "probe_matrix"
-    summary = "sensitivities and directions of the probes of an R-test"
-    where = "instrument"
-    sigma: float = 0.0
-    """u/range."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        size = self.sigma / 1e-6
-        return tuple(Parameter(f"S_{i}{j}", "um/m", sigma=size) for i in _XYZ for j in _XYZ)
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        place = jnp.unstack(jnp.asarray(plan.position) - _middle(plan), axis=1)
-        return {
-            (f"sphere.{i}", f"S_{i}{j}"): x for i in _XYZ for j, x in zip(_XYZ, place, strict=True)
         }
 
 
@@ -291,7 +265,7 @@ class RTest(TableInstrument):
         return {**own, **shown, **read}
 
     def rows(self, plan: Plan) -> Any:
-        return _middle(plan)
+        return middle_of_runs(plan)
 
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
         seen = tool - Vector.of(row) + Vector.of(ports["sphere"])
@@ -390,14 +364,6 @@ class RTest(TableInstrument):
                 int(np.argmax(wrong)),
             )
         return circle
-
-
-def _middle(plan: Plan) -> Float[Array, "n 3"]:
-    """Axis positions in the middle of what each run travels, where the probes are at zero."""
-    x = jnp.asarray(plan.position)
-    runs, run = np.unique(np.asarray(plan.groups["run"]), return_inverse=True)
-    low, high = (find(x, run, len(runs)) for find in (jax.ops.segment_min, jax.ops.segment_max))
-    return (0.5 * (low + high))[run]
 
 
 _COORDINATES = ("x_ext_mm", "y_ext_mm", "z_ext_mm")

@@ -28,6 +28,8 @@ _BEYOND_NOISE = 5.0
 """Standard deviations of chi-square by which a fit leaves more than the declared noise."""
 _PLAINLY = 3.0
 """How many times what is more than the noise is so beyond doubt, before a fit with that noise."""
+_SOMETHING = 1.0
+"""Chi-square by which a description leaves less than there was, to be one."""
 _BEHIND = 4
 """Most kinds that are refitted although their evidence is far behind."""
 _HOPELESS, _FALL = 3.0, 0.3
@@ -118,9 +120,12 @@ class Round:
 
     @property
     def description(self) -> Rival | None:
-        """The most probable empirical description that is significant."""
+        """The most probable empirical description that is significant, and describes something: of
+        what the plan hardly sees, chance may be rare and its fit leaves all that there was.
+        """
         found = (r for r in self.rivals if isinstance(r.effect, Empirical))
-        return next((r for r in found if self.p_value(r) <= self.alpha), None)
+        telling = (r for r in found if self.fit.chi2 - r.fit.chi2 > _SOMETHING)
+        return next((r for r in telling if self.p_value(r) <= self.alpha), None)
 
     def p_value(self, rival: Rival) -> float:
         """Corrected for the search."""

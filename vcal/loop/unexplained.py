@@ -130,8 +130,8 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         counts = np.bincount(index)
         sums = np.tensordot(np.eye(len(counts))[:, index], both[there], 1)
         described = (sums**2 / np.maximum(counts, 1)[:, None, None]).sum((0, 1)) / total
-        if not there.all() and described[1:].mean() < _ROUNDING:
-            continue  # of one data set, whose own nuisances take all of it: a tilt of every pose
+        if described[1:].mean() < _ROUNDING:
+            continue  # nuisances take all of it, such as the place of a sphere in every run
         names.append(name)
         shares.append(described)
     singles = np.array(shares).reshape(len(shares), draws + 1)
@@ -143,6 +143,8 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     pairs, columns = _products({n: x for n, x in known.items() if n in multiplied})
     moved = np.tensordot(columns, both, 1) if pairs else np.zeros((0, *both.shape[1:]))
     products = (moved**2).sum(1) / total
+    told = products[:, 1:].mean(1) >= _ROUNDING
+    products, pairs = products[told], [pair for pair, one in zip(pairs, told, strict=True) if one]
     if not names and not pairs:
         return Dependence([], [], False, 1.0)
     rare = np.concatenate([_rarity(singles), _rarity(products)])

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve
 
-from ..circles import FAR
 from ..effects.base import Effect
 from ..fit import Fit
 from ..instruments.conditions import file_column
@@ -221,7 +220,6 @@ def _tone(
     x = table[name]
     ranks = np.searchsorted(np.unique(x), x) / (len(np.unique(x)) - 1)
     column, factor = column_of(name, plan)
-    shown = x[x < FAR] if name.startswith("since_") else x
-    low, high = shown.min() * factor, shown.max() * factor
+    low, high = x.min() * factor, x.max() * factor
     ends = f"{low:.4g} (dark) to {high:.4g} (bright)".replace("-", "−")
     return ranks, f"dots: {column_label(column)},\n{ends}"
