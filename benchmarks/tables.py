@@ -193,6 +193,29 @@ def several(found: dict) -> str:
     return table(["case", "sets", *outcomes, "told not to fit one machine"], rows)
 
 
+def within_u(found: dict) -> str:
+    rows = [
+        [
+            r["case"],
+            f"{r['named']} of {r['sets']}",
+            str(len(r["parameters"])),
+            _of(r["within_U"]),
+            f"{r['sd_of_pulls']:.2f}",
+            _of(r["jointly_beyond_5_percent"]),
+            f"{r['largest_distance']:.1f}",
+        ]
+        for r in found["cases"]
+    ]
+    for name, r in found["measured"].items():
+        n = len(r["pulls"])
+        inside = sum(abs(pull) <= 2.0 for pull in r["pulls"].values())
+        chance = f"chance of as far off: {r['chance']:.2g}"
+        rows.append([name, "1 of 1", str(n), f"{inside} of {n}", "", chance,
+                     f"{r['distance']:.1f}"])  # fmt: skip
+    head = "case,named,parameters,within U,sd of error / u,all together beyond 95 %,farthest chi2"
+    return table(head.split(","), rows)
+
+
 def speed(found: dict) -> str:
     rows = (
         [
@@ -345,6 +368,7 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "power_outside": ("power", power_outside),
     "power_strays": ("power", power_strays),
     "several": ("several", several),
+    "within_u": ("within_u", within_u),
     "practice": ("practice", practice),
     "speed": ("speed", speed),
     "batch": ("batch", batch),

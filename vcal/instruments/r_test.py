@@ -43,6 +43,12 @@ _SLACK = 0.02
 """Of a turn, that may be missing where the last row stands short of the first."""
 _WITHIN = 3.0
 """Factor within which the circle that was travelled is the commanded one."""
+_PER_TURN = 3.0
+"""Rows per turn from which a circle within that factor is not one of another pace, seen too seldom:
+f that looks like |f_s - f|, within a factor of 3 in the square, has 2.8 rows per turn at most.
+"""
+_BESIDE = 0.1
+"""Of the radius, rms, from which positions are on no one circle."""
 _DERIVED = tuple(f"{kind}_{axis}" for kind in ("a", "v", "dir", "since") for axis in _XYZ)
 _OWN = ("run", "plane", "sense", "a_set_m_s2", "t_s")
 
@@ -195,16 +201,21 @@ class RTest(TableInstrument):
             own[f"{axis.lower()}_mm"] = own.pop(f"{axis.lower()}_int_mm")
         plan = linear_plan(chain, own, (*_COORDINATES, *_PROBES))
         t, run = np.asarray(table["t_s"], float), np.asarray(plan.groups["run"])
+        _refuse_copies(run, table)
         covariates = dict(plan.covariates) | {"t_run": t}
         if (np.diff(t) > 0.0).all():  # else it counts from the start of every run
             covariates["t"] = t
         plane = _plane_numbers(table["plane"])
         derived = {name: np.zeros(plan.rows) for name in _DERIVED}
         read, position = np.asarray(plan.position), np.zeros((plan.rows, len(chain.axes)))
+        turning: dict[int, tuple[Circle, str, float]] = {}
         for number in np.unique(run):
             mine = np.flatnonzero(run == number)
-            a_set = np.asarray(covariates["a_set_m_s2"])[mine]
+            a_set, sense = (np.asarray(covariates[n])[mine] for n in ("a_set_m_s2", "sense"))
+            for column, values in (("a_set_m_s2", a_set), ("sense", sense)):
+                _refuse_two(number, mine, column, values)
             circle = self._circle(number, mine, t[mine], read[mine], plane[mine], a_set, chain.axes)
+            turning[number] = circle, str(table["plane"][mine[0]]).upper(), sense[0]
             position[mine] = circle.position(t[mine])
             values = circle.acceleration(t[mine])
             if self.nominal:
@@ -220,6 +231,7 @@ class RTest(TableInstrument):
             for kind, columns in found.items():
                 for i, axis in enumerate(chain.axes):
                     derived[f"{kind}_{axis}"][mine] = columns[:, i]
+        _refuse_senses(run, turning, chain.axes)
         return Plan(plan.axes, position, covariates | derived, dict(plan.groups) | {"plane": plane})
 
     def check_coordinates(self) -> None:
@@ -335,6 +347,23 @@ class RTest(TableInstrument):
                 "a whole one at least, as offset and amplitude cannot be told apart on less",
                 "measure longer, or leave the run out",
             )
+        if (per_turn := 2.0 * np.pi / (circle.omega * step)) < _PER_TURN:
+            raise refuse(
+                "",
+                f"{per_turn:.2f} rows per turn",
+                f"{_PER_TURN:g} at least, as a circle of another pace would look the same",
+                "sample faster, or leave the run out",
+            )
+        beside = np.linalg.norm(position - circle.position(t), axis=1)
+        radius = float(circle.amplitude.max())
+        if (rms := math.sqrt(np.square(beside).mean())) > _BESIDE * radius:
+            raise refuse(
+                "",
+                f"positions {1e3 * rms:.3g} mm (rms) beside the circle of one pace that fits best",
+                f"one circle, travelled at one pace: within {100 * _BESIDE:g} % of its radius",
+                "give every pace a run of its own, and leave out where the axes gather speed",
+                int(np.argmax(beside)),
+            )
         moving = {axis for axis, moves in zip(axes, circle.moving, strict=True) if moves}
         if len(set(plane)) > 1 or moving != set(PLANES[plane[0]]):
             found = " and ".join(dict.fromkeys(PLANES[k] for k in plane))
@@ -364,6 +393,63 @@ class RTest(TableInstrument):
                 int(np.argmax(wrong)),
             )
         return circle
+
+
+def _refuse_two(run: int, rows: np.ndarray, column: str, values: np.ndarray) -> None:
+    """Raise `RowError` where a run has two settings, or a circle no sense."""
+    place = f"run {run}, column {column}"
+    if len(np.unique(values)) > 1:
+        at = int(np.argmax(values != values[0]))
+        found = f"{values[at]:g} after {values[0]:g}"
+        raise RowError(
+            int(rows[at]), place, found, "one setting in a run", "give every circle its own run"
+        )
+    if column == "sense" and values[0] == 0.0:
+        raise RowError(int(rows[0]), place, "0", "1 or -1", "say which way the circle goes")
+
+
+def _refuse_senses(
+    run: np.ndarray, turning: Mapping[int, tuple[Circle, str, float]], axes: Sequence[str]
+) -> None:
+    """Raise `RowError` where circles of one plane go one way by their column and another by their
+    positions. Which way is 1 is for the file to say, as long as it does so in all runs.
+    """
+    ways: dict[str, dict[float, list[int]]] = {}
+    for number, (circle, plane, sense) in turning.items():
+        first, second = (axes.index(axis) for axis in plane)
+        a, b = circle.cosine, circle.sine
+        way = np.sign(a[first] * b[second] - a[second] * b[first])
+        ways.setdefault(plane, {}).setdefault(float(way * sense), []).append(number)
+    for plane, found in ways.items():
+        if len(found) > 1:
+            few = min(found.values(), key=len)[0]
+            raise RowError(
+                int(np.argmax(run == few)),
+                f"run {few}, column sense",
+                f"{turning[few][2]:g}, the other way round than in other runs of {plane}",
+                "one sign for one way round",
+                "correct the column",
+            )
+
+
+def _refuse_copies(run: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
+    """Raise `RowError` where a run holds the readings of another."""
+    names = [name for name in (*_COORDINATES, *_PROBES) if name in table]
+    if not names:
+        return
+    readings = np.column_stack([np.asarray(table[name], float) for name in names])
+    known: dict[bytes, int] = {}
+    for number in np.unique(run):
+        mine = np.flatnonzero(run == number)
+        other = known.setdefault(readings[mine].tobytes(), int(number))
+        if other != number:
+            raise RowError(
+                int(mine[0]),
+                f"run {number}",
+                f"all readings of run {other} again",
+                "every reading once, as it counts twice otherwise",
+                "leave one of the runs out",
+            )
 
 
 _COORDINATES = ("x_ext_mm", "y_ext_mm", "z_ext_mm")
