@@ -448,6 +448,16 @@ def _stuck(rng: Rng, world: World) -> Sized:
     )
 
 
+def _bumps(rng: Rng, world: World) -> Sized:
+    """All that a circle has to tell of a place on it."""
+    order = int(rng.integers(3, 6))
+    motion = ("", "a_", "v_", "since_", "dir_")
+    return lambda size: Term(
+        ({"effect": "harmonic", "size_um": size, "order": order},),
+        covariates=(*(f"{kind}{axis}" for kind in motion for axis in "XYZ"), "t_run"),
+    )
+
+
 TRACKER, BALLS, FRAME, CIRCLES = ("laser_tracker",), ("ball_array",), ("laser_frame",), ("r_test",)
 BOTH = TRACKER + BALLS
 STATIONS = TRACKER + FRAME
@@ -524,6 +534,7 @@ OUTSIDE: tuple[Kind, ...] = (
     Kind(
         "a sensor that sticks, scale held in the middle", "um/(m K)", 15, _stuck, BOTH, centred=True
     ),
+    Kind("a circle with bumps", "um", 1, _bumps, CIRCLES),
 )
 PAIRS: tuple[tuple[str, str, str], ...] = (
     ("laser_tracker", "backlash", "thermal_tilt"),
