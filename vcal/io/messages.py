@@ -68,7 +68,7 @@ def explain(
     `overrides` maps dotted keys to the text they were given as, so that a mistake on the command
     line is not looked for in the file.
     """
-    errors = error.errors(include_url=False)
+    errors = _of_one_kind(error.errors(include_url=False), raw)
     # A misspelled key is both unknown and missing: tell it once, with the key that was meant.
     meant = set()
     for e in errors:
@@ -88,6 +88,52 @@ def explain(
     if len(lines) > _MOST_LINES:
         lines[_MOST_LINES:] = [f"... and {len(lines) - _MOST_LINES} more of the same kind"]
     return StudyError("\n".join(lines))
+
+
+def _of_one_kind(errors: Sequence[Any], raw: Mapping[str, Any]) -> list[Any]:
+    """Of a value that may be of several kinds, a number or a list of them, the mistake of the kind
+    that it is of; where it is of none, all that it may be. pydantic tells one for every kind, with
+    the kind among the keys.
+    """
+    found: list[Any] = []
+    fields: dict[tuple, dict[str | int, list[Any]]] = {}
+    for e in errors:
+        loc, key = e["loc"], _in_file(raw, e["loc"])
+        if e["type"] in ("missing", "extra_forbidden") or len(key) == len(loc):
+            found.append(e)
+            continue
+        place = next(i for i, part in enumerate(loc) if part not in key)
+        if loc[:place] not in fields:
+            fields[loc[:place]] = {}
+            found.append(fields[loc[:place]])
+        fields[loc[:place]].setdefault(loc[place], []).append(dict(e) | {"loc": key})
+    return [e for one in found for e in (_nearest_kind(one) if "type" not in one else [one])]
+
+
+def _nearest_kind(kinds: Mapping[str | int, list[Any]]) -> list[Any]:
+    """The mistakes of the one kind that a value is of, or what it may be."""
+    first = [errors[0] for errors in kinds.values()]
+    of_it = [
+        errors
+        for errors in kinds.values()
+        if len(errors) > 1
+        or not errors[0]["type"].endswith("_type")
+        or len(errors[0]["loc"]) > min(len(e["loc"]) for e in first)
+    ]
+    if of_it:
+        return of_it[0]
+    either = " or ".join(_EXPECTED.get(e["type"]) or e["msg"] for e in first)
+    return [dict(first[0]) | {"type": "none_of_several", "msg": either}]
+
+
+def _in_file(raw: Any, loc: Sequence[str | int]) -> tuple[str | int, ...]:
+    """A key path without what is not in the file."""
+    found = []
+    for part in loc:
+        if at(raw, (part,)) is not None:
+            raw = raw[part]
+            found.append(part)
+    return tuple(found)
 
 
 def source(file: str, key: str, overrides: Mapping[str, str]) -> str:
