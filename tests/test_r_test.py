@@ -300,6 +300,20 @@ def test_a_circle_with_three_bumps_gets_no_name(tmp_path):
     assert found.verdict == "unexplained" and not found.effects
 
 
+@pytest.mark.slow
+def test_a_name_is_not_certain_beside_more_that_is_unexplained(tmp_path):
+    """Of bumps, sampled alike in all runs, a period of the scale describes a sixth."""
+    bumps = {"effect": "harmonic", "size_um": 1.0, "order": 5}
+    table = circles(
+        matrix=np.zeros((3, 3)), others=[bumps], levels=(0.5, 1.0, 2.0, 3.0), samples=50
+    )
+    s = load_study(write(tmp_path / "bumps", table))
+    found = close_loop(s.model, s.measurement)
+    assert found.verdict == "unexplained"
+    assert found.effects and all(e.status == "ambiguous" for e in found.effects)
+    assert all("what is unexplained, more than it" in e.separation for e in found.effects)
+
+
 def test_what_the_place_of_the_sphere_takes_is_told_of_nothing(study):
     """A residual cannot depend on the run: an offset of every run is fitted."""
     fit = fitted(study, bend(study.chain))

@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
@@ -33,8 +35,8 @@ from .state import (
 from .steps import uncertainties
 from .stray import at_an_end
 from .together import contradiction
-from .unexplained import from_structure
-from .whitened import declared_residual
+from .unexplained import Unexplained, from_structure
+from .whitened import declared_chi2, declared_residual
 
 _NO_MACHINE_UM = 2000.0
 """What remains of a fit beyond which the data are not what they are said to be, um."""
@@ -149,6 +151,29 @@ def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
     )
 
 
+def _beside_the_rest(found: FoundEffect, fit: Fit, rest: Unexplained | None) -> FoundEffect:
+    """Not for certain, where something that can be described is unexplained, more than the effect
+    explains, and depends on the same: it may be a part of that. What only scatters, or what many
+    small things leave, takes nothing from a name.
+
+    The effect explains theta' C^-1 theta of its amplitudes, the chi-square that would be there
+    without them.
+    """
+    if found.status != "named" or rest is None or rest.empirical is None:
+        return found
+    same = [name for name in rest.depends_on if name in found.effect.betrayed_by]
+    mine = [i for i, (key, p) in enumerate(fit.entries) if key == found.effect.key and not p.shape]
+    if not same or not mine:
+        return found
+    theta, covariance = fit.theta[mine], fit.covariance[np.ix_(mine, mine)]
+    explained = theta @ np.linalg.solve(covariance, theta)
+    if explained >= declared_chi2(fit) - fit.dof:
+        return found
+    column = file_column(same[0], fit.measurement.plan.axes)[0]
+    why = f"what is unexplained, more than it explains, depends on {column} too: find that first"
+    return replace(found, status="ambiguous", separation=why)
+
+
 def _finish(
     run: Search, model: Model, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
@@ -159,6 +184,7 @@ def _finish(
     noise, scales = scales_told(state)
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, run.room) for item in run.added(state)]
+    found = [_beside_the_rest(effect, state.fit, run.unexplained) for effect in found]
     doubts = [_doubt(item.weighed) for item in run.added(state)]
     described = run.unexplained.empirical if run.unexplained is not None else None
     if described is not None:
