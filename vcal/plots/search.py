@@ -32,14 +32,22 @@ def search(
         kind: minus_log10_p(screenings[0], k) for k in screenings[0].kinds for kind in [k.kind]
     }
     kinds.sort(key=lambda kind: height.get(kind, 0.0))
-    drawn = figure(9.6, 1.15 + 0.235 * len(kinds))
+    told = len(screenings) <= 3 and len(added) > 0  # else there is no room for the names
+    top = 0.62 if told else 0.45
+    drawn = figure(9.6, 0.7 + top + 0.235 * len(kinds))
     row = grid(
         drawn,
         1,
         len(screenings),
-        {"left": 1.75, "right": 0.25, "top": 0.45, "bottom": 0.65, "wspace": 0.25},
+        {
+            "left": 1.75,
+            "right": 0.25,
+            "top": 0.62 if told else 0.45,
+            "bottom": 0.65,
+            "wspace": 0.25,
+        },
     )[0]
-    top = max(10.0, *(minus_log10_p(s, k) for s in screenings for k in s.kinds))
+    largest = max(10.0, *(minus_log10_p(s, k) for s in screenings for k in s.kinds))
     for i, (ax, screening) in enumerate(zip(row, screenings, strict=True)):
         values = {k.kind: minus_log10_p(screening, k) for k in screening.kinds}
         chosen = added[i] if i < len(added) else ""
@@ -50,8 +58,8 @@ def search(
         ax.barh(kinds, [values.get(kind, 0.0) for kind in kinds], color=colours, height=0.7)
         ax.axvline(-math.log10(alpha), color=INK, linewidth=1.1, linestyle="--")
         ax.set_xscale("symlog", linthresh=2.0, linscale=0.8)
-        ax.set_xlim(0, top * 1.6)
-        ticks = [t for t in (0, 1, 2, 5, 10, 30, 100, 300, 1000, 3000) if t <= top * 1.5]
+        ax.set_xlim(0, largest * 1.6)
+        ticks = [t for t in (0, 1, 2, 5, 10, 30, 100, 300, 1000, 3000) if t <= 1.5 * largest]
         most = max(4, 12 // len(screenings))
         ticks = [ticks[k] for k in np.unique(np.linspace(0, len(ticks) - 1, most).astype(int))]
         ax.set_xticks(ticks, [f"{t}" for t in ticks])
@@ -59,10 +67,9 @@ def search(
         ax.grid(axis="y", visible=False)
         if i:
             ax.tick_params(labelleft=False)
-        word = f": added {chosen}" if chosen and len(screenings) <= 3 else ""
         titled(
             ax,
-            f"round {i + 1}{word}",
+            f"round {i + 1}" + (f"\nadded {chosen}" if chosen and told else ""),
             "−log₁₀ of corrected p" if len(screenings) <= 3 else "−log₁₀ p",
         )
     return drawn
