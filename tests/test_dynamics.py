@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 from vcal.chain import chain_from_string
 from vcal.dynamics.assemble import assemble
 from vcal.dynamics.bodies import GROUND, Body, Drive, Machine, Scale, Spring, ToolPoint
-from vcal.dynamics.campaign import Noise
 from vcal.dynamics.closed_loop import check_stable, close, run, run_circle, settles, steady
 from vcal.dynamics.compliance import compliance
 from vcal.dynamics.control import Controller
@@ -309,36 +308,6 @@ def test_gradient_through_a_circle():
         steps = [1e-3, 5e-4]
         d = [float(misfit(at.at[i].add(h)) - misfit(at.at[i].add(-h))) / (2 * h) for h in steps]
         assert (4 * d[1] - d[0]) / 3 == pytest.approx(slope[i], rel=1e-6)
-
-
-def test_shapes_that_do_not_fit():
-    _, _, loop = loop_of(screw_slide())
-    with pytest.raises(
-        ValueError, match=r"position: found an array of shape \(9, 2\), expected a r"
-    ):
-        run(loop, np.zeros((9, 2)), np.zeros((9, 2)))
-    with pytest.raises(
-        ValueError, match=r"velocity: found an array of shape \(8, 1\), expected a r"
-    ):
-        run(loop, np.zeros((9, 1)), np.zeros((8, 1)))
-    with pytest.raises(ValueError, match=r"phasor: found an array of shape \(3,\), expected"):
-        run_circle(loop, np.zeros(3), 10.0, np.arange(3.0))
-    with pytest.raises(
-        ValueError, match=r"positions: found an array of shape \(2,\), expected one"
-    ):
-        assemble(screw_slide(), np.zeros(2))
-    with pytest.raises(ValueError, match="expected a finite length"):
-        positioning(np.nan, Limits(1.0, 1.0, 1.0))
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [((1e-8, -1e-7, 60), "external: found -1e-07"), ((1e-8, 1e-7, 2.5), "samples: found 2.5"),
-     ((1e-8, 1e-7, 0), "samples: found 0"), ((np.nan, 1e-7, 60), "internal: found nan")],
-)  # fmt: skip
-def test_noise_that_is_none(given, message):
-    with pytest.raises(ValueError, match=message):
-        Noise(*given)
 
 
 def test_an_unstable_loop():

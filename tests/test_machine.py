@@ -105,16 +105,6 @@ BAD = {
     "damper": ("stiffness_N_per_um = [0, 500, 600]",
                "stiffness_N_per_um = [0, 500, 600]\ndamping_Ns_per_mm = [0, -5, 0]",
                "damping_Ns_per_mm.1: found -5"),
-    "gain": ("position_gain_per_s = 140", "position_gain_per_s = -40",
-             "key controller.position_gain_per_s: found -40, expected a number greater than 0; "),
-    "no gain": ("position_gain_per_s = 140", 'position_gain_per_s = "40"',
-                'per_s: found "40", expected a number or a list in square brackets'),
-    "one gain": ("position_gain_per_s = 140", "position_gain_per_s = [140, -1, 140]",
-                 "per_s.1: found -1, expected a number greater than 0"),
-    "share": ("delay_ms = 0.2", "delay_ms = 0.2\nfeed_forward = 100", "found 100, expected"),
-    "undamped": ("damping = 0.05", "", "nothing is damped: give damping first"),
-    "inertia": ("[20, 35, 50]", "[20, 35, 500]", "none larger than the other two together"),
-    "nowhere": ('name = "X"', 'name = "slide"', "expected one of bed, X, Y, Z; say with `on`"),
     "gains": ("position_gain_per_s = 140", "position_gain_per_s = [100, 120]", "found 2 values"),
 }  # fmt: skip
 
@@ -131,7 +121,6 @@ def test_mistakes_in_a_description(tmp_path, name):
     with pytest.raises(StudyError) as error:
         load_machine(path)
     assert "machine.toml" in str(error.value) and message in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 def test_no_such_description(tmp_path):

@@ -52,16 +52,10 @@ class Structure(eqx.Module):
 def assemble(machine: Machine, positions: Float[Array, " axes"] | None = None) -> Structure:
     """The matrices at given axis positions, m, in the order of `Machine.axes`; zero without.
 
-    Masses, stiffnesses and places may be traced. Raises `RuntimeError` in float32, and `ValueError`
-    for positions that are not one for each axis.
+    Masses, stiffnesses and places may be traced. Raises `RuntimeError` in float32.
     """
     require_float64()
     q = jnp.zeros(len(machine.axes)) if positions is None else jnp.asarray(positions)
-    if q.shape != (len(machine.axes),):
-        raise ValueError(
-            f"positions: found an array of shape {q.shape}, expected one position for each of the "
-            f"axes {', '.join(machine.axes)}"
-        )
     screws = [d.axis for d in machine.drives if d.stiffness is not None]
     bodies = 6 * len(machine.bodies)
     size = bodies + len(screws)

@@ -178,11 +178,10 @@ def check_stable(loop: ClosedLoop) -> None:
     moved = np.abs(np.asarray(loop.scale) @ shapes[:, worst])
     axis = loop.axes[int(np.argmax(moved))]
     hz = float(np.abs(np.angle(values[worst]))) / (2.0 * np.pi * loop.sample_time)
-    how = f", growing e-fold in {loop.sample_time / np.log(radius):.3g} s" if radius > 1.0 else ""
     raise ValueError(
-        f"controller: found an unstable loop{how} at {hz:.3g} Hz, mostly in axis {axis}, expected "
-        "one that settles; lower position_gain or bandwidth, shorten the delay, or stiffen or damp "
-        "the machine"
+        f"controller: found an unstable loop, growing by a factor of {radius:.4g} per sample at "
+        f"{hz:.3g} Hz, mostly in axis {axis}, expected one that settles; lower position_gain or "
+        "bandwidth, shorten the delay, or stiffen the machine"
     )
 
 
@@ -198,16 +197,7 @@ def settles(loop: ClosedLoop) -> Bool[Array, ""]:
 def run(
     loop: ClosedLoop, position: Float[Array, "n axes"], velocity: Float[Array, "n axes"]
 ) -> Response:
-    """Set points at the samples, from rest at zero.
-
-    Raises `ValueError` where they are not one row per sample with one column per axis.
-    """
-    for name, given in (("position", position), ("velocity", velocity)):
-        if np.ndim(given) != 2 or np.shape(given) != (len(position), len(loop.axes)):
-            raise ValueError(
-                f"{name}: found an array of shape {np.shape(given)}, expected a row per sample, as "
-                f"many as of position, and a column for each of the axes {', '.join(loop.axes)}"
-            )
+    """Set points at the samples, from rest at zero."""
     asked = jnp.concatenate([jnp.asarray(position), jnp.asarray(velocity)], axis=1)
 
     def step(state: Array, r: Array) -> tuple[Array, Array]:
@@ -231,15 +221,7 @@ def steady(loop: ClosedLoop, omega: Float[Array, ""] | float) -> Complex[Array, 
 def run_circle(
     loop: ClosedLoop, phasor: Complex[Array, " axes"], omega: float, t: Float[Array, " n"]
 ) -> Response:
-    """A circle that goes on for ever, at any times.
-
-    Raises `ValueError` for a phasor that is not one number for each axis.
-    """
-    if np.shape(phasor) != (len(loop.axes),):
-        raise ValueError(
-            f"phasor: found an array of shape {np.shape(phasor)}, expected one number for each of "
-            f"the axes {', '.join(loop.axes)}"
-        )
+    """A circle that goes on for ever, at any times."""
     turned = jnp.exp(1j * omega * jnp.asarray(t))[:, None]
     states = (turned * (steady(loop, omega) @ phasor)).real
     asked = (turned * jnp.concatenate([phasor, 1j * omega * phasor])).real
