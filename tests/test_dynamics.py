@@ -312,9 +312,34 @@ def test_gradient_through_a_circle():
 
 def test_an_unstable_loop():
     _, _, loop = loop_of(screw_slide(), T=1e-3, Kv=400.0, w=900.0)
-    with pytest.raises(ValueError, match=r"unstable loop, growing .* mostly in axis Z"):
+    with pytest.raises(ValueError, match=r"unstable loop, growing .* mostly in axis Z") as error:
         check_stable(loop)
+    assert "damping" not in str(error.value)
     assert not settles(loop)
+
+
+def test_how_fast_an_unstable_loop_grows():
+    """A pole at exp(s T) is twofold after log(2) / s."""
+    _, _, loop = loop_of(screw_slide(), T=1e-3)
+    for within in (2e-3, 300.0):
+        poles = 2.0 ** (1e-3 / within) * np.eye(loop.transition.shape[0])
+        with pytest.raises(ValueError, match=f"growing twofold within {within:g} s"):
+            check_stable(dataclasses.replace(loop, transition=poles))
+    with pytest.raises(ValueError, match="without decay"):
+        check_stable(dataclasses.replace(loop, transition=poles / poles[0, 0]))
+
+
+def test_a_loop_without_damping():
+    """No gain makes a delayed loop stable then: the message says what does."""
+    for Kv, w in ((40.0, 150.0), (1.0, 3.0)):
+        s, _, loop = loop_of(screw_slide(loss=0.0), T=1e-3, delay=1e-3, Kv=Kv, w=w, Tn=1.0)
+        with pytest.raises(ValueError, match="declare the damping of the springs, which have none"):
+            check_stable(loop, s)
+    with pytest.raises(ValueError, match="found no bandwidth .*; declare the damping"):
+        propose(s, delay=1e-3, sample_time=1e-3)
+    damped, _, loop = loop_of(screw_slide(), T=1e-3, Kv=400.0, w=900.0)
+    with pytest.raises(ValueError, match="; lower position_gain"):
+        check_stable(loop, damped)
 
 
 def test_settles_agrees_with_the_poles():

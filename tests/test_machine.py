@@ -89,6 +89,7 @@ BAD = {
     "no support": ("[400, 500, 0]", "[0, 0, 0]", "body Z: found nothing that holds it"),
     "unstable": ("delay_ms = 0.2", "delay_ms = 0.49\nfeed_forward = 0.0", None),
     "fast": ("bandwidth_rad_per_s = 300", "bandwidth_rad_per_s = 3000", "found an unstable loop"),
+    "undamped": ("damping = 0.05", "damping = 0", "declare the damping of the springs, which have"),
     "body": ('between = ["Z", "Y"]', 'between = ["Z", "YY"]', "'YY' (did you mean"),
     "key": ("mass_kg = 450", "mas_kg = 450", "body.1.mas_kg"),
     "mass": ("mass_kg = 450", "mass_kg = -450", "body.1.mass_kg"),

@@ -44,6 +44,11 @@ class Structure(eqx.Module):
         return self.mass.shape[0]
 
     @property
+    def undamped(self) -> bool:
+        """Whether no spring and no screw has any damping; not for traced matrices."""
+        return not np.asarray(self.damping).any()
+
+    @property
     def moved_mass(self) -> Float[Array, " axes"]:
         """Mass that every drive accelerates, its motor's included, kg."""
         return jnp.einsum("na,nm,ma->a", self.travel, self.mass, self.travel)

@@ -162,8 +162,12 @@ def _exponential(X: Array) -> Array:
     return found
 
 
-def check_stable(loop: ClosedLoop) -> None:
-    """Raise `ValueError` where the loop is unstable."""
+def check_stable(loop: ClosedLoop, structure: Structure | None = None) -> None:
+    """Raise `ValueError` where the loop is unstable.
+
+    The message tells how fast: what grows with exp(s t) doubles within log(2) / s. With the
+    structure it also tells where springs have no damping, which no gain makes up for.
+    """
     if not np.isfinite(loop.transition).all():
         raise ValueError(
             "controller: found a machine far too stiff for the sample time, expected springs that "
@@ -178,10 +182,15 @@ def check_stable(loop: ClosedLoop) -> None:
     moved = np.abs(np.asarray(loop.scale) @ shapes[:, worst])
     axis = loop.axes[int(np.argmax(moved))]
     hz = float(np.abs(np.angle(values[worst]))) / (2.0 * np.pi * loop.sample_time)
+    rate = float(np.log(radius)) / loop.sample_time
+    fast = f"growing twofold within {math.log(2.0) / rate:.3g} s" if rate > 0.0 else "without decay"
+    do = "lower position_gain or bandwidth, shorten the delay, or stiffen the machine"
+    if structure is not None and structure.undamped:
+        # However low the gains, a delay or a scale beside the drive feeds some mode.
+        do = f"declare the damping of the springs, which have none; if that is not enough, {do}"
     raise ValueError(
-        f"controller: found an unstable loop, growing by a factor of {radius:.4g} per sample at "
-        f"{hz:.3g} Hz, mostly in axis {axis}, expected one that settles; lower position_gain or "
-        "bandwidth, shorten the delay, or stiffen the machine"
+        f"controller: found an unstable loop, {fast} at {hz:.3g} Hz, mostly in axis {axis}, "
+        f"expected one that settles; {do}"
     )
 
 

@@ -190,7 +190,7 @@ def load_machine(path: Path | str, overrides: Sequence[str] = ()) -> Described:
     structure = assemble(machine)
     controller = _controller(found.controller, structure, path.name)
     try:
-        check_stable(close(structure, controller))
+        check_stable(close(structure, controller), structure)
     except ValueError as error:
         raise StudyError(f"{path.name}, {error}") from error
     limits = Limits(
