@@ -421,10 +421,37 @@ def test_mistakes():
         SetCircle("XX", 1, 2e-3, 5.0).phasor(("X", "Y", "Z"))
     with pytest.raises(ValueError, match="found length = 0 m"):
         positioning(0.0, Limits(1.0, 1.0, 1.0))
+    for length in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="expected a length .* all of them finite"):
+            positioning(length, Limits(1.0, 1.0, 1.0))
     with pytest.raises(ValueError, match="found the sense 2, expected 1 or -1"):
         SetCircle("XY", 2, 2e-3, 5.0)
     with pytest.raises(ValueError, match="a radius of 0 mm"):
         SetCircle("XY", 1, 0.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity"), [((5, 3), (5, 3)), ((5,), (5,)), ((5, 1), (4, 1)), ((5, 1), (5, 2))]
+)
+def test_set_points_of_another_shape(position, velocity):
+    _, _, loop = loop_of(screw_slide())
+    with pytest.raises(ValueError, match=r"expected \(n, 1\) of both, .* each of Z; correct"):
+        run(loop, np.zeros(position), np.zeros(velocity))
+    assert run(loop, np.zeros((0, 1)), np.zeros((0, 1))).scale.shape == (0, 1)
+
+
+def test_places_and_circles_of_another_number_of_axes():
+    """Also in a program: shapes are known there."""
+    machine = screw_slide()
+    for places in (np.zeros(3), np.zeros((1, 1)), np.zeros(())):
+        with pytest.raises(ValueError, match=r"positions: found .* expected \(1,\), one for each"):
+            assemble(machine, places)
+    with pytest.raises(ValueError, match="positions: found"):
+        jax.vmap(lambda q: assemble(machine, q).mass)(jnp.zeros((4, 3)))
+    assert jax.vmap(lambda q: assemble(machine, q).mass)(jnp.zeros((4, 1))).shape[0] == 4
+    _, _, loop = loop_of(machine)
+    with pytest.raises(ValueError, match=r"phasor: found .* expected \(1,\), one number for each"):
+        run_circle(loop, jnp.array([1e-3, 0.0]), 30.0, np.arange(5) * 1e-3)
 
 
 @pytest.mark.parametrize("delay", [-0.5e-3, 2.0e-3, 2.6e-3])

@@ -310,6 +310,29 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
         assert cost == pytest.approx(least + (bare[0] ** 2).sum() + float(z @ z), rel=digits)
 
 
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        ((0.0, 1e-7, 240), "found 0 um of the scales"),
+        ((-1e-8, 1e-7, 240), "found -0.01 um of the scales"),
+        ((1e-8, -1e-7, 240), "and -0.1 um of the sphere"),
+        ((np.nan, 1e-7, 240), "found nan um"),
+        ((1e-8, 1e-7, 0), "found 0 samples a turn, expected a whole number from 3 on"),
+        ((1e-8, 1e-7, 2), "found 2 samples"),
+        ((1e-8, 1e-7, 2.5), "found 2.5 samples"),
+    ],
+)
+def test_noise_that_no_test_has(noise, message):
+    with pytest.raises(ValueError, match=message):
+        Noise(*noise)
+
+
+def test_campaign_without_circles(catalogue):
+    machine, controller, _ = catalogue
+    with pytest.raises(ValueError, match="circles: found none, expected at least one"):
+        campaign(machine, controller, UNKNOWNS, [], Noise(1e-8, 1e-7, 240), draws=2, seed=0)
+
+
 @pytest.mark.campaign
 def test_many_machines(catalogue):
     """Errors are as large as their uncertainties say, and machine i is machine i."""
