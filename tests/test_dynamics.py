@@ -417,6 +417,8 @@ def test_circles_of_the_publication():
 def test_mistakes():
     with pytest.raises(ValueError, match="found a feed of 0.1 m/s, expected at most 0.05"):
         SetCircle("XY", 1, 2e-3, 5.0).check(Limits(velocity=0.05))
+    with pytest.raises(ValueError, match="found an acceleration of 5 m/s"):
+        SetCircle("XY", 1, 2e-3, 5.0).check(Limits(acceleration=4.0))
     with pytest.raises(ValueError, match="plane: found 'XX'"):
         SetCircle("XX", 1, 2e-3, 5.0).phasor(("X", "Y", "Z"))
     with pytest.raises(ValueError, match="found length = 0 m"):

@@ -104,9 +104,17 @@ BAD = {
     "backwards": ("[controller]", "[controller]\nfeed_forward = -1", "feed_forward: found -1, "),
     "undamped": ("damping = 0.05", "damping = 0", "declare the damping of the springs, which have"),
     "body": ('between = ["Z", "Y"]', 'between = ["Z", "YY"]', "'YY' (did you mean"),
+    "no on": ('name = "Y"\nmass', 'name = "column"\nmass',
+              "key body.2.name: found 'column' without the key on, expected a name out of bed, X, "
+              "Y, Z, or on = one of them"),
+    "on": ('name = "Y"\nmass', 'name = "Y"\non = "V"\nmass', "key body.2.on: found 'V', expected"),
+    "rows": ("[tool_point]", "[[tool_point]]",
+             "expected one table, below [tool_point]; write it in single brackets"),
     "key": ("mass_kg = 450", "mas_kg = 450", "body.1.mas_kg"),
     "mass": ("mass_kg = 450", "mass_kg = -450", "body.1.mass_kg"),
-    "chain": ('"w X b Y Z t"', '"w X Y Z t"', "key chain"),
+    "chain": ('"w X b Y Z t"', '"w X Y Z t"', "key chain: found an impossible chain "
+              "'w X Y Z t', expected 'w', the table's axes, 'b', the tool's axes, 't', such as "
+              "'w X b Y Z t'; correct the chain"),
     "axis": ('axis = "Y"', 'axis = "X"', "key drive.1.axis: found 'X' again"),
     "motor": ("motor_mass_kg = 220\n", "", "key drive.0.motor_mass_kg: found none beside a screw"),
     "delay": ("delay_ms = 0.2", "delay_ms = 0.6", "less than two sample times"),
@@ -135,6 +143,22 @@ def test_mistakes_in_a_description(tmp_path, name):
     with pytest.raises(StudyError) as error:
         load_machine(path)
     assert "machine.toml" in str(error.value) and message in str(error.value)
+
+
+def test_one_drive_in_single_brackets(tmp_path):
+    head, *_, tail = TEXT.split("[[drive]]")
+    path = tmp_path / "machine.toml"
+    path.write_text(f"{head}[drive]{tail}", encoding="utf-8")
+    with pytest.raises(StudyError, match=r"drive: .*, expected rows, each below \[\[drive\]\];"):
+        load_machine(path)
+
+
+def test_a_drive_pushes_the_body_of_its_name(tmp_path):
+    text = TEXT.replace('name = "X"', 'name = "table"\non = "X"').replace('["X", ', '["table", ')
+    path = tmp_path / "machine.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(StudyError, match="key drive.0.axis: found 'X', which is the name of none"):
+        load_machine(path)
 
 
 @pytest.mark.parametrize(

@@ -75,15 +75,15 @@ class SetCircle:
     def check(self, limits: Limits) -> None:
         """Raise `ValueError` where an axis cannot do it."""
         reached = {
-            "feed": (self.feed, limits.velocity, "m/s"),
-            "acceleration": (self.acceleration, limits.acceleration, "m/s^2"),
-            "jerk": (self.acceleration * self.omega, limits.jerk, "m/s^3"),
+            "a feed": (self.feed, limits.velocity, "m/s"),
+            "an acceleration": (self.acceleration, limits.acceleration, "m/s^2"),
+            "a jerk": (self.acceleration * self.omega, limits.jerk, "m/s^3"),
         }
         for what, (value, most, unit) in reached.items():
             if value > most:
                 raise ValueError(
                     f"circle in {self.plane} of {1e3 * self.radius:g} mm at "
-                    f"{self.acceleration:g} m/s^2: found a {what} of {value:.4g} {unit}, expected "
+                    f"{self.acceleration:g} m/s^2: found {what} of {value:.4g} {unit}, expected "
                     f"at most {most:g}, which the axes reach; lower the acceleration, or choose "
                     "another radius"
                 )

@@ -217,15 +217,28 @@ def _machine(found: MachineDescription, file: str) -> Machine:
     try:
         chain = chain_from_string(found.chain)
     except ValueError as error:
+        told, _, expected = str(error).rpartition("expected ")
         raise refusal(
-            file, "key chain", str(error), "such as 'w X b Y Z t'", "correct the chain"
+            file,
+            "key chain",
+            f"an impossible {told.rstrip(';: ')}",
+            expected.partition(" (")[0],  # other joints are for studies
+            "correct the chain",
         ) from error
     links = {body.name: body.on or body.name for body in found.body}
     _check_names([body.name for body in found.body], "body", "name", file)
     _check_names([drive.axis for drive in found.drive], "drive", "axis", file)
     for i, body in enumerate(found.body):
         known = (BED, *chain.axes)
-        _known(links[body.name], known, f"body.{i}.{'on' if body.on else 'name'}", file)
+        if body.on is None and body.name not in known:
+            raise refusal(
+                file,
+                f"key body.{i}.name",
+                f"{body.name!r}{nearest(body.name, known)} without the key on",
+                f"a name out of {listed(known)}, or on = one of them, which it rides with",
+                "correct the name, or add the key",
+            )
+        _known(links[body.name], known, f"body.{i}.on", file)
         _check_inertia(body, f"body.{i}.inertia_kg_m2", file)
     bodies = tuple(
         Body(
@@ -267,7 +280,14 @@ def _machine(found: MachineDescription, file: str) -> Machine:
     drives, scales = [], []
     for i, drive in enumerate(found.drive):
         _known(drive.axis, chain.axes, f"drive.{i}.axis", file)
-        _known(drive.axis, links, f"drive.{i}.axis", file)
+        if drive.axis not in links:
+            raise refusal(
+                file,
+                f"key drive.{i}.axis",
+                f"{drive.axis!r}, which is the name of none of {listed(links)}",
+                "a body of that name, which the drive pushes",
+                "name that body so",
+            )
         base = drive.base or _towards_bed(chain, drive.axis, links, GROUND)
         _known(base, (*links, GROUND), f"drive.{i}.base", file)
         if drive.measured == "motor" and drive.screw_N_per_um is None:
