@@ -637,6 +637,14 @@ SETUP = {
         replace("[machine.travel_mm]\n", "[machine.travel_mm]\nX = 3\n[machine.travel]\n"),
         ("setup.toml, key machine.travel_mm.X", "found 3", "a list in square brackets"),
     ),
+    "list for a table": (
+        replace("[machine.travel_mm]\n", "travel_mm = [0, 3]\n[machine.travel]\n"),
+        ("setup.toml, key machine.travel_mm", "found [0, 3]", "expected a table; correct"),
+    ),
+    "rows for a table": (
+        append("\n[[loop]]\nalpha = 0.01\n"),
+        ("setup.toml, key loop", "expected one table, below [loop]", "single brackets"),
+    ),
     "alpha out of range": (
         append("\n[loop]\nalpha = 1.0\n"),
         ("setup.toml, key loop.alpha", "found 1.0", "a number less than 1"),

@@ -312,9 +312,34 @@ def test_gradient_through_a_circle():
 
 def test_an_unstable_loop():
     _, _, loop = loop_of(screw_slide(), T=1e-3, Kv=400.0, w=900.0)
-    with pytest.raises(ValueError, match=r"unstable loop, growing .* mostly in axis Z"):
+    with pytest.raises(ValueError, match=r"unstable loop, growing .* mostly in axis Z") as error:
         check_stable(loop)
+    assert "damping" not in str(error.value)
     assert not settles(loop)
+
+
+def test_how_fast_an_unstable_loop_grows():
+    """A pole at exp(s T) is twofold after log(2) / s."""
+    _, _, loop = loop_of(screw_slide(), T=1e-3)
+    for within in (2e-3, 300.0):
+        poles = 2.0 ** (1e-3 / within) * np.eye(loop.transition.shape[0])
+        with pytest.raises(ValueError, match=f"growing twofold within {within:g} s"):
+            check_stable(dataclasses.replace(loop, transition=poles))
+    with pytest.raises(ValueError, match="without decay"):
+        check_stable(dataclasses.replace(loop, transition=poles / poles[0, 0]))
+
+
+def test_a_loop_without_damping():
+    """No gain makes a delayed loop stable then: the message says what does."""
+    for Kv, w in ((40.0, 150.0), (1.0, 3.0)):
+        s, _, loop = loop_of(screw_slide(loss=0.0), T=1e-3, delay=1e-3, Kv=Kv, w=w, Tn=1.0)
+        with pytest.raises(ValueError, match="declare the damping of the springs, which have none"):
+            check_stable(loop, s)
+    with pytest.raises(ValueError, match="found no bandwidth .*; declare the damping"):
+        propose(s, delay=1e-3, sample_time=1e-3)
+    damped, _, loop = loop_of(screw_slide(), T=1e-3, Kv=400.0, w=900.0)
+    with pytest.raises(ValueError, match="; lower position_gain"):
+        check_stable(loop, damped)
 
 
 def test_settles_agrees_with_the_poles():
@@ -392,14 +417,43 @@ def test_circles_of_the_publication():
 def test_mistakes():
     with pytest.raises(ValueError, match="found a feed of 0.1 m/s, expected at most 0.05"):
         SetCircle("XY", 1, 2e-3, 5.0).check(Limits(velocity=0.05))
+    with pytest.raises(ValueError, match="found an acceleration of 5 m/s"):
+        SetCircle("XY", 1, 2e-3, 5.0).check(Limits(acceleration=4.0))
     with pytest.raises(ValueError, match="plane: found 'XX'"):
         SetCircle("XX", 1, 2e-3, 5.0).phasor(("X", "Y", "Z"))
     with pytest.raises(ValueError, match="found length = 0 m"):
         positioning(0.0, Limits(1.0, 1.0, 1.0))
+    for length in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="expected a length .* all of them finite"):
+            positioning(length, Limits(1.0, 1.0, 1.0))
     with pytest.raises(ValueError, match="found the sense 2, expected 1 or -1"):
         SetCircle("XY", 2, 2e-3, 5.0)
     with pytest.raises(ValueError, match="a radius of 0 mm"):
         SetCircle("XY", 1, 0.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity"), [((5, 3), (5, 3)), ((5,), (5,)), ((5, 1), (4, 1)), ((5, 1), (5, 2))]
+)
+def test_set_points_of_another_shape(position, velocity):
+    _, _, loop = loop_of(screw_slide())
+    with pytest.raises(ValueError, match=r"expected \(n, 1\) of both, .* each of Z; correct"):
+        run(loop, np.zeros(position), np.zeros(velocity))
+    assert run(loop, np.zeros((0, 1)), np.zeros((0, 1))).scale.shape == (0, 1)
+
+
+def test_places_and_circles_of_another_number_of_axes():
+    """Also in a program: shapes are known there."""
+    machine = screw_slide()
+    for places in (np.zeros(3), np.zeros((1, 1)), np.zeros(())):
+        with pytest.raises(ValueError, match=r"positions: found .* expected \(1,\), one for each"):
+            assemble(machine, places)
+    with pytest.raises(ValueError, match="positions: found"):
+        jax.vmap(lambda q: assemble(machine, q).mass)(jnp.zeros((4, 3)))
+    assert jax.vmap(lambda q: assemble(machine, q).mass)(jnp.zeros((4, 1))).shape[0] == 4
+    _, _, loop = loop_of(machine)
+    with pytest.raises(ValueError, match=r"phasor: found .* expected \(1,\), one number for each"):
+        run_circle(loop, jnp.array([1e-3, 0.0]), 30.0, np.arange(5) * 1e-3)
 
 
 @pytest.mark.parametrize("delay", [-0.5e-3, 2.0e-3, 2.6e-3])

@@ -182,6 +182,12 @@ def test_mistakes(tmp_path, old, new, message):
     assert message in str(error.value)
 
 
+def test_set_points_of_another_shape():
+    machine = slide(RUB)
+    with pytest.raises(ValueError, match=r"set points: found .* expected \(n, 1\) of both"):
+        run_with_friction(machine, driven(machine), np.zeros((5, 1)), np.zeros((4, 1)))
+
+
 def test_a_machine_without_friction():
     machine = slide()
     with pytest.raises(ValueError, match="found no friction"):

@@ -89,10 +89,32 @@ BAD = {
     "no support": ("[400, 500, 0]", "[0, 0, 0]", "body Z: found nothing that holds it"),
     "unstable": ("delay_ms = 0.2", "delay_ms = 0.49\nfeed_forward = 0.0", None),
     "fast": ("bandwidth_rad_per_s = 300", "bandwidth_rad_per_s = 3000", "found an unstable loop"),
+    "stiff": ("[0, 500, 600]", "[0, 1e30, 600]",
+              "spring.1.stiffness_N_per_um.1: found 1e+30, expected a number of at most 1e+06"),
+    "heavy": ("mass_kg = 450", "mass_kg = 1e300", "body.1.mass_kg: found 1e+300"),
+    "light": ("mass_kg = 450", "mass_kg = 1e-12", "1e-12, expected a number of at least 0.001"),
+    "light motor": ("motor_mass_kg = 220", "motor_mass_kg = 1e-9", "found 1e-09 beside a screw"),
+    "far": ("[0, 0, -250]", "[0, 0, 1e200]", "body.1.centre_mm.2: found 1e+200, expected a number"),
+    "far tool": ("[0, -50, -20]", "[-1e300, -50, -20]",
+                 "tool_point.point_mm.0: found -1e+300, expected a number of at least -100000"),
+    "inertia": ("[20, 35, 50]", "[1, 1, 1000]", "body.1.inertia_kg_m2: found [1.0, 1.0, 1000.0], "
+                "expected none above the sum of the two others"),
+    "percent": ("[controller]", "[controller]\nfeed_forward = 100", "feed_forward: found 100, "
+                "expected a number of at most 1"),
+    "backwards": ("[controller]", "[controller]\nfeed_forward = -1", "feed_forward: found -1, "),
+    "undamped": ("damping = 0.05", "damping = 0", "declare the damping of the springs, which have"),
     "body": ('between = ["Z", "Y"]', 'between = ["Z", "YY"]', "'YY' (did you mean"),
+    "no on": ('name = "Y"\nmass', 'name = "column"\nmass',
+              "key body.2.name: found 'column' without the key on, expected a name out of bed, X, "
+              "Y, Z, or on = one of them"),
+    "on": ('name = "Y"\nmass', 'name = "Y"\non = "V"\nmass', "key body.2.on: found 'V', expected"),
+    "rows": ("[tool_point]", "[[tool_point]]",
+             "expected one table, below [tool_point]; write it in single brackets"),
     "key": ("mass_kg = 450", "mas_kg = 450", "body.1.mas_kg"),
     "mass": ("mass_kg = 450", "mass_kg = -450", "body.1.mass_kg"),
-    "chain": ('"w X b Y Z t"', '"w X Y Z t"', "key chain"),
+    "chain": ('"w X b Y Z t"', '"w X Y Z t"', "key chain: found an impossible chain "
+              "'w X Y Z t', expected 'w', the table's axes, 'b', the tool's axes, 't', such as "
+              "'w X b Y Z t'; correct the chain"),
     "axis": ('axis = "Y"', 'axis = "X"', "key drive.1.axis: found 'X' again"),
     "motor": ("motor_mass_kg = 220\n", "", "key drive.0.motor_mass_kg: found none beside a screw"),
     "delay": ("delay_ms = 0.2", "delay_ms = 0.6", "less than two sample times"),
@@ -121,6 +143,47 @@ def test_mistakes_in_a_description(tmp_path, name):
     with pytest.raises(StudyError) as error:
         load_machine(path)
     assert "machine.toml" in str(error.value) and message in str(error.value)
+
+
+def test_one_drive_in_single_brackets(tmp_path):
+    head, *_, tail = TEXT.split("[[drive]]")
+    path = tmp_path / "machine.toml"
+    path.write_text(f"{head}[drive]{tail}", encoding="utf-8")
+    with pytest.raises(StudyError, match=r"drive: .*, expected rows, each below \[\[drive\]\];"):
+        load_machine(path)
+
+
+def test_a_drive_pushes_the_body_of_its_name(tmp_path):
+    text = TEXT.replace('name = "X"', 'name = "table"\non = "X"').replace('["X", ', '["table", ')
+    path = tmp_path / "machine.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(StudyError, match="key drive.0.axis: found 'X', which is the name of none"):
+        load_machine(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("mass_kg = 450", "mass_kg = 1e6"),
+        ("mass_kg = 450", "mass_kg = 0.001"),
+        ("[20, 35, 50]", "[1e-4, 1e-4, 1e-4]"),
+        ("[20, 35, 50]", "[1.0, 1.0, 2.01]"),
+        ("[0, 500, 600]", "[0, 1e6, 600]"),
+        ("[250, 250, 500]", "[1e-3, 250, 500]"),
+        ("motor_mass_kg = 220", "motor_mass_kg = 0.001"),
+        ("screw_N_per_um = 180", "screw_N_per_um = 0.001"),
+        ("[0, 0, -250]", "[0, 0, 1e5]"),
+    ],
+)
+def test_what_springs_hold_however_large_or_small(tmp_path, old, new):
+    assert TEXT.count(old) >= 1
+    path = tmp_path / "machine.toml"
+    path.write_text(TEXT.replace(old, new, 1), encoding="utf-8")
+    try:
+        load_machine(path)
+    except StudyError as error:
+        # No controller may hold it, or not at this sample time; that is another matter.
+        assert "machine.toml, controller: found" in str(error)
 
 
 def test_no_such_description(tmp_path):
@@ -269,6 +332,29 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
         given = task(machine, controller, UNKNOWNS, seen, matrix_u=MATRIX_U, quick=quick)
         cost = float((left(given, z, seen) ** 2).sum())
         assert cost == pytest.approx(least + (bare[0] ** 2).sum() + float(z @ z), rel=digits)
+
+
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        ((0.0, 1e-7, 240), "found 0 um of the scales"),
+        ((-1e-8, 1e-7, 240), "found -0.01 um of the scales"),
+        ((1e-8, -1e-7, 240), "and -0.1 um of the sphere"),
+        ((np.nan, 1e-7, 240), "found nan um"),
+        ((1e-8, 1e-7, 0), "found 0 samples a turn, expected a whole number from 3 on"),
+        ((1e-8, 1e-7, 2), "found 2 samples"),
+        ((1e-8, 1e-7, 2.5), "found 2.5 samples"),
+    ],
+)
+def test_noise_that_no_test_has(noise, message):
+    with pytest.raises(ValueError, match=message):
+        Noise(*noise)
+
+
+def test_campaign_without_circles(catalogue):
+    machine, controller, _ = catalogue
+    with pytest.raises(ValueError, match="circles: found none, expected at least one"):
+        campaign(machine, controller, UNKNOWNS, [], Noise(1e-8, 1e-7, 240), draws=2, seed=0)
 
 
 @pytest.mark.campaign

@@ -44,6 +44,11 @@ class Structure(eqx.Module):
         return self.mass.shape[0]
 
     @property
+    def undamped(self) -> bool:
+        """Whether no spring and no screw has any damping; not for traced matrices."""
+        return not np.asarray(self.damping).any()
+
+    @property
     def moved_mass(self) -> Float[Array, " axes"]:
         """Mass that every drive accelerates, its motor's included, kg."""
         return jnp.einsum("na,nm,ma->a", self.travel, self.mass, self.travel)
@@ -52,10 +57,16 @@ class Structure(eqx.Module):
 def assemble(machine: Machine, positions: Float[Array, " axes"] | None = None) -> Structure:
     """The matrices at given axis positions, m, in the order of `Machine.axes`; zero without.
 
-    Masses, stiffnesses and places may be traced. Raises `RuntimeError` in float32.
+    Masses, stiffnesses and places may be traced. Raises `RuntimeError` in float32, and `ValueError`
+    for another number of positions.
     """
     require_float64()
     q = jnp.zeros(len(machine.axes)) if positions is None else jnp.asarray(positions)
+    if q.shape != (len(machine.axes),):
+        raise ValueError(
+            f"positions: found an array of shape {q.shape}, expected ({len(machine.axes)},), one "
+            f"for each of {', '.join(machine.axes)}; correct it"
+        )
     screws = [d.axis for d in machine.drives if d.stiffness is not None]
     bodies = 6 * len(machine.bodies)
     size = bodies + len(screws)

@@ -33,13 +33,31 @@ _NONE = 1e-9
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise of an R-test, and how many samples a turn has."""
+    """White noise of an R-test, and how many samples a turn has.
+
+    Raises `ValueError` for scales without noise, by which their readings count, for noise below
+    zero or without bound, and for less than three samples or a part of one: two do not tell an
+    amplitude from a phase.
+    """
 
     internal: float
     """Standard deviation of a scale, m."""
     external: float
     """The same of a coordinate of the sphere, m."""
     samples: int
+
+    def __post_init__(self):
+        if not (0.0 < self.internal < np.inf and 0.0 <= self.external < np.inf):
+            raise ValueError(
+                f"noise: found {1e6 * self.internal:g} um of the scales and "
+                f"{1e6 * self.external:g} um of the sphere, expected the one above zero and the "
+                "other not below; correct them"
+            )
+        if not (isinstance(self.samples, int | np.integer) and self.samples >= 3):
+            raise ValueError(
+                f"noise: found {self.samples} samples a turn, expected a whole number from 3 on; "
+                "correct it"
+            )
 
 
 @dataclass(frozen=True)
@@ -102,10 +120,13 @@ def campaign(
     """Simulate and identify `draws` machines, one after the other in one program.
 
     `matrix_u` is the standard uncertainty of an element of the probes' matrix. Machine number i is
-    the same for any number of draws. Raises `ValueError` for fewer than one draw.
+    the same for any number of draws. Raises `ValueError` for fewer than one draw, without circles,
+    and for circles in planes that the machine has not.
     """
     if draws < 1:
         raise ValueError(f"draws: found {draws}, expected at least 1")
+    if not circles:
+        raise ValueError("circles: found none, expected at least one; take those of circle_set")
     omega, asked = set_phasors(circles, machine.axes)
     each = np.sqrt(2.0 / noise.samples)
     blank = np.zeros((len(circles), len(machine.axes)), complex)

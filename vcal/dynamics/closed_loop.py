@@ -162,8 +162,12 @@ def _exponential(X: Array) -> Array:
     return found
 
 
-def check_stable(loop: ClosedLoop) -> None:
-    """Raise `ValueError` where the loop is unstable."""
+def check_stable(loop: ClosedLoop, structure: Structure | None = None) -> None:
+    """Raise `ValueError` where the loop is unstable.
+
+    The message tells how fast: what grows with exp(s t) doubles within log(2) / s. With the
+    structure it also tells where springs have no damping, which no gain makes up for.
+    """
     if not np.isfinite(loop.transition).all():
         raise ValueError(
             "controller: found a machine far too stiff for the sample time, expected springs that "
@@ -178,10 +182,15 @@ def check_stable(loop: ClosedLoop) -> None:
     moved = np.abs(np.asarray(loop.scale) @ shapes[:, worst])
     axis = loop.axes[int(np.argmax(moved))]
     hz = float(np.abs(np.angle(values[worst]))) / (2.0 * np.pi * loop.sample_time)
+    rate = float(np.log(radius)) / loop.sample_time
+    fast = f"growing twofold within {math.log(2.0) / rate:.3g} s" if rate > 0.0 else "without decay"
+    do = "lower position_gain or bandwidth, shorten the delay, or stiffen the machine"
+    if structure is not None and structure.undamped:
+        # However low the gains, a delay or a scale beside the drive feeds some mode.
+        do = f"declare the damping of the springs, which have none; if that is not enough, {do}"
     raise ValueError(
-        f"controller: found an unstable loop, growing by a factor of {radius:.4g} per sample at "
-        f"{hz:.3g} Hz, mostly in axis {axis}, expected one that settles; lower position_gain or "
-        "bandwidth, shorten the delay, or stiffen the machine"
+        f"controller: found an unstable loop, {fast} at {hz:.3g} Hz, mostly in axis {axis}, "
+        f"expected one that settles; {do}"
     )
 
 
@@ -197,14 +206,36 @@ def settles(loop: ClosedLoop) -> Bool[Array, ""]:
 def run(
     loop: ClosedLoop, position: Float[Array, "n axes"], velocity: Float[Array, "n axes"]
 ) -> Response:
-    """Set points at the samples, from rest at zero."""
-    asked = jnp.concatenate([jnp.asarray(position), jnp.asarray(velocity)], axis=1)
+    """Set points at the samples, from rest at zero.
+
+    Raises `ValueError` where positions and velocities are not of one shape, a column per axis.
+    """
+    asked = set_points(loop.axes, position, velocity)
 
     def step(state: Array, r: Array) -> tuple[Array, Array]:
         return loop.transition @ state + loop.input @ r, state
 
     _, states = jax.lax.scan(step, jnp.zeros(loop.transition.shape[0]), asked)
     return _response(loop, loop.sample_time * jnp.arange(asked.shape[0]), states, asked)
+
+
+def set_points(
+    axes: tuple[str, ...],
+    position: Float[Array | np.ndarray, "n axes"],
+    velocity: Float[Array | np.ndarray, "n axes"],
+) -> Float[Array, "n 2*axes"]:
+    """r = (z_s, v_s) of every sample.
+
+    Raises `ValueError` where they are not of one shape, a column per axis.
+    """
+    position, velocity = jnp.asarray(position), jnp.asarray(velocity)
+    if position.shape != velocity.shape or position.shape[1:] != (len(axes),):
+        raise ValueError(
+            f"set points: found positions of shape {position.shape} and velocities of shape "
+            f"{velocity.shape}, expected (n, {len(axes)}) of both, a row per sample and a column "
+            f"for each of {', '.join(axes)}; correct them"
+        )
+    return jnp.concatenate([position, velocity], axis=1)
 
 
 def steady(loop: ClosedLoop, omega: Float[Array, ""] | float) -> Complex[Array, "m axes"]:
@@ -221,7 +252,16 @@ def steady(loop: ClosedLoop, omega: Float[Array, ""] | float) -> Complex[Array, 
 def run_circle(
     loop: ClosedLoop, phasor: Complex[Array, " axes"], omega: float, t: Float[Array, " n"]
 ) -> Response:
-    """A circle that goes on for ever, at any times."""
+    """A circle that goes on for ever, at any times.
+
+    Raises `ValueError` where the phasor has not one number per axis.
+    """
+    phasor = jnp.asarray(phasor)
+    if phasor.shape != (len(loop.axes),):
+        raise ValueError(
+            f"phasor: found an array of shape {phasor.shape}, expected ({len(loop.axes)},), one "
+            f"number for each of {', '.join(loop.axes)}; correct it"
+        )
     turned = jnp.exp(1j * omega * jnp.asarray(t))[:, None]
     states = (turned * (steady(loop, omega) @ phasor)).real
     asked = (turned * jnp.concatenate([phasor, 1j * omega * phasor])).real

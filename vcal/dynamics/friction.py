@@ -22,7 +22,7 @@ from jaxtyping import Float
 from ..arrays import Array
 from .assemble import Structure, assemble, between
 from .bodies import Machine
-from .closed_loop import PENDING, Response
+from .closed_loop import PENDING, Response, set_points
 from .control import Controller
 
 _PACE = 1e3
@@ -95,12 +95,13 @@ def run_with_friction(
     """Set points at the samples, from rest at zero: `run`, with friction.
 
     `tolerance` is the relative error of a step of the integrator (Tsitouras 5(4)). Raises
-    `ValueError` where the machine has no friction, and where an interval takes more than 4096
+    `ValueError` where the machine has no friction, where positions and velocities are not of one
+    shape with a column per axis, and where an interval takes more than 4096
     steps, as a loop that is unstable does.
     """
     structure = assemble(machine)
     rub = rubbing(machine, structure)
-    asked = jnp.concatenate([jnp.asarray(position), jnp.asarray(velocity)], axis=1)
+    asked = set_points(machine.axes, position, velocity)
     found, done = _run(structure, controller, rub, asked, jnp.asarray(tolerance))
     if not bool(done):
         raise ValueError(

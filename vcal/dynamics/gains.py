@@ -50,8 +50,10 @@ def propose(
     for w in _BANDWIDTHS[_BANDWIDTHS * sample_time <= 0.2 * 2.0 * np.pi]:
         if np.abs(np.linalg.eigvals(np.asarray(transition(w)))).max() < 1.0:
             return controller(w)
+    do = "shorten the delay, stiffen the machine, or give the gains"
+    if structure.undamped:
+        do = f"declare the damping of the springs, which have none, or {do}"
     raise ValueError(
         f"[controller]: found no bandwidth down to {_BANDWIDTHS[-1]:g} rad/s with which the loop "
-        "is stable at twice its gain; expected one; shorten the delay, stiffen the machine, or "
-        "give the gains"
+        f"is stable at twice its gain, expected one; {do}"
     )

@@ -11,6 +11,11 @@ from .assemble import Structure
 _RIGID = 1e-6
 """Of the largest natural frequency, below which a mode counts as a rigid body's."""
 
+_HELD = 1e-12
+"""Of the square of the largest frequency, above which something holds a body: well above rounding,
+and below what an air spring makes of a heavy body beside a light one on a stiff spring.
+"""
+
 
 class Modes(NamedTuple):
     """Modes in rising order, without those of rigid bodies unless asked for."""
@@ -48,7 +53,7 @@ def check_supported(structure: Structure, names: list[str]) -> None:
     K = K + lent * B @ B.T
     root = 1.0 / np.sqrt(np.diag(M))
     squares, shapes = np.linalg.eigh(root[:, None] * K * root)
-    if squares[0] > 1e-9 * squares[-1]:
+    if squares[0] > _HELD * squares[-1]:
         return
     shape = (root * shapes[:, 0])[: 6 * len(names)].reshape(-1, 6)
     size = np.abs(shape) * np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3])

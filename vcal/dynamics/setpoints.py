@@ -75,15 +75,15 @@ class SetCircle:
     def check(self, limits: Limits) -> None:
         """Raise `ValueError` where an axis cannot do it."""
         reached = {
-            "feed": (self.feed, limits.velocity, "m/s"),
-            "acceleration": (self.acceleration, limits.acceleration, "m/s^2"),
-            "jerk": (self.acceleration * self.omega, limits.jerk, "m/s^3"),
+            "a feed": (self.feed, limits.velocity, "m/s"),
+            "an acceleration": (self.acceleration, limits.acceleration, "m/s^2"),
+            "a jerk": (self.acceleration * self.omega, limits.jerk, "m/s^3"),
         }
         for what, (value, most, unit) in reached.items():
             if value > most:
                 raise ValueError(
                     f"circle in {self.plane} of {1e3 * self.radius:g} mm at "
-                    f"{self.acceleration:g} m/s^2: found a {what} of {value:.4g} {unit}, expected "
+                    f"{self.acceleration:g} m/s^2: found {what} of {value:.4g} {unit}, expected "
                     f"at most {most:g}, which the axes reach; lower the acceleration, or choose "
                     "another radius"
                 )
@@ -163,13 +163,14 @@ def positioning(length: float, limits: Limits) -> Profile:
     Seven parts of constant jerk, of which some have no duration: jerk J for t_j, acceleration
     J t_j for t_a, and so on. Where neither velocity nor acceleration is reached the peak of the
     acceleration is (S J^2 / 2)^(1/3). Raises `ValueError` for limits that are not above zero or not
-    finite, and for a length of zero.
+    finite, and for a length of zero or one that is not finite.
     """
     v, a, J = limits.velocity, limits.acceleration, limits.jerk
-    if not all(0.0 < x < math.inf for x in (v, a, J)) or length == 0.0:
+    if not all(0.0 < x < math.inf for x in (v, a, J, abs(length))):
         raise ValueError(
             f"found length = {length:g} m, velocity = {v:g} m/s, acceleration = {a:g} m/s^2 and "
-            f"jerk = {J:g} m/s^3, expected a length, and limits above zero that are finite"
+            f"jerk = {J:g} m/s^3, expected a length that is not zero and "
+            "limits above zero, all of them finite; correct them"
         )
     S = abs(length)
     # The velocity that length and limits leave, first as if the acceleration were reached.

@@ -29,14 +29,24 @@ from ..dynamics.gains import propose
 from ..dynamics.modes import check_supported, modes
 from ..dynamics.setpoints import Limits
 from ..errors import StudyError
-from .messages import explain, listed, refusal
+from .messages import explain, listed, refusal, shown
 from .settings import read_setup
 
-Triple = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Strength = tuple[NotNegative, NotNegative, NotNegative]
+# What machines have, with much to spare. Beyond it a number is of another unit, or matrices have
+# too few digits left to tell what holds a body.
+Mass = Annotated[float, Field(ge=1e-3, le=1e6)]
+Inertia = Annotated[float, Field(ge=1e-4, le=1e9)]
+Length = Annotated[float, Field(ge=-1e5, le=1e5)]
+Stiffness = Annotated[float, Field(ge=0, le=1e6)]
+Turning = Annotated[float, Field(ge=0, le=1e9)]
+Viscous = Annotated[float, Field(ge=0, le=1e6)]
+Triple = tuple[Length, Length, Length]
 _EXACT = 1e-6
+_MOTOR_KG = 1e-3
+"""Least mass of a motor."""
+_ROUNDED = 0.01
+"""By how much of the sum of the others a moment of inertia may exceed it, as it is rounded."""
 _HELD = 1e-3
 """Of the largest stiffness, from which springs hold an axis along its travel."""
 
@@ -51,9 +61,9 @@ class BodySettings(_Table):
     name: str
     on: str | None = None
     """What it rides with, ``"bed"`` or an axis; its own name by default."""
-    mass_kg: Positive
-    inertia_kg_m2: tuple[Positive, Positive, Positive]
-    """About its centre of gravity, about X, Y, Z."""
+    mass_kg: Mass
+    inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
+    """About its centre of gravity, about X, Y, Z; none more than the sum of the others."""
     centre_mm: Triple
     """Centre of gravity at the axis positions zero."""
 
@@ -67,11 +77,11 @@ class SpringSettings(_Table):
     on: str | None = None
     """What the points ride with; the first body's link by default."""
     points_mm: Annotated[tuple[Triple, ...], Field(min_length=1)]
-    stiffness_N_per_um: Strength  # noqa: N815
+    stiffness_N_per_um: tuple[Stiffness, Stiffness, Stiffness]  # noqa: N815
     """Of one point, along X, Y, Z."""
-    turning_Nm_per_mrad: Strength = (0.0, 0.0, 0.0)  # noqa: N815
+    turning_Nm_per_mrad: tuple[Turning, Turning, Turning] = (0.0, 0.0, 0.0)  # noqa: N815
     """Of one point, about X, Y, Z."""
-    damping_Ns_per_mm: Strength = (0.0, 0.0, 0.0)  # noqa: N815
+    damping_Ns_per_mm: tuple[Viscous, Viscous, Viscous] = (0.0, 0.0, 0.0)  # noqa: N815
     """Viscous, of one point, beside the damping of all."""
 
 
@@ -83,10 +93,12 @@ class DriveSettings(_Table):
     """Body that it pushes from; the one towards the bed by default."""
     point_mm: Triple
     """Where its force attacks."""
-    screw_N_per_um: Positive | None = None  # noqa: N815
+    screw_N_per_um: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None  # noqa: N815
     """Stiffness of screw, nut and bearings; a linear motor without it."""
-    motor_mass_kg: Annotated[float, Field(ge=0)] = 0.0
-    """Inertia of motor and screw as a mass along the axis, J (2 pi / pitch)^2."""
+    motor_mass_kg: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    """Inertia of motor and screw as a mass along the axis, J (2 pi / pitch)^2; no less than 1 g
+    beside a screw.
+    """
     scale_mm: Triple | None = None
     """Where the scale is read; at the drive by default."""
     measured: Literal["scale", "motor"] = "scale"
@@ -127,7 +139,7 @@ class ControllerSettings(_Table):
     """w_v of the velocity loop; Kp = m w_v."""
     integral_time_ms: Positive | tuple[Positive, ...] | None = None
     """Tn."""
-    feed_forward: float = 0.0
+    feed_forward: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Share of the set velocity added to the velocity command."""
     delay_ms: Annotated[float, Field(ge=0)] = 0.0
     sample_time_ms: Positive = 1.0
@@ -190,7 +202,7 @@ def load_machine(path: Path | str, overrides: Sequence[str] = ()) -> Described:
     structure = assemble(machine)
     controller = _controller(found.controller, structure, path.name)
     try:
-        check_stable(close(structure, controller))
+        check_stable(close(structure, controller), structure)
     except ValueError as error:
         raise StudyError(f"{path.name}, {error}") from error
     limits = Limits(
@@ -205,15 +217,29 @@ def _machine(found: MachineDescription, file: str) -> Machine:
     try:
         chain = chain_from_string(found.chain)
     except ValueError as error:
+        told, _, expected = str(error).rpartition("expected ")
         raise refusal(
-            file, "key chain", str(error), "such as 'w X b Y Z t'", "correct the chain"
+            file,
+            "key chain",
+            f"an impossible {told.rstrip(';: ')}",
+            expected.partition(" (")[0],  # other joints are for studies
+            "correct the chain",
         ) from error
     links = {body.name: body.on or body.name for body in found.body}
     _check_names([body.name for body in found.body], "body", "name", file)
     _check_names([drive.axis for drive in found.drive], "drive", "axis", file)
     for i, body in enumerate(found.body):
         known = (BED, *chain.axes)
-        _known(links[body.name], known, f"body.{i}.{'on' if body.on else 'name'}", file)
+        if body.on is None and body.name not in known:
+            raise refusal(
+                file,
+                f"key body.{i}.name",
+                f"{body.name!r}{nearest(body.name, known)} without the key on",
+                f"a name out of {listed(known)}, or on = one of them, which it rides with",
+                "correct the name, or add the key",
+            )
+        _known(links[body.name], known, f"body.{i}.on", file)
+        _check_inertia(body, f"body.{i}.inertia_kg_m2", file)
     bodies = tuple(
         Body(
             body.name,
@@ -254,7 +280,14 @@ def _machine(found: MachineDescription, file: str) -> Machine:
     drives, scales = [], []
     for i, drive in enumerate(found.drive):
         _known(drive.axis, chain.axes, f"drive.{i}.axis", file)
-        _known(drive.axis, links, f"drive.{i}.axis", file)
+        if drive.axis not in links:
+            raise refusal(
+                file,
+                f"key drive.{i}.axis",
+                f"{drive.axis!r}, which is the name of none of {listed(links)}",
+                "a body of that name, which the drive pushes",
+                "name that body so",
+            )
         base = drive.base or _towards_bed(chain, drive.axis, links, GROUND)
         _known(base, (*links, GROUND), f"drive.{i}.base", file)
         if drive.measured == "motor" and drive.screw_N_per_um is None:
@@ -270,13 +303,15 @@ def _machine(found: MachineDescription, file: str) -> Machine:
         drives.append(Drive(*place, 1e-3 * jnp.array(drive.point_mm), screw, drive.motor_mass_kg))
         at = drive.scale_mm or drive.point_mm
         scales.append(Scale(*place, 1e-3 * jnp.array(at), drive.measured == "motor"))
-        if screw is not None and drive.motor_mass_kg == 0.0:
+        if screw is not None and drive.motor_mass_kg < _MOTOR_KG:
+            left_out = drive.motor_mass_kg == 0.0
             raise refusal(
                 file,
                 f"key drive.{i}.motor_mass_kg",
-                "none beside a screw",
-                "the inertia of motor and screw as a mass, J (2 pi / pitch)^2",
-                "add it",
+                f"{'none' if left_out else f'{drive.motor_mass_kg:g}'} beside a screw",
+                "the inertia of motor and screw as a mass, J (2 pi / pitch)^2"
+                + ("" if left_out else f", of at least {_MOTOR_KG:g}"),
+                "add it" if left_out else "correct the value",
             )
     end = found.tool_point
     tool = end.tool or _last(chain, "tool", links)
@@ -293,6 +328,19 @@ def _machine(found: MachineDescription, file: str) -> Machine:
         0.0,
         _friction(found, drives, file),
     )
+
+
+def _check_inertia(body: BodySettings, key: str, file: str) -> None:
+    """Refuse moments of inertia that no mass has, wherever it is: I_x <= I_y + I_z."""
+    largest, whole = max(body.inertia_kg_m2), sum(body.inertia_kg_m2)
+    if largest > (1.0 + _ROUNDED) * (whole - largest):
+        raise refusal(
+            file,
+            f"key {key}",
+            shown(body.inertia_kg_m2),
+            "none above the sum of the two others, as of any body",
+            "correct them",
+        )
 
 
 def _check_travel(machine: Machine, structure: Structure, file: str) -> None:

@@ -27,6 +27,9 @@ _EXPECTED = {
     "tuple_type": "a list in square brackets",
 }
 
+_ROWS = ("list_type", "tuple_type")
+_TABLE = ("dict_type", "model_type", "model_attributes_type")
+
 
 def refusal(file: str, where: str, found: str, expected: str, do: str) -> StudyError:
     """The error to raise for one mistake, in the one form that all messages have."""
@@ -178,9 +181,28 @@ def _line(
         expected, do = f"at least {context['min_length']}", "add what is missing"
     elif kind == "too_long":
         expected = f"{context['max_length']} values"
+    elif kind in _ROWS and _is_row(at(raw, loc)) and _known_keys(model, loc):
+        # Brackets are all that differs between one table and rows of them.
+        expected, do = f"rows, each below [[{_dotted(loc)}]]", "write it in double brackets"
+    elif kind in _TABLE and _are_rows(at(raw, loc)):
+        expected, do = f"one table, below [{_dotted(loc)}]", "write it in single brackets"
     else:
         expected = _EXPECTED.get(kind) or e["msg"]
     return str(refusal(source(file, key, overrides), f"key {key}", found, expected, do))
+
+
+def _is_row(value: Any) -> bool:
+    """Whether it is one table; those with numbers for keys are of an override of no row."""
+    return isinstance(value, dict) and not any(key.isdigit() for key in value)
+
+
+def _are_rows(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(map(_is_row, value))
+
+
+def _dotted(loc: Sequence[str | int]) -> str:
+    """A key path as a TOML header names it, without the numbers of rows."""
+    return ".".join(str(part) for part in loc if not isinstance(part, int))
 
 
 def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:

@@ -62,7 +62,7 @@ class Model:
         """With everything that follows; raises `ValueError` where its loop is unstable."""
         structure = assemble(machine)
         loop = close(structure, controller)
-        check_stable(loop)
+        check_stable(loop, structure)
         matrix = 1e6 * np.asarray(compliance(structure))
         return cls(machine, controller, loop, matrix, modes(structure).hz, positioned(loop))
 
