@@ -314,6 +314,17 @@ def test_a_name_is_not_certain_beside_more_that_is_unexplained(tmp_path):
     assert all("what is unexplained, more than it" in e.separation for e in found.effects)
 
 
+def test_more_stray_readings_than_are_left_out_are_told(tmp_path):
+    """Of 8 % of the rows one coordinate is off by 20 times the noise."""
+    table, rng = circles(samples=120), np.random.default_rng(3)
+    rows = rng.choice(len(table["run"]), int(0.08 * len(table["run"])), replace=False)
+    table["y_ext_mm"][rows] += 5e-3 * rng.choice([-1.0, 1.0], len(rows))
+    s = load_study(write(tmp_path / "strays", table))
+    found = close_loop(s.model, s.measurement)
+    (note,) = (n for n in found.notes if "more stray readings than are left out" in n)
+    assert int(note.split(" ")[0]) == pytest.approx(len(rows), rel=0.05)
+
+
 def test_what_the_place_of_the_sphere_takes_is_told_of_nothing(study):
     """A residual cannot depend on the run: an offset of every run is fitted."""
     fit = fitted(study, bend(study.chain))

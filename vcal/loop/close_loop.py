@@ -33,7 +33,7 @@ from .state import (
     scales_told,
 )
 from .steps import uncertainties
-from .stray import at_an_end
+from .stray import at_an_end, too_many
 from .together import contradiction
 from .unexplained import Unexplained, from_structure
 from .whitened import declared_chi2, declared_residual
@@ -396,6 +396,14 @@ def _notes(scales: Mapping[str, float], state: State, run: Search) -> list[str]:
             "effects that are not large go unseen"
         )
     plan = state.fit.measurement.plan
+    if astray := too_many(state.fit):
+        rows = ", ".join(
+            plan.row_name(s.row) for s in sorted(astray, key=lambda s: -s.distance)[:5]
+        )
+        notes.append(
+            f"{len(astray)} rows of {state.fit.used.sum()} are too far out for noise, at random "
+            f"places: more stray readings than are left out; look at them first ({rows}, ...)"
+        )
     notes += [
         f"row {plan.row_name(row)}, left out, is {where}: had something moved there and stayed, "
         "that would look the same; more readings of the same would tell"

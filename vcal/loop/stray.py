@@ -100,6 +100,17 @@ def scattered(fit: Fit, found: Sequence[int]) -> bool:
     return len(found) <= _FEW or not _gathered(fit, rows, found)
 
 
+def too_many(fit: Fit) -> list[Stray]:
+    """Rows far outside what the others say at random places, where they are more than may be left
+    out; nothing where they are fewer, or neighbours along anything recorded.
+    """
+    found = _outstanding(fit, np.ones(len(fit.used)))
+    rows = np.flatnonzero(fit.used)
+    if len(found) <= max(_FEW, _MOST * len(rows)) or _gathered(fit, rows, [s.row for s in found]):
+        return []
+    return found
+
+
 def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
     """Those of these rows, left out of the fit, that a displaced tool explains: two or more at the
     end or at the beginning of a pose, a run or a data set, all displaced alike.
