@@ -1,6 +1,7 @@
 """The report: complete, strict, self-contained, and written whole or not at all."""
 
 import dataclasses
+import itertools
 import json
 import math
 import os
@@ -9,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from oracle import error_motions, make_case
 from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
@@ -17,10 +19,12 @@ from vcal.instruments.conditions import file_column
 from vcal.loop.components import Component
 from vcal.loop.empirical import LocalBump
 from vcal.loop.recorded import correlation
+from vcal.loop.screening import KindResult, Screening
 from vcal.loop.stray import Stray
 from vcal.loop.unexplained import Interval, Unexplained
 from vcal.plan import Plan
 from vcal.plots.residuals import unexplained_views
+from vcal.plots.search import search
 from vcal.plots.views import residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.derived import parameters
@@ -471,6 +475,25 @@ def test_report_of_an_arm(small_arm_study, tmp_path):
     lines = (tmp_path / "report" / "compensation.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0].split(",")[2] == "position_deg"
     assert len(lines) == 1 + 18 * 41
+
+
+@pytest.mark.parametrize("rounds", [1, 2, 3, 4])
+@pytest.mark.parametrize("name", ["acceleration_crosstalk", "effect_of_ones_own_with_a_long_name"])
+def test_headings_of_the_search_have_room(rounds, name):
+    kinds = [KindResult("kink", [], 3, 9.0, 3.0, 1e-3), KindResult(name, [], 3, 50.0, 3.0, 1e-20)]
+    drawn = search([Screening(kinds, 1e-20, 3.0, 1.0, [])] * rounds, [name] * rounds, [], 1e-3)
+    headings = [
+        title
+        for ax in drawn.axes
+        for title in ax.get_children()
+        if isinstance(title, Text) and title.get_text().startswith("round")
+    ]
+    ends = [title.get_window_extent() for title in headings]
+    assert len(ends) == rounds
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(ends))
+    assert max(end.x1 for end in ends) < drawn.bbox.x1
+    assert max(end.y1 for end in ends) < drawn.bbox.y1
+    assert (name in headings[0].get_text()) == (rounds * len(name) <= 72)
 
 
 def test_residual_without_the_effect_is_that_of_the_declared_model(closed):

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -415,16 +416,7 @@ def _friction(
 def _damped(machine: Machine, structure: Structure, found: MachineDescription) -> Machine:
     hz = found.damping_hz or float(modes(structure).hz[0])
     loss = found.damping / (np.pi * hz)  # D = loss K has the ratio loss omega / 2
-    return Machine(
-        machine.chain,
-        machine.bodies,
-        machine.springs,
-        machine.drives,
-        machine.scales,
-        machine.tool_point,
-        loss,
-        machine.friction,
-    )
+    return replace(machine, loss=loss)
 
 
 def _controller(found: ControllerSettings, structure: Structure, file: str) -> Controller:

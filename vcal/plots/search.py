@@ -9,6 +9,9 @@ from matplotlib.figure import Figure
 from ..loop.screening import KindResult, Screening
 from .style import AFTER, BEFORE, DOTS, INK, figure, grid, titled
 
+_LETTERS = 72
+"""That the headings of all panels hold, side by side."""
+
 
 def minus_log10_p(screening: Screening, kind: KindResult) -> float:
     """-log10 of the corrected p-value of a kind, also where that underflows."""
@@ -32,20 +35,16 @@ def search(
         kind: minus_log10_p(screenings[0], k) for k in screenings[0].kinds for kind in [k.kind]
     }
     kinds.sort(key=lambda kind: height.get(kind, 0.0))
-    told = len(screenings) <= 3 and len(added) > 0  # else there is no room for the names
+    longest = max(map(len, added), default=0)
+    # Else there is no room for the names, one beside the other.
+    told = len(screenings) <= 3 and 0 < longest * len(screenings) <= _LETTERS
     top = 0.62 if told else 0.45
     drawn = figure(9.6, 0.7 + top + 0.235 * len(kinds))
     row = grid(
         drawn,
         1,
         len(screenings),
-        {
-            "left": 1.75,
-            "right": 0.25,
-            "top": 0.62 if told else 0.45,
-            "bottom": 0.65,
-            "wspace": 0.25,
-        },
+        {"left": 1.75, "right": 0.25, "top": top, "bottom": 0.65, "wspace": 0.25},
     )[0]
     largest = max(10.0, *(minus_log10_p(s, k) for s in screenings for k in s.kinds))
     for i, (ax, screening) in enumerate(zip(row, screenings, strict=True)):
