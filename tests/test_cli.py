@@ -446,17 +446,25 @@ def test_simulate_then_loop(tmp_path, small_tracker_study):
 def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatch):
     backlash = SimpleNamespace(name="backlash")
     found = SimpleNamespace(
-        effect=backlash, placement="Y", p_value=0.002, status="named", separation=""
-    )
+        effect=backlash, placement="Y", p_value=0.002, status="named", separation="",
+        equivalent=["angular_reversal Y"],
+    )  # fmt: skip
     errors = Errors(Rms(5.2312, 1.26), None, Rms(0.9412, 0.183), Rms(0.9, 0.1), 1.0)
     closure = SimpleNamespace(
-        sentence="A sentence.", effects=[found], errors={"after": errors}, suspected=[], notes=[]
-    )
+        sentence="A sentence.", effects=[found], errors={"after": errors}, suspected=[], notes=[],
+        unexplained=SimpleNamespace(reason="no more effects may be added"),
+    )  # fmt: skip
     rows = [("size_um", 11.98765, "um", 0.6123)]
     monkeypatch.setattr(vcal.cli.show, "parameters", lambda *_: rows)
+    play, known = SimpleNamespace(key="backlash X"), SimpleNamespace(key="drift X")
+    listed = [(play, [("size", 12.98, "um", 0.21)]), (known, [("rate", 1.0, "um/h", 0.0)])]
+    monkeypatch.setattr(vcal.cli.show, "declared", lambda *_: listed)
     vcal.cli.show.show_closure(closure)
     shown = " ".join(capsys.readouterr().out.split())
     assert "backlash Y: size_um = 12.0 ± 1.2 um (k = 2), p = 0.002, named" in shown
+    assert "not to be told from: angular_reversal Y" in shown
+    assert "backlash X: size = 12.98 ± 0.42 um (k = 2), declared" in shown and "drift" not in shown
+    assert "no more effects may be added" in shown
     assert "rms error, µm, ± one standard uncertainty after" in shown
     assert "check points, aligned 5.2 ± 1.3" in shown
     assert "held-out readings 0.94 ± 0.18" in shown

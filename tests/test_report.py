@@ -101,6 +101,7 @@ KEYS = {
     "verdict": str,
     "sentence": str,
     "effects": list,
+    "declared": list,
     "errors": dict,
     "unexplained": type(None),
     "variance": dict,
@@ -425,10 +426,33 @@ def test_compensation_table_is_right(closed, written):
 
 def test_effects_table_repeats_the_record(written):
     header, row = (written / "effects.csv").read_text(encoding="utf-8").splitlines()
-    assert header == "effect,placement,parameter,value,unit,standard_uncertainty"
+    assert header == "effect,placement,parameter,value,unit,standard_uncertainty,status"
     (size,) = strict(written / "report.json")["effects"][0]["parameters"]
     assert row.split(",")[:3] == ["backlash", "Y", "size"]
     assert float(row.split(",")[3]) == pytest.approx(size["value"])
+
+
+def test_declared_effects_are_told_as_they_were_fitted(tmp_path):
+    """A play that is declared to a third: without it the machine is another one."""
+    play = {"effect": "backlash", "axis": "X", "size_um": 13.0}
+    rows = [{"name": "backlash", "placement": "X", "size_um": 10.0, "size_um_sigma": 3.0},
+            {"name": "scale_growth", "placement": "Y", "alpha_um_per_m_K": 0.5}]  # fmt: skip
+    make_case("laser_tracker", seed=5, effects=[play], declared=rows, folder=tmp_path / "study")
+    study = load_study(tmp_path / "study" / "setup.toml")
+    closure = close_loop(study.model, study.measurement, check=study.check, effects=[])
+    write_report(closure, study, tmp_path / "out")
+    (size, alpha) = (
+        one["parameters"][0] for one in strict(tmp_path / "out" / "report.json")["declared"]
+    )
+    assert abs(size["value"] - 13.0) < 4 * size["standard_uncertainty"] < 2.0
+    assert (alpha["value"], alpha["standard_uncertainty"]) == (0.5, 0.0)
+    lines = (tmp_path / "out" / "effects.csv").read_text(encoding="utf-8").splitlines()[1:]
+    table = [line.split(",") for line in lines]
+    assert [row[:3] + row[6:] for row in table] == [
+        ["backlash", "X", "size", "declared"], ["scale_growth", "Y", "alpha", "declared"]
+    ]  # fmt: skip
+    assert float(table[0][3]) == pytest.approx(size["value"])
+    assert "What was declared" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
 
 
 def test_report_without_check_points(closed, tmp_path):

@@ -18,7 +18,7 @@ from ..loop.closure import Closure, Errors
 from ..loop.heldout import Rms
 from ..measurement import Measurement
 from ..plan import Plan
-from ..report.derived import missing_columns, parameters
+from ..report.derived import Listed, declared, missing_columns, parameters
 from ..report.text import COVERAGE, with_uncertainty
 
 _MOST = 6
@@ -31,19 +31,24 @@ def show_closure(closure: Closure) -> None:
     console = _console()
     console.print(Text(closure.sentence, style="bold"))
     for found in closure.effects:
-        values = ", ".join(
-            f"{name} = {with_uncertainty(value, COVERAGE * u)} {unit}".rstrip()
-            for name, value, unit, u in parameters(closure, found)
-        )
+        values = _values(parameters(closure, found))
         console.print(
             Text(
                 f"  {found.effect.name} {found.placement}".rstrip()
-                + f": {values} (k = {COVERAGE:g}), p = {found.p_value:.2g}, {found.status}"
+                + f": {values}, p = {found.p_value:.2g}, {found.status}"
             ),
             soft_wrap=True,
         )
+        if found.equivalent:
+            console.print(Text(f"    not to be told from: {', '.join(found.equivalent)}"))
         if found.separation:
             console.print(Text(f"    to be certain: {found.separation}"))
+    for effect, listed in declared(closure):
+        if any(u > 0.0 for *_, u in listed):
+            line = f"  {effect.key}: {_values(listed)}, declared"
+            console.print(Text(line), soft_wrap=True)
+    if closure.unexplained is not None:
+        console.print(Text(f"  {closure.unexplained.reason}"))
     console.print(_errors_table(closure.errors))
     if closure.suspected:
         plan = closure.after.measurement.plan
@@ -52,6 +57,14 @@ def show_closure(closure: Closure) -> None:
         console.print(Text(f"Suspected readings, left out: rows {rows}{more}."))
     for note in closure.notes:
         console.print(Text(f"Note: {note}."))
+
+
+def _values(listed: Listed) -> str:
+    values = (
+        f"{name} = {with_uncertainty(value, COVERAGE * u)} {unit}".rstrip()
+        for name, value, unit, u in listed
+    )
+    return f"{', '.join(values)} (k = {COVERAGE:g})"
 
 
 def _errors_table(errors: Mapping[Any, Errors]) -> Table:

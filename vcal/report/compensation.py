@@ -16,7 +16,7 @@ from ..loop.doubt import Doubt, of_doubts
 from ..plan import Plan
 from ..plots import ErrorMotionTable
 from ..units import si_factor
-from .derived import parameters
+from .derived import declared, parameters
 
 NODES = 41
 _GEOMETRY = ("geometric", "geometric_order")
@@ -186,12 +186,18 @@ def compensation_csv(tables: Sequence[ErrorMotionTable]) -> str:
 
 
 def effects_csv(closure: Closure) -> str:
-    """Parameters of the effects that were added, as CSV, one per line."""
-    rows = [["effect", "placement", "parameter", "value", "unit", "standard_uncertainty"]]
-    for found in closure.effects:
-        for name, value, unit, u in parameters(closure, found):
-            numbers = _number(value), _number(u)
-            rows.append([found.effect.name, found.placement, name, numbers[0], unit, numbers[1]])
+    """Parameters of the effects that were found and of those that were declared, as CSV, one per
+    line.
+    """
+    rows = [["effect", "placement", "parameter", "value", "unit", "standard_uncertainty", "status"]]
+    effects = [
+        (found.effect.name, found.placement, parameters(closure, found), found.status)
+        for found in closure.effects
+    ]
+    effects += [(e.name, e.placement, listed, "declared") for e, listed in declared(closure)]
+    for effect, placement, listed, status in effects:
+        for name, value, unit, u in listed:
+            rows.append([effect, placement, name, _number(value), unit, _number(u), status])
     return _csv(rows)
 
 

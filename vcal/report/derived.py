@@ -4,28 +4,45 @@ import math
 
 import numpy as np
 
-from ..effects.base import harmonic_summary
+from ..effects.base import Effect, harmonic_summary
+from ..fit import Fit
 from ..loop.candidates import Untestable
 from ..loop.closure import Closure, FoundEffect
 from ..plan import Plan
 from ..plots import column_of, parameter_places, place_of
 
+Listed = list[tuple[str, float, str, float]]
+"""(name, value, unit, standard uncertainty) of the parameters of an effect."""
 
-def parameters(closure: Closure, found: FoundEffect) -> list[tuple[str, float, str, float]]:
-    """(name, value, unit, standard uncertainty) of an effect, sine and cosine also as the
-    amplitude A and phase phi of A sin(u + phi).
+
+def parameters(closure: Closure, found: FoundEffect) -> Listed:
+    """Those of an effect that was found, sine and cosine also as the amplitude A and phase phi of
+    A sin(u + phi).
     """
     listed = [(n, float(v), unit, float(u)) for n, v, unit, u in found.parameters]
-    return listed + _harmonics(closure, found)
+    return listed + _harmonics(closure.after, found.effect, listed)
 
 
-def _harmonics(closure: Closure, found: FoundEffect) -> list[tuple[str, float, str, float]]:
-    fit = closure.after
-    place = place_of(fit, found.effect)
+def declared(closure: Closure) -> list[tuple[Effect, Listed]]:
+    """The effects that were declared, other than error motions and nuisances, with their parameters
+    as the final fit has them: without them the machine is another one than that of its errors.
+    """
+    fit, found = closure.after, []
+    for effect in closure.before.model.effects:
+        if effect.kind != "systematic" or effect.name == "geometric":
+            continue
+        values = fit.values_of(place_of(fit, effect))
+        listed = [(p.name, float(value), p.unit, float(u)) for _, p, value, u in values]
+        found.append((effect, listed + _harmonics(fit, effect, listed)))
+    return found
+
+
+def _harmonics(fit: Fit, effect: Effect, listed: Listed) -> Listed:
+    place = place_of(fit, effect)
     first = parameter_places(fit, place)[0]
     amplitudes = fit.model.effects[place].amplitudes
     names = [p.name for p in amplitudes]
-    values = {name: (value, unit) for name, value, unit, _ in found.parameters}
+    values = {name: (value, unit) for name, value, unit, _ in listed}
     derived = []
     for name in names:
         suffix = name.removeprefix("sine")

@@ -17,7 +17,7 @@ from ..loop.closure import Closure, FoundEffect
 from ..loop.empirical import EMPIRICAL
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
-from .derived import missing_columns, parameters
+from .derived import declared, missing_columns, parameters
 from .own_effect import own_effect
 from .picture import Picture
 from .record import plain, versions
@@ -64,6 +64,9 @@ def page(
         data_sets=_data_sets(closure, study),
         has_check=closure.check is not None,
         effects=[_effect(closure, found) for found in closure.effects],
+        declared=[
+            (effect.key, _parameter(*row)) for effect, listed in declared(closure) for row in listed
+        ],
         unexplained=_unexplained(closure),
         own_effect=own_effect(closure) is not None,
         pictures=shown,

@@ -17,7 +17,7 @@ from ..loop.heldout import Rms
 from ..loop.unexplained import Unexplained
 from ..plan import Plan
 from ..plots import column_of
-from .derived import missing_columns, parameters
+from .derived import Listed, declared, missing_columns, parameters
 
 SCHEMA = "vcal-report/1"
 _PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
@@ -39,6 +39,10 @@ def record(
         "verdict": closure.verdict,
         "sentence": closure.sentence,
         "effects": [_effect(closure, effect) for effect in closure.effects],
+        "declared": [
+            {"effect": e.name, "placement": e.placement, "parameters": _parameters(listed)}
+            for e, listed in declared(closure)
+        ],
         "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
         "unexplained": _unexplained(closure.unexplained, plan),
         "variance": closure.variance,
@@ -97,10 +101,7 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
     return {
         "effect": found.effect.name,
         "placement": found.placement,
-        "parameters": [
-            {"name": name, "value": value, "unit": unit, "standard_uncertainty": u}
-            for name, value, unit, u in parameters(closure, found)
-        ],
+        "parameters": _parameters(parameters(closure, found)),
         "status": found.status,
         "p_value": found.p_value,
         "log_evidence": found.log_evidence,
@@ -113,6 +114,13 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
         ],
         "separation": found.separation,
     }
+
+
+def _parameters(listed: Listed) -> list[dict[str, Any]]:
+    return [
+        {"name": name, "value": value, "unit": unit, "standard_uncertainty": u}
+        for name, value, unit, u in listed
+    ]
 
 
 def _errors(errors: Errors) -> dict[str, float | None]:

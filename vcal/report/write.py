@@ -44,10 +44,11 @@ def write_report(
     """Write the report of a closure into the folder `out`; returns the path of its page.
 
     `index.html` is the page, self-contained; `report.json` the record for programs;
-    `compensation.csv` the error motions and `effects.csv` the named effects; `own_effect.py`, where
-    something is left unexplained, an effect of the user's own to start from; beside them the
-    pictures. Files of an earlier report are replaced, others are left alone. All is made in a
-    temporary folder and moved at the end: on failure or interruption `out` stays as it was.
+    `compensation.csv` the error motions and `effects.csv` the effects, named and declared;
+    `own_effect.py`, where something is left unexplained, an effect of the user's own to start from;
+    beside them the pictures. Files of an earlier report are replaced, others are left alone. All is
+    made in a temporary folder and moved at the end: on failure or interruption `out` stays as it
+    was.
 
     `command` and `seconds` (how long the loop took) are quoted. Raises `StudyError` where `out` is
     a file, or a folder with other things or with changed files in it (`check_folder`).
