@@ -103,7 +103,7 @@ def screened(study, fit, draws: int, seed: int):
     from vcal.loop.screening import screen
 
     tried, _ = candidates(study.model, study.measurement, vcal.CATALOGUE.values())
-    empirical, _ = candidates(study.model, study.measurement, EMPIRICAL)
+    empirical, _ = candidates(study.model, study.measurement, EMPIRICAL, tried)
     return screen(Screen(fit, draws, seed), [*tried, *empirical])
 
 

@@ -448,6 +448,18 @@ def _stuck(rng: Rng, world: World) -> Sized:
     )
 
 
+def _follows(column: str, scale: float, components: str, unit: str):
+    """An error in proportion to a column that no effect knows."""
+
+    def draw(rng: Rng, world: World) -> Sized:
+        effect = {"effect": "follows", "axis": _axis(rng), "column": column, "scale": scale,
+                  "component": components[rng.integers(3)]}  # fmt: skip
+        sign = _sign(rng)
+        return lambda size: Term(({**effect, f"size_{unit}": sign * size},), covariates=(column,))
+
+    return draw
+
+
 def _bumps(rng: Rng, world: World) -> Sized:
     """All that a circle has to tell of a place on it."""
     order = int(rng.integers(3, 6))
@@ -531,11 +543,14 @@ OUTSIDE: tuple[Kind, ...] = (
     Kind("a fourth-order cross term", "um", 20, _quartic, BOTH),
     Kind("a play that grows along the travel", "um/m", 20, _growing_play, ON_MACHINE),
     Kind("a sensor that sticks", "um/(m K)", 15, _stuck, BOTH),
-    Kind(
-        "a sensor that sticks, scale held in the middle", "um/(m K)", 15, _stuck, BOTH, centred=True
-    ),
+    Kind("a sensor that sticks, scale held in the middle", "um/(m K)", 15, _stuck, BOTH,
+         centred=True),
+    Kind("an offset that follows the coolant", "um", 20, _follows("coolant_bar", 20.0, "XYZ", "um"),
+         BOTH, recording=("coolant_bar",)),
+    Kind("an angle that follows the humidity", "urad", 60,
+         _follows("humidity_percent", 9.0, "ABC", "urad"), BOTH, recording=("humidity_percent",)),
     Kind("a circle with bumps", "um", 1, _bumps, CIRCLES),
-)
+)  # fmt: skip
 PAIRS: tuple[tuple[str, str, str], ...] = (
     ("laser_tracker", "backlash", "thermal_tilt"),
     ("laser_tracker", "scale_growth", "screw_cyclic"),

@@ -1,6 +1,8 @@
 """Closing the loop on small studies: what it names, and what it does not."""
 
 import dataclasses
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +10,9 @@ import pytest
 from known import LATERAL, PLANS, Known
 from oracle import make_case, tool_point, tracker_readings, write_study
 from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify, load_study
-from vcal.loop.empirical import EMPIRICAL
+from vcal.loop.empirical import EMPIRICAL, Proportion
 from vcal.loop.unexplained import dependence, from_structure
+from vcal.report.own_effect import own_effect
 
 STAGES = ("screening", "refitting", "adding", "describing")
 
@@ -255,19 +258,38 @@ class CoolantLift(vcal.Effect):
 '''
 
 
-def test_an_effect_of_the_users_own(tmp_path):
-    """A class in a file, and a column nobody else knows."""
+@pytest.fixture(scope="module")
+def lifted(tmp_path_factory):
+    """A tracker's study whose table rises by 6 um per bar of a column that nobody knows."""
     case = make_case("laser_tracker", seed=8, plan=PLANS["laser_tracker"], tool_offset=LATERAL)
     pressure = np.random.default_rng(8).uniform(0, 4, len(case.run.t))
-    run = case.run
-    up = {"effect": "lateral_reversal", "axis": "X", "component": "Z", "size_um": 2 * 6.0}
-    lifted = dataclasses.replace(run, direction=np.outer(pressure, [1.0, 0.0, 0.0]))
-    moved = tracker_readings(case.tracker, tool_point(case.machine, lifted, [up]))
+    run = dataclasses.replace(case.run, extra={"coolant_bar": pressure})
+    up = {"effect": "follows", "axis": "X", "component": "Z", "column": "coolant_bar",
+          "scale": 1.0, "size_um": 6.0}  # fmt: skip
+    moved = tracker_readings(case.tracker, tool_point(case.machine, run, [up]))
     change = moved - tracker_readings(case.tracker, tool_point(case.machine, run))
     for i, name in enumerate(("range_mm", "azimuth_rad", "elevation_rad")):
         case.data[name] += change[:, i] * (1e3 if i == 0 else 1.0)
     case.data["coolant_bar"] = pressure
-    folder = write_study(tmp_path / "study", case)
+    return write_study(tmp_path_factory.mktemp("lifted") / "study", case)
+
+
+def test_what_follows_a_column_that_no_effect_knows(lifted):
+    """It is no product of that column with another, and no effect of time or of a temperature."""
+    study = load_study(lifted)
+    closure = close_loop(study.model, study.measurement, draws=200)
+    assert closure.verdict == "unexplained" and not closure.effects
+    what = closure.unexplained
+    assert isinstance(what.empirical.effect, Proportion) and not what.joint
+    assert what.depends_on[0] == "coolant_bar" and what.direction == "Z"
+    assert what.size_um == pytest.approx(12.0, rel=0.05)  # of its middle, as all descriptions
+    assert "in proportion to a quantity along Z (coolant_bar)" in closure.sentence
+    assert "coolant_bar" in own_effect(closure)
+
+
+def test_an_effect_of_the_users_own(lifted, tmp_path):
+    """A class in a file, and a column nobody else knows."""
+    folder = Path(shutil.copytree(lifted, tmp_path / "study"))
     (folder / "own.py").write_text(OWN)
     setup = folder / "setup.toml"
     setup.write_text(setup.read_text() + '\n[model]\neffects_file = "own.py"\n')

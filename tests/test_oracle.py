@@ -270,7 +270,7 @@ def test_every_axis_effect_changes_the_data_and_nothing_else(name):
     keys = {
         "effect": name, "axis": "X", "other": "Y", "size": 9e-6, "coefficient": 1e-5, "t0": 900.0,
         "tau": 900.0, "amplitude": 6e-6, "pitch": 0.02, "depth": 2e-5, "at": 1.0, "sigma": 0.05,
-        "degree": 4,
+        "degree": 4, "column": "coolant_bar", "scale": 20.0,
     }  # fmt: skip
     allowed, default = ON_AXIS[name]
     if name == "drift":
@@ -278,8 +278,8 @@ def test_every_axis_effect_changes_the_data_and_nothing_else(name):
     if default is None:
         keys["component"] = {"x": "Z"}.get(allowed, allowed[0])
     clean, bent = (
-        make_case("laser_tracker", seed=3),
-        make_case("laser_tracker", effects=[keys], seed=3),
+        make_case("laser_tracker", effects=effects, seed=3, recording=("coolant_bar",))
+        for effects in ((), [keys])
     )
     np.testing.assert_array_equal(clean.run.q, bent.run.q)
     assert np.abs(clean.readings - bent.readings).max() > 0.5 * UM

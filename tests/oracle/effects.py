@@ -24,6 +24,7 @@ Z (translation) or A, B, C (rotation); along the axis itself when it is left out
 | dent | -depth exp(-(x - at)^2 / 2 sigma^2) | axis, component, depth, at, sigma |
 | kink | coefficient max(x - at, 0): a slope that changes | axis, component, coefficient, at |
 | growing_play | coefficient/2 x dir along the axis | axis, coefficient |
+| follows | size c/scale, c a further column of the data | axis, component, column, scale, size |
 | geometric_order | size P_n(u), u in [-1, 1], n Legendre's degree | axis, component, size, degree |
 | payload_sag | a cantilever, clamped at the low end of axis X or Y | axis, coefficient (m/kg) |
 | spindle_growth | size along the tool, first order in the speed | size, tau |
@@ -174,6 +175,8 @@ def _along(effect: dict[str, Any], machine: Machine, run: Run, i: int) -> Array:
             return effect["coefficient"] * np.clip(x - effect["at"], 0, None)
         case "growing_play":
             return 0.5 * effect["coefficient"] * x * run.direction[:, i]
+        case "follows":
+            return effect["size"] * run.extra[effect["column"]] / effect["scale"]
         case "geometric_order":
             one = np.eye(effect["degree"] + 1)[effect["degree"]]
             return effect["size"] * np.polynomial.legendre.legval(
@@ -200,6 +203,7 @@ ON_AXIS = {
     "dent": ("XYZABC", None),
     "kink": ("XYZABC", None),
     "growing_play": ("=", "="),
+    "follows": ("XYZABC", None),
     "geometric_order": ("XYZABC", "="),
 }
 ON_MACHINE = (*ON_AXIS, "payload_sag", "spindle_growth", "stuck_sensor", "tool_offset")

@@ -105,7 +105,7 @@ def check_plan(machine: Machine, rng: np.random.Generator, n: int = 400) -> Run:
     return Run(q, rng.choice([-1.0, 1.0], (n, 3)), t, scales, air)
 
 
-CONDITIONS = ("payload_kg", "speed_rpm", "approach_rad")
+CONDITIONS = ("payload_kg", "speed_rpm", "approach_rad", "coolant_bar", "humidity_percent")
 
 
 def conditions(
@@ -115,13 +115,16 @@ def conditions(
 
     payload_kg: 0, 50 or 100, the same for 15 minutes; speed_rpm: 0 to 12000, the same for a
     fifteenth of the measurement, and one programme for all runs; approach_rad: from one of eight
-    sides.
+    sides; coolant_bar: 0 to 40, the same for 10 minutes; humidity_percent: it goes slowly up and
+    down.
     """
     if unknown := set(wanted) - set(CONDITIONS):
         raise ValueError(f"unknown conditions {', '.join(sorted(unknown))}")
     end = float(runs[0].t.max())
     loads = rng.permutation(np.tile([0.0, 50.0, 100.0], 8))
     speeds = 1e3 * rng.integers(0, 13, 15)
+    (own,) = rng.spawn(1)
+    pressures, phases = own.uniform(0, 40, 100), own.uniform(0, 2 * np.pi, 2)
     found = []
     for run in runs:
         late = np.minimum(15 * run.t / end, 14).astype(int)
@@ -129,6 +132,12 @@ def conditions(
             "payload_kg": loads[(run.t / 900).astype(int) % len(loads)],
             "speed_rpm": speeds[late].astype(float),
             "approach_rad": np.pi / 4 * rng.integers(0, 8, run.t.size),
+            "coolant_bar": pressures[(run.t / 600).astype(int) % len(pressures)],
+            "humidity_percent": 45.0
+            + sum(
+                size * np.sin(2 * np.pi * times * run.t / end + phase)
+                for size, times, phase in zip((6.0, 3.0), (0.7, 1.9), phases, strict=True)
+            ),
         }
         found.append({name: every[name] for name in wanted})
     return found

@@ -50,6 +50,8 @@ class Setup:
     artefact: Artefact | None = None
     derived: tuple[str, ...] = ()
     """Covariates that the instrument derives from positions and readings."""
+    used: frozenset[str] = frozenset()
+    """What other effects that are tried look at: covariates, groups and axes."""
     data_set: str = ""
     """Name of the data set, where this is one of `parts`."""
     parts: tuple["Setup", ...] = ()

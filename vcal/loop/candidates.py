@@ -1,7 +1,7 @@
 """Which effects could be missing: every class of the catalogue, at every place it could sit."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..effects.base import Effect
 from ..effects.data_set import in_setup
@@ -24,10 +24,17 @@ class Untestable:
 
 
 def candidates(
-    model: Model, measurement: Measurement, classes: Iterable[type[Effect]]
+    model: Model,
+    measurement: Measurement,
+    classes: Iterable[type[Effect]],
+    beside: Iterable[Effect] = (),
 ) -> tuple[list[Effect], list[Untestable]]:
-    """Instances the data can speak about, and those it cannot for want of a covariate."""
-    setup, plan = model.setup(measurement.plan), measurement.plan
+    """Instances the data can speak about, and those it cannot for want of a covariate; `beside` are
+    others that are tried.
+    """
+    plan = measurement.plan
+    used = frozenset(name for effect in beside for name in effect.needs)
+    setup = replace(model.setup(plan), used=used)
     present = {_identity(effect) for effect in model.effects}
     found, missing = [], {}
     for cls in classes:

@@ -7,7 +7,7 @@ that is, the residual is *unexplained*, and the description says along what, and
 import abc
 import itertools
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import equinox as eqx
@@ -174,18 +174,12 @@ class Factor:
         return ((plan.values(self.name) - self.middle) / self.half) ** self.power
 
 
-class Interaction(Empirical):
-    """An error in proportion to the product of two recorded quantities, a p q.
-
-    Quantities count from their middle, -1 to 1 over what was measured, positions from their zero as
-    well; of two positions there are products of higher order, too (u^2 v^2, u^3 v, u v^3). Which
-    product it is, is scanned.
+class Product(Empirical):
+    """Base class of what is in proportion to recorded quantities: a p, or a p q. Of what it is, is
+    scanned.
     """
 
-    name = "interaction"
-    summary = "empirical: product of two quantities"
-    words = "an error that two quantities make together"
-    products: tuple[tuple[Factor, Factor], ...] = eqx.field(static=True, repr=False)
+    products: tuple[tuple[Factor, ...], ...] = eqx.field(static=True, repr=False)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -201,23 +195,24 @@ class Interaction(Empirical):
     def needs_at(self, shape: Mapping[str, float]) -> tuple[str, ...]:
         return (*self.needs, *(factor.name for factor in self.products[int(shape["which"])]))
 
-    @property
-    def joint(self) -> bool:
-        return True
-
     def depends_on(self, plan: Plan, shape: Mapping[str, float]) -> tuple[str, ...]:
         del plan
         return tuple(factor.name for factor in self.products[int(shape["which"])])
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         which = np.asarray(shape["which"]).astype(int)
+        factors = {factor for one in self.products for factor in one}
         if which.ndim == 0:
-            first, second = self.products[int(which)]
-            return {(self.port, "size"): first.values(plan) * second.values(plan)}
-        factors = {factor for pair in self.products for factor in pair}
+            factors = set(self.products[int(which)])
         values = {factor: factor.values(plan) for factor in factors}
-        chosen = (self.products[i] for i in which[:, 0])
-        return {(self.port, "size"): np.array([values[p] * values[q] for p, q in chosen])}
+
+        def product(i: int) -> np.ndarray:
+            return np.prod([values[factor] for factor in self.products[i]], axis=0)
+
+        found = (
+            product(int(which)) if which.ndim == 0 else np.array([product(i) for i in which[:, 0]])
+        )
+        return {(self.port, "size"): found}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         del plan
@@ -225,17 +220,18 @@ class Interaction(Empirical):
 
     def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
         del plan
-        pair = self.products[int(shape["which"])]
+        factors = self.products[int(shape["which"])]
+        letters = "uv"[: len(factors)]
         lines = [
             f"{letter} = (({read(factor.name)} - {factor.middle:.6g}) / {factor.half:.4g})"
             + (f" ** {factor.power}" if factor.power != 1 else "")
-            for letter, factor in zip("uv", pair, strict=True)
+            for letter, factor in zip(letters, factors, strict=True)
         ]
-        return lines, {"size": "u * v"}
+        return lines, {"size": " * ".join(letters)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        products = _products(setup.plan, setup.derived)
+        products = cls.of(setup)
         if not products:
             return
         for c in "XYZ":
@@ -245,28 +241,73 @@ class Interaction(Empirical):
             for c in "ABC":
                 yield cls(port=f"E{c}{axis}", unit="urad", products=products, placement=axis)
 
+    @classmethod
+    @abc.abstractmethod
+    def of(cls, setup: Setup) -> tuple[tuple[Factor, ...], ...]:
+        """What it may be in proportion to."""
 
-def _products(plan: Plan, derived: Collection[str]) -> tuple[tuple[Factor, Factor], ...]:
-    """Pairs of quantities, none a function of others, whose product says more than either."""
-    known = {
+
+class Proportion(Product):
+    """An error in proportion to one recorded quantity that no effect of the catalogue looks at.
+
+    What effects look at, they have as well; positions are the declared family's matter.
+    """
+
+    name = "proportion"
+    summary = "empirical: in proportion to a recorded quantity"
+    words = "an error in proportion to a quantity"
+
+    @classmethod
+    def of(cls, setup: Setup) -> tuple[tuple[Factor, ...], ...]:
+        known = _quantities(setup.plan, setup.derived)
+        free = [name for name in known if name not in setup.plan.axes and name not in setup.used]
+        return tuple((_about_the_middle(name, known[name]),) for name in free)
+
+
+class Interaction(Product):
+    """An error in proportion to the product of two recorded quantities, a p q.
+
+    Quantities count from their middle, -1 to 1 over what was measured, positions from their zero as
+    well; of two positions there are products of higher order, too (u^2 v^2, u^3 v, u v^3).
+    """
+
+    name = "interaction"
+    summary = "empirical: product of two quantities"
+    words = "an error that two quantities make together"
+
+    @property
+    def joint(self) -> bool:
+        return True
+
+    @classmethod
+    def of(cls, setup: Setup) -> tuple[tuple[Factor, ...], ...]:
+        return _products(setup.plan, setup.derived)
+
+
+def _quantities(plan: Plan, derived: Collection[str]) -> dict[str, np.ndarray]:
+    """What was recorded of every row, none a function of others."""
+    return {
         name: x
         for name, x in distinct_covariates(plan).items()
         if name not in plan.groups and name not in derived and np.isfinite(x).all()
     }
-    middle = {name: 0.5 * float(x.max() + x.min()) for name, x in known.items()}
-    half = {name: 0.5 * float(np.ptp(x)) for name, x in known.items()}
-    factors = [Factor(name, middle[name], half[name]) for name in known]
-    positions = [name for name in known if name in plan.axes]
-    factors += [
-        Factor(name, 0.0, half[name]) for name in positions if abs(middle[name]) > 0.2 * half[name]
-    ]
+
+
+def _about_the_middle(name: str, x: np.ndarray, power: int = 1) -> Factor:
+    return Factor(name, 0.5 * float(x.max() + x.min()), 0.5 * float(np.ptp(x)), power)
+
+
+def _products(plan: Plan, derived: Collection[str]) -> tuple[tuple[Factor, ...], ...]:
+    """Pairs of quantities whose product says more than either."""
+    known = _quantities(plan, derived)
+    factors = [_about_the_middle(name, x) for name, x in known.items()]
+    positions = [factor for factor in factors if factor.name in plan.axes]
+    factors += [Factor(p.name, 0.0, p.half) for p in positions if abs(p.middle) > 0.2 * p.half]
     pairs = [(p, q) for p, q in itertools.combinations(factors, 2) if p.name != q.name]
     for first, second in itertools.combinations(positions, 2):
         pairs += [
-            (Factor(first, middle[first], half[first], p),
-             Factor(second, middle[second], half[second], q))
-            for p, q in ((2, 2), (3, 1), (1, 3))
-        ]  # fmt: skip
+            (replace(first, power=p), replace(second, power=q)) for p, q in ((2, 2), (3, 1), (1, 3))
+        ]
     return tuple(pairs)
 
 
@@ -319,7 +360,7 @@ class Since(Empirical):
         )
 
 
-EMPIRICAL: tuple[type[Empirical], ...] = (LocalBump, Kink, Interaction, Since)
+EMPIRICAL: tuple[type[Empirical], ...] = (LocalBump, Kink, Proportion, Interaction, Since)
 """All of them."""
 
 

@@ -127,9 +127,9 @@ class Search:
         fit, measurement = state.scored, state.fit.measurement
         self.progress(f"round {number}: screening")
         tried, self.untestable = candidates(state.model, measurement, self.classes)
-        tried = [effect for effect in tried if effect.key not in self._barred]
         kinds = EMPIRICAL if self._describing else ()
-        empirical, _ = candidates(state.model, measurement, kinds)
+        empirical, _ = candidates(state.model, measurement, kinds, [*state.model.effects, *tried])
+        tried = [effect for effect in tried if effect.key not in self._barred]
         if self._responses is None or self._responses.plan is not measurement.plan:
             self._responses = Responses(measurement.plan)
         screen_state = Screen(fit, self.draws, self.seed + number, self._responses)

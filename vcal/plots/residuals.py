@@ -48,6 +48,9 @@ def before_after(view: View, name: str) -> Figure:
             _visible(ax, view, name)
         if view.event is not None:
             ax.axvline(view.event, color=INK, linewidth=1.2, linestyle="--")
+        if view.kind != "sides":
+            # Numbers of six letters have room beside each other.
+            ax.locator_params(axis="x", nbins=7)
         rms = np.sqrt((y**2).mean())
         titled(ax, f"{word} {name}   (rms {rms:.3g} µm)", view.x_label)
         ax.set_ylim(-bound, bound)
