@@ -41,7 +41,7 @@ class Known:
         if case.tracker is not None:
             readings = case.readings
         self.study, self.chain, self.plan, self.instrument = study, chain, plan, instrument
-        self.model = Model(chain, instrument, study.model.effects)
+        self.model = Model(chain, instrument, (*study.model.effects, *study.model.random))
         self.measurement = Measurement(plan, readings)
         self.room = len(self.model.entries) + 16
         """Slots as the loop asks for them, so that all tests share its compiled solver."""

@@ -62,6 +62,14 @@ def on_a_line(found: list[str]) -> list[str]:
     return [found[0], *(",".join(cells) for cells in moved)]
 
 
+def base_on_a_line(found: list[str]) -> list[str]:
+    """Three reflectors of the base along X."""
+    first = found[0].split(",").index("base1_x_mm")
+    rows = [line.split(",")[:first] for line in found[1:]]
+    places = [f"{c}" for k in range(3) for c in (500.0 * k, 100.0, -50.0)]
+    return [found[0], *(",".join([*cells, *places]) for cells in rows)]
+
+
 def cell(row: int, column: str, value: str, file: str = "data.csv") -> Change:
     """Put `value` into a cell; data rows count from 1."""
 
@@ -508,6 +516,10 @@ ARMS = {
     ),
     "missing joint": (drop_column("q2_cmd_deg"), ("data.csv, column q2_cmd_deg", "no such")),
     "missing base": (drop_column("base2_z_mm"), ("data.csv, column base2_z_mm", "no such column")),
+    "base on a line": (
+        lines(base_on_a_line),
+        ("key instrument.base_reflectors", "3 reflectors that stand on one line", "turns about"),
+    ),
     "joint out of order": (
         replace("low_deg = -170", "low_deg = 175"),
         ("setup.toml, key machine.joint.0", "low_deg 175 and high_deg 170", "low below high"),

@@ -126,9 +126,13 @@ def test_uncertainties_cover_the_truth(tracker):
 
 @pytest.mark.slow
 def test_arm_uncertainties_allow_for_what_rows_share(tmp_path):
-    """The base reflectors' noise moves all reflectors of a pose together and is not declared."""
+    """What moves all reflectors of a pose together, and is not declared."""
     it = Known("reflectors", tmp_path, noise_factor=1.0)
-    fit = identify(it.model, it.measurement, room=it.room)
+    sigma = it.instrument.noise(it.plan, it.measurement.readings)
+    count = sigma.shape[1] // 3
+    shared = np.random.default_rng(1).standard_normal((it.plan.rows, 3))
+    moved = it.measurement.readings + sigma * np.tile(shared, count)
+    fit = identify(it.model, Measurement(it.plan, moved), room=it.room)
     assert fit.chi2 / fit.dof > 1.5
     # In the directions that the data determine, not the prior.
     normal = fit.jacobian.T @ fit.jacobian

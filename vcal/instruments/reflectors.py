@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Self
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,15 +15,19 @@ from pydantic import Field
 from ..arrays import Array, namespace
 from ..chain import Chain
 from ..effects.base import Effect, Response
+from ..errors import KeyedError
 from ..parameters import Parameter
 from ..plan import Plan
-from ..ports import group
+from ..ports import COMPONENTS, group
 from ..rigid import Rotation, Scalar, Vector
 from ..spatial import best_rigid
 from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
+from .base_drift import BaseDrift
 from .conditions import inside_name
 from .frame import Station, displaced
 
+_MOTIONS = ("t1", "t2", "t3", "r1", "r2", "r3")
+"""Along and about the principal axes of the reflectors on the base."""
 _MOST = 100
 """Reflectors on the tool or the base. Every further one adds three columns and three unknowns."""
 
@@ -58,14 +63,44 @@ class ToolPoints(Effect):
         return {(f"point{k}.{c}", f"{k}.{c}"): one for k in range(1, self.count + 1) for c in "XYZ"}
 
 
+class BaseReflectors(Effect):
+    """What the reflectors on the base leave open of the frame's motion: a small one along and about
+    each of their principal axes, fresh at every pose (`vcal.instruments.base_drift`).
+    """
+
+    name = "base_reflectors"
+    summary = "what the reflectors on the base leave open of the motion of the frame"
+    kind = "random"
+    where = "instrument"
+    twists: np.ndarray
+    """Motion of the frame (6, 6) per unit along and about each, as `frame.X` to `frame.C`."""
+    u: tuple[float, ...] = eqx.field(static=True)
+    """Standard uncertainty along (m) and about them (rad)."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(name, "um" if name[0] == "t" else "urad", sigma=u * 1e6)
+            for name, u in zip(_MOTIONS, self.u, strict=True)
+        )
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        one = np.ones(plan.rows)
+        return {
+            (f"frame.{c}", name): value * one
+            for name, twist in zip(_MOTIONS, self.twists, strict=True)
+            for c, value in zip(COMPONENTS, twist, strict=True)
+        }
+
+
 @register
 class Reflectors(TableInstrument):
     """Coordinates v_k = R'(p + R_tool r_k - s) of the tool's reflectors, in the frame of the base.
 
-    Where reflectors on the base were measured with every pose, the readings are reduced first: each
-    row is moved by the rigid motion that brings its base reflectors onto their mean, which takes
-    out the drift of the tracker. The base's pose and the reflectors' places on the tool are
-    nuisances.
+    Where three reflectors or more on the base were measured with every pose, the readings are
+    reduced first: each row is moved back by what these tell of the motion of the tracker
+    (`vcal.instruments.base_drift`), and what they leave open is noise of the whole pose. The base's
+    pose and the reflectors' places on the tool are nuisances.
     """
 
     kind = "reflectors"
@@ -79,6 +114,12 @@ class Reflectors(TableInstrument):
     orientation: np.ndarray
     points: np.ndarray
     """Start of the reflectors on the tool (count, 3), m."""
+    base_centre: np.ndarray
+    """Middle of the reflectors on the base as the tracker sees them, m."""
+    base_axes: np.ndarray
+    """Their principal axes, one per row."""
+    base_u: tuple[float, ...] = eqx.field(static=True)
+    """What they leave open along (m) and about these axes (rad); empty where there are none."""
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -118,6 +159,7 @@ class Reflectors(TableInstrument):
         table: Mapping[str, np.ndarray],
         load: Loader,
     ) -> "Reflectors":
+        drift = _drift(table, settings.base_reflectors)
         return cls(
             count=settings.tool_reflectors,
             base_count=settings.base_reflectors,
@@ -126,6 +168,9 @@ class Reflectors(TableInstrument):
             station=np.zeros(3),
             orientation=np.eye(3),
             points=_on_a_circle(settings.tool_reflectors),
+            base_centre=np.zeros(3) if drift is None else drift.centre,
+            base_axes=np.eye(3) if drift is None else drift.axes,
+            base_u=() if drift is None or not drift.u.any() else tuple(drift.u.tolist()),
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
@@ -151,15 +196,8 @@ class Reflectors(TableInstrument):
 
     def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
         tool = _points(table, "smr", self.count)
-        if self.base_count < 3:
-            return tool.reshape(len(tool), -1)
-        base = _points(table, "base", self.base_count)
-        mean = base.mean(0)
-        aligned = np.empty_like(tool)
-        for i in range(len(tool)):
-            r, t = best_rigid(base[i], mean)
-            aligned[i] = tool[i] @ r.T + t
-        return aligned.reshape(len(tool), -1)
+        drift = _drift(table, self.base_count)
+        return (tool if drift is None else drift.undone(tool)).reshape(len(tool), -1)
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
         table: dict[str, np.ndarray] = {"pose": np.asarray(plan.groups["pose"])}
@@ -208,7 +246,14 @@ class Reflectors(TableInstrument):
         return dataclasses.replace(self, station=station, orientation=orientation, points=points)
 
     def effects(self, plan: Plan) -> tuple[Effect, ...]:
-        return (Station(), ToolPoints(count=self.count))
+        found = (Station(), ToolPoints(count=self.count))
+        if not self.base_u:
+            return found
+        # A point seen at v moves by e along an axis e, by e x (v - c) about it; c their middle.
+        levers = np.cross(self.base_axes, self.base_centre) @ self.orientation.T
+        along, about = self.base_axes @ self.orientation.T, -self.base_axes
+        twists = np.block([[along, np.zeros((3, 3))], [levers, about]])
+        return (*found, BaseReflectors(twists=twists, u=self.base_u))
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
         # The last fifth in time is never fitted: an arm is used after it was calibrated.
@@ -239,6 +284,22 @@ def _on_a_circle(count: int) -> np.ndarray:
     """Places on the tool (count, 3), m, where no readings tell them: 60 mm from its axis."""
     angle = 2.0 * np.pi * np.arange(count) / count
     return np.column_stack([0.06 * np.cos(angle), 0.06 * np.sin(angle), np.full(count, 0.03)])
+
+
+def _drift(table: Mapping[str, np.ndarray], count: int) -> BaseDrift | None:
+    """What the reflectors on the base tell, where enough of them were measured."""
+    if count < 3 or "base1_x_mm" not in table:
+        return None
+    base = _points(table, "base", count)
+    try:
+        return BaseDrift.of(base, np.asarray(table["pose"], float))
+    except ValueError as error:
+        raise KeyedError(
+            "instrument.base_reflectors",
+            f"{count} reflectors that stand {error}",
+            "some that do not: nothing tells how the frame turns about that line",
+            "set it to 0, if the tracker does not drift, or measure others",
+        ) from error
 
 
 def _points(table: Mapping[str, np.ndarray], kind: str, count: int) -> np.ndarray:
