@@ -131,6 +131,34 @@ def test_backlash_is_named(backlash):
     assert [any(stage in text for text in said) for stage in STAGES] == [True] * 4
 
 
+class Windup(Effect):
+    """The same as a backlash of Y, under another name."""
+
+    name = "windup"
+
+    @property
+    def parameters(self):
+        return (Parameter("turn", "um", sigma=10.0),)
+
+    def response(self, plan, shape):
+        return {("EYY", "turn"): 0.5 * np.sign(plan.covariate("dir_Y"))}
+
+    @classmethod
+    def candidates(cls, setup):
+        yield cls(placement="Y")
+
+
+def test_what_the_data_cannot_tell_apart_is_said_in_one_sentence(backlash):
+    closure = closed(backlash, effects=[CATALOGUE["backlash"], Windup])
+    (found,) = closure.effects
+    names = {found.effect.key, *found.equivalent}
+    assert names == {"backlash Y", "windup Y"}
+    (other,) = names - {found.effect.key}
+    assert closure.sentence == (
+        f"The declared model lacked {found.effect.key} (for these data the same as {other})."
+    )
+
+
 @pytest.mark.slow
 def test_same_seed_same_result(backlash):
     one, two, other = (closed(backlash, seed=seed) for seed in (5, 5, 6))

@@ -28,6 +28,8 @@ from .frame import Station, displaced
 
 _MOTIONS = ("t1", "t2", "t3", "r1", "r2", "r3")
 """Along and about the principal axes of the reflectors on the base."""
+_NOTHING = 1e-9
+"""m or rad: less than any tracker sees."""
 _MOST = 100
 """Reflectors on the tool or the base. Every further one adds three columns and three unknowns."""
 
@@ -170,7 +172,7 @@ class Reflectors(TableInstrument):
             points=_on_a_circle(settings.tool_reflectors),
             base_centre=np.zeros(3) if drift is None else drift.centre,
             base_axes=np.eye(3) if drift is None else drift.axes,
-            base_u=() if drift is None or not drift.u.any() else tuple(drift.u.tolist()),
+            base_u=() if drift is None or drift.u.max() < _NOTHING else tuple(drift.u.tolist()),
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:

@@ -67,6 +67,13 @@ class FoundEffect:
     separation: str
     """The measurement that would separate it from its rivals, in words; empty if none is needed."""
 
+    @property
+    def name(self) -> str:
+        """Its name and place, with effects of other kinds that the data cannot tell from it."""
+        own = f"{self.effect.name} {self.placement}".strip()
+        others = [key for key in self.equivalent if key.split(" ")[0] != self.effect.name]
+        return f"{own} (for these data the same as {', '.join(others)})" if others else own
+
 
 @dataclass(frozen=True)
 class Rejected:
@@ -175,7 +182,7 @@ class Closure:
     @property
     def sentence(self) -> str:
         """The verdict in words."""
-        names = [f"{e.effect.name} {e.placement}".strip() for e in self.effects]
+        names = [e.name for e in self.effects]
         listed = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
         if self.interrupted:
             return f"Interrupted before the search ended; found by then: {listed or 'nothing'}."
