@@ -21,10 +21,13 @@ from oracle import FRAME_SMOOTH, FRAME_TABLE, TABLE, draw_matrix, make_case, wit
 from oracle.kinematics import SQUARENESS
 from oracle.study import FRAME_SIZES, SIZES, Case
 
-INSTRUMENTS = ("laser_tracker", "ball_array", "r_test", "laser_frame")
+INSTRUMENTS = ("laser_tracker", "ball_array", "r_test", "laser_frame", "reflectors")
 ON_MACHINE = ("laser_tracker", "ball_array", "laser_frame")
 CHAINS = ("w X b Y Z t", "w Y b X Z t", "w b X Y Z t")
-DURATION_S = {"laser_tracker": 5000.0, "ball_array": 10000.0, "laser_frame": 4800.0}
+ARM_POSES = 150
+DURATION_S = {"laser_tracker": 5000.0, "ball_array": 10000.0, "laser_frame": 4800.0,
+              "reflectors": 12.0 * ARM_POSES}  # fmt: skip
+JOINTS = 6
 STRAYS = 0.02
 """Share of the readings that go astray where some do."""
 OWN_NOISE = 20_018
@@ -448,6 +451,49 @@ def _stuck(rng: Rng, world: World) -> Sized:
     )
 
 
+def _on_joint(
+    name: str,
+    key: str,
+    parameters: tuple[str, ...] = (),
+    among: Sequence[int] = range(JOINTS),
+    **fixed: Callable[[Rng, World], Any],
+) -> Callable[[Rng, World], Sized]:
+    """An effect on a joint of an arm; further keys are drawn."""
+
+    def draw(rng: Rng, world: World) -> Sized:
+        joint, sign = int(rng.choice(list(among))), _sign(rng)
+        more = {k: f(rng, world) for k, f in fixed.items()}
+        shape = {"at": more["t0_s"]} if "t0_s" in more else None
+        effect = {"effect": name, "joint": joint, **more}
+        return lambda size: Term(
+            ({**effect, key: sign * size},), f"{name} J{joint + 1}", parameters, shape
+        )
+
+    return draw
+
+
+def _gear(orders: Sequence[int], known: bool):
+    """A harmonic of a joint's angle, which vcal knows or not."""
+
+    def draw(rng: Rng, world: World) -> Sized:
+        joint, order = int(rng.integers(JOINTS)), int(rng.choice(list(orders)))
+        effect = {"effect": "gear_harmonic", "joint": joint, "order": order, "phase": _phase(rng)}
+        axis = f"J{joint + 1}"
+        key = (f"gear_harmonic {axis}", (f"sine{order}", f"cosine{order}")) if known else ("", ())
+        on = () if known else (axis, f"read_{axis}", f"commanded_{axis}")
+        return lambda size: Term(({**effect, "amplitude_urad": size},), *key, covariates=on)
+
+    return draw
+
+
+def _coupled(rng: Rng, world: World) -> Sized:
+    """Of an angle that turns with that of another joint."""
+    joint, other = (int(i) for i in rng.choice(JOINTS, 2, replace=False))
+    effect = {"effect": "joint_coupling", "joint": joint, "other": other}
+    sign, own = _sign(rng), (f"k_J{other + 1}",)
+    return lambda size: Term(({**effect, "ppm": sign * size},), f"joint_coupling J{joint + 1}", own)
+
+
 def _follows(column: str, scale: float, components: str, unit: str):
     """An error in proportion to a column that no effect knows."""
 
@@ -471,6 +517,7 @@ def _bumps(rng: Rng, world: World) -> Sized:
 
 
 TRACKER, BALLS, FRAME, CIRCLES = ("laser_tracker",), ("ball_array",), ("laser_frame",), ("r_test",)
+ARMS = ("reflectors",)
 BOTH = TRACKER + BALLS
 STATIONS = TRACKER + FRAME
 _DECAY: dict[str, Callable[[Rng], Any]] = {"decay_mm": lambda rng: float(rng.uniform(0.03, 0.3))}
@@ -536,6 +583,13 @@ KINDS: tuple[Kind, ...] = (
     Kind("backlash on circles", "um", 1, _on_circles("backlash", "size_um", one=True), CIRCLES),
     Kind("lateral_reversal on circles", "um", 1,
          _on_circles("lateral_reversal", "size_um", one=True), CIRCLES),
+    Kind("backlash of a joint", "urad", 100, _on_joint("backlash", "size_urad"), ARMS),
+    Kind("gear_harmonic", "urad", 200, _gear(range(1, 5), known=True), ARMS),
+    Kind("joint_coupling", "urad/rad", 200, _coupled, ARMS),
+    Kind("joint_compliance", "1e-6 rad/(N m)", 50,
+         _on_joint("joint_compliance", "coefficient_urad", among=(1, 2)), ARMS),
+    Kind("jump of a joint", "urad", 100,
+         _on_joint("jump", "size_urad", ("size",), t0_s=lambda r, world: world.moment(r)), ARMS),
 )  # fmt: skip
 OUTSIDE: tuple[Kind, ...] = (
     Kind("a local dent", "um", 20, _dent, ON_MACHINE),
@@ -549,6 +603,7 @@ OUTSIDE: tuple[Kind, ...] = (
          BOTH, recording=("coolant_bar",)),
     Kind("an angle that follows the humidity", "urad", 60,
          _follows("humidity_percent", 9.0, "ABC", "urad"), BOTH, recording=("humidity_percent",)),
+    Kind("a fine harmonic of a joint", "urad", 200, _gear((6, 7, 8, 9), known=False), ARMS),
     Kind("a circle with bumps", "um", 1, _bumps, CIRCLES),
 )  # fmt: skip
 PAIRS: tuple[tuple[str, str, str], ...] = (
@@ -562,6 +617,7 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("r_test", "scale_interpolation", "reversal_spike of one axis"),
     ("laser_frame", "head_expansion", "backlash"),
     ("laser_frame", "refraction", "thermal_tilt"),
+    ("reflectors", "backlash of a joint", "joint_compliance"),
 )
 SEVERAL: tuple[tuple[str, ...], ...] = (
     ("laser_tracker", "backlash", "thermal_tilt", "screw_cyclic"),
@@ -579,6 +635,7 @@ WITH_STRAYS: tuple[tuple[str, str], ...] = (
     ("ball_array", "scale_growth"),
     ("r_test", "reversal_spike"),
     ("laser_frame", "head_expansion"),
+    ("reflectors", "backlash of a joint"),
 )
 
 
@@ -676,6 +733,8 @@ def world_of(instrument: str, seed: int) -> World:
         rng = np.random.default_rng([seed, 1])
         usual = np.array(SIZES[chain][0])
         return World(instrument, seed, chain, tuple(usual * rng.uniform(0.8, 1.25, 3)))
+    if instrument in ARMS:
+        return World(instrument, seed, "", ())
     return World(instrument, seed, chain, FRAME_SIZES[chain][0])
 
 
@@ -736,6 +795,9 @@ def make(
                 effects.append({"effect": bends, "matrix": matrix})
                 found = np.round(1e6 * matrix, 12).tolist()
                 declared.append({"name": bends, "matrix_um_s2_per_m": found})
+    elif at == "reflectors":
+        plan["n"] = ARM_POSES
+        options["recording"] = ("t_s",)
     else:
         options["chain"] = world.chain
         span = np.array(world.travel)

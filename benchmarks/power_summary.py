@@ -401,8 +401,11 @@ def picture(found: dict, path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, panels = plt.subplots(2, 2, figsize=(10, 7), sharex=True, sharey=True)
-    for panel, row in zip(panels.flat, found["curves"], strict=True):
+    across = math.ceil(len(found["curves"]) / 2)
+    figure, panels = plt.subplots(2, across, figsize=(4.5 * across, 7), sharex=True, sharey=True)
+    for panel in panels.flat[len(found["curves"]) :]:
+        panel.set_axis_off()
+    for panel, row in zip(panels.flat, found["curves"], strict=False):
         for label, _, colour in CURVES:
             points = [
                 (float(m), k / n, low, high)

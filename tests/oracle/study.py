@@ -144,6 +144,9 @@ class Case:
             return {n: np.full(n_rows(data), 1e6 * self.frame.sigma) for n in ("u_um", "v_um")}
         if self.instrument == "r_test":
             return {f"{a}_ext_mm": np.full(n_rows(data), 1e3 * EXTERNAL_SIGMA) for a in "xyz"}
+        if self.instrument == "reflectors":
+            return {name: np.full(n_rows(data), 1e3 * self.sigma) for name in data
+                    if name.startswith("smr")}  # fmt: skip
         raise ValueError(f"no noise by column for a case of {self.instrument!r}")
 
 
@@ -212,7 +215,7 @@ def make_case(
         tool_offset: m.
         table: declared half widths, um and urad; error_size scales the drawn errors only.
         plan: keyword arguments of tracker_plan, ball_plan, frame_plan, measure_circles, arm_plan.
-        recording: further columns, see plans.conditions.
+        recording: further columns, see plans.conditions; of reflectors "t_s".
         family: the smooth family to declare and draw from instead of the table's.
         declared: rows for [[model.effect]] with their units in the keys (written, not applied).
         noise_seed: another seed for the stream of the noise alone.
@@ -253,6 +256,8 @@ def make_case(
         arm_run = arm_plan(arm, for_plan, **plan)
         got = measure_reflectors(arm, arm_run, for_noise, sigma, si, noise_factor)
         data: Columns = {"pose": np.arange(len(arm_run.t), dtype=float)}
+        if "t_s" in recording:
+            data["t_s"] = arm_run.t
         for kind, q in (("cmd", arm_run.q), ("read", got.read)):
             data |= {f"q{j + 1}_{kind}_deg": np.rad2deg(q[:, j]) for j in range(arm.joints)}
         for kind, p in (("smr", got.tool), ("base", got.base)):

@@ -1,4 +1,4 @@
-"""Effects of single events: a collision, a clamp that slipped."""
+"""Effects of single events: a collision, a clamp or a gear that slipped."""
 
 from collections.abc import Iterable, Mapping
 
@@ -8,17 +8,18 @@ import numpy as np
 from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
-from .base import Effect, Response, Setup
+from .base import Effect, Response, Setup, along
 from .registry import register
 
 
 @register
 class Jump(Effect):
-    """A step at an unknown moment: the tool point, or the instrument's frame, is displaced after.
+    """A step at an unknown moment: the tool point, the angle of a revolute joint, or the
+    instrument's frame is displaced after.
 
-    Deviation = (t > t0) times a translation (tool) or a translation and a rotation (frame). The
-    moment is scanned over the gaps between successive rows; it has no derivative. Its uncertainty
-    is that of which gap it is, and of where in it.
+    Deviation = (t > t0) times a translation (tool), a rotation about a joint, or a translation and
+    a rotation (frame). The moment is scanned over the gaps between successive rows; it has no
+    derivative. Its uncertainty is that of which gap it is, and of where in it.
     """
 
     name = "jump"
@@ -28,10 +29,14 @@ class Jump(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         sizes = tuple(
-            Parameter(port.split(".")[1], "um" if port[-1] in "XYZ" else "urad", sigma=20.0)
+            Parameter(_size(port), "um" if port[-1] in "XYZ" else "urad", sigma=self._usual)
             for port in self.ports
         )
         return (*sizes, Parameter("at", "s", shape=True, smooth=False))
+
+    @property
+    def _usual(self) -> float:
+        return 20.0 if self.placement in ("tool", "frame") else 100.0
 
     @property
     def on_instrument(self) -> bool:
@@ -44,7 +49,7 @@ class Jump(Effect):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         later = plan.covariate("t") > shape["at"]
         after = namespace(later).where(later, 1.0, 0.0)
-        return {(port, port.split(".")[1]): after for port in self.ports}
+        return {(port, _size(port)): after for port in self.ports}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         t = self.edges(plan)["at"]
@@ -60,5 +65,13 @@ class Jump(Effect):
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         yield cls(ports=("tool.X", "tool.Y", "tool.Z"), placement="tool")
+        for joint in setup.chain.joints:
+            if joint.kind == "revolute":
+                yield cls(ports=(along(setup.chain, joint.name)[0],), placement=joint.name)
         if "frame.X" in setup.layout:
             yield cls(ports=tuple(f"frame.{c}" for c in "XYZABC"), placement="frame")
+
+
+def _size(port: str) -> str:
+    """Name of the amplitude: ``"X"`` of ``"tool.X"``, ``"size"`` of ``"ECJ2"``."""
+    return port.split(".")[1] if "." in port else "size"

@@ -5,7 +5,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Self
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -76,14 +75,14 @@ class BaseReflectors(Effect):
     where = "instrument"
     twists: np.ndarray
     """Motion of the frame (6, 6) per unit along and about each, as `frame.X` to `frame.C`."""
-    u: tuple[float, ...] = eqx.field(static=True)
+    u: np.ndarray
     """Standard uncertainty along (m) and about them (rad)."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return tuple(
             Parameter(name, "um" if name[0] == "t" else "urad", sigma=u * 1e6)
-            for name, u in zip(_MOTIONS, self.u, strict=True)
+            for name, u in zip(_MOTIONS, self.u.tolist(), strict=True)
         )
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
@@ -120,8 +119,8 @@ class Reflectors(TableInstrument):
     """Middle of the reflectors on the base as the tracker sees them, m."""
     base_axes: np.ndarray
     """Their principal axes, one per row."""
-    base_u: tuple[float, ...] = eqx.field(static=True)
-    """What they leave open along (m) and about these axes (rad); empty where there are none."""
+    base_u: np.ndarray
+    """What they leave open along (m) and about these axes (rad); zero where there are none."""
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -172,7 +171,7 @@ class Reflectors(TableInstrument):
             points=_on_a_circle(settings.tool_reflectors),
             base_centre=np.zeros(3) if drift is None else drift.centre,
             base_axes=np.eye(3) if drift is None else drift.axes,
-            base_u=() if drift is None or drift.u.max() < _NOTHING else tuple(drift.u.tolist()),
+            base_u=np.zeros(6) if drift is None else drift.u,
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
@@ -249,7 +248,7 @@ class Reflectors(TableInstrument):
 
     def effects(self, plan: Plan) -> tuple[Effect, ...]:
         found = (Station(), ToolPoints(count=self.count))
-        if not self.base_u:
+        if self.base_u.max() < _NOTHING:
             return found
         # A point seen at v moves by e along an axis e, by e x (v - c) about it; c their middle.
         levers = np.cross(self.base_axes, self.base_centre) @ self.orientation.T
