@@ -1,16 +1,17 @@
 """How an instrument's frame moves, as reflectors tell that stand still on the base.
 
 Every pose gives the rigid motion that brings the base's reflectors back onto their places: six
-numbers y, with the noise e of so many readings. Of what the frame does, a is slow and told by the
-poses before and after as well; b is another one at every pose, as where the beam is bent,
+numbers y, with the noise e of so many readings. How large that is follows from how the base's
+reflectors are off their shape, which no motion of the frame changes. Each of the six is
 
     y_i = a_i + b_i + e_i,    a_i = a_(i-1) + w_i,    var w = r (var b + var e) (o_i - o_(i-1)),
 
-o the order of the poses. var e follows from how the base's reflectors are off their shape, which no
-motion of the frame changes; var b + var e and r are those of maximum likelihood, and a comes from
-Kalman's filter and the smoother of Rauch, Tung and Striebel (Durbin, Koopman, Time Series Analysis
-by State Space Methods, 2012, ch. 2). The motion is then a + k (y - a), k = var b / (var b + var e):
-noise of the base does not become noise of the tool, and what both have is taken off both.
+o the order of the poses: a is slow, b another one at every pose, as where the beam is bent. Where
+the likelihood of the best r is not beyond that of r = 0, by Kalman's filter (Durbin, Koopman, Time
+Series Analysis by State Space Methods, 2012, ch. 2), the frame stands: a is the mean of all poses,
+and of what is about it the share of b is taken, var b / (var b + var e). Noise of the base then
+does not become noise of the tool. Where it drifts, y is taken as it is: a smoother would leave less
+noise, but what it leaves would last for many poses, and look like an effect.
 """
 
 from dataclasses import dataclass
@@ -27,8 +28,8 @@ _KNOCKED = 5.0
 nothing of the drift."""
 _LINE = 1e-3
 """Breadth over length of what is a line."""
-_DIFFUSE = 1e10
-"""Variance of a level before anything is known of it, in parts of that of y about it."""
+_DRIFTS = 6.0
+"""Twice the logarithm of the likelihood ratio from which a frame drifts: one in 140 that stands."""
 _ROUNDING = 1e-12
 """m or rad: what is no noise."""
 
@@ -44,7 +45,7 @@ class BaseDrift:
     motion: Float[np.ndarray, "n 6"]
     """What brings the readings of a pose back: along the axes (m) and about them (rad)."""
     u: Float[np.ndarray, "6"]
-    """Standard uncertainty of that, on average over the poses."""
+    """Standard uncertainty of that at every pose, without what all poses share."""
 
     @classmethod
     def of(cls, base: Float[np.ndarray, "n k 3"], order: Float[np.ndarray, " n"]) -> "BaseDrift":
@@ -72,12 +73,8 @@ class BaseDrift:
         variance = squares / ((3 * count - 6) * max(int(sound.sum()) - 1, 1))
         arms = (((shape - centre) @ axes.T) ** 2).sum(0)
         noise = variance / np.r_[np.full(3, count), arms.sum() - arms]
-        noise = np.maximum(noise, _ROUNDING**2)
-        slow, unsure, white = _smoothed(seen, np.asarray(order, float), sound, noise)
-        share = 1.0 - noise / white
-        motion = slow + np.where(sound[:, None], share * (seen - slow), 0.0)
-        left = share * noise + (1.0 - share) ** 2 * unsure.mean(0)
-        return cls(centre, axes, motion, np.sqrt(left))
+        motion, u = _motion(seen, np.asarray(order, float), sound, np.maximum(noise, _ROUNDING**2))
+        return cls(centre, axes, motion, u)
 
     def undone(self, points: Float[np.ndarray, "n k 3"]) -> Float[np.ndarray, "n k 3"]:
         """Points as seen at every pose, as they would be seen without the drift."""
@@ -99,49 +96,43 @@ def _back(
     return turns, centre - np.einsum("nij,nj->ni", turns, middle)
 
 
-def _smoothed(
+def _motion(
     y: Float[np.ndarray, "n 6"],
     order: Float[np.ndarray, " n"],
     sound: Bool[np.ndarray, " n"],
     noise: Float[np.ndarray, "6"],
-) -> tuple[Float[np.ndarray, "n 6"], Float[np.ndarray, "n 6"], Float[np.ndarray, "6"]]:
-    """The random walks that these tell, their variances, and that of what is another one at every
-    pose, which is not below that of the `noise`.
+) -> tuple[Float[np.ndarray, "n 6"], Float[np.ndarray, "6"]]:
+    """The motion of every pose, and its standard uncertainty. `noise` is the variance of the noise,
+    `sound` the poses that tell something: the others move as those about them.
     """
-    by_time = np.argsort(order, kind="stable")
-    y, sound, steps = y[by_time], sound[by_time], np.r_[0.0, np.diff(order[by_time])]
-    *_, squares, logs = _filtered(y, steps, sound, _RATIOS[:, None])
-    told = max(int(sound.sum()) - 1, 1)
-    scales = np.maximum(squares / told, noise)
-    best = np.argmin(told * np.log(scales) + squares / scales + logs, axis=0)
-    ratio, scale = _RATIOS[best], scales[best, np.arange(y.shape[1])]
-    level, spread, ahead, *_ = _filtered(y, steps, sound, ratio)
-    for i in range(len(y) - 2, -1, -1):
-        gain = spread[i] / ahead[i + 1]
-        level[i] += gain * (level[i + 1] - level[i])
-        spread[i] += gain**2 * (spread[i + 1] - ahead[i + 1])
-    back = np.argsort(by_time)
-    return level[back], scale * spread[back], scale
+    times = order[sound]
+    by_time = np.argsort(times, kind="stable")
+    told, times = y[sound][by_time], times[by_time]
+    costs, variances = _costs(told, np.diff(times), noise)
+    drifts = costs[0] - costs.min(0) > _DRIFTS
+    middle, share = told.mean(0), 1.0 - noise / variances[0]
+    kept = np.where(drifts, told, middle + share * (told - middle))
+    motion = np.column_stack([np.interp(order, times, one) for one in kept.T])
+    return motion, np.sqrt(np.where(drifts, 1.0, share) * noise)
 
 
-def _filtered(y: np.ndarray, steps: np.ndarray, sound: np.ndarray, ratio: np.ndarray) -> tuple:
-    """Kalman's filter of local levels, variances in parts of that of y about them: level, variance
-    and variance foretold at every pose (n, ..., 6), and sums of the squares of what is not
-    foretold, over their variances, and of the logarithms of these (..., 6).
+def _costs(
+    y: Float[np.ndarray, "n 6"], steps: Float[np.ndarray, " n-1"], noise: Float[np.ndarray, "6"]
+) -> tuple[Float[np.ndarray, "g 6"], Float[np.ndarray, "g 6"]]:
+    """Twice the negative log likelihood of walks of every ratio r, up to a constant, and the
+    variance about them at which it is least, which is not below that of the noise.
+
+    Without an expectation of the first level: of n poses n - 1 tell (Kalman's filter, variances in
+    parts of that about the walk).
     """
-    shape = np.broadcast_shapes(ratio.shape, y[0].shape)
-    level, spread, ahead = (np.empty((len(y), *shape)) for _ in range(3))
-    squares, logs = np.zeros(shape), np.zeros(shape)
-    at, p, first = np.zeros(shape), np.full(shape, _DIFFUSE), True
-    for i, step in enumerate(steps):
-        p = p + ratio * step
-        ahead[i] = p
-        if sound[i]:
-            if not first:
-                squares += (y[i] - at) ** 2 / (p + 1.0)
-                logs += np.log(p + 1.0)
-            first = False
-            gain = p / (p + 1.0)
-            at, p = at + gain * (y[i] - at), gain
-        level[i], spread[i] = at, p
-    return level, spread, ahead, squares, logs
+    at, p = np.broadcast_to(y[0], (len(_RATIOS), y.shape[1])), np.ones((len(_RATIOS), 1))
+    squares, logs = np.zeros(at.shape), np.zeros(p.shape)
+    for one, step in zip(y[1:], steps, strict=True):
+        p = p + _RATIOS[:, None] * step
+        squares += (one - at) ** 2 / (p + 1.0)
+        logs += np.log(p + 1.0)
+        p = p / (p + 1.0)
+        at = at + p * (one - at)
+    told = max(len(steps), 1)
+    variances = np.maximum(squares / told, noise)
+    return told * np.log(variances) + squares / variances + logs, variances

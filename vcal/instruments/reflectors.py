@@ -83,13 +83,15 @@ class BaseReflectors(Effect):
         return tuple(
             Parameter(name, "um" if name[0] == "t" else "urad", sigma=u * 1e6)
             for name, u in zip(_MOTIONS, self.u.tolist(), strict=True)
+            if u > _NOTHING
         )
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         one = np.ones(plan.rows)
         return {
             (f"frame.{c}", name): value * one
-            for name, twist in zip(_MOTIONS, self.twists, strict=True)
+            for name, u, twist in zip(_MOTIONS, self.u, self.twists, strict=True)
+            if u > _NOTHING
             for c, value in zip(COMPONENTS, twist, strict=True)
         }
 
@@ -248,7 +250,7 @@ class Reflectors(TableInstrument):
 
     def effects(self, plan: Plan) -> tuple[Effect, ...]:
         found = (Station(), ToolPoints(count=self.count))
-        if self.base_u.max() < _NOTHING:
+        if self.base_u.max() <= _NOTHING:
             return found
         # A point seen at v moves by e along an axis e, by e x (v - c) about it; c their middle.
         levers = np.cross(self.base_axes, self.base_centre) @ self.orientation.T
