@@ -193,11 +193,13 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
     and its covariance C = 1 + J_b H_s^-1 J_b'; H_s is the information of what is known by then and
     J_f'r_f what the rest of the fold would add. What is foretold badly for want of information
     counts little, unlike in a square. Parameters with a flat prior that only this fold can see are
-    projected out of it, as a whole. Rows that are never fitted are taken as they are. `noise`
+    projected out of it, as a whole. Rows that are never fitted are taken as they are, and those
+    beside them as folds that follow each other: a few poses at the end are few to tell by. `noise`
     multiplies the noise of the fit.
     """
     plan = fit.measurement.plan
     folds, apart = folds_of(fit.model, fit.measurement)
+    folds = _beside(folds, apart, fit)
     n, m = fit.residual.shape
     jacobian = fit.jacobian.reshape(n, m, -1) / noise
     whitened = fit.whitened.reshape(n, m) / noise
@@ -244,6 +246,19 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
             found += list(((fit.residual[rows] @ typical.T) ** 2).sum(1))
             where += [-1 - int(row) for row in rows]
     return np.array(found), np.array(where)
+
+
+def _beside(folds: np.ndarray, apart: np.ndarray, fit: Fit) -> np.ndarray:
+    """The folds (n,), and more of the fitted rows of a data set some of which are never fitted, of
+    as many rows each as these.
+    """
+    found = np.array(folds)
+    for inside in fit.measurement.plan.parts.values():
+        rows = np.flatnonzero(fit.used & inside & (folds < 0))
+        if (held := int((apart & inside).sum())) and len(rows):
+            count = max(round(len(rows) / held), 2)
+            found[rows] = found.max() + 1 + np.arange(len(rows)) * count // len(rows)
+    return found
 
 
 def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, float]:
