@@ -191,12 +191,15 @@ def _found_whitener(noise: Components, of: Components) -> np.ndarray:
 def _clustered_whitener(fit: Fit) -> np.ndarray:
     """W of every row from the covariance the readings of one row show in the residuals.
 
-    For rows whose readings share errors that are not modelled (`Instrument.clusters`): S = sum r r'
-    / (rows - parameters per reading), and a tenth of the declared covariance, so that no direction
-    has none. The parameters are shared out evenly over all rows.
+    For rows whose readings share errors that are not modelled (`Instrument.clusters`): in units of
+    the declared noise of every row, C = (1 - a) S + a f 1 with S = sum r r' / (rows - parameters
+    per reading) and f the mean of its diagonal. a is what chance has in how S differs from f, so
+    that as many rows decide for S as it takes, and where nothing is shared what is declared stays
+    (Ledoit, Wolf, J. Multivariate Anal. 88, 2004, 365). The parameters are shared out evenly over
+    all rows.
     """
     used, clusters = fit.used, fit.clusters
-    found = np.ascontiguousarray(declared_whitener(fit.model, fit.measurement))
+    found = np.array(declared_whitener(fit.model, fit.measurement))
     for k in np.unique(clusters[clusters >= 0]):
         mine = clusters == k
         here = np.flatnonzero(mine & used)
@@ -204,15 +207,17 @@ def _clustered_whitener(fit: Fit) -> np.ndarray:
             continue
         present = np.flatnonzero(fit.counted[here[0]])
         rows, m = len(here), len(present)
-        r = fit.residual[np.ix_(here, present)]
+        r = np.einsum("nij,nj->ni", found[np.ix_(here, present, present)],
+                      fit.residual[np.ix_(here, present)])  # fmt: skip
         taken = len(fit.theta) * (rows / used.sum())
-        covariance = r.T @ r / max(rows - taken / m, m + 1.0)
-        block = np.ix_(present, present)
-        declared = np.linalg.inv(found[np.flatnonzero(mine)[0]][block])
-        covariance = covariance + 0.1 * declared @ declared.T
-        whitener = np.eye(fit.residual.shape[1])
-        whitener[block] = np.linalg.cholesky(np.linalg.inv(covariance)).T
-        found[mine] = whitener
+        r *= math.sqrt(rows / max(rows - taken / m, m + 1.0))
+        s = r.T @ r / rows
+        same = np.trace(s) / m * np.eye(m)
+        chance = ((np.einsum("ni,nj->nij", r, r) - s) ** 2).sum() / rows**2
+        share = min(chance / max(((s - same) ** 2).sum(), 1e-300), 1.0)
+        c = (1.0 - share) * s + share * same
+        block = np.ix_(np.flatnonzero(mine), present, present)
+        found[block] = np.linalg.cholesky(np.linalg.inv(c)).T @ found[block]
     return found
 
 
