@@ -516,6 +516,12 @@ def _bumps(rng: Rng, world: World) -> Sized:
     )
 
 
+def _drifting(rng: Rng, world: World) -> Sized:
+    """A sphere that drifts in every run."""
+    effect, sign = {"effect": "drift", "component": "XYZ"[rng.integers(3)]}, _sign(rng)
+    return lambda size: Term(({**effect, "um_per_s": sign * size},), covariates=("t_run",))
+
+
 TRACKER, BALLS, FRAME, CIRCLES = ("laser_tracker",), ("ball_array",), ("laser_frame",), ("r_test",)
 ARMS = ("reflectors",)
 BOTH = TRACKER + BALLS
@@ -605,6 +611,7 @@ OUTSIDE: tuple[Kind, ...] = (
          _follows("humidity_percent", 9.0, "ABC", "urad"), BOTH, recording=("humidity_percent",)),
     Kind("a fine harmonic of a joint", "urad", 200, _gear((6, 7, 8, 9), known=False), ARMS),
     Kind("a circle with bumps", "um", 1, _bumps, CIRCLES),
+    Kind("a drift in every run", "um/s", 2, _drifting, CIRCLES),
 )  # fmt: skip
 PAIRS: tuple[tuple[str, str, str], ...] = (
     ("laser_tracker", "backlash", "thermal_tilt"),

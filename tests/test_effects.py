@@ -411,6 +411,21 @@ def test_effect_on_an_arm_is_the_oracles(text, keys, known):
     assert np.abs(got - it.readings(theta=zero).reshape(got.shape)).max() > 1e-6
 
 
+def test_a_joint_that_slips_is_the_oracles(tmp_path):
+    it = Known("reflectors", tmp_path, recording=("t_s",))
+    run = it.case.arm_run
+    at = 0.5 * float(run.t[30] + run.t[31])
+    told = {"effect": "jump", "joint": 1, "size_urad": 80, "t0_s": at}
+    nominal = dataclasses.replace(it.case.arm, translation=None, rotation=None)
+    own = arm_points(nominal, joint_angles(nominal, run.q, run.t, [told]), it.instrument.points)
+    expected = (own - it.instrument.station) @ it.instrument.orientation
+    zero = np.zeros(len(it.theta))
+    got = it.readings(it.effect(f"jump:J2:size_urad=80,at_s={at}"), theta=zero)
+    np.testing.assert_allclose(got.reshape(expected.shape), expected, rtol=0, atol=1e-12)
+    still = it.readings(theta=zero)
+    np.testing.assert_array_equal((got == still).all(1), run.t < at)
+
+
 def test_a_joint_that_stands_keeps_the_way_it_came():
     """The move into the first pose and into one after a gap is unknown."""
     pose = np.array([3, 4, 5, 6, 8, 9, 10])

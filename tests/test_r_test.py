@@ -300,6 +300,17 @@ def test_a_circle_with_three_bumps_gets_no_name(tmp_path):
     assert found.verdict == "unexplained" and not found.effects
 
 
+def test_a_drift_in_every_run_is_told_by_its_time(tmp_path):
+    """It closes no circle, and looks like a play to who has nothing else."""
+    drift = {"effect": "drift", "component": "Z", "um_per_s": 1.5}
+    table = circles(matrix=np.zeros((3, 3)), others=[drift])
+    s = load_study(write(tmp_path / "drift", table))
+    closure = close_loop(s.model, s.measurement, draws=200)
+    assert closure.verdict == "unexplained" and not closure.effects
+    assert closure.unexplained.depends_on[0] == "t_run" and closure.unexplained.direction == "Z"
+    assert "in proportion to a quantity along Z (t_run)" in closure.sentence
+
+
 @pytest.mark.slow
 def test_a_name_is_not_certain_beside_more_that_is_unexplained(tmp_path):
     """Of bumps, sampled alike in all runs, a period of the scale describes a sixth."""

@@ -215,6 +215,7 @@ ON_CIRCLES = (
     "acceleration_crosstalk",
     "resonance",
     "harmonic",
+    "drift",
     "reversal_spike",
     "servo_lag",
     "scale_interpolation",

@@ -12,6 +12,7 @@ difference is the error of the structure in between.  Effects, in SI once `in_si
 | servo_lag | -T v | axis or all, T (s) |
 | scale_interpolation | amplitude sin(2 pi x/period + phase) along the axis | axis and these |
 | backlash, lateral_reversal | size/2 sgn(v) along or across the axis | axis, component, size |
+| drift | coefficient t along it, t from the start of every run | component, coefficient (m/s) |
 """
 
 from __future__ import annotations
@@ -45,6 +46,8 @@ class Circle:
     """Sense of travel (n, 3), 0 for an axis at rest."""
     since: Array
     """Way travelled since the last reversal (n, 3), m."""
+    time: Array
+    """From the start of the run (n,), s."""
 
 
 def circle(plane: str, sense: int, level: float, turn: Array, size: float = RADIUS) -> Circle:
@@ -59,7 +62,8 @@ def circle(plane: str, sense: int, level: float, turn: Array, size: float = RADI
         # Distance since the last extremum of cos(wave), and where it goes.
         since[:, axis] = size * (1 - np.cos(wave % np.pi))
         way[:, axis] = -np.sign(np.sin(wave)) * (sense if axis == second else 1)
-    return Circle(size * place, omega * size * v, -(omega**2) * size * place, way, since)
+    a = -(omega**2) * size * place
+    return Circle(size * place, omega * size * v, a, way, since, turn / omega)
 
 
 def moved(motion: Circle, effects: Iterable[Effect]) -> Array:
@@ -78,6 +82,8 @@ def moved(motion: Circle, effects: Iterable[Effect]) -> Array:
             case "reversal_spike":
                 peak = effect["size"] * np.exp(-motion.since / effect["decay"])
                 off[:, axes] -= (motion.way * peak)[:, axes]
+            case "drift":
+                off[:, AXES.index(effect["component"])] += effect["coefficient"] * motion.time
             case "servo_lag":
                 off[:, axes] -= effect["T"] * motion.velocity[:, axes]
             case "scale_interpolation":

@@ -209,6 +209,7 @@ class Closure:
             return "no covariate orders it"
         axes = self.after.measurement.plan.axes
         columns = [file_column(name, axes)[0] for name in what.depends_on[:2]]
+        on = " times ".join(columns if what.joint else columns[:1])
         along = f" along {what.direction}" if what.direction in "XYZ" else ""
         if what.where:
             place = what.where[0]
@@ -220,5 +221,5 @@ class Closure:
         if what.words and what.empirical is None:
             return f"{what.words}{along}, most of it with {columns[0]}"
         if what.words:
-            return f"{what.words}{along} ({' times '.join(columns)})"
-        return f"it depends on {' times '.join(columns) if what.joint else columns[0]}"
+            return f"{what.words}{along} ({on})"
+        return f"it depends on {on}"

@@ -250,7 +250,8 @@ class Product(Empirical):
 class Proportion(Product):
     """An error in proportion to one recorded quantity that no effect of the catalogue looks at.
 
-    What effects look at, they have as well; positions are the declared family's matter.
+    What effects look at, they have as well; positions are the declared family's matter. What an
+    instrument derives counts too, such as the time since the start of a run.
     """
 
     name = "proportion"
@@ -259,7 +260,7 @@ class Proportion(Product):
 
     @classmethod
     def of(cls, setup: Setup) -> tuple[tuple[Factor, ...], ...]:
-        known = _quantities(setup.plan, setup.derived)
+        known = _quantities(setup.plan)
         free = [name for name in known if name not in setup.plan.axes and name not in setup.used]
         return tuple((_about_the_middle(name, known[name]),) for name in free)
 
@@ -284,8 +285,8 @@ class Interaction(Product):
         return _products(setup.plan, setup.derived)
 
 
-def _quantities(plan: Plan, derived: Collection[str]) -> dict[str, np.ndarray]:
-    """What was recorded of every row, none a function of others."""
+def _quantities(plan: Plan, derived: Collection[str] = ()) -> dict[str, np.ndarray]:
+    """What was recorded of every row, none a function of others, without what was `derived`."""
     return {
         name: x
         for name, x in distinct_covariates(plan).items()
