@@ -119,11 +119,13 @@ def limit_of(entry, world, sized, kind) -> float:
     from scipy.stats import ncx2
 
     from vcal.identify import identify
+    from vcal.loop.heldout import folds_of
 
     alone = replace(entry, kinds=(kind,), strays=0.0)
     made = make(alone, world, [sized], [kind.large], noise=0.0)
     study = load(made.case)
-    fit = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
+    keep = ~folds_of(study.model, study.measurement)[1]  # what the loop never fits tells it nothing
+    fit = identify(study.model, study.measurement, keep=keep, room=len(study.model.entries) + 16)
     screening = screened(study, fit, LIMIT_DRAWS, world.seed)
     over_kinds = -math.expm1(math.log1p(-ALPHA) / screening.trials)
     own, ratios = made.terms[0].key, [0.0]
