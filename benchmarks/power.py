@@ -189,6 +189,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
 
     import vcal
     from vcal.loop.close_loop import errors
+    from vcal.loop.heldout import folds_of
 
     start = time.perf_counter()
     world = world_of(entry.instrument, seed)
@@ -253,7 +254,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     line["rms"] = {name: rms(found) for name, found in closure.errors.items()}
     strays = made.case.truth.get("strays", [])
     if all(t.key for t in made.terms):
-        keep = np.ones(study.measurement.plan.rows, bool)
+        keep = ~folds_of(study.model, study.measurement)[1]
         keep[strays] = False
         fit = told(study, closure.before, made.terms, keep)
         line["rms"]["told"] = rms(errors(fit, study.check))
