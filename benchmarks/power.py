@@ -274,6 +274,7 @@ def p_without(line: dict) -> float:
     from power_cases import ENTRIES, drawn, make, noise_seed, world_of
 
     from vcal.identify import identify
+    from vcal.loop.heldout import folds_of
 
     entry, multiple, seed = ENTRIES[line["case"]], line["multiple"], line["seed"]
     world = world_of(entry.instrument, seed)
@@ -281,7 +282,7 @@ def p_without(line: dict) -> float:
     noise = noise_seed(entry, multiple, seed)
     astray = make(entry, *given, noise_seed=noise).case.truth["strays"]
     study = load(make(replace(entry, strays=0.0), *given, noise_seed=noise).case)
-    keep = np.ones(study.measurement.rows, bool)
+    keep = ~folds_of(study.model, study.measurement)[1]
     keep[astray] = False
     room = len(study.model.entries) + 16
     fit = identify(study.model, study.measurement, keep=keep, room=room)
