@@ -220,16 +220,20 @@ def test_effects_on_a_circle(rng):
          2e-7 * np.sin(2 * np.pi * c.position / 4e-5) * [0, 1, 0]),
         ({"effect": "reversal_spike", "size_um": 2, "decay_mm": 0.1},
          -2e-6 * c.way * np.exp(-c.since / 1e-4)),
+        ({"effect": "drift", "component": "Z", "um_per_s": 3},
+         3e-6 * c.time[:, None] * [0, 0, 1]),
     ]:  # fmt: skip
         np.testing.assert_allclose(moved(c, [effect]), expected, atol=1e-15)
     with pytest.raises(ValueError, match="no such effect on a circle"):
-        moved(c, [{"effect": "drift"}])
+        moved(c, [{"effect": "jump"}])
 
 
 # --- stray readings ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["laser_tracker", "ball_array", "laser_frame", "r_test"])
+@pytest.mark.parametrize(
+    "kind", ["laser_tracker", "ball_array", "laser_frame", "r_test", "reflectors"]
+)
 def test_readings_that_go_astray(kind):
     case = make_case(kind, seed=4)
     bad = with_strays(case, 0.02, seed=4)
