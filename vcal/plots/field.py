@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from ..fit import Fit
 from ..loop.doubt import Doubt, of_doubts
@@ -268,6 +269,7 @@ def error_over_time(fits: Mapping[str, Fit]) -> Figure:
     ax.set_yscale("log")
     ax.set_ylim(0.8 * np.quantile(everything, 0.002), 1.2 * everything.max())
     ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))  # 20 and 60, no powers
     ax.legend(
         fontsize=8.5,
         ncols=2 * len(fits),
