@@ -308,7 +308,7 @@ def test_a_drift_in_every_run_is_told_by_its_time(tmp_path):
     closure = close_loop(s.model, s.measurement, draws=200)
     assert closure.verdict == "unexplained" and not closure.effects
     assert closure.unexplained.depends_on[0] == "t_run" and closure.unexplained.direction == "Z"
-    assert "in proportion to a quantity along Z (t_run)" in closure.sentence
+    assert "in proportion to a quantity along Z (t_run_s)" in closure.sentence
 
 
 @pytest.mark.slow
