@@ -512,7 +512,7 @@ def _bumps(rng: Rng, world: World) -> Sized:
     motion = ("", "a_", "v_", "since_", "dir_")
     return lambda size: Term(
         ({"effect": "harmonic", "size_um": size, "order": order},),
-        covariates=(*(f"{kind}{axis}" for kind in motion for axis in "XYZ"), "t_run"),
+        covariates=(*(f"{kind}{axis}" for kind in motion for axis in "XYZ"), "t_run", "circle_angle"),
     )
 
 

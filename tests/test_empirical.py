@@ -15,8 +15,8 @@ from known import Known
 from oracle import make_case, write_study
 from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify, load_study
 from vcal.effects.registry import load_effects
-from vcal.loop.close_loop import _separation
-from vcal.loop.empirical import EMPIRICAL, Interaction, Kink, LocalBump, Since
+from vcal.loop.close_loop import _beside_the_rest, _separation
+from vcal.loop.empirical import EMPIRICAL, Harmonic, Interaction, Kink, LocalBump, Proportion, Since
 from vcal.loop.heldout import improvement, predictive_deviance
 from vcal.loop.rivals import Rival, Weighed, fits_better, in_doubt, outdoes, refit_all
 from vcal.loop.scales import log_gain, log_mixture, over_scales
@@ -66,6 +66,10 @@ def crossed(plan):
 
 def growing_play(plan):
     return np.asarray(plan.covariate("dir_X")) * np.asarray(plan.x("X"))
+
+
+def swinging_play(plan):
+    return np.asarray(plan.covariate("dir_X")) * unit(plan.x("X"))
 
 
 def no_longer_fed(plan):
@@ -129,6 +133,56 @@ def test_a_physical_effect_that_fits_as_well_has_the_name(tracker, effect):
         or any((n, p) == (name, place) for n, p, _ in found.alternatives)
     )
     assert closure.unexplained is None
+
+
+def test_a_name_is_not_certain_beside_more_that_is_unexplained(tracker):
+    """A play, and far more that depends on the direction, too, but is none on average."""
+    swinging = Given(formula=swinging_play, port="EXX", unit="um", given=(("size", 12.0, 0.0),))
+    play = tracker.effect("backlash:X:size_um=3")
+    alone, both = measured(tracker, play), measured(tracker, swinging, play)
+    (named,) = close_loop(tracker.model, alone, draws=200).effects
+    rest = close_loop(tracker.model, both, draws=200).unexplained
+    assert named.status == "named" and "dir_X" in rest.depends_on
+    model = tracker.model.with_effects(named.effect)
+    doubted = _beside_the_rest(named, identify(model, both), rest)
+    assert doubted.status == "ambiguous"
+    assert "what is unexplained, more than it explains, depends on" in doubted.separation
+    # Not where it explains more than is left, and not where that depends on something else.
+    assert _beside_the_rest(named, identify(model, alone), rest) is named
+    elsewhere = dataclasses.replace(rest, depends_on=["T_Y"], shares=[1.0])
+    assert _beside_the_rest(named, identify(model, both), elsewhere) is named
+
+
+@pytest.mark.parametrize("unit_", ["deg", "rad"])
+def test_what_comes_round_with_an_angle_that_was_recorded(tracker, unit_):
+    """The orientation of a spindle that does not turn true: no proportion, and of order one."""
+    rng = np.random.default_rng(4)
+    angle = rng.uniform(-np.pi, np.pi, tracker.plan.rows)
+    column = f"spindle_{unit_}"
+    values = np.degrees(angle) if unit_ == "deg" else angle
+    plan = dataclasses.replace(tracker.plan, covariates={**tracker.plan.covariates, column: values})
+    off = Given(formula=lambda plan: np.cos(angle - 0.7), port="tool.Y", given=(("size", 8.0, 0),))
+    measurement = Measurement(plan, measured(tracker, off).readings)
+    closure = close_loop(tracker.model, measurement, draws=200)
+    assert closure.verdict == "unexplained" and not closure.effects
+    assert f"1 period per turn of an angle along Y ({column})" in closure.sentence
+    best = closure.unexplained.empirical
+    assert isinstance(best.effect, Harmonic)
+    place = len(best.fit.model.effects) - 1
+    found = {p.name: (v, u) for _, p, v, u in best.fit.values_of(place)}
+    for name, true in (("cosine", 8.0 * np.cos(0.7)), ("sine", 8.0 * np.sin(0.7))):
+        assert abs(found[name][0] - true) < 3.5 * found[name][1] < 3.0
+    setup = tracker.model.setup(plan)
+    products = [e.products for cls in (Interaction, Proportion) for e in cls.candidates(setup)]
+    assert not any(f.name == column for these in products for one in these for f in one)
+
+
+def test_an_angle_that_does_not_go_round_has_no_orders(tracker):
+    angle = np.random.default_rng(4).uniform(-60.0, 60.0, tracker.plan.rows)
+    plan = dataclasses.replace(
+        tracker.plan, covariates={**tracker.plan.covariates, "head_deg": angle}
+    )
+    assert not list(Harmonic.candidates(tracker.model.setup(plan)))
 
 
 def test_every_description_is_told_from_the_catalogue():

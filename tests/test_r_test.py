@@ -11,10 +11,13 @@ from vcal import Measurement, close_loop, load_study, predict
 from vcal.circles import fit_circle
 from vcal.dynamics import measured_phasors
 from vcal.dynamics.evaluate import evaluate, even_ellipse
+from vcal.effects.registry import load_effects
 from vcal.errors import StudyError
 from vcal.identify import identify
 from vcal.io import write_table
+from vcal.loop.empirical import Harmonic
 from vcal.loop.unexplained import dependence
+from vcal.report.own_effect import own_effect
 
 E = np.array([[0.9, 0.1, -1.55], [0.05, 0.6, 0.3], [-0.4, 0.2, 1.1]])
 """um s^2/m."""
@@ -291,13 +294,48 @@ def test_the_loop_names_probes_that_are_worse_than_declared(tmp_path):
         assert abs(v - 1e6 * skew[i, j]) < 4 * u
 
 
-@pytest.mark.slow
-def test_a_circle_with_three_bumps_gets_no_name(tmp_path):
-    bumps = {"effect": "harmonic", "size_um": 0.5, "order": 3}
-    table = circles(matrix=np.zeros((3, 3)), others=[bumps], samples=120)
+def around(table: dict, error) -> dict:
+    """The table with an error (n, 3) mm of the angle (n,) and the ways outwards and around."""
+    place = np.column_stack([table[f"{c}_int_mm"] for c in "xyz"])
+    place = place - 0.5 * (place.max(0) + place.min(0))
+    first = np.array(["XYZ".index(plane[0]) for plane in table["plane"]])
+    second, rows = (first + 1) % 3, np.arange(len(first))
+    angle = np.arctan2(place[rows, second], place[rows, first])
+    out, way = np.zeros_like(place), np.zeros_like(place)
+    out[rows, first], out[rows, second] = np.cos(angle), np.sin(angle)
+    way[rows, first], way[rows, second] = -np.sin(angle), np.cos(angle)
+    moved = error(angle, out, way)
+    return table | {f"{c}_ext_mm": table[f"{c}_ext_mm"] + moved[:, i] for i, c in enumerate("xyz")}
+
+
+BUMPS = {
+    "outwards": (3, lambda phi, out, way: 5e-4 * np.cos(3 * phi)[:, None] * out),
+    "around": (5, lambda phi, out, way: 5e-4 * np.sin(5 * phi + 0.4)[:, None] * way),
+    "tool.Z": (4, lambda phi, out, way: 5e-4 * np.cos(4 * phi)[:, None] * np.eye(3)[2]),
+}
+
+
+@pytest.mark.parametrize(
+    "way",
+    [pytest.param(w, marks=pytest.mark.slow if w == "around" else ()) for w in BUMPS],
+)
+def test_a_circle_with_bumps_is_told_by_its_angle(tmp_path, way):
+    """They were periods of a scale, or quadrant peaks."""
+    order, error = BUMPS[way]
+    table = around(circles(matrix=np.zeros((3, 3)), samples=40), error)
     s = load_study(write(tmp_path / "bumps", table))
-    found = close_loop(s.model, s.measurement)
-    assert found.verdict == "unexplained" and not found.effects
+    closure = close_loop(s.model, s.measurement, draws=200)
+    assert closure.verdict == "unexplained" and not closure.effects
+    what = closure.unexplained
+    assert isinstance(what.empirical.effect, Harmonic) and what.empirical.effect.port == way
+    assert what.depends_on[0] == "circle_angle"
+    assert f"{order} periods per turn of an angle" in closure.sentence
+    assert "(circle_angle_deg)" in closure.sentence
+    (tmp_path / "own_effect.py").write_text(own_effect(closure))
+    (own,) = load_effects(tmp_path / "own_effect.py")
+    (effect,) = own.candidates(s.model.setup(s.measurement.plan))
+    fit = identify(s.model.with_effects(effect), s.measurement)
+    assert fit.chi2 / fit.dof == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_drift_in_every_run_is_told_by_its_time(tmp_path):
@@ -309,20 +347,6 @@ def test_a_drift_in_every_run_is_told_by_its_time(tmp_path):
     assert closure.verdict == "unexplained" and not closure.effects
     assert closure.unexplained.depends_on[0] == "t_run" and closure.unexplained.direction == "Z"
     assert "in proportion to a quantity along Z (t_run_s)" in closure.sentence
-
-
-@pytest.mark.slow
-def test_a_name_is_not_certain_beside_more_that_is_unexplained(tmp_path):
-    """Of bumps, sampled alike in all runs, a period of the scale describes a sixth."""
-    bumps = {"effect": "harmonic", "size_um": 1.0, "order": 5}
-    table = circles(
-        matrix=np.zeros((3, 3)), others=[bumps], levels=(0.5, 1.0, 2.0, 3.0), samples=50
-    )
-    s = load_study(write(tmp_path / "bumps", table))
-    found = close_loop(s.model, s.measurement)
-    assert found.verdict == "unexplained"
-    assert found.effects and all(e.status == "ambiguous" for e in found.effects)
-    assert all("what is unexplained, more than it" in e.separation for e in found.effects)
 
 
 def test_more_stray_readings_than_are_left_out_are_told(tmp_path):

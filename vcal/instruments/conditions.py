@@ -14,6 +14,7 @@ GROUPS = ("point", "pose", "ball", "run", "segment")
 _COLUMNS = {
     "t": ("t_s", 1.0),
     "t_run": ("t_run_s", 1.0),
+    "circle_angle": ("circle_angle_deg", math.degrees(1.0)),
     "range": ("range_mm", 1e3),
     "azimuth": ("azimuth_rad", 1.0),
     "elevation": ("elevation_rad", 1.0),

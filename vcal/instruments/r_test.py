@@ -137,7 +137,7 @@ class RTest(TableInstrument):
     machine: ClassVar[str | None] = "w b X Y Z t"
     labels: ClassVar[tuple[str, ...]] = ("plane",)
     positioned: ClassVar[bool] = True
-    derived: ClassVar[tuple[str, ...]] = ("t_run",)
+    derived: ClassVar[tuple[str, ...]] = ("t_run", "circle_angle")
     Settings = RTestSettings
 
     radius: float
@@ -208,6 +208,7 @@ class RTest(TableInstrument):
         plane = _plane_numbers(table["plane"])
         derived = {name: np.zeros(plan.rows) for name in _DERIVED}
         read, position = np.asarray(plan.position), np.zeros((plan.rows, len(chain.axes)))
+        around = np.zeros(plan.rows)
         turning: dict[int, tuple[Circle, str, float]] = {}
         for number in np.unique(run):
             mine = np.flatnonzero(run == number)
@@ -217,9 +218,11 @@ class RTest(TableInstrument):
             circle = self._circle(number, mine, t[mine], read[mine], plane[mine], a_set, chain.axes)
             turning[number] = circle, str(table["plane"][mine[0]]).upper(), sense[0]
             position[mine] = circle.position(t[mine])
+            place = position[mine] - circle.centre
+            first, second = (chain.axes.index(axis) for axis in PLANES[plane[mine[0]]])
+            around[mine] = np.mod(np.arctan2(place[:, second], place[:, first]), 2.0 * np.pi)
             values = circle.acceleration(t[mine])
             if self.nominal:
-                place = position[mine] - circle.centre
                 far = np.linalg.norm(place, axis=1, keepdims=True)
                 values = -a_set[:, None] * place / far
             found = {
@@ -232,7 +235,8 @@ class RTest(TableInstrument):
                 for i, axis in enumerate(chain.axes):
                     derived[f"{kind}_{axis}"][mine] = columns[:, i]
         _refuse_senses(run, turning, chain.axes)
-        return Plan(plan.axes, position, covariates | derived, dict(plan.groups) | {"plane": plane})
+        covariates |= derived | {"circle_angle": around}
+        return Plan(plan.axes, position, covariates, dict(plan.groups) | {"plane": plane})
 
     def check_coordinates(self) -> None:
         """Raise `ValueError` where the readings are those of probes."""
@@ -262,7 +266,7 @@ class RTest(TableInstrument):
         return readings
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
-        shown = linear_plan_table(plan, (*_DERIVED, "t", "t_run", "sense", "a_set_m_s2"))
+        shown = linear_plan_table(plan, (*_DERIVED, *self.derived, "t", "sense", "a_set_m_s2"))
         for axis in plan.axes:
             shown[f"{axis.lower()}_int_mm"] = shown.pop(f"{axis.lower()}_mm")
         own = {

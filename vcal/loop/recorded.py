@@ -2,10 +2,15 @@
 
 import numpy as np
 
+from ..instruments.conditions import file_column
 from ..plan import Plan, of_set
 
 _SAME = 0.9999
 """Correlation from which two columns count as the same."""
+_UNITS = {"_deg": np.pi / 180.0, "_rad": 1.0}
+"""Ends of the names of columns of angles, and their factors to rad."""
+_GAP = 0.25
+"""Share of a turn that may be missing in angles that go round."""
 
 
 def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
@@ -33,6 +38,27 @@ def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
             distinct[name] = x
             directions.append((there, direction))
     return distinct
+
+
+def angles_around(plan: Plan) -> list[str]:
+    """Covariates that are angles, by the units in the names of their columns, and go round."""
+    found = []
+    for name, x in distinct_covariates(plan).items():
+        if name not in plan.covariates or not np.isfinite(x).all():
+            continue
+        if file_column(name, plan.axes)[0][-4:] in _UNITS:
+            turn = np.unique(np.mod(x * in_rad(plan, name), 2.0 * np.pi))
+            if np.diff(turn, append=turn[0] + 2.0 * np.pi).max() < _GAP * 2.0 * np.pi:
+                found.append(name)
+    return found
+
+
+def in_rad(plan: Plan, name: str) -> float:
+    """Factor that turns the values of a covariate that is an angle into rad, by the unit in the
+    name of its column.
+    """
+    column, factor = file_column(name, plan.axes)
+    return factor * _UNITS[column[-4:]]
 
 
 def correlation(x: np.ndarray, y: np.ndarray) -> float:

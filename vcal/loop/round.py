@@ -32,9 +32,9 @@ _SOMETHING = 1.0
 """Chi-square by which a description leaves less than there was, to be one."""
 _BEHIND = 4
 """Most kinds that are refitted although their evidence is far behind."""
-_HOPELESS, _FALL = 3.0, 0.3
-"""Chi-square per degree of freedom by a linear fit, and as a share of the best that one effect
-leaves, from which several are not refitted: they would not leave noise."""
+_HOPELESS = 0.3
+"""Share of what the best effect leaves beyond the noise from which several that leave it by a
+linear fit are not refitted: they would not leave noise."""
 _UNLIKELIER = "the readings are no likelier with it than without"
 _UNEXPECTED = "it is far larger than expected, which its evidence does not make up for"
 
@@ -186,7 +186,9 @@ class Round:
         def enough(fit: Fit) -> bool:
             return not _structured(self.state, fit, self.room)
 
-        most = self.fit.dof * max(_HOPELESS, _FALL * declared_chi2(alone.fit) / alone.fit.dof)
+        beyond = declared_chi2(alone.fit) / alone.fit.dof - 1.0
+        noise = _BEYOND_NOISE * math.sqrt(2.0 / self.fit.dof)
+        most = self.fit.dof * (1.0 + max(_HOPELESS * beyond, 2.0 * noise))
         found = smallest_subset(self.fit, names, enough, most, self.state.keep, self.room)
         if found is None:
             return None

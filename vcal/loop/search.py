@@ -35,6 +35,8 @@ _AGAIN = 2
 """How often the search goes on after an effect was replaced."""
 _SAME = 1.0
 """Difference in chi-square of two fits that are the same."""
+_QUICKER = 2.0
+"""How many times as much as the best effect so far one that is added later may describe."""
 _EXCHANGES = 1
 """How often one of several effects gives way to others that leave nothing unexplained."""
 _BARS = 1
@@ -297,7 +299,7 @@ class Search:
         begun = len(self.added(state))
         better = False
         try:
-            found = self._added_to(state, most)
+            found = self._added_to(state, most, goal=declared_chi2(self._description.fit))
             items, description = self.added(found)[begun:], self._description
             better = len(items) > 1 and likelier(
                 found.scored, _placed(items, found.scored),
@@ -406,14 +408,20 @@ class Search:
             )  # fmt: skip
         return likelier(one, mine, other, others)
 
-    def _added_to(self, state: State, most: int, but: State | None = None) -> State:
-        """Effects added one after the other, until none is to be added, or the first leads back to
-        the state that was left.
+    def _added_to(
+        self, state: State, most: int, but: State | None = None, goal: float = math.inf
+    ) -> State:
+        """Effects added one after the other, until none is to be added, the first leads back to the
+        state that was left, or as many more as there may be come nowhere near a `goal`.
         """
-        while len(self.added(state)) < most:
+        fastest = 0.0
+        while (more := most - len(self.added(state))) > 0:
+            if 0.0 < _QUICKER * fastest * more < declared_chi2(state.fit) - goal:
+                break
             further = self.step(state)
             if further is None:
                 break
+            fastest = max(fastest, declared_chi2(state.fit) - declared_chi2(further.fit))
             state = further
             if but is not None and abs(state.fit.chi2 - but.fit.chi2) < _SAME:
                 break

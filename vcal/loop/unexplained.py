@@ -258,6 +258,7 @@ def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> 
     used = fit.used
     moved[used] = np.linalg.solve(fit.whitener[used], step.reshape(n, m)[used][:, :, None])[:, :, 0]
     vectors = displacements(fit, moved)[used]
+    words = effect.said(shape)
     shares = dict(told.single)
     depends_on = list(dict.fromkeys([*effect.depends_on(plan, shape), *shares]))
     drop = (fit.chi2 - best.fit.chi2) / max(fit.chi2 - fit.dof, best.fit.chi2 / fit.dof)
@@ -269,8 +270,8 @@ def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> 
         size_um=float(np.linalg.norm(vectors, axis=1).max() * 1e6),
         share_of_variance=float(min(drop, 1.0)),
         p_value=p_value,
-        reason=f"{effect.words} describes the residual better than every effect of the catalogue",
-        words=effect.words,
+        reason=f"{words} describes the residual better than every effect of the catalogue",
+        words=words,
         empirical=best,
         products=tuple(told.products),
         joint=effect.joint,

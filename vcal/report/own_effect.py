@@ -110,7 +110,9 @@ def _as_described(found: str, best: Rival, plan: Plan) -> str:
         f'vcal.Parameter("{p.name}", "{p.unit}", sigma={max(2.0 * abs(values[p.name]), 1.0):.3g})'
         for p in effect.amplitudes
     ]
-    returned = [f'            ("{effect.port}", "{name}"): {term},' for name, term in terms.items()]
+    returned = [
+        f'            ("{port}", "{name}"): {term},' for (port, name), term in terms.items()
+    ]
     return _HEAD.format(
         found=found,
         parameters=",\n            ".join(parameters),

@@ -1,0 +1,133 @@
+"""Errors that come round with an angle."""
+
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import numpy as np
+
+from ...arrays import Array, namespace
+from ...effects.base import Effect, Response, Setup
+from ...parameters import Parameter
+from ...plan import Plan
+from ..recorded import angles_around, in_rad
+from .base import Code, Empirical, Read
+
+CIRCLE = "circle_angle"
+"""The covariate that says where on its circle the tool is."""
+_PORTS = tuple(f"tool.{c}" for c in "XYZ")
+_PULLS, _PACES = (tuple(f"{kind}_{c}" for c in "XYZ") for kind in "av")
+_WAYS = {"outwards": _PULLS, "around": (*_PULLS, *_PACES)}
+"""Ways of an error on a circle, and the covariates that tell them."""
+_ORDERS = 60
+"""The highest order that is looked for."""
+
+
+class Harmonic(Empirical):
+    """An error of order n in a recorded angle: a cos(n phi) + b sin(n phi) of the tool point along
+    an axis or, on a circle, outwards or around it (the way in which its angle grows).
+
+    Orders are tried up to half of the places per turn that were measured. An error of a circle of
+    order one is a circle beside itself, which is a matter of its centre.
+    """
+
+    name = "harmonic"
+    summary = "empirical: comes round with an angle"
+    words = "an error that comes round with an angle"
+    angle: str = eqx.field(static=True)
+    highest: int = eqx.field(static=True, repr=False)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("cosine", self.unit, sigma=10.0),
+            Parameter("sine", self.unit, sigma=10.0),
+            Parameter("order", "1", shape=True, smooth=False, choice=True),
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (self.angle, *_WAYS.get(self.port, ()))
+
+    def depends_on(self, plan: Plan, shape: Mapping[str, float]) -> tuple[str, ...]:
+        del plan, shape
+        return (self.angle,)
+
+    def said(self, shape: Mapping[str, float]) -> str:
+        way = {"outwards": " outwards", "around": " around the circle"}.get(self.port, "")
+        order = int(shape["order"])
+        return f"an error{way} of {order} period{'s'[: order > 1]} per turn of an angle"
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        phase = shape["order"] * (in_rad(plan, self.angle) * plan.covariate(self.angle))
+        xp = namespace(phase)
+        cosine, sine = xp.cos(phase), xp.sin(phase)
+        found = {}
+        for port, part in self._parts(plan).items():
+            found[port, "cosine"], found[port, "sine"] = part * cosine, part * sine
+        return found
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        del plan
+        first = 2 if self.port in _WAYS else 1
+        return {"order": np.arange(float(first), self.highest + 1.0)}
+
+    def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
+        order = int(shape["order"])
+        turn = f"{order * in_rad(plan, self.angle):.6g} * {read(self.angle)}"
+        lines = [f"phase = {turn}  # {order} periods per turn"]
+        waves = {"cosine": "jnp.cos(phase)", "sine": "jnp.sin(phase)"}
+        if self.port not in _WAYS:
+            return lines, {(self.port, name): wave for name, wave in waves.items()}
+
+        def stacked(names: tuple[str, ...]) -> str:
+            return f"jnp.stack([{', '.join(read(name) for name in names)}])"
+
+        lines += [
+            f"pull = {stacked(_PULLS)}  # towards the middle of the circle",
+            "way = -pull / jnp.linalg.norm(pull, axis=0)",
+        ]
+        if self.port == "around":
+            lines += [
+                f"pace = {stacked(_PACES)}",
+                "turning = jnp.sign(jnp.cross(way, pace, axis=0).sum(0))",
+                "way = turning * pace / jnp.linalg.norm(pace, axis=0)",
+            ]
+        return lines, {
+            (port, name): f"way[{i}] * {wave}"
+            for i, port in enumerate(_PORTS)
+            for name, wave in waves.items()
+        }
+
+    def _parts(self, plan: Plan) -> Mapping[str, Array | float]:
+        """By port, what of the error goes there."""
+        if self.port not in _WAYS:
+            return {self.port: 1.0}
+        pull = np.array([plan.values(name) for name in _PULLS])
+        way = -pull / np.linalg.norm(pull, axis=0)
+        if self.port == "around":
+            pace = np.array([plan.values(name) for name in _PACES])
+            # Planes are named in the order in which their third axis is the axis of the turn.
+            turning = np.sign(np.cross(way, pace, axis=0).sum(0))
+            way = turning * pace / np.linalg.norm(pace, axis=0)
+        return dict(zip(_PORTS, way, strict=True))
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        plan = setup.plan
+        if not all(port in setup.layout for port in _PORTS):
+            return
+        for angle in angles_around(plan):
+            highest = max(1, min(_ORDERS, _per_turn(plan, angle) // 2))
+            for port in _PORTS:
+                yield cls(port=port, unit="um", angle=angle, highest=highest)
+            if angle == CIRCLE and highest > 1:
+                for way, needs in _WAYS.items():
+                    if plan.has(*needs):
+                        yield cls(port=way, unit="um", angle=angle, highest=highest)
+
+
+def _per_turn(plan: Plan, angle: str) -> int:
+    """How many places of a turn were measured: in one run, where there are runs."""
+    turn = np.mod(in_rad(plan, angle) * plan.values(angle), 2.0 * np.pi).round(3)
+    run = np.asarray(plan.groups["run"]) if "run" in plan.groups else np.zeros(plan.rows, int)
+    return max(len(np.unique(turn[run == number])) for number in np.unique(run))

@@ -1,0 +1,171 @@
+"""Errors in proportion to what was recorded, or to products of it."""
+
+import abc
+import itertools
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import numpy as np
+
+from ...arrays import Array
+from ...effects.base import Effect, Response, Setup
+from ...parameters import Parameter
+from ...plan import Plan
+from ..recorded import angles_around, distinct_covariates
+from .base import Code, Empirical, Read
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One factor of a product: ((x - middle)/half)^power."""
+
+    name: str
+    middle: float
+    half: float
+    power: int = 1
+
+    def values(self, plan: Plan) -> np.ndarray:
+        """Its values (n,)."""
+        return ((plan.values(self.name) - self.middle) / self.half) ** self.power
+
+
+class Product(Empirical):
+    """Base class of what is in proportion to recorded quantities: a p, or a p q. Of what it is, is
+    scanned.
+    """
+
+    products: tuple[tuple[Factor, ...], ...] = eqx.field(static=True, repr=False)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("size", self.unit, sigma=10.0),
+            Parameter("which", "1", shape=True, smooth=False, choice=True),
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (self.placement,) if self.placement else ()
+
+    def needs_at(self, shape: Mapping[str, float]) -> tuple[str, ...]:
+        return (*self.needs, *(factor.name for factor in self.products[int(shape["which"])]))
+
+    def depends_on(self, plan: Plan, shape: Mapping[str, float]) -> tuple[str, ...]:
+        del plan
+        return tuple(factor.name for factor in self.products[int(shape["which"])])
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        which = np.asarray(shape["which"]).astype(int)
+        factors = {factor for one in self.products for factor in one}
+        if which.ndim == 0:
+            factors = set(self.products[int(which)])
+        values = {factor: factor.values(plan) for factor in factors}
+
+        def product(i: int) -> np.ndarray:
+            return np.prod([values[factor] for factor in self.products[i]], axis=0)
+
+        found = (
+            product(int(which)) if which.ndim == 0 else np.array([product(i) for i in which[:, 0]])
+        )
+        return {(self.port, "size"): found}
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        del plan
+        return {"which": np.arange(float(len(self.products)))}
+
+    def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
+        del plan
+        factors = self.products[int(shape["which"])]
+        letters = "uv"[: len(factors)]
+        lines = [
+            f"{letter} = (({read(factor.name)} - {factor.middle:.6g}) / {factor.half:.4g})"
+            + (f" ** {factor.power}" if factor.power != 1 else "")
+            for letter, factor in zip(letters, factors, strict=True)
+        ]
+        return lines, {(self.port, "size"): " * ".join(letters)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        products = cls.of(setup)
+        if not products:
+            return
+        for c in "XYZ":
+            if f"tool.{c}" in setup.layout:
+                yield cls(port=f"tool.{c}", unit="um", products=products)
+        for axis in setup.chain.axes:
+            for c in "ABC":
+                yield cls(port=f"E{c}{axis}", unit="urad", products=products, placement=axis)
+
+    @classmethod
+    @abc.abstractmethod
+    def of(cls, setup: Setup) -> tuple[tuple[Factor, ...], ...]:
+        """What it may be in proportion to."""
+
+
+class Proportion(Product):
+    """An error in proportion to one recorded quantity that no effect of the catalogue looks at.
+
+    What effects look at, they have as well; positions are the declared family's matter. What an
+    instrument derives counts too, such as the time since the start of a run.
+    """
+
+    name = "proportion"
+    summary = "empirical: in proportion to a recorded quantity"
+    words = "an error in proportion to a quantity"
+
+    @classmethod
+    def of(cls, setup: Setup) -> tuple[tuple[Factor, ...], ...]:
+        known = _quantities(setup.plan)
+        free = [name for name in known if name not in setup.plan.axes and name not in setup.used]
+        return tuple((_about_the_middle(name, known[name]),) for name in free)
+
+
+class Interaction(Product):
+    """An error in proportion to the product of two recorded quantities, a p q.
+
+    Quantities count from their middle, -1 to 1 over what was measured, positions from their zero as
+    well; of two positions there are products of higher order, too (u^2 v^2, u^3 v, u v^3).
+    """
+
+    name = "interaction"
+    summary = "empirical: product of two quantities"
+    words = "an error that two quantities make together"
+
+    @property
+    def joint(self) -> bool:
+        return True
+
+    @classmethod
+    def of(cls, setup: Setup) -> tuple[tuple[Factor, ...], ...]:
+        return _products(setup.plan, setup.derived)
+
+
+def _quantities(plan: Plan, derived: Collection[str] = ()) -> dict[str, np.ndarray]:
+    """What was recorded of every row, none a function of others, without what was `derived`, and
+    without angles that go round: they begin anew somewhere.
+    """
+    around = angles_around(plan)
+    return {
+        name: x
+        for name, x in distinct_covariates(plan).items()
+        if name not in (*plan.groups, *derived, *around) and np.isfinite(x).all()
+    }
+
+
+def _about_the_middle(name: str, x: np.ndarray, power: int = 1) -> Factor:
+    return Factor(name, 0.5 * float(x.max() + x.min()), 0.5 * float(np.ptp(x)), power)
+
+
+def _products(plan: Plan, derived: Collection[str]) -> tuple[tuple[Factor, ...], ...]:
+    """Pairs of quantities whose product says more than either."""
+    known = _quantities(plan, derived)
+    factors = [_about_the_middle(name, x) for name, x in known.items()]
+    positions = [factor for factor in factors if factor.name in plan.axes]
+    factors += [Factor(p.name, 0.0, p.half) for p in positions if abs(p.middle) > 0.2 * p.half]
+    pairs = [(p, q) for p, q in itertools.combinations(factors, 2) if p.name != q.name]
+    for first, second in itertools.combinations(positions, 2):
+        pairs += [
+            (replace(first, power=p), replace(second, power=q)) for p, q in ((2, 2), (3, 1), (1, 3))
+        ]
+    return tuple(pairs)
