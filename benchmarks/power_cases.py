@@ -512,7 +512,11 @@ def _bumps(rng: Rng, world: World) -> Sized:
     motion = ("", "a_", "v_", "since_", "dir_")
     return lambda size: Term(
         ({"effect": "harmonic", "size_um": size, "order": order},),
-        covariates=(*(f"{kind}{axis}" for kind in motion for axis in "XYZ"), "t_run", "circle_angle"),
+        covariates=(
+            *(f"{kind}{axis}" for kind in motion for axis in "XYZ"),
+            "t_run",
+            "circle_angle",
+        ),
     )
 
 
@@ -527,6 +531,9 @@ ARMS = ("reflectors",)
 BOTH = TRACKER + BALLS
 STATIONS = TRACKER + FRAME
 _DECAY: dict[str, Callable[[Rng], Any]] = {"decay_mm": lambda rng: float(rng.uniform(0.03, 0.3))}
+_SPEED: dict[str, Callable[[Rng], Any]] = {
+    "speed_mm_per_s": lambda rng: float(rng.uniform(3.0, 20.0))
+}
 _PERIOD: dict[str, Callable[[Rng], Any]] = {
     "period_um": lambda rng: float(rng.choice([10.0, 20.0, 40.0, 100.0, 200.0])),
     "phase": _phase,
@@ -582,6 +589,10 @@ KINDS: tuple[Kind, ...] = (
          CIRCLES),
     Kind("reversal_spike of one axis", "um", 2,
          _on_circles("reversal_spike", "size_um", one=True, **_DECAY), CIRCLES),
+    Kind("stribeck_friction", "um", 2,
+         _on_circles("stribeck_friction", "size_um", one=False, **_SPEED), CIRCLES),
+    Kind("stribeck_friction of one axis", "um", 2,
+         _on_circles("stribeck_friction", "size_um", one=True, **_SPEED), CIRCLES),
     Kind("servo_lag", "ms", 0.02, _on_circles("servo_lag", "T_ms", one=False), CIRCLES),
     Kind("servo_lag of one axis", "ms", 0.02, _on_circles("servo_lag", "T_ms", one=True), CIRCLES),
     Kind("scale_interpolation", "um", 0.3,

@@ -11,11 +11,13 @@ from vcal import Measurement, close_loop, load_study, predict
 from vcal.circles import fit_circle
 from vcal.dynamics import measured_phasors
 from vcal.dynamics.evaluate import evaluate, even_ellipse
+from vcal.effects.base import Fitted
 from vcal.effects.registry import load_effects
+from vcal.effects.reversal import ReversalSpike
 from vcal.errors import StudyError
 from vcal.identify import identify
 from vcal.io import write_table
-from vcal.loop.empirical import Harmonic
+from vcal.loop.empirical import Changing, Harmonic
 from vcal.loop.unexplained import dependence
 from vcal.report.own_effect import own_effect
 
@@ -336,6 +338,90 @@ def test_a_circle_with_bumps_is_told_by_its_angle(tmp_path, way):
     (effect,) = own.candidates(s.model.setup(s.measurement.plan))
     fit = identify(s.model.with_effects(effect), s.measurement)
     assert fit.chi2 / fit.dof == pytest.approx(1.0, abs=0.1)
+
+
+def test_friction_that_falls_with_the_speed_has_its_name(tmp_path):
+    """It was a quadrant peak without an end, probes worse than declared, and a lag."""
+    held = {"effect": "stribeck_friction", "size_um": 1.5, "speed_mm_per_s": 15.0}
+    table = circles(matrix=np.zeros((3, 3)), others=[held], samples=120)
+    s = load_study(write(tmp_path / "stribeck", table))
+    closure = close_loop(s.model, s.measurement, draws=200)
+    assert closure.verdict == "named"
+    (found,) = closure.effects
+    assert found.effect.key == "stribeck_friction" and found.status == "named"
+    values = {name: (v, u) for name, v, _, u in found.parameters}
+    assert abs(values["size"][0] - 1.5) < 3.5 * values["size"][1] < 0.2
+    assert abs(values["speed"][0] - 15.0) < 3.5 * values["speed"][1] < 3.0
+
+
+CHANGES = {
+    "height": lambda a: (3.0 / (1.0 + a), 0.06 + 0.0 * a),
+    "length": lambda a: (3.0 + 0.0 * a, 0.06 * np.sqrt(a)),
+}
+
+
+@pytest.mark.parametrize(
+    "of", [pytest.param(c, marks=pytest.mark.slow if c == "length" else ()) for c in CHANGES]
+)
+def test_quadrant_peaks_that_change_with_the_acceleration(tmp_path, of):
+    """What they leave was a cross-talk, probes worse than declared, and more of that."""
+    parts = []
+    for number, level in enumerate((0.5, 1.0, 2.0, 3.0, 4.5)):
+        part = circles(
+            matrix=np.zeros((3, 3)), levels=(level,), samples=80, seed=number,
+            spike=CHANGES[of](np.float64(level)),
+        )  # fmt: skip
+        parts.append(part | {"run": part["run"] + 6 * number})
+    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    s = load_study(write(tmp_path / of, table))
+    closure = close_loop(s.model, s.measurement, draws=200)
+    assert [e.effect.key for e in closure.effects] == ["reversal_spike"]
+    what = closure.unexplained
+    assert isinstance(what.empirical.effect, Changing)
+    assert what.depends_on[0] == "a_set_m_s2"
+    assert "reversal_spike that changes with a quantity (a_set_m_s2)" in closure.sentence
+    # The effect of one's own is the description, beside the effect that was found.
+    (tmp_path / "own_effect.py").write_text(own_effect(closure))
+    (own,) = load_effects(tmp_path / "own_effect.py")
+    plan = s.measurement.plan
+    (effect,) = own.candidates(s.model.setup(plan))
+    described = what.empirical
+    place = len(described.fit.model.effects) - 1
+    expected = described.effect.response(plan, described.fit.shapes[place])
+    response = effect.response(plan, {})
+    assert set(response) == set(expected)
+    for key, value in expected.items():
+        value = np.asarray(value)
+        assert np.asarray(response[key]) == pytest.approx(value, abs=2e-3 * np.abs(value).max())
+
+
+def test_what_changes_is_the_derivative_of_an_effect(study):
+    """By its amplitude and by the logarithm of its decay, times the quantity."""
+    plan = study.measurement.plan
+    (spike, *_) = ReversalSpike.candidates(study.model.setup(plan))
+    found = Fitted(spike, {"decay": 1e-4}, {"size": 2e-6})
+    setup = dataclasses.replace(study.model.setup(plan), fitted=(found,))
+    (changing,) = Changing.candidates(setup)
+    names = [(q.name, q.logarithm) for q in changing.quantities]
+    u = np.log(plan.values("a_set_m_s2"))
+    u = (2.0 * u - u.max() - u.min()) / np.ptp(u)
+    which = float(names.index(("a_set_m_s2", True)))
+    response = changing.response(plan, {"which": which})
+
+    def moved(step):
+        shape = {"decay": 1e-4 * np.exp(0.3 * step * u)}
+        return {k: v * (2e-6 + 1e-6 * step * u) for k, v in spike.response(plan, shape).items()}
+
+    h = 1e-3
+    for axis in "XYZ":
+        port = f"tool.{axis}"
+        first = 1e-6 * response[port, "size"] + 0.3 * response[port, "decay"]
+        exact = (moved(h)[port, "size"] - moved(-h)[port, "size"]) / (2.0 * h)
+        assert first == pytest.approx(exact, abs=2e-3 * np.abs(exact).max())
+    grid = np.array([[which], [0.0]])
+    both = changing.response(plan, {"which": grid})["tool.X", "size"]
+    assert both.shape == (2, plan.rows)
+    assert both[0] == pytest.approx(response["tool.X", "size"])
 
 
 def test_a_drift_in_every_run_is_told_by_its_time(tmp_path):

@@ -9,6 +9,7 @@ difference is the error of the structure in between.  Effects, in SI once `in_si
 | resonance | E a / (1 - x^2 + 2 i zeta x), x = omega/omega_0 | matrix (s^2), frequency (Hz), zeta |
 | harmonic | size cos(n phi) outwards, phi the angle in the plane of the circle | size, order |
 | reversal_spike | -size sgn(v) exp(-s/decay), s the way since the reversal | axis or all, these |
+| stribeck_friction | -size sgn(v) exp(-abs(v)/speed) | axis or all, these (m, m/s) |
 | servo_lag | -T v | axis or all, T (s) |
 | scale_interpolation | amplitude sin(2 pi x/period + phase) along the axis | axis and these |
 | backlash, lateral_reversal | size/2 sgn(v) along or across the axis | axis, component, size |
@@ -84,6 +85,9 @@ def moved(motion: Circle, effects: Iterable[Effect]) -> Array:
                 off[:, axes] -= (motion.way * peak)[:, axes]
             case "drift":
                 off[:, AXES.index(effect["component"])] += effect["coefficient"] * motion.time
+            case "stribeck_friction":
+                held = effect["size"] * np.exp(-np.abs(motion.velocity) / effect["speed"])
+                off[:, axes] -= (motion.way * held)[:, axes]
             case "servo_lag":
                 off[:, axes] -= effect["T"] * motion.velocity[:, axes]
             case "scale_interpolation":

@@ -40,6 +40,17 @@ class Artefact:
 
 
 @dataclass(frozen=True)
+class Fitted:
+    """An effect of the model, and what was found of it."""
+
+    effect: "Effect"
+    shape: Mapping[str, float]
+    """Values of its shape parameters, SI."""
+    sizes: Mapping[str, float]
+    """Values of its amplitudes, SI."""
+
+
+@dataclass(frozen=True)
 class Setup:
     """What a class of effects may look at to say where it could be placed."""
 
@@ -52,6 +63,8 @@ class Setup:
     """Covariates that the instrument derives from positions and readings."""
     used: frozenset[str] = frozenset()
     """What other effects that are tried look at: covariates, groups and axes."""
+    fitted: tuple[Fitted, ...] = ()
+    """Systematic effects of the model as they were found, for descriptions of what changes."""
     data_set: str = ""
     """Name of the data set, where this is one of `parts`."""
     parts: tuple["Setup", ...] = ()

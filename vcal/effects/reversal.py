@@ -164,3 +164,54 @@ class ReversalSpike(Effect):
             if len(axes) > 1:
                 for axis in axes:
                     yield cls(axes=(axis,), placement=axis)
+
+
+@register
+class StribeckFriction(Effect):
+    """Friction that falls with the speed: -a sgn(v) exp(-|v|/v_s) along every axis, a > 0.
+
+    The part of the friction curve F(v) = sgn(v) (F_c + (F_s - F_c) exp(-|v|/v_s)) + F_v v
+    (Armstrong-Helouvry, Dupont, Canudas de Wit 1994, Automatica 30, 1083-1138) that is neither
+    Coulomb's, which bends a structure as a play does (`backlash`), nor viscous (`servo_lag`). A
+    `reversal_spike` falls with the distance since the reversal instead, at any speed. Placed on one
+    axis, or on all of them with one size and one speed.
+    """
+
+    name = "stribeck_friction"
+    summary = "friction that is larger the slower the axis moves"
+    axes: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("size", "um", sigma=5.0),
+            Parameter("speed", "mm/s", shape=True, coordinate="log"),
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(f"{kind}_{axis}" for axis in self.axes for kind in ("v", "dir"))
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        found = {}
+        for axis in self.axes:
+            v = plan.covariate(f"v_{axis}") / shape["speed"]
+            xp = namespace(v)
+            found[f"tool.{axis}", "size"] = -plan.covariate(f"dir_{axis}") * xp.exp(-xp.abs(v))
+        return found
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        fastest = max(
+            float(np.abs(np.asarray(plan.covariate(f"v_{axis}"))).max()) for axis in self.axes
+        )
+        # Slower than a hundredth of that is a matter of one or two rows; what has not fallen to a
+        # tenth at the highest speed cannot be told from play and lag.
+        return {"speed": np.geomspace(1e-2, 0.4, 16) * (fastest or 1.0)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        return (
+            cls(axes=one.axes, placement=one.placement)
+            for one in ReversalSpike.candidates(setup)
+            if isinstance(one, ReversalSpike)
+        )

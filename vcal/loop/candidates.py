@@ -3,8 +3,9 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from ..effects.base import Effect
+from ..effects.base import Effect, Fitted
 from ..effects.data_set import in_setup
+from ..fit import Fit
 from ..measurement import Measurement
 from ..model import Model
 from ..plan import Plan
@@ -28,13 +29,14 @@ def candidates(
     measurement: Measurement,
     classes: Iterable[type[Effect]],
     beside: Iterable[Effect] = (),
+    fit: Fit | None = None,
 ) -> tuple[list[Effect], list[Untestable]]:
     """Instances the data can speak about, and those it cannot for want of a covariate; `beside` are
-    others that are tried.
+    others that are tried, `fit` is what was found of those of the model.
     """
     plan = measurement.plan
     used = frozenset(name for effect in beside for name in effect.needs)
-    setup = replace(model.setup(plan), used=used)
+    setup = replace(model.setup(plan), used=used, fitted=_fitted(fit) if fit else ())
     present = {_identity(effect) for effect in model.effects}
     found, missing = [], {}
     for cls in classes:
@@ -52,6 +54,16 @@ def candidates(
         Untestable(name, place, "; ".join(_reasons(wanted, plan.sets)), tuple(wanted))
         for (name, place), wanted in missing.items()
     ]
+
+
+def _fitted(fit: Fit) -> tuple[Fitted, ...]:
+    found = []
+    for place, effect in enumerate(fit.model.effects):
+        if effect.kind == "systematic":
+            values = {p.name: float(v) * p.si for _, p, v, _ in fit.values_of(place) if not p.shape}
+            shape = {name: float(v) for name, v in fit.shapes.get(place, {}).items()}
+            found.append(Fitted(effect, shape, values))
+    return tuple(found)
 
 
 def _wanting(plan: Plan, name: str) -> tuple[str, tuple[str, ...]]:

@@ -130,7 +130,8 @@ class Search:
         self.progress(f"round {number}: screening")
         tried, self.untestable = candidates(state.model, measurement, self.classes)
         kinds = EMPIRICAL if self._describing else ()
-        empirical, _ = candidates(state.model, measurement, kinds, [*state.model.effects, *tried])
+        beside = [*state.model.effects, *tried]
+        empirical, _ = candidates(state.model, measurement, kinds, beside, state.fit)
         tried = [effect for effect in tried if effect.key not in self._barred]
         if self._responses is None or self._responses.plan is not measurement.plan:
             self._responses = Responses(measurement.plan)
@@ -414,14 +415,16 @@ class Search:
         """Effects added one after the other, until none is to be added, the first leads back to the
         state that was left, or as many more as there may be come nowhere near a `goal`.
         """
-        fastest = 0.0
+        fastest, near = 0.0, math.inf
         while (more := most - len(self.added(state))) > 0:
-            if 0.0 < _QUICKER * fastest * more < declared_chi2(state.fit) - goal:
+            if 0.0 < _QUICKER * fastest * more < near - goal:
                 break
             further = self.step(state)
             if further is None:
                 break
-            fastest = max(fastest, declared_chi2(state.fit) - declared_chi2(further.fit))
+            if math.isfinite(goal):
+                before, near = declared_chi2(state.fit), declared_chi2(further.fit)
+                fastest = max(fastest, before - near)
             state = further
             if but is not None and abs(state.fit.chi2 - but.fit.chi2) < _SAME:
                 break

@@ -125,4 +125,6 @@ def _as_described(found: str, best: Rival, plan: Plan) -> str:
 
 
 def _read(name: str, plan: Plan) -> str:
-    return f'plan.x("{name}")' if name in plan.axes else f'plan.covariate("{name}")'
+    if name in plan.axes:
+        return f'plan.x("{name}")'
+    return f'plan.groups["{name}"]' if name in plan.groups else f'plan.covariate("{name}")'

@@ -5,6 +5,7 @@ that is, the residual is *unexplained*, and the description says along what, and
 """
 
 from .base import Empirical, Interval
+from .changing import Changing
 from .harmonic import Harmonic
 from .moment import Since
 from .position import Kink, LocalBump
@@ -17,11 +18,13 @@ EMPIRICAL: tuple[type[Empirical], ...] = (
     Interaction,
     Harmonic,
     Since,
+    Changing,
 )
 """All of them."""
 
 __all__ = [
     "EMPIRICAL",
+    "Changing",
     "Empirical",
     "Factor",
     "Harmonic",

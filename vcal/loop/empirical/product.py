@@ -18,16 +18,18 @@ from .base import Code, Empirical, Read
 
 @dataclass(frozen=True)
 class Factor:
-    """One factor of a product: ((x - middle)/half)^power."""
+    """One factor of a product: ((x - middle)/half)^power, or of the logarithm of x."""
 
     name: str
     middle: float
     half: float
     power: int = 1
+    logarithm: bool = False
 
     def values(self, plan: Plan) -> np.ndarray:
         """Its values (n,)."""
-        return ((plan.values(self.name) - self.middle) / self.half) ** self.power
+        x = plan.values(self.name)
+        return (((np.log(x) if self.logarithm else x) - self.middle) / self.half) ** self.power
 
 
 class Product(Empirical):
@@ -116,9 +118,9 @@ class Proportion(Product):
 
     @classmethod
     def of(cls, setup: Setup) -> tuple[tuple[Factor, ...], ...]:
-        known = _quantities(setup.plan)
+        known = quantities(setup.plan)
         free = [name for name in known if name not in setup.plan.axes and name not in setup.used]
-        return tuple((_about_the_middle(name, known[name]),) for name in free)
+        return tuple((about_the_middle(name, known[name]),) for name in free)
 
 
 class Interaction(Product):
@@ -141,7 +143,7 @@ class Interaction(Product):
         return _products(setup.plan, setup.derived)
 
 
-def _quantities(plan: Plan, derived: Collection[str] = ()) -> dict[str, np.ndarray]:
+def quantities(plan: Plan, derived: Collection[str] = ()) -> dict[str, np.ndarray]:
     """What was recorded of every row, none a function of others, without what was `derived`, and
     without angles that go round: they begin anew somewhere.
     """
@@ -153,14 +155,17 @@ def _quantities(plan: Plan, derived: Collection[str] = ()) -> dict[str, np.ndarr
     }
 
 
-def _about_the_middle(name: str, x: np.ndarray, power: int = 1) -> Factor:
-    return Factor(name, 0.5 * float(x.max() + x.min()), 0.5 * float(np.ptp(x)), power)
+def about_the_middle(name: str, x: np.ndarray, logarithm: bool = False) -> Factor:
+    """A quantity, or its logarithm, from -1 to 1."""
+    x = np.log(x) if logarithm else x
+    middle, half = 0.5 * float(x.max() + x.min()), 0.5 * float(np.ptp(x))
+    return Factor(name, middle, half, logarithm=logarithm)
 
 
 def _products(plan: Plan, derived: Collection[str]) -> tuple[tuple[Factor, ...], ...]:
     """Pairs of quantities whose product says more than either."""
-    known = _quantities(plan, derived)
-    factors = [_about_the_middle(name, x) for name, x in known.items()]
+    known = quantities(plan, derived)
+    factors = [about_the_middle(name, x) for name, x in known.items()]
     positions = [factor for factor in factors if factor.name in plan.axes]
     factors += [Factor(p.name, 0.0, p.half) for p in positions if abs(p.middle) > 0.2 * p.half]
     pairs = [(p, q) for p, q in itertools.combinations(factors, 2) if p.name != q.name]

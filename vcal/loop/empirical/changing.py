@@ -1,0 +1,170 @@
+"""Errors that are known, but change with something else that was recorded."""
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+
+import equinox as eqx
+import numpy as np
+
+from ...arrays import Array
+from ...effects.base import Effect, Response, Setup
+from ...parameters import Parameter
+from ...plan import Plan
+from ..recorded import distinct_covariates
+from .base import Code, Empirical, Read
+from .product import Factor, about_the_middle, quantities
+
+_MOST = 9
+"""Most amplitudes of an effect that may change: more are a family, not an effect."""
+_SEQUENCE = ("run", "pose")
+"""Groups that count up with time."""
+_STEP = 0.05
+"""Relative, of shape parameters, for derivatives."""
+_RATIO = 2.0
+"""Largest over smallest value from which a quantity's logarithm is tried, too."""
+
+
+class Changing(Empirical):
+    """An effect of the model whose parameters change with a recorded quantity: every amplitude a
+    by a' u, every shape parameter s that is a scale by s s' u, to first order. u is the quantity
+    from -1 to 1 over what was measured, or its logarithm where that says more.
+
+    Play that grows along an axis, quadrant peaks whose height falls with the acceleration.
+    """
+
+    name = "changing"
+    summary = "empirical: effect of the model that changes with a quantity"
+    words = "an effect that changes with a quantity"
+    effect: Effect
+    shape: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    """Its shape parameters where they were found, SI."""
+    sizes: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    """Its amplitudes as they were found, SI."""
+    quantities: tuple[Factor, ...] = eqx.field(static=True, repr=False)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        own = tuple(
+            Parameter(p.name, p.unit, sigma=max(abs(size) / p.si, _expected(p)))
+            for p, (_, size) in zip(self.effect.amplitudes, self.sizes, strict=True)
+        )
+        return (
+            *own,
+            *(Parameter(name, "1", sigma=1.0) for name in self._scales),
+            Parameter("which", "1", shape=True, smooth=False, choice=True),
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return self.effect.needs
+
+    def needs_at(self, shape: Mapping[str, float]) -> tuple[str, ...]:
+        return (*self.needs, self._quantity(shape).name)
+
+    def depends_on(self, plan: Plan, shape: Mapping[str, float]) -> tuple[str, ...]:
+        del plan
+        return (self._quantity(shape).name, *self.effect.betrayed_by)
+
+    def said(self, shape: Mapping[str, float]) -> str:
+        del shape
+        return f"{self.effect.key} that changes with a quantity"
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        which = np.asarray(shape["which"]).astype(int)
+        index = which if which.ndim == 0 else which[:, 0]
+        values = np.array([self.quantities[int(i)].values(plan) for i in np.atleast_1d(index)])
+        u = values[0] if which.ndim == 0 else values
+        return {key: np.asarray(moved) * u for key, moved in self._slopes(plan).items()}
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        del plan
+        return {"which": np.arange(float(len(self.quantities)))}
+
+    def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
+        quantity = self._quantity(shape)
+        value = read(quantity.name)
+        value = f"jnp.log({value})" if quantity.logarithm else value
+        effect = self.effect
+        given = ", ".join(
+            f"{f.name}={getattr(effect, f.name)!r}"
+            for f in dataclasses.fields(effect)
+            if f.init and f.name not in ("given", "priors")
+        )
+        lines = [
+            f"u = ({value} - {quantity.middle:.6g}) / {quantity.half:.4g}",
+            f'effect = vcal.CATALOGUE["{effect.name}"]({given})',
+        ]
+        at = {name: float(f"{value:.6g}") for name, value in self.shape}
+        lines.append(f"moved = effect.response(plan, {at})")
+        for name in self._scales:
+            more, less = ({**at, name: at[name] * (1.0 + s)} for s in (_STEP, -_STEP))
+            lines.append(f"more_{name} = effect.response(plan, {more})")
+            lines.append(f"less_{name} = effect.response(plan, {less})")
+        found: dict[tuple[str, str], str] = {}
+        sizes = dict(self.sizes)
+        for port, name in self._moved(plan):
+            found[port, name] = f'moved["{port}", "{name}"] * u'
+            for scale in self._scales:
+                change = (
+                    f'(more_{scale}["{port}", "{name}"] - less_{scale}["{port}", "{name}"])'
+                    f" * ({sizes[name] / (2.0 * _STEP):.6g} * u)"
+                )
+                before = found.get((port, scale))
+                found[port, scale] = f"{before} + {change}" if before else change
+        return lines, found
+
+    def _quantity(self, shape: Mapping[str, float]) -> Factor:
+        return self.quantities[int(shape["which"])]
+
+    @property
+    def _scales(self) -> tuple[str, ...]:
+        """Shape parameters that are lengths or times, not places."""
+        return tuple(p.name for p in self.effect.shapes if p.moves and p.coordinate != "linear")
+
+    def _moved(self, plan: Plan, **other: float) -> Response:
+        at = {**dict(self.shape), **other}
+        return self.effect.response(plan, {name: np.asarray(value) for name, value in at.items()})
+
+    def _slopes(self, plan: Plan) -> dict[tuple[str, str], Array]:
+        """What a change of one does, by port and parameter."""
+        found: dict[tuple[str, str], Array] = dict(self._moved(plan))
+        at, sizes = dict(self.shape), dict(self.sizes)
+        for scale in self._scales:
+            more, less = (
+                self._moved(plan, **{scale: at[scale] * (1.0 + step)}) for step in (_STEP, -_STEP)
+            )
+            for (port, name), moved in more.items():
+                change = (moved - less[port, name]) * (sizes[name] / (2.0 * _STEP))
+                found[port, scale] = found.get((port, scale), 0.0) + change
+        return found
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        if not setup.fitted:
+            return
+        known = quantities(setup.plan)
+        known |= {n: x for n, x in distinct_covariates(setup.plan).items() if n in _SEQUENCE}
+        factors = [about_the_middle(name, x) for name, x in known.items()]
+        factors += [
+            about_the_middle(name, x, logarithm=True)
+            for name, x in known.items()
+            if x.min() > 0.0 and x.max() > _RATIO * x.min()
+        ]
+        for one in setup.fitted:
+            own = one.effect.amplitudes
+            sized = all(one.sizes[p.name] or _expected(p) for p in own)
+            if factors and len(own) <= _MOST and sized:
+                yield cls(
+                    port="",
+                    unit="",
+                    effect=one.effect,
+                    shape=tuple(one.shape.items()),
+                    sizes=tuple(one.sizes.items()),
+                    quantities=tuple(factors),
+                    placement=one.effect.placement,
+                )
+
+
+def _expected(parameter: Parameter) -> float:
+    """The prior standard deviation, where there is one and the value is not known."""
+    return parameter.sigma if parameter.informed else 0.0
