@@ -19,6 +19,7 @@ from vcal.identify import identify
 from vcal.io import write_table
 from vcal.loop.empirical import Changing, Harmonic
 from vcal.loop.unexplained import dependence
+from vcal.plots import changing_sizes
 from vcal.report.own_effect import own_effect
 
 E = np.array([[0.9, 0.1, -1.55], [0.05, 0.6, 0.3], [-0.4, 0.2, 1.1]])
@@ -380,6 +381,12 @@ def test_quadrant_peaks_that_change_with_the_acceleration(tmp_path, of):
     assert isinstance(what.empirical.effect, Changing)
     assert what.depends_on[0] == "a_set_m_s2"
     assert "reversal_spike that changes with a quantity (a_set_m_s2)" in closure.sentence
+    # Level by level the readings say what was put in, beside what the lengths make of it.
+    sizes = changing_sizes(closure.after, what.empirical)
+    assert sizes.quantity == pytest.approx([0.5, 1.0, 2.0, 3.0, 4.5])
+    if of == "height":
+        put_in = np.array([CHANGES[of](a)[0] for a in sizes.quantity])
+        assert (np.abs(sizes.size - put_in) < 3.5 * sizes.u).all() and (sizes.u < 0.1).all()
     # The effect of one's own is the description, beside the effect that was found.
     (tmp_path / "own_effect.py").write_text(own_effect(closure))
     (own,) = load_effects(tmp_path / "own_effect.py")

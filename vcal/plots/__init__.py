@@ -1,5 +1,6 @@
 """Pictures of what closing the loop found: functions that return a matplotlib figure."""
 
+from .changing import changing_sizes
 from .field import (
     Field,
     check_errors,
@@ -21,6 +22,7 @@ __all__ = [
     "Signature",
     "View",
     "before_after",
+    "changing_sizes",
     "check_errors",
     "check_points",
     "column_of",

@@ -11,6 +11,7 @@ from scipy.special import ndtri
 from ..fit import Fit
 from ..loop.recorded import correlation, distinct_covariates
 from ..loop.unexplained import Unexplained, bins, displacements
+from .changing import changing
 from .style import (
     AFTER,
     BEFORE,
@@ -106,8 +107,11 @@ def unexplained_views(fit: Fit, what: Unexplained, most: int = 2) -> list[str]:
 
 def unexplained(fit: Fit, what: Unexplained) -> Figure:
     """What stays unexplained: against the covariates it depends on most, or, where it is local,
-    against its place (shaded), and what the empirical description leaves of it.
+    against its place (shaded), and what the empirical description leaves of it. Of an effect that
+    changes, its size.
     """
+    if what.empirical is not None and (shown := changing(fit, what.empirical)) is not None:
+        return shown
     names = unexplained_views(fit, what)
     used = fit.used
     moved = displacements(fit)[used] * 1e6

@@ -66,7 +66,8 @@ def own_effect(closure: Closure) -> str | None:
         return None
     plan = closure.after.measurement.plan
     found = f"vcal found: {what.reason}."
-    if what.empirical is not None:
+    best = what.empirical.effect if what.empirical is not None else None
+    if what.empirical is not None and isinstance(best, Empirical) and best.coded:
         return _as_described(found, what.empirical, plan)
     names = [n for n in what.depends_on if n not in plan.groups][:2]
     if not names:

@@ -7,6 +7,7 @@ import numpy as np
 from .. import plots
 from ..fit import Fit
 from ..loop.closure import Closure
+from ..loop.empirical import Changing
 from ..plots import ErrorMotionTable
 from .picture import Picture
 from .text import number, percent
@@ -98,6 +99,14 @@ def _effects(closure: Closure) -> Iterator[Picture]:
 def _unexplained(closure: Closure) -> str:
     what = closure.unexplained
     assert what is not None
+    best = what.empirical
+    if best is not None and plots.changing_sizes(closure.after, best) is not None:
+        assert isinstance(best.effect, Changing)
+        return (
+            f"What parts of the readings say of {best.effect.effect.key}, with two standard "
+            "uncertainties. Black: what all of them say together; blue: the empirical description, "
+            "which describes and does not explain."
+        )
     caption = f"Residual of the tool point that no effect of the catalogue explains. {_DOTS}"
     if what.where:
         caption += " Shaded: the interval in which it sits."

@@ -66,6 +66,11 @@ class Empirical(Effect):
         del plan, shape
         return ()
 
+    @property
+    def coded(self) -> bool:
+        """Whether there is Python for it."""
+        return True
+
     @abc.abstractmethod
     def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
         """Lines of Python that prepare what it needs from what `read` gives for a covariate, and

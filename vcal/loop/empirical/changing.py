@@ -2,12 +2,14 @@
 
 import dataclasses
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 
 from ...arrays import Array
 from ...effects.base import Effect, Response, Setup
+from ...effects.registry import CATALOGUE
 from ...parameters import Parameter
 from ...plan import Plan
 from ..recorded import distinct_covariates
@@ -80,19 +82,22 @@ class Changing(Empirical):
         del plan
         return {"which": np.arange(float(len(self.quantities)))}
 
+    @property
+    def coded(self) -> bool:
+        """Where the effect is one of the catalogue, which is told by what a file can hold."""
+        written = all(
+            isinstance(value, str | int | float | tuple) for value in self._placed.values()
+        )
+        return written and CATALOGUE.get(self.effect.name) is type(self.effect)
+
     def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
         quantity = self._quantity(shape)
         value = read(quantity.name)
         value = f"jnp.log({value})" if quantity.logarithm else value
-        effect = self.effect
-        given = ", ".join(
-            f"{f.name}={getattr(effect, f.name)!r}"
-            for f in dataclasses.fields(effect)
-            if f.init and f.name not in ("given", "priors")
-        )
+        given = ", ".join(f"{name}={value!r}" for name, value in self._placed.items())
         lines = [
             f"u = ({value} - {quantity.middle:.6g}) / {quantity.half:.4g}",
-            f'effect = vcal.CATALOGUE["{effect.name}"]({given})',
+            f'effect = vcal.CATALOGUE["{self.effect.name}"]({given})',
         ]
         at = {name: float(f"{value:.6g}") for name, value in self.shape}
         lines.append(f"moved = effect.response(plan, {at})")
@@ -112,6 +117,14 @@ class Changing(Empirical):
                 before = found.get((port, scale))
                 found[port, scale] = f"{before} + {change}" if before else change
         return lines, found
+
+    @property
+    def _placed(self) -> dict[str, Any]:
+        """What the effect is made with, declared values apart."""
+        fields = (f.name for f in dataclasses.fields(self.effect) if f.init)
+        return {
+            name: getattr(self.effect, name) for name in fields if name not in ("given", "priors")
+        }
 
     def _quantity(self, shape: Mapping[str, float]) -> Factor:
         return self.quantities[int(shape["which"])]
