@@ -345,7 +345,11 @@ def _on_circles(
         if name == "lateral_reversal":
             place["component"] = _axis(rng, "XYZ".replace(axis, ""))
             parameters = (f"size_E{place['component']}{axis}",)
-        units = {"decay_mm": ("decay", 1e-3), "period_um": ("period", 1e-6)}
+        units = {
+            "decay_mm": ("decay", 1e-3),
+            "period_um": ("period", 1e-6),
+            "speed_mm_per_s": ("speed", 1e-3),
+        }
         shape = {units[k][0]: v * units[k][1] for k, v in more.items() if k in units}
 
         def sized(size: float) -> Term:
