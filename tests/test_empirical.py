@@ -177,6 +177,15 @@ def test_what_comes_round_with_an_angle_that_was_recorded(tracker, unit_):
     assert not any(f.name == column for these in products for one in these for f in one)
 
 
+def test_an_angle_may_be_another_one_in_every_run(tracker):
+    """Orders go by the places per turn of all runs, and not of one."""
+    run = np.arange(tracker.plan.rows) % 12
+    recorded = {**tracker.plan.covariates, "spindle_deg": 30.0 * run}
+    plan = dataclasses.replace(tracker.plan, covariates=recorded, groups={"run": run})
+    found = list(Harmonic.candidates(tracker.model.setup(plan)))
+    assert found and {effect.highest for effect in found} == {6}
+
+
 def test_an_angle_that_does_not_go_round_has_no_orders(tracker):
     angle = np.random.default_rng(4).uniform(-60.0, 60.0, tracker.plan.rows)
     plan = dataclasses.replace(

@@ -22,7 +22,7 @@ from vcal.loop.recorded import correlation
 from vcal.loop.screening import KindResult, Screening
 from vcal.loop.stray import Stray
 from vcal.loop.unexplained import Interval, Unexplained
-from vcal.plan import Plan
+from vcal.plan import Plan, joined
 from vcal.plots.residuals import unexplained_views
 from vcal.plots.search import search
 from vcal.plots.views import residual_without
@@ -219,6 +219,24 @@ def test_an_effect_of_ones_own_to_start_from(closed, tmp_path, direction, count)
     fit = identify(study.model.with_effects(effect), study.measurement)
     assert fit.converged
     assert own_effect(closure) is None
+
+
+def test_an_effect_of_ones_own_reads_what_all_data_sets_have(closed):
+    """Not a column of one of them, which is nan in the rows of the others."""
+    _, study, closure = closed
+    plan = joined({"cold": study.plan, "warm": study.plan}, {"cold": ["T_X"], "warm": ["T_X"]})
+    after = SimpleNamespace(measurement=SimpleNamespace(plan=plan))
+
+    def text_of(*names):
+        what = Unexplained([*names], [0.5] * len(names), [], "Z", 12.0, 0.5, 1e-9, "a test")
+        what = dataclasses.replace(what, joint=True)
+        return own_effect(dataclasses.replace(closure, after=after, unexplained=what))
+
+    assert text_of("cold:T_X", "warm:X") is None
+    text = text_of("cold:T_X", "Y", "t")
+    assert 'plan.x("Y")' in text and 'plan.covariate("t")' in text
+    assert "nan" not in text and "cold" not in text and "both_Z" not in text
+    assert "both_Z" in text_of("Y", "t")
 
 
 @pytest.mark.campaign

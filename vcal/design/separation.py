@@ -96,9 +96,7 @@ class Separation(NamedTuple):
     @classmethod
     def of(cls, model: Model, first: Rival, second: Rival) -> "Separation":
         """Raises `StudyError` where both are the same."""
-        if first.effect.key == second.effect.key and [p.name for p in first.effect.parameters] == [
-            p.name for p in second.effect.parameters
-        ]:
+        if first.effect.alike(second.effect):
             raise StudyError(
                 f"--separate: found {first.effect.key!r} twice, expected two effects; name another"
             )

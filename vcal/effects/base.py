@@ -208,6 +208,13 @@ class Effect(Record):
         """Identifier with placement, such as ``"backlash Y"``."""
         return f"{self.name} {self.placement}".strip()
 
+    def alike(self, other: "Effect") -> bool:
+        """Whether another is the same effect at the same place, whatever is known of its values:
+        effects of one key may differ in their direction or order, which their parameters name.
+        """
+        names, others = ([p.name for p in one.parameters] for one in (self, other))
+        return self.key == other.key and names == others
+
 
 def along(chain: Chain, axis: str) -> tuple[str, str]:
     """Port of the motion of a joint itself and its unit: ``("EYY", "um")``, ``("ECJ2", "urad")``.

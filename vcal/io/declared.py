@@ -120,8 +120,7 @@ def declared_effects(
                 "remove it",
             )
         placed = OfDataSet.of(effect, own.data_set) if own.data_set else effect
-        names = [p.name for p in placed.parameters]
-        if any(e.key == placed.key and [p.name for p in e.parameters] == names for e in found):
+        if any(placed.alike(e) for e in found):
             raise refusal(
                 file,
                 f"key {where.key} ({placed.key})",

@@ -11,6 +11,8 @@ _UNITS = {"_deg": np.pi / 180.0, "_rad": 1.0}
 """Ends of the names of columns of angles, and their factors to rad."""
 _GAP = 0.25
 """Share of a turn that may be missing in angles that go round."""
+_SEAM = 2.0
+"""How much wider than the others the gap may be at which angles within one turn begin anew."""
 
 
 def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
@@ -41,16 +43,38 @@ def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
 
 
 def angles_around(plan: Plan) -> list[str]:
-    """Covariates that are angles, by the units in the names of their columns, and go round."""
-    found = []
-    for name, x in distinct_covariates(plan).items():
-        if name not in plan.covariates or not np.isfinite(x).all():
-            continue
-        if file_column(name, plan.axes)[0][-4:] in _UNITS:
-            turn = np.unique(np.mod(x * in_rad(plan, name), 2.0 * np.pi))
-            if np.diff(turn, append=turn[0] + 2.0 * np.pi).max() < _GAP * 2.0 * np.pi:
-                found.append(name)
-    return found
+    """Covariates that are angles, by the units in the names of their columns, and go round. What a
+    joint has travelled since the pose before is no place on a turn.
+    """
+    return [
+        name
+        for name, x in distinct_covariates(plan).items()
+        if name in plan.covariates
+        and not name.startswith("move_")
+        and np.isfinite(x).all()
+        and file_column(name, plan.axes)[0][-4:] in _UNITS
+        and _goes_round(x * in_rad(plan, name))
+    ]
+
+
+def has_zero(plan: Plan, name: str) -> bool:
+    """Whether the zero of a quantity is that of nature: not that of positions, of clocks, of
+    numbers of runs, and of temperatures in degC.
+    """
+    if name in plan.axes or name in plan.groups or name == "t":
+        return False
+    return not file_column(name, plan.axes)[0].endswith("_degC")
+
+
+def _goes_round(angle: np.ndarray) -> bool:
+    """Whether angles (n,) in rad are places all around a turn, not those of a swivel with stops."""
+    turn = 2.0 * np.pi
+    places = np.unique(np.mod(angle, turn))
+    widest = np.diff(places, append=places[0] + turn).max()
+    if widest >= _GAP * turn:
+        return False
+    seam = turn - np.ptp(angle)
+    return seam <= _SEAM * np.diff(np.unique(angle)).max()
 
 
 def in_rad(plan: Plan, name: str) -> float:

@@ -89,7 +89,7 @@ class Search:
         """What was added and is in the model as far as it has come."""
         found = []
         for effect in state.model.effects:
-            mine = [item for item in self.history if _same_effect(item.effect, effect)]
+            mine = [item for item in self.history if item.effect.alike(effect)]
             found += mine[-1:]
         return found
 
@@ -262,7 +262,7 @@ class Search:
             self.rejected, _, self.refused = kept
             return state
         if self.unexplained is None and (
-            found is None or _same_effect(self.history[-1].effect, item.effect)
+            found is None or self.history[-1].effect.alike(item.effect)
         ):
             self.rejected, _, self.refused = kept
             if found is None:
@@ -383,7 +383,7 @@ class Search:
         beside them.
         """
         for item in self.added(state):
-            if any(_same_effect(item.effect, one.effect) for one in self.added(state)):
+            if any(item.effect.alike(one.effect) for one in self.added(state)):
                 self.unexplained = None
                 state = self.anew(state, item)
         self.unexplained = self.refused = None
@@ -543,17 +543,13 @@ def _no_worse(less: Fit, state: State, item: Added) -> bool:
     return less.log_evidence(noise) > with_it + item.weighed.best.log_shape
 
 
-def _same_effect(a: Effect, b: Effect) -> bool:
-    return a.key == b.key and [p.name for p in a.parameters] == [p.name for p in b.parameters]
-
-
 def _dropped(item: Added, reason: str) -> Rejected:
     return Rejected(item.effect.name, item.effect.placement, item.p_value, reason)
 
 
 def place_of(item: Added, effects: Sequence[Effect]) -> int:
     """Where among the effects of a model an added one is."""
-    return next(i for i, e in enumerate(effects) if _same_effect(e, item.effect))
+    return next(i for i, e in enumerate(effects) if e.alike(item.effect))
 
 
 def _placed(items: Sequence[Added], fit: Fit) -> list[tuple[int, Rival]]:

@@ -13,7 +13,7 @@ from ..fit import Fit
 from ..plan import DATA_SET
 from .chance import SILENT, corrected, effective_trials
 from .empirical import Empirical, Interval
-from .recorded import distinct_covariates
+from .recorded import angles_around, distinct_covariates
 from .rivals import Rival
 from .screen import Screen
 from .serial import Serial
@@ -136,8 +136,10 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         shares.append(described)
     singles = np.array(shares).reshape(len(shares), draws + 1)
     plan = fit.measurement.plan
-    # A group index is no quantity to multiply by, unless there are only two of a kind.
-    multiplied = {n for n in known if n not in plan.groups and np.isfinite(known[n]).all()}
+    # A group index is no quantity to multiply by, unless there are only two of a kind; nor is an
+    # angle that begins anew somewhere.
+    out = {*plan.groups, *angles_around(plan)}
+    multiplied = {n for n in known if n not in out and np.isfinite(known[n]).all()}
     if len(plan.sets) == 2:
         multiplied.add(DATA_SET)
     pairs, columns = _products({n: x for n, x in known.items() if n in multiplied})

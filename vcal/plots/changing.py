@@ -1,8 +1,10 @@
 """How an effect changes with a recorded quantity: its size in parts of the readings."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from matplotlib.figure import Figure
 
 from ..fit import Fit
@@ -10,7 +12,12 @@ from ..loop.empirical import Changing
 from ..loop.rivals import Rival
 from ..loop.unexplained import bins
 from .style import AFTER, BEFORE, INK, column_label, figure, grid, pretty_unit, titled
-from .views import column_of
+from .views import column_of, parameter_places
+
+_SEEN = 1e-6
+"""Share of a parameter's largest part in the readings from which a part of them says anything."""
+_OPEN = 1e-10
+"""Information, of that of a part, that counts as none."""
 
 
 @dataclass(frozen=True)
@@ -35,59 +42,77 @@ class Sizes:
 
 def changing_sizes(fit: Fit, best: Rival) -> Sizes | None:
     """What the readings say of the amplitude that changes most, part by part: a linear fit at the
-    minimum, with a size of its own in every part. None for other
-    descriptions, and where a fit has the effect no more or knows its size.
+    minimum, with a size of its own in every part. Parts that say less of it than its whole size are
+    left out. None for other descriptions, where a fit has the effect no more or knows its size, and
+    where fewer than two parts say anything.
     """
     effect, plan = best.effect, fit.measurement.plan
     if not isinstance(effect, Changing):
         return None
-    places = [i for i, e in enumerate(fit.model.effects) if e.key == effect.effect.key]
+    effects = fit.model.effects
+    places = [i for i, e in enumerate(effects) if e.alike(effect.effect)]
     if not places:
         return None
     last = len(best.fit.model.effects) - 1
-    rows = best.fit.values_of(last)
-    change = {p.name: (value, u) for _, p, value, u in rows if not p.shape}
-    own = fit.model.effects[places[0]].amplitudes
+    change = {p.name: (value, u) for _, p, value, u in best.fit.values_of(last) if not p.shape}
+    own = effects[places[0]].amplitudes
     told = [abs(change[p.name][0]) / change[p.name][1] for p in own]
     k = int(np.argmax(told))
     parameter = own[k]
     if parameter.known:
         return None
-    first = sum(len(e.amplitudes) for e in fit.model.effects[: places[0]])
-    column = first + k
-    which = int(best.fit.shapes[last]["which"])
-    quantity = effect.quantities[which]
+    column = int(parameter_places(fit, places[0])[0][k])
+    quantity = effect.quantities[int(best.fit.shapes[last]["which"])]
     x = plan.values(quantity.name)
-    used, m = fit.used, fit.residual.shape[1]
     index = np.full(plan.rows, -1)
-    index[used] = bins(x[used])
-    parts = np.unique(index[used])
-    g = fit.jacobian[:, column]
-    split = np.column_stack([g * np.repeat(index == part, m) for part in parts])
-    others = np.delete(fit.jacobian, column, axis=1)
-    columns = np.hstack([split, others])
-    prior = np.concatenate([np.zeros(len(parts)), np.delete(fit.precision, column)])
-    h = columns.T @ columns + np.diag(prior)
-    # At the minimum, what the readings and the prior ask of the others cancels.
-    target = fit.whitened + g * fit.theta[column]
-    pull = np.concatenate([np.zeros(len(parts)), np.delete(fit.precision * fit.theta, column)])
-    covariance = np.linalg.pinv(h)
-    found = covariance @ (columns.T @ target - pull)
-    n, step = len(parts), parameter.step / parameter.si
-    line = np.linspace(x[used].min(), x[used].max(), 60)
-    u = (np.log(line) if quantity.logarithm else line) - quantity.middle
-    overall = float(fit.theta[column]) * step
-    base = float(best.fit.theta[column]) * step
-    return Sizes(
-        parameter.name,
-        parameter.unit,
-        np.array([x[index == part].mean() for part in parts]),
-        found[:n] * step,
-        np.sqrt(np.diag(covariance)[:n]) * step,
-        line,
-        base + change[parameter.name][0] * u / quantity.half,
-        overall,
+    index[fit.used] = bins(x[fit.used])
+    line = np.linspace(x[fit.used].min(), x[fit.used].max(), 60)
+    (_, _, overall, _), (_, _, base, _) = (
+        one.values_of(place)[k] for one, place in ((fit, places[0]), (best.fit, places[0]))
     )
+    described = base + change[parameter.name][0] * quantity.of(line)
+    parts = np.unique(index[fit.used])
+    sizes, u = _in_parts(fit, column, [index == part for part in parts])
+    step = parameter.step / parameter.si
+    sizes, u = sizes * step + parameter.mean, u * step
+    told = u < max(abs(overall), np.abs(described).max())
+    if told.sum() < 2:
+        return None
+    means = np.array([x[index == part].mean() for part in parts])
+    return Sizes(
+        parameter.name, parameter.unit, means[told], sizes[told], u[told], line, described, overall
+    )
+
+
+def _in_parts(fit: Fit, column: int, parts: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Value and standard uncertainty (k,) of one parameter in each of these parts of the rows, in
+    solver units, by the readings alone; infinitely uncertain where they say nothing of it.
+    """
+    m = fit.residual.shape[1]
+    g, own = fit.jacobian[:, column], np.delete(fit.jacobian, column, axis=1)
+    split = np.column_stack([g * np.repeat(rows, m) for rows in parts])
+    precision = np.delete(fit.precision, column)
+    theta = np.delete(fit.theta, column)
+    # The others are eliminated, with what is believed of them: what they would change by.
+    root = np.sqrt(precision)
+    whole = np.vstack([own, np.diag(root)])
+    whole /= np.where((length := np.linalg.norm(whole, axis=0)) > 0.0, length, 1.0)
+    basis = scipy.linalg.orth(whole)
+    blank = np.zeros((len(root), len(parts)))
+    columns, target = np.vstack([split, blank]), fit.whitened + g * fit.theta[column]
+    target = np.concatenate([target, -root * theta])
+    full = np.linalg.norm(columns, axis=0)
+    columns, target = (z - basis @ (basis.T @ z) for z in (columns, target))
+    length = np.linalg.norm(columns, axis=0)
+    seen = length > _SEEN * np.max(full, initial=0.0)
+    value, u = np.zeros(len(parts)), np.full(len(parts), np.inf)
+    if seen.any():
+        scaled = columns[:, seen] / length[seen]
+        # What only all parts together leave open is wide, not nothing.
+        covariance = np.linalg.inv(scaled.T @ scaled + _OPEN * np.eye(seen.sum()))
+        value[seen] = covariance @ (scaled.T @ target) / length[seen]
+        u[seen] = np.sqrt(np.diag(covariance)) / length[seen]
+    return value, u
 
 
 def changing(fit: Fit, best: Rival) -> Figure | None:

@@ -69,11 +69,11 @@ def values_of(covariate: str, plan: Plan) -> np.ndarray:
 
 
 def place_of(fit: Fit, effect: Effect) -> int:
-    """Position of this very effect in the model of a fit."""
+    """Position of this very effect in the model of a fit, or of one that is alike."""
     for i, candidate in enumerate(fit.model.effects):
         if candidate is effect:
             return i
-    return next(i for i, candidate in enumerate(fit.model.effects) if candidate.key == effect.key)
+    return next(i for i, candidate in enumerate(fit.model.effects) if candidate.alike(effect))
 
 
 def parameter_places(fit: Fit, place: int) -> tuple[np.ndarray, np.ndarray]:

@@ -57,9 +57,10 @@ class OwnEffect(vcal.Effect):
 def own_effect(closure: Closure) -> str | None:
     """The text of the file; None where nothing is left unexplained or no covariate orders it.
 
-    An empirical description becomes what it is, where it was found, with its sizes free; a
-    dependence on covariates a slope and a curvature of each of the first two, along every direction
-    that it has, and their product where it is that which the residual depends on.
+    An empirical description that has Python for itself becomes what it is, where it was found, with
+    its sizes free; another one, and a dependence on covariates, a slope and a curvature of each of
+    the first two, along every direction that it has, and their product where it is that which the
+    residual depends on. What only some of the rows have is no start for an effect of all.
     """
     what = closure.unexplained
     if what is None or not what.depends_on:
@@ -69,7 +70,8 @@ def own_effect(closure: Closure) -> str | None:
     best = what.empirical.effect if what.empirical is not None else None
     if what.empirical is not None and isinstance(best, Empirical) and best.coded:
         return _as_described(found, what.empirical, plan)
-    names = [n for n in what.depends_on if n not in plan.groups][:2]
+    whole = [n for n in what.depends_on if n not in plan.groups and _of_all_rows(n, plan)]
+    names = whole[:2]
     if not names:
         return None
     ways = what.direction if what.direction in "XYZ" else "XYZ"
@@ -87,7 +89,7 @@ def own_effect(closure: Closure) -> str | None:
                 label = f"{kind}{i}_{c}"
                 parameters.append(f'vcal.Parameter("{label}", "um", sigma={size:.3g})')
                 terms.append(f'            ("tool.{c}", "{label}"): {power},')
-    if what.joint:
+    if what.joint and len(names) == 2 and names == what.depends_on[:2]:
         for c in ways:
             parameters.append(f'vcal.Parameter("both_{c}", "um", sigma={size:.3g})')
             terms.append(f'            ("tool.{c}", "both_{c}"): u1 * u2,')
@@ -123,6 +125,10 @@ def _as_described(found: str, best: Rival, plan: Plan) -> str:
         ),
         placement=f'placement="{effect.placement}"',
     )
+
+
+def _of_all_rows(name: str, plan: Plan) -> bool:
+    return name.partition(":")[0] not in plan.sets and bool(np.isfinite(plan.values(name)).all())
 
 
 def _read(name: str, plan: Plan) -> str:

@@ -104,8 +104,8 @@ def _unexplained(closure: Closure) -> str:
         assert isinstance(best.effect, Changing)
         return (
             f"What parts of the readings say of {best.effect.effect.key}, with two standard "
-            "uncertainties. Black: what all of them say together; blue: the empirical description, "
-            "which describes and does not explain."
+            "uncertainties. Black: what all of them say together; blue: its size by the empirical "
+            "description, which describes and does not explain."
         )
     caption = f"Residual of the tool point that no effect of the catalogue explains. {_DOTS}"
     if what.where:

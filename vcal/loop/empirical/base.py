@@ -1,6 +1,7 @@
 """What an empirical description is."""
 
 import abc
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -85,6 +86,14 @@ class Empirical(Effect):
 
     def _length(self) -> str:
         return "rad" if self.placement.startswith("J") else "mm"
+
+
+def written(value: float, over: float) -> str:
+    """A number to six digits of the range that it is a place in: a moment of a clock that counts
+    from 1970 has more of them before its point.
+    """
+    digits = 6 - math.floor(math.log10(over)) if over > 0.0 else 6
+    return repr(round(float(value), digits))
 
 
 def range_of(plan: Plan, axis: str) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from ...effects.base import Effect, Response, Setup
 from ...effects.registry import CATALOGUE
 from ...parameters import Parameter
 from ...plan import Plan
-from ..recorded import distinct_covariates
+from ..recorded import distinct_covariates, has_zero
 from .base import Code, Empirical, Read
 from .product import Factor, about_the_middle, quantities
 
@@ -23,7 +23,7 @@ _SEQUENCE = ("run", "pose")
 _STEP = 0.05
 """Relative, of shape parameters, for derivatives."""
 _RATIO = 2.0
-"""Largest over smallest value from which a quantity's logarithm is tried, too."""
+"""Largest over smallest value from which the logarithm of a quantity that has a zero is tried."""
 
 
 class Changing(Empirical):
@@ -91,15 +91,12 @@ class Changing(Empirical):
         return written and CATALOGUE.get(self.effect.name) is type(self.effect)
 
     def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
-        quantity = self._quantity(shape)
-        value = read(quantity.name)
-        value = f"jnp.log({value})" if quantity.logarithm else value
         given = ", ".join(f"{name}={value!r}" for name, value in self._placed.items())
         lines = [
-            f"u = ({value} - {quantity.middle:.6g}) / {quantity.half:.4g}",
+            f"u = {self._quantity(shape).code(read)}",
             f'effect = vcal.CATALOGUE["{self.effect.name}"]({given})',
         ]
-        at = {name: float(f"{value:.6g}") for name, value in self.shape}
+        at = {name: float(f"{value:.12g}") for name, value in self.shape}
         lines.append(f"moved = effect.response(plan, {at})")
         for name in self._scales:
             more, less = ({**at, name: at[name] * (1.0 + s)} for s in (_STEP, -_STEP))
@@ -131,8 +128,10 @@ class Changing(Empirical):
 
     @property
     def _scales(self) -> tuple[str, ...]:
-        """Shape parameters that are lengths or times, not places."""
-        return tuple(p.name for p in self.effect.shapes if p.moves and p.coordinate != "linear")
+        """Shape parameters that are lengths or times: not places, and not the lengths of periods,
+        of which a change is no change of scale after many of them.
+        """
+        return tuple(p.name for p in self.effect.shapes if p.moves and p.coordinate == "log")
 
     def _moved(self, plan: Plan, **other: float) -> Response:
         at = {**dict(self.shape), **other}
@@ -161,7 +160,7 @@ class Changing(Empirical):
         factors += [
             about_the_middle(name, x, logarithm=True)
             for name, x in known.items()
-            if x.min() > 0.0 and x.max() > _RATIO * x.min()
+            if has_zero(setup.plan, name) and x.min() > 0.0 and x.max() > _RATIO * x.min()
         ]
         for one in setup.fitted:
             own = one.effect.amplitudes

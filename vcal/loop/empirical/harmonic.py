@@ -26,8 +26,7 @@ class Harmonic(Empirical):
     """An error of order n in a recorded angle: a cos(n phi) + b sin(n phi) of the tool point along
     an axis or, on a circle, outwards or around it (the way in which its angle grows).
 
-    Orders are tried up to half of the places per turn that were measured. An error of a circle of
-    order one is a circle beside itself, which is a matter of its centre.
+    Orders are tried up to half of the places per turn that were measured.
     """
 
     name = "harmonic"
@@ -68,8 +67,7 @@ class Harmonic(Empirical):
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         del plan
-        first = 2 if self.port in _WAYS else 1
-        return {"order": np.arange(float(first), self.highest + 1.0)}
+        return {"order": np.arange(1.0, self.highest + 1.0)}
 
     def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
         order = int(shape["order"])
@@ -120,14 +118,17 @@ class Harmonic(Empirical):
             highest = max(1, min(_ORDERS, _per_turn(plan, angle) // 2))
             for port in _PORTS:
                 yield cls(port=port, unit="um", angle=angle, highest=highest)
-            if angle == CIRCLE and highest > 1:
+            if angle == CIRCLE:
                 for way, needs in _WAYS.items():
                     if plan.has(*needs):
                         yield cls(port=way, unit="um", angle=angle, highest=highest)
 
 
 def _per_turn(plan: Plan, angle: str) -> int:
-    """How many places of a turn were measured: in one run, where there are runs."""
+    """How many places of a turn were measured: of a circle, which every run goes round, in one
+    run.
+    """
     turn = np.mod(in_rad(plan, angle) * plan.values(angle), 2.0 * np.pi).round(3)
-    run = np.asarray(plan.groups["run"]) if "run" in plan.groups else np.zeros(plan.rows, int)
+    runs = angle == CIRCLE and "run" in plan.groups
+    run = np.asarray(plan.groups["run"]) if runs else np.zeros(plan.rows, int)
     return max(len(np.unique(turn[run == number])) for number in np.unique(run))

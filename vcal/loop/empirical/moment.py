@@ -8,7 +8,7 @@ from ...arrays import Array, namespace
 from ...effects.base import Response
 from ...parameters import Parameter
 from ...plan import Plan
-from .base import Code, Empirical, Interval, Read
+from .base import Code, Empirical, Interval, Read, written
 
 
 class Since(Empirical):
@@ -53,9 +53,9 @@ class Since(Empirical):
         return (Interval("t", shape["at"], float(np.max(plan.covariate("t")))),)
 
     def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
-        del plan
+        at = written(shape["at"], float(np.ptp(plan.covariate("t"))))
         return (
-            [f"x = {read(self.placement)}", f"after = {read('t')} - {shape['at']:.6g}  # s"],
+            [f"x = {read(self.placement)}", f"after = {read('t')} - {at}  # s"],
             {
                 (self.port, "step"): "jnp.where(after > 0, x, 0.0)",
                 (self.port, "ramp"): "x * jnp.maximum(after, 0.0)",

@@ -2,6 +2,7 @@
 
 import abc
 import itertools
+import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ from ...effects.base import Effect, Response, Setup
 from ...parameters import Parameter
 from ...plan import Plan
 from ..recorded import angles_around, distinct_covariates
-from .base import Code, Empirical, Read
+from .base import Code, Empirical, Read, written
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,25 @@ class Factor:
 
     def values(self, plan: Plan) -> np.ndarray:
         """Its values (n,)."""
-        x = plan.values(self.name)
-        return (((np.log(x) if self.logarithm else x) - self.middle) / self.half) ** self.power
+        return self.of(plan.values(self.name))
+
+    def of(self, x: np.ndarray) -> np.ndarray:
+        """Its values where the quantity has these."""
+        x = np.log(np.maximum(x, self.least)) if self.logarithm else x
+        return ((x - self.middle) / self.half) ** self.power
+
+    @property
+    def least(self) -> float:
+        """The smallest value that a logarithm was measured at: below, it stays what it is there."""
+        return math.exp(self.middle - self.half)
+
+    def code(self, read: Read) -> str:
+        """Python for its values."""
+        value, middle = read(self.name), written(self.middle, self.half)
+        if self.logarithm:
+            value = f"jnp.log(jnp.maximum({value}, {self.least:.6g}))"
+        power = f" ** {self.power}" if self.power != 1 else ""
+        return f"(({value} - {middle}) / {self.half:.6g}){power}"
 
 
 class Product(Empirical):
@@ -81,8 +99,7 @@ class Product(Empirical):
         factors = self.products[int(shape["which"])]
         letters = "uv"[: len(factors)]
         lines = [
-            f"{letter} = (({read(factor.name)} - {factor.middle:.6g}) / {factor.half:.4g})"
-            + (f" ** {factor.power}" if factor.power != 1 else "")
+            f"{letter} = {factor.code(read)}"
             for letter, factor in zip(letters, factors, strict=True)
         ]
         return lines, {(self.port, "size"): " * ".join(letters)}
