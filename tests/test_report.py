@@ -16,6 +16,7 @@ from oracle import error_motions, make_case
 from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
 from vcal.effects import Setup, load_effects
 from vcal.instruments.conditions import file_column
+from vcal.io.simulated import parse_with
 from vcal.loop.components import Component
 from vcal.loop.empirical import LocalBump
 from vcal.loop.recorded import correlation
@@ -544,6 +545,23 @@ def test_residual_without_the_effect_is_that_of_the_declared_model(closed):
     without = residual_without(closure.after, place)
     size = np.abs(closure.before.residual).max(0)
     assert (np.abs(without - closure.before.residual).max(0) < 1e-3 * size).all()
+
+
+def test_places_of_parameters_beside_a_pitch_that_is_known(closed):
+    """A shape that is declared has no place among what is fitted."""
+    _, study, _ = closed
+    setup = study.model.setup(study.plan)
+    screw = parse_with("screw_cyclic:X:sine_um=3,pitch_mm=20", CATALOGUE, setup)
+    free = next(iter(CATALOGUE["screw_cyclic"].candidates(setup)))
+    free = dataclasses.replace(free, placement="Y")
+    first = len(study.model.effects)
+    shapes = {first: {"pitch": 0.02}, first + 1: {"pitch": 0.013}}
+    fit = identify(study.model.with_effects(screw, free), study.measurement, shapes=shapes)
+    assert len(fit.places_of(first)[1]) == 0
+    amplitudes, (pitch,) = fit.places_of(first + 1)
+    assert [fit.entries[i][1].name for i in amplitudes] == [p.name for p in free.amplitudes]
+    assert fit.entries[pitch][1].name == "pitch" and pitch == len(fit.theta) - 1
+    assert np.isfinite(residual_without(fit, first + 1)).all()
 
 
 # --- whole or not at all -------------------------------------------------------------------------

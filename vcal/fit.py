@@ -247,6 +247,17 @@ class Fit:
             *values[shapes : shapes + len(mine.shapes)],
         ]
 
+    def places_of(self, place: int) -> tuple[np.ndarray, np.ndarray]:
+        """Places in `theta` of the amplitudes of the effect at `place` in the model, and of its
+        shape parameters that move.
+        """
+        effects = self.model.effects
+        first = sum(len(e.amplitudes) for e in effects[:place])
+        moving = [sum(p.moves for p in e.shapes) for e in effects]
+        start = len(self.model.entries) + sum(moving[:place])
+        amplitudes = np.arange(first, first + len(effects[place].amplitudes))
+        return amplitudes, np.arange(start, start + moving[place])
+
 
 def entries(model: Model) -> tuple[tuple[str, Parameter], ...]:
     """Amplitudes of all effects, then all smooth shape parameters."""

@@ -162,9 +162,10 @@ def _beside_the_rest(found: FoundEffect, fit: Fit, rest: Unexplained | None) -> 
     if found.status != "named" or rest is None or rest.empirical is None:
         return found
     same = [name for name in rest.depends_on if name in found.effect.betrayed_by]
-    mine = [i for i, (key, p) in enumerate(fit.entries) if key == found.effect.key and not p.shape]
-    if not same or not mine:
+    if not same:
         return found
+    place = next(i for i, e in enumerate(fit.model.effects) if e.alike(found.effect))
+    mine = fit.places_of(place)[0]
     theta, covariance = fit.theta[mine], fit.covariance[np.ix_(mine, mine)]
     explained = theta @ np.linalg.solve(covariance, theta)
     if explained >= declared_chi2(fit) - fit.dof:
@@ -228,7 +229,7 @@ def _finish(
             *_not_at_the_check(after, run.check),
             *_worse(wrong["before"], wrong["after"], bool(found)),
             *_described_at_the_check(described, wrong["after"], run.check),
-            *_untold(after, [item.effect.key for item in found]),
+            *_untold(after, dict.fromkeys(item.effect.key for item in found)),
             *_notes(scales, state, run),
         ],
     )
@@ -293,7 +294,7 @@ def _described_at_the_check(
     ]
 
 
-def _untold(after: Fit, found: Sequence[str]) -> list[str]:
+def _untold(after: Fit, found: Iterable[str]) -> list[str]:
     """Which parameters of the effects that were `found` are as uncertain as before: such as an
     acceleration in a direction in which nothing moved.
     """

@@ -14,7 +14,7 @@ from .residuals import before_after, normal_plot, unexplained, unexplained_views
 from .search import minus_log10_p, search
 from .signature import Signature, signature, signatures
 from .style import png, pretty_unit
-from .views import View, column_of, effect_view, parameter_places, place_of, values_of
+from .views import View, column_of, effect_view, place_of, values_of
 
 __all__ = [
     "ErrorMotionTable",
@@ -33,7 +33,6 @@ __all__ = [
     "field",
     "minus_log10_p",
     "normal_plot",
-    "parameter_places",
     "place_of",
     "png",
     "pretty_unit",

@@ -12,7 +12,7 @@ from ..loop.empirical import Changing
 from ..loop.rivals import Rival
 from ..loop.unexplained import bins
 from .style import AFTER, BEFORE, INK, column_label, figure, grid, pretty_unit, titled
-from .views import column_of, parameter_places
+from .views import column_of
 
 _SEEN = 1e-6
 """Share of a parameter's largest part in the readings from which a part of them says anything."""
@@ -61,7 +61,7 @@ def changing_sizes(fit: Fit, best: Rival) -> Sizes | None:
     parameter = own[k]
     if parameter.known:
         return None
-    column = int(parameter_places(fit, places[0])[0][k])
+    column = int(fit.places_of(places[0])[0][k])
     quantity = effect.quantities[int(best.fit.shapes[last]["which"])]
     x = plan.values(quantity.name)
     index = np.full(plan.rows, -1)

@@ -76,16 +76,6 @@ def place_of(fit: Fit, effect: Effect) -> int:
     return next(i for i, candidate in enumerate(fit.model.effects) if candidate.alike(effect))
 
 
-def parameter_places(fit: Fit, place: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places in theta of an effect's amplitudes, and of its smooth shape parameters."""
-    effects = fit.model.effects
-    first = sum(len(e.amplitudes) for e in effects[:place])
-    amplitudes = np.arange(first, first + len(effects[place].amplitudes))
-    smooth = [sum(p.smooth for p in e.shapes) for e in effects]
-    start = sum(len(e.amplitudes) for e in effects) + sum(smooth[:place])
-    return amplitudes, np.arange(start, start + smooth[place])
-
-
 def _unwhitened(fit: Fit, whitened: np.ndarray) -> np.ndarray:
     n, m = fit.residual.shape
     found, used = np.zeros((n, m)), fit.used
@@ -96,7 +86,7 @@ def _unwhitened(fit: Fit, whitened: np.ndarray) -> np.ndarray:
 
 def contribution(fit: Fit, place: int) -> np.ndarray:
     """Displacement of the tool point (n, 3), m, that one effect of the fit accounts for."""
-    amplitudes, _ = parameter_places(fit, place)
+    amplitudes, _ = fit.places_of(place)
     step = fit.jacobian[:, amplitudes] @ fit.theta[amplitudes]
     return displacements(fit, _unwhitened(fit, step))
 
@@ -108,7 +98,7 @@ def residual_without(fit: Fit, place: int) -> np.ndarray:
     which the others take up J (J'J + L)^-1 J' C a. That inverse is the one of the whole model with
     the effect's own block taken out.
     """
-    amplitudes, shapes = parameter_places(fit, place)
+    amplitudes, shapes = fit.places_of(place)
     step = fit.jacobian[:, amplitudes] @ fit.theta[amplitudes]
     own = np.concatenate([amplitudes, shapes])
     inverse = cho_solve(fit.factor, np.eye(len(fit.theta)))

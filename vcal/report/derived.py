@@ -9,7 +9,7 @@ from ..fit import Fit
 from ..loop.candidates import Untestable
 from ..loop.closure import Closure, FoundEffect
 from ..plan import Plan
-from ..plots import column_of, parameter_places, place_of
+from ..plots import column_of, place_of
 
 Listed = list[tuple[str, float, str, float]]
 """(name, value, unit, standard uncertainty) of the parameters of an effect."""
@@ -39,7 +39,7 @@ def declared(closure: Closure) -> list[tuple[Effect, Listed]]:
 
 def _harmonics(fit: Fit, effect: Effect, listed: Listed) -> Listed:
     place = place_of(fit, effect)
-    first = parameter_places(fit, place)[0]
+    first = fit.places_of(place)[0]
     amplitudes = fit.model.effects[place].amplitudes
     names = [p.name for p in amplitudes]
     values = {name: (value, unit) for name, value, unit, _ in listed}
