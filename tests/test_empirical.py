@@ -340,15 +340,33 @@ def test_when_a_description_puts_a_name_in_doubt(description, doubt):
 
 
 @pytest.mark.parametrize(
-    ("rival", "expected"),
+    ("own", "rival", "theirs", "expected"),
     [
-        ("local_bump", "measure at further values of X, between and beyond those there are"),
-        ("backlash", "vary X independently of what betrays backlash X"),
+        (
+            ("X",), "local_bump", ("X",),
+            "measure at further values of x_mm, between and beyond those there are",
+        ),
+        (("T_X",), "drift", ("t",), "vary T_x_degC independently of t_s"),
+        (("T_X", "X"), "tilt", ("X",), "vary T_x_degC independently of x_mm"),
+        (("X",), "backlash", ("dir_X", "X"), "vary dir_x independently of x_mm"),
+        (
+            ("T_X",), "tilt", ("T_X",),
+            "it follows T_x_degC, and so does tilt X: measure at further positions, where their "
+            "errors differ",
+        ),
+        (
+            ("t",), "jump", ("t",),
+            "it follows t_s, and so does jump X: measure at further moments and positions, where "
+            "their errors differ",
+        ),
     ],
-)
-def test_what_would_tell_a_description_from_an_effect(rival, expected):
-    best = SimpleNamespace(effect=SimpleNamespace(betrayed_by=("X",)))
-    assert _separation(Weighed(best, 0.3, [], [(rival, "X", 0.7)])) == expected
+)  # fmt: skip
+def test_what_would_tell_an_effect_from_what_it_may_be(own, rival, theirs, expected):
+    """Nothing can be varied independently of itself."""
+    other = SimpleNamespace(effect=SimpleNamespace(name=rival, placement="X", betrayed_by=theirs))
+    best = SimpleNamespace(effect=SimpleNamespace(betrayed_by=own))
+    weighed = Weighed(best, 0.3, [], [(rival, "X", 0.7)], instead=((0.7, other),))
+    assert _separation(weighed, ("X", "Y", "Z")) == expected
 
 
 # --- held-out readings ----------------------------------------------------------------------------

@@ -219,7 +219,13 @@ def test_search_can_be_restricted(backlash):
     describing = {cls.name for cls in EMPIRICAL} - {"changing", "harmonic"}
     assert kinds == {"thermal_tilt", "range_scale"} | describing
     none = closed(backlash, max_effects=0)
-    assert (none.effects, none.screenings) == ([], [])
+    # Nothing may be added, but it is said that something is missing.
+    assert none.effects == [] and len(none.screenings) == 1
+    assert none.verdict == "unexplained"
+    assert none.unexplained.reason.startswith("backlash Y is significant, but no more effects")
+    assert none.sentence.startswith("Unexplained, and no more effects may be added (max_effects)")
+    assert none.passed_over[0].effect == "backlash"
+    assert none.passed_over[0].reason == "no more effects may be added (max_effects)"
 
 
 def test_an_effect_below_alpha_is_not_named(tracker):

@@ -17,7 +17,7 @@ from vcal.loop.candidates import candidates
 from vcal.loop.close_loop import still_rejected
 from vcal.loop.closure import Rejected
 from vcal.loop.heldout import heldout_rms, improvement
-from vcal.loop.rivals import Names, preferred, refit_all
+from vcal.loop.rivals import Names, preferred, refit_all, weigh
 from vcal.loop.round import unlikely
 from vcal.loop.scan import Responses
 from vcal.loop.screen import Peak, Screen
@@ -211,10 +211,36 @@ def test_names_are_ranked_by_all_their_places_however_unlikely():
     ranked = Names.of(classes).ranked()  # type: ignore[arg-type]
     assert [r for r, _ in ranked] == [one, twin, component, shape, other, hopeless]
     of_the_name = 9.5 + np.log(2.0 + np.exp(-1.5) + np.exp(-2.0))
-    assert ranked[0][1] == ranked[1][1] == ranked[2][1] == pytest.approx(of_the_name)
-    assert ranked[3][1] == pytest.approx(of_the_name - 2.0)  # another shape, less likely itself
+    assert ranked[0][1] == ranked[1][1] == pytest.approx(of_the_name)
+    assert ranked[2][1] == pytest.approx(of_the_name - 1.5)  # another component,
+    assert ranked[3][1] == pytest.approx(of_the_name - 2.0)  # another shape, less likely themselves
     assert ranked[4][1] == pytest.approx(10.0)
     assert ranked[5][1] < -600.0
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_is_the_same_as_a_namesake_is_not_the_same(order):
+    """Tilts about A and B have one key: drift that is as good as that about B has its own odds."""
+
+    def rival(key: str, log_weight: float):
+        name, _, placement = key.partition(" ")
+        fit = SimpleNamespace(
+            chi2=100.0, dof=100.0, model=SimpleNamespace(effects=[0]), shapes={0: {}}
+        )
+        effect = SimpleNamespace(key=key, name=name, placement=placement)
+        return SimpleNamespace(
+            effect=effect, fit=fit, log_weight=log_weight, log_weight_at_its_size=log_weight
+        )
+
+    about_a, about_b, drift = rival("tilt Y", 10.0), rival("tilt Y", 9.5), rival("drift Y", 9.5)
+    same = [about_b, drift][::order]
+    told = weigh([[about_a], same], about_a)  # type: ignore[arg-type]
+    odds = np.exp([0.0, -0.5, -0.5])
+    assert told.probability == pytest.approx((odds[0] + odds[1]) / odds.sum())
+    assert told.equivalent == []
+    ((*name, p),) = told.alternatives
+    assert name == ["drift", "Y"] and p == pytest.approx(odds[2] / odds.sum())
+    assert weigh([[about_a], same], same[0]).equivalent == [same[1].effect.key]  # type: ignore[arg-type]
 
 
 def test_of_names_that_may_be_one_of_an_expected_size_goes_first():
@@ -380,11 +406,11 @@ def test_what_the_readings_do_not_determine_is_told_by_name(tracker):
 
 
 def test_no_more_effects_are_added_than_may_be(tracker):
-    """What is left is then not said to have no name: none was looked for."""
+    """What is left is then not said to have no name."""
     two = [tracker.effect(f"backlash:{axis}:size_um=30") for axis in "XY"]
     closure = close_loop(tracker.model, noisy(tracker, 6, *two), draws=100, max_effects=1)
     assert len(closure.effects) == 1 and closure.verdict == "unexplained"
-    assert "max_effects" in closure.unexplained.reason
+    assert "max_effects" in closure.unexplained.reason and "max_effects" in closure.sentence
 
 
 def test_the_error_at_check_points_lacks_what_they_do_not_record(tracker):
@@ -469,7 +495,7 @@ def test_a_search_anew_takes_the_same_effect_at_a_better_moment(monkeypatch, lef
     search = Search(None, (), 0.01, 20, 0, 0, lambda text: None)
 
     def item(moment):
-        effect = SimpleNamespace(key="jump", name="jump", placement="", parameters=())
+        effect = named("jump")
         return Added(effect, f"weighed {moment}", 0.001, float(moment), 1.0)  # type: ignore
 
     old, other = item(1), item(3)
@@ -487,6 +513,11 @@ def test_a_search_anew_takes_the_same_effect_at_a_better_moment(monkeypatch, lef
     assert (first.weighed, first.gain) == ("weighed 2", 2.0 if taken else 1.0)
     assert last is other and search.rejected == ["before"]
     assert asked == 2 * [[False, True, False]]
+
+
+def named(key: str) -> SimpleNamespace:
+    """An effect that is but its name."""
+    return SimpleNamespace(key=key, name=key, placement="", alike=lambda other: other.key == key)
 
 
 def of_names(monkeypatch, state, item) -> Search:
@@ -557,7 +588,7 @@ def test_what_is_barred_lets_others_be_found(monkeypatch, likelier):
         return SimpleNamespace(names=names, fit=SimpleNamespace(chi2=2000.0 - 300.0 * len(names)))
 
     def item(name):
-        effect = SimpleNamespace(key=name, name=name, placement="", parameters=())
+        effect = named(name)
         return SimpleNamespace(
             effect=effect, p_value=1e-9, weighed=SimpleNamespace(equivalent=[name + "'"])
         )

@@ -100,11 +100,14 @@ def close_loop(
         if run.described_by_noise(state):
             run.unexplained = None
         if run.unexplained is None:
+            full = len(run.added(state)) >= max_effects
             state, correlated = run.prune_correlated(run.prune(state, reached), reached)
             if learn:
                 progress("learning the sizes of the families")
                 learned = with_sizes(state.model, learned_sizes(state.fit))
                 state = fitted(learned, measurement, state.fit, room)
+            if full:
+                run.look_on(state)
             progress("describing what remains")
             run.unexplained = from_structure(
                 state.remaining,
@@ -114,7 +117,7 @@ def close_loop(
                 seed + 1,
                 correlated,
                 run.refused,
-                len(run.added(state)) >= max_effects,
+                full,
             )
     except KeyboardInterrupt:
         interrupted = True
@@ -147,7 +150,7 @@ def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
         heldout_gain=item.gain,
         equivalent=weighed.equivalent,
         alternatives=weighed.alternatives,
-        separation="" if certain else _separation(weighed),
+        separation="" if certain else _separation(weighed, after.measurement.plan.axes),
     )
 
 
@@ -318,16 +321,36 @@ def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
     )
 
 
-def _separation(weighed: Weighed) -> str:
-    rivals = weighed.alternatives[:2]
-    own = weighed.best.effect
+def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
+    """The measurement that would tell the best from its likeliest rivals, in columns of the data
+    file: of what some of them follow, that which the others do not.
+    """
+    rivals, own = weighed.alternatives[:2], weighed.best.effect
+    effects = {(r.effect.name, r.effect.placement): r.effect for _, r in weighed.instead[::-1]}
+    others = [effects[key] for name, place, _ in rivals if (key := (name, place)) in effects]
+
+    def columns(names: Iterable[str]) -> str:
+        return " and ".join(dict.fromkeys(file_column(name, axes)[0] for name in names))
+
+    follows = own.betrayed_by
+    theirs = [name for other in others for name in other.betrayed_by]
     if rivals and rivals[0][0] in {kind.name for kind in EMPIRICAL}:
         # A description depends on the same; between the positions and times measured it differs.
-        betrays = ", ".join(own.betrayed_by) or "its own covariate"
-        return f"measure at further values of {betrays}, between and beyond those there are"
-    other = " and ".join(f"{name} {place}".strip() for name, place, _ in rivals)
-    betrays = ", ".join(own.betrayed_by) or "its own covariate"
-    return f"vary {betrays} independently of what betrays {other}"
+        return (
+            f"measure at further values of {columns(follows) or 'its own covariate'}, between and "
+            "beyond those there are"
+        )
+    if alone := [name for name in follows if name not in theirs]:
+        beside = columns(name for name in theirs if name not in alone)
+        return f"vary {columns(alone)} independently of {beside or 'the rest'}"
+    if alone := [name for name in theirs if name not in follows]:
+        return f"vary {columns(alone)} independently of {columns(follows)}"
+    names = " and ".join(f"{name} {place}".strip() for name, place, _ in rivals)
+    further = "moments and positions" if "t" in follows else "positions"
+    return (
+        f"it follows {columns(follows) or 'the same'}, and so does {names}: measure at further "
+        f"{further}, where their errors differ"
+    )
 
 
 def _doubt(weighed: Weighed) -> Doubt:

@@ -20,6 +20,10 @@ from .unexplained import Unexplained
 Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
 
 
+_A_PART = 0.05
+"""Share of what remains from which a covariate is told with noise that is correlated in time."""
+
+
 @dataclass(frozen=True)
 class SetErrors:
     """How wrong a model is on the readings of one data set of several."""
@@ -174,6 +178,8 @@ class Closure:
             return "the search was interrupted"
         if number < len(self.effects):
             return "less likely than what was added"
+        if self._full:
+            return "no more effects may be added (max_effects)"
         if self.unexplained is not None and self.unexplained.empirical is not None:
             summary = self.unexplained.empirical.effect.summary
             return f"{summary}: describes the residual better"
@@ -201,7 +207,14 @@ class Closure:
             how = "most likely" if likely else "it may be"
             return f"The declared model lacks something: {how} {listed}, but not for certain."
         found = f"Found {listed}; the rest is unexplained" if names else "Unexplained"
-        return f"{found}: {self._remainder()}."
+        limit = ", and no more effects may be added (max_effects)" if self._full else ""
+        return f"{found}{limit}: {self._remainder()}."
+
+    @property
+    def _full(self) -> bool:
+        """Whether the limit of effects, and no description, ended the search."""
+        described = self.unexplained is not None and self.unexplained.empirical is not None
+        return not described and len(self.effects) >= self.settings["max_effects"]
 
     def _remainder(self) -> str:
         what = self.unexplained
@@ -219,7 +232,9 @@ class Closure:
             of = f" with {columns[0]}" if columns[0] != column else ""
             return f"{said}{along}{of} where {column} is {low:.4g} to {high:.4g}"
         if what.words and what.empirical is None:
-            return f"{what.words}{along}, most of it with {columns[0]}"
+            share = what.shares[0]
+            part = f", {100.0 * share:.0f} % of it with {columns[0]}" if share >= _A_PART else ""
+            return f"{what.words}{along}{part}"
         if what.words:
             return f"{what.words}{along} ({on})"
         return f"it depends on {on}"

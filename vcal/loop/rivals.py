@@ -412,37 +412,45 @@ class Names:
 
     @classmethod
     def of(cls, classes: Sequence[Sequence[Rival]], best: Rival | None = None) -> "Names":
-        """The classes of `classes_of`, that of `best` with its name."""
+        """The classes of `classes_of`, that of `best` (the most probable one) with its name.
+
+        Members of other classes that have that name are a part of it themselves; what is the same
+        as one of them is not for that the same as the best.
+        """
         top = max(rival.log_weight for members in classes for rival in members)
+        best = classes[0][0] if best is None else best
         weights: dict[str, float] = {}
         found: dict[str, list[Rival]] = {}
-        for members in classes:
-            lead = best if best is not None and any(r is best for r in members) else members[0]
-            key = lead.effect.key
+
+        def add(key: str, members: Sequence[Rival]) -> None:
             distinct = {id(r.effect): math.exp(r.log_weight - top) for r in reversed(members)}
             weights[key] = weights.get(key, 0.0) + sum(distinct.values())
             found.setdefault(key, []).extend(members)
+
+        for members in classes:
+            if any(r is best for r in members):
+                add(best.effect.key, members)
+                continue
+            namesakes = [r for r in members if r.effect.key == best.effect.key]
+            others = [r for r in members if r.effect.key != best.effect.key]
+            for its in (namesakes, others):
+                if its:
+                    add(its[0].effect.key, its)
         return cls(weights, found)
 
     def ranked(self) -> list[tuple[Rival, float]]:
         """All rivals, the most probable name first, with the log odds of their name, less what they
-        are themselves less likely than the most probable shape of the same effect: another pitch
-        that does not fit has no part in what its name is worth.
+        are themselves less likely than the most probable one of it: another pitch or component that
+        does not fit has no part in what its name is worth.
         """
         top = max(rival.log_weight for members in self.members.values() for rival in members)
         order = sorted(self.weights, key=lambda key: -self.weights[key])
         found = []
         for key in order:
-            best: dict[int, float] = {}
-            for rival in self.members[key]:
-                weight = best.get(id(rival.effect), -math.inf)
-                best[id(rival.effect)] = max(weight, rival.log_weight)
+            most = max(rival.log_weight for rival in self.members[key])
             # A name may be so unlikely that its odds are zero in floating point.
             odds = top + math.log(max(self.weights[key], 1e-300))
-            found += [
-                (rival, odds + rival.log_weight - best[id(rival.effect)])
-                for rival in self.members[key]
-            ]
+            found += [(rival, odds + rival.log_weight - most) for rival in self.members[key]]
         return found
 
 
@@ -472,7 +480,8 @@ def weigh(
     top = max(rival.log_weight for members in classes for rival in members)
     total = sum(weights.values())
     key = best.effect.key
-    equivalent = sorted({r.effect.key for r in members_of[key]} - {key})
+    same = next((members for members in classes if any(r is best for r in members)), [])
+    equivalent = sorted({r.effect.key for r in same} - {key})
     probability = weights[key] / total
     others = sorted(((w / total, k) for k, w in weights.items() if k != key), reverse=True)
     return Weighed(

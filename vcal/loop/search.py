@@ -126,20 +126,7 @@ class Search:
     def step(self, state: State) -> State | None:
         """One round: None where nothing (more) is to be added."""
         number = len(self.added(state)) + 1
-        fit, measurement = state.scored, state.fit.measurement
-        self.progress(f"round {number}: screening")
-        tried, self.untestable = candidates(state.model, measurement, self.classes)
-        kinds = EMPIRICAL if self._describing else ()
-        beside = [*state.model.effects, *tried]
-        empirical, _ = candidates(state.model, measurement, kinds, beside, state.fit)
-        tried = [effect for effect in tried if effect.key not in self._barred]
-        if self._responses is None or self._responses.plan is not measurement.plan:
-            self._responses = Responses(measurement.plan)
-        screen_state = Screen(fit, self.draws, self.seed + number, self._responses)
-        screening = screen(screen_state, [*tried, *empirical])
-        self.screenings.append(screening)
-        self.refused = None
-        self.unseen = [effect.key for effect in screening.unseen]
+        screen_state, screening = self._screened(state)
         if screening.p_value > self.alpha:
             return None
         self.progress(f"round {number}: refitting the best candidates")
@@ -173,6 +160,31 @@ class Search:
             refused = refused or rival.effect
         self.refused = refused
         return None
+
+    def look_on(self, state: State) -> None:
+        """What is significant where no more effects may be added; the first of it is refused."""
+        _, screening = self._screened(state)
+        if screening.p_value <= self.alpha:
+            self.refused = screening.kinds[0].peaks[0].effect
+
+    def _screened(self, state: State) -> tuple[Screen, Screening]:
+        """The screening of one round."""
+        number = len(self.added(state)) + 1
+        fit, measurement = state.scored, state.fit.measurement
+        self.progress(f"round {number}: screening")
+        tried, self.untestable = candidates(state.model, measurement, self.classes)
+        kinds = EMPIRICAL if self._describing else ()
+        beside = [*state.model.effects, *tried]
+        empirical, _ = candidates(state.model, measurement, kinds, beside, state.fit)
+        tried = [effect for effect in tried if effect.key not in self._barred]
+        if self._responses is None or self._responses.plan is not measurement.plan:
+            self._responses = Responses(measurement.plan)
+        screen_state = Screen(fit, self.draws, self.seed + number, self._responses)
+        screening = screen(screen_state, [*tried, *empirical])
+        self.screenings.append(screening)
+        self.refused = None
+        self.unseen = [effect.key for effect in screening.unseen]
+        return screen_state, screening
 
     def _add(self, found: Round, rival: Rival, described: Rival | None) -> State:
         """The state with one effect more."""

@@ -1,14 +1,14 @@
 """Readings that follow each other and are alike: noise that is correlated in time.
 
 A part s of the noise's variance persists, with the correlation phi from one row to the next; the
-rest is white. Both together are an ARMA(1, 1) process,
+rest is white. What a reading says beyond those before it,
 
-    y_i - phi y_(i-1) = e_i - psi e_(i-1),
+    e_i = y_i - phi y_(i-1) + phi (1 - s) / F_(i-1) e_(i-1),
+    F_i = P_i + 1 - s,  P_i = phi^2 P_(i-1) (1 - s) / F_(i-1) + s (1 - phi^2),  P_0 = s,
 
-psi / (1 + psi^2) = phi (1 - s) / (s (1 - phi^2) + (1 - s) (1 + phi^2)), var e = phi (1 - s) / psi,
-
-whose filter makes it white (Box, Jenkins, Reinsel 2008, ch. 3). The linearised fit is done again
-with the filtered readings; phi and s by its marginal likelihood over a grid.
+has the variance F_i and is white: the Kalman filter of an ARMA(1, 1) process (Box, Jenkins, Reinsel
+2008, ch. 5 and 7). The linearised fit is done again with these innovations; phi and s by its
+marginal likelihood over a grid.
 """
 
 from collections.abc import Sequence
@@ -142,27 +142,15 @@ class _Sequence:
         # What is left out is taken out of the residual too.
         residual = self.residual + self.jacobian[:, :, ~kept] @ self.theta[~kept]
         both = np.concatenate([residual[:, :, None], self.jacobian[:, :, kept]], axis=2)
-        spread = 1.0
+        log_determinant = 0.0
         if share > 0.0:
-            # Only here: to import it takes as long as to import all of jax, and few data need it.
-            from scipy.signal import lfilter
-
-            q = (share * (1.0 - phi**2) + (1.0 - share) * (1.0 + phi**2)) / (phi * (1.0 - share))
-            psi = 0.5 * (q - np.sqrt(q * q - 4.0))
-            spread = phi * (1.0 - share) / psi
-            parts = []
-            for piece in self.pieces:
-                part = np.array(lfilter([1.0, -phi], [1.0, -psi], both[piece], axis=0))
-                # The first of a piece has no past: all of its variance is its own.
-                part[0] = both[piece.start] * np.sqrt(spread)
-                parts.append(part)
-            both = np.concatenate(parts)
+            both, log_determinant = self._innovations(both, phi, share)
         flat = both.reshape(-1, both.shape[2])
         r, jacobian = flat[:, 0], flat[:, 1:]
         theta, precision = self.theta[kept], self.precision[kept]
         square, cross, own = jacobian.T @ jacobian, jacobian.T @ r, float(r @ r)
         n = int(self.counted.sum())
-        scale = spread
+        scale = 1.0
         for _ in range(3):
             factor = cho_factor(square / scale + np.diag(precision))
             pull = cross / scale - precision * theta
@@ -176,7 +164,27 @@ class _Sequence:
         proper = precision > 0
         return float(
             -0.5 * (rest / scale + (theta + delta) ** 2 @ precision)
-            - 0.5 * n * np.log(scale)
+            - 0.5 * (n * np.log(scale) + log_determinant)
             - np.log(np.diag(factor[0])).sum()
             + 0.5 * np.log(precision[proper]).sum()
         )
+
+    def _innovations(self, y: np.ndarray, phi: float, share: float) -> tuple[np.ndarray, float]:
+        """What every row of `y` (n, m, k) says beyond those before it in its piece, in standard
+        deviations, and ln det of the correlations of all readings. All pieces row by row together.
+        """
+        pieces = sorted(self.pieces, key=lambda piece: piece.start - piece.stop)
+        start = np.array([piece.start for piece in pieces])
+        length = np.array([piece.stop - piece.start for piece in pieces])
+        found, log_determinant = np.empty_like(y), 0.0
+        p, f, white = share, 1.0, 1.0 - share
+        found[start] = e = y[start]
+        for i in range(1, length[0]):
+            rows = start[length > i] + i
+            back = phi * white / f
+            p = phi * back * p + share * (1.0 - phi**2)
+            f = p + white
+            e = y[rows] - phi * y[rows - 1] + back * e[: len(rows)]
+            found[rows] = e / np.sqrt(f)
+            log_determinant += np.log(f) * self.counted[rows].sum()
+        return found, float(log_determinant)

@@ -118,7 +118,12 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     for rows in fit.measurement.plan.parts.values() if fit.measurement.plan.sets else ():
         # In units of its own scatter: a precise data set would be lost beside a coarse one.
         mine = rows[used]
-        both[mine] /= np.sqrt(np.mean(both[mine][:, :, 1:] ** 2)) if mine.any() else 1.0
+        if not mine.any():
+            continue
+        if fit.chi2_and_dof(rows)[1] < 1.0:
+            both[mine] = 0.0  # what its own parameters leave of it is rounding
+        else:
+            both[mine] /= np.sqrt(np.mean(both[mine][:, :, 1:] ** 2))
     total = (both**2).sum((0, 1))
     total = np.maximum(total, SILENT * total[1:].mean())
     names, shares = [], []
@@ -347,10 +352,10 @@ def _from_dependence(
         reason = "the residual is far larger than the declared noise and depends on covariates"
     else:
         reason = "the residual depends on covariates in a way no effect of the catalogue has"
-    if full:
-        reason = (
-            "no more effects may be added (max_effects), so that none was looked for in the rest"
-        )
+    if full and refused is not None:
+        reason = f"{refused.key} is significant, but no more effects may be added (max_effects)"
+    elif full:
+        reason = "no more effects may be added (max_effects), and none is significant in the rest"
     return Unexplained(
         depends_on=list(shares),
         shares=list(shares.values()),
