@@ -1,8 +1,8 @@
 """What must not fool the loop: noise that is not as declared, stray readings, too few readings."""
 
 import dataclasses
-import re
 import importlib
+import re
 
 import numpy as np
 import pytest
