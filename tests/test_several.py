@@ -575,6 +575,30 @@ def test_effects_can_be_declared_for_one_data_set(clean):
         load_study(folder, {"model.effect": [{"name": "range_scale", "data_set": "traker"}]})
 
 
+def test_a_probe_of_one_data_set_moves_the_tool_there_only(clean, tmp_path):
+    """Lobes of the probe that touched the balls answer at the tool, which both data sets have."""
+    folder, _ = clean
+    shutil.copytree(folder, tmp_path / "lobes")
+    header, *rows = (folder / "balls.csv").read_text(encoding="utf-8").splitlines()
+    phi = np.linspace(-3.0, 3.0, len(rows))
+    lines = [f"{header},approach_rad", *(f"{r},{a}" for r, a in zip(rows, phi, strict=True))]
+    (tmp_path / "lobes" / "balls.csv").write_text("\n".join(lines), encoding="utf-8")
+    study = load_study(tmp_path / "lobes")
+    found, untestable = candidates(study.model, study.measurement, [CATALOGUE["probe_lobing"]])
+    (effect,), balls = found, study.plan.in_set("balls")
+    assert not untestable
+    assert effect.key == "probe_lobing balls"
+    column = effect.response(study.plan, {})["tool.X", "radius"]
+    np.testing.assert_allclose(np.asarray(column)[balls], np.cos(phi))
+    wide = dataclasses.replace(effect, given=(("radius", 10.0, 0.0),))
+    zero = np.zeros(len(study.model.entries))
+    before = predict(study.model, study.plan, zero)
+    after = predict(study.model.with_effects(wide), study.plan, np.r_[zero, np.zeros(3)])
+    off = np.asarray(after - before)
+    assert not off[~balls].any()
+    np.testing.assert_allclose(off[balls, :2], 1e-5 * np.c_[np.cos(phi), np.sin(phi)], atol=1e-9)
+
+
 def test_from_python(clean):
     """The same without a study file, from the data sets themselves."""
     study = clean[1]

@@ -9,14 +9,16 @@ from jaxtyping import Bool
 from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan, of_set
+from ..ports import PortLayout
 from .base import Effect, Response, Setup
 
 
 class OfDataSet(Effect):
     """An effect of an instrument that disturbs the readings of its own data set only.
 
-    Its ports and covariates are those of `effect` under the name of the data set; in all other rows
-    its response is zero. It goes by the name of `effect`, and the data set comes first in its
+    Its covariates are those of `effect` under the name of the data set, and so are its ports but
+    for those of the joints and the tool, which all data sets have in common; in all other rows its
+    response is zero. It goes by the name of `effect`, and the data set comes first in its
     placement: ``"station tracker"``, ``"encoder_eccentricity tracker azimuth"``. Not in the
     catalogue: `in_setup` makes it of every effect whose `where` is the instrument.
     """
@@ -69,13 +71,14 @@ class OfDataSet(Effect):
         return tuple(of_set(self.data_set, name) for name in self.effect.betrayed_by)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        here = self.rows(plan)
-        return {
-            (of_set(self.data_set, port), amplitude): namespace(column).where(here, column, 0.0)
-            for (port, amplitude), column in self.effect.response(
-                plan.of(self.data_set), shape
-            ).items()
-        }
+        here, shared = self.rows(plan), PortLayout.of(plan.axes, ())
+        found = {}
+        for (port, amplitude), column in self.effect.response(
+            plan.of(self.data_set), shape
+        ).items():
+            name = port if port in shared else of_set(self.data_set, port)
+            found[name, amplitude] = namespace(column).where(here, column, 0.0)
+        return found
 
     def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
         return plan.in_set(self.data_set)
