@@ -16,7 +16,9 @@ from vcal.effects.registry import load_effects
 from vcal.effects.reversal import ReversalSpike
 from vcal.errors import StudyError
 from vcal.identify import identify
+from vcal.instruments.several import DataSet, several
 from vcal.io import write_table
+from vcal.io.simulated import write_simulated
 from vcal.loop.empirical import Changing, Harmonic
 from vcal.loop.unexplained import dependence
 from vcal.plots import changing_sizes
@@ -535,6 +537,49 @@ def test_probes_on_a_sphere(study, tmp_path, tip, place):
     for take in (evaluate, measured_phasors):
         with pytest.raises(ValueError, match="found readings of probes, expected coordinates"):
             take(s.measurement, s.instrument)
+
+
+LONG = [0.0, 0.0, -200.0]
+"""mm, from the spindle to the sphere."""
+
+
+def probed(tmp_path, **more):
+    """A study of probes along X, Y and Z with round tips, and the same with a `LONG` tool."""
+    table = circles(levels=(4.5, 2.0), samples=40, **more)
+    seen = np.column_stack([table.pop(f"{c}_ext_mm") for c in "xyz"])
+    square = (seen**2).sum(1, keepdims=True)
+    touched = seen + np.sqrt(12.5**2 - square + seen**2) - 12.5
+    table |= {f"p{k + 1}_mm": touched[:, k] for k in range(3)}
+    nest = f"probes = {np.eye(3).tolist()}\ntip_radius_mm = 1.5\n"
+    own = '[machine]\nchain = "w X b Y Z t"\n'
+    folder = write(tmp_path / "probed", table, nest + own)
+    return load_study(folder), load_study(folder, {"machine.tool_offset_mm": LONG})
+
+
+def test_the_sphere_is_at_the_end_of_the_tool(tmp_path):
+    """However long the tool is, the probes stand about the sphere."""
+    short, long = probed(tmp_path)
+    one, other = (fitted(s, bend(s.chain)) for s in (short, long))
+    np.testing.assert_allclose(other.theta, one.theta, rtol=1e-9, atol=1e-9)
+    assert other.chi2 == pytest.approx(one.chi2, rel=1e-9)
+    zero = np.zeros(len(long.model.entries))
+    assert np.abs(predict(long.model, long.plan, zero)).max() < 3e-3
+    out = tmp_path / "simulated"
+    write_simulated(long, out)
+    assert load_study(out, {"machine.tool_offset_mm": LONG}).measurement is not None
+
+
+def test_the_sphere_is_at_the_end_of_the_tool_of_its_data_set(tmp_path):
+    """Two R-tests of one machine, the second with a tool that is longer than that of the machine."""
+    short, long = probed(tmp_path)
+    sets = {
+        "short": DataSet(short.sets[0].instrument, short.plan),
+        "long": DataSet(long.sets[0].instrument, long.plan, np.array(LONG) * 1e-3),
+    }
+    instrument, plan = several(sets)
+    model = vcal.Model(short.chain, instrument, instrument.effects(plan))
+    read = np.asarray(predict(model, plan, np.zeros(len(model.entries))))
+    np.testing.assert_allclose(read[short.plan.rows :], read[: short.plan.rows], atol=1e-12)
 
 
 # --- set points ----------------------------------------------------------------------------------

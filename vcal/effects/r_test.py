@@ -56,7 +56,7 @@ class ProbeMatrix(Effect):
 
 
 def middle_of_runs(plan: Plan) -> Float[Array, "n 3"]:
-    """Axis positions in the middle of what each run travels, where the probes are at zero."""
+    """Axis positions (m) in the middle of what each run travels, where the probes are at zero."""
     x = plan.position
     runs, run = np.unique(np.asarray(plan.groups["run"]), return_inverse=True)
     if isinstance(x, jax.Array):

@@ -118,7 +118,7 @@ class RunOffsets(Effect):
 @register
 class RTest(TableInstrument):
     """Sphere centre seen by the probes, p = tool point - middle of the run's circle + offset of the
-    run, x, y, z of the machine.
+    run, x, y, z of the machine; the middle is that of the nominal tool point.
 
     The axis positions are those read by the machine's scales, so that the tool point differs from
     them by the errors of the structure. As coordinates the reading is p. As probes it is, with n_k
@@ -152,6 +152,8 @@ class RTest(TableInstrument):
     """Unit vectors (3, 3), row by row."""
     distance: float | None
     """D, m; flat tips without."""
+    offset: np.ndarray
+    """From the axes' position to the nominal tool point, m."""
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -193,6 +195,7 @@ class RTest(TableInstrument):
             nominal=settings.acceleration == "nominal",
             probes=probes,
             distance=None if tip is None else (settings.sphere_radius_mm + tip) * 1e-3,
+            offset=np.asarray(chain.tool_offset, float),
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
@@ -281,7 +284,7 @@ class RTest(TableInstrument):
         return {**own, **shown, **read}
 
     def rows(self, plan: Plan) -> Any:
-        return middle_of_runs(plan)
+        return middle_of_runs(plan) + self.offset
 
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
         seen = tool - Vector.of(row) + Vector.of(ports["sphere"])
