@@ -570,7 +570,7 @@ def test_the_sphere_is_at_the_end_of_the_tool(tmp_path):
 
 
 def test_the_sphere_is_at_the_end_of_the_tool_of_its_data_set(tmp_path):
-    """Two R-tests of one machine, the second with a tool that is longer than that of the machine."""
+    """Two R-tests of one machine, the second with a longer tool than the machine has."""
     short, long = probed(tmp_path)
     sets = {
         "short": DataSet(short.sets[0].instrument, short.plan),
