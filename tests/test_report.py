@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgba
 from matplotlib.text import Text
 
 from oracle import error_motions, make_case
@@ -26,13 +27,14 @@ from vcal.loop.unexplained import Interval, Unexplained
 from vcal.plan import Plan, joined
 from vcal.plots.residuals import unexplained_views
 from vcal.plots.search import search
+from vcal.plots.style import AFTER, BEFORE, DOTS
 from vcal.plots.views import residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.derived import parameters
 from vcal.report.own_effect import own_effect
 from vcal.report.page import _tried as tried
 from vcal.report.page import page
-from vcal.report.pictures import Picture
+from vcal.report.pictures import Picture, pictures
 
 SEARCHED = ("backlash", "lateral_reversal", "screw_cyclic", "thermal_tilt", "artefact_bending")
 
@@ -280,7 +282,10 @@ def test_amplitude_and_phase_follow_from_sine_and_cosine():
     # In units of the prior's 10 urad.
     covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
     fit = SimpleNamespace(
-        model=SimpleNamespace(effects=(effect,)), theta=np.array([0.3, 0.4]), covariance=covariance
+        model=SimpleNamespace(effects=(effect,)),
+        theta=np.array([0.3, 0.4]),
+        covariance=covariance,
+        places_of=lambda place: (np.arange(2), np.array([], int)),
     )
     rows = [("sine", 3.0, "urad", 2.0), ("cosine", 4.0, "urad", 3.0)]
     found = SimpleNamespace(effect=effect, parameters=rows)
@@ -373,12 +378,12 @@ def test_what_was_significant_is_added_or_told_why_not(closed):
         verdict="unexplained",
         effects=[],
         unexplained=what,
-        screenings=[first],
+        screenings=[dataclasses.replace(first, added=None)],
         rejected=[],
     )
     (backlash,) = (r for r in ended.passed_over if r.effect == "backlash")
     assert backlash.placement == "Y" and backlash.p_value <= alpha
-    assert backlash.reason == "empirical: local error: describes the residual better"
+    assert backlash.reason == "an empirical description (local error) describes the residual better"
     rows = record(ended, study)["rejected"]
     assert {row["effect"] for row in rows} == others | {"backlash"}
     assert not any(r.effect == "backlash" for r in closure.passed_over)
@@ -386,12 +391,58 @@ def test_what_was_significant_is_added_or_told_why_not(closed):
 
 def test_one_p_value_of_what_was_found(closed):
     closure = closed[2]
+    first, *later = closure.screenings
+    (found,) = closure.effects
+    assert first.added.alike(found.effect) and first.told == {"backlash": found.p_value}
+    assert later[-1].added is None and later[-1].told == {}
     p_value = 1.25e-33  # not that of the step of the scan that is next to it
-    found = dataclasses.replace(closure.effects[0], p_value=p_value)
-    lines = tried(dataclasses.replace(closure, effects=[found]))
+    first = dataclasses.replace(first, told={"backlash": p_value})
+    lines = tried(dataclasses.replace(closure, screenings=[first, *later]))
     (line,) = (line for line in lines if line["kind"] == "backlash")
     assert line["p"][0] == text.probability(p_value)
     assert line["p"][1] != line["p"][0]
+
+
+def test_every_round_tells_what_was_added_in_it(closed):
+    """Whether that stayed or not: the effects in the end need not be those of the first rounds."""
+    closure = closed[2]
+    first, last = closure.screenings[0], closure.screenings[-1]
+    nothing = dataclasses.replace(first, added=None, told={})
+    begun_anew = [nothing, last, first, last]
+    drawn = search(begun_anew, closure.settings["alpha"])
+    limit = -math.log10(closure.settings["alpha"])
+    for ax, screening in zip(drawn.axes, begun_anew, strict=True):
+        names = [label.get_text() for label in drawn.axes[0].get_yticklabels()]
+        for name, bar in zip(names, ax.patches, strict=True):
+            added = screening.added is not None and name == screening.added.name
+            colour = AFTER if added else BEFORE if bar.get_width() >= limit else DOTS
+            assert bar.get_facecolor() == to_rgba(colour)
+    lines = tried(dataclasses.replace(closure, screenings=begun_anew))
+    (line,) = (line for line in lines if line["kind"] == "backlash")
+    (kind,) = (k for k in first.kinds if k.kind == "backlash")
+    assert line["p"][0] == text.probability(first.corrected(kind))
+    assert line["p"][2] == text.probability(closure.effects[0].p_value)
+    # What was significant beside it in the last round was not looked at, whatever else was found.
+    for added, why in ((first.added, "less likely than"), (None, "its evidence is far behind")):
+        screenings = [*begun_anew[:2], dataclasses.replace(first, added=added)]
+        ended = dataclasses.replace(closure, screenings=screenings, rejected=[])
+        assert ended.passed_over and all(r.reason.startswith(why) for r in ended.passed_over)
+
+
+def test_caption_of_the_search_tells_what_was_dropped(closed, monkeypatch):
+    closure = closed[2]
+    monkeypatch.setattr(plots, "png", lambda figure: b"")
+
+    def caption(**changed):
+        shown = pictures(dataclasses.replace(closure, **changed), [])
+        (one,) = (picture for picture in shown if picture.name == "search")
+        return one.caption
+
+    assert "never added: changing, interaction, kink, local_bump" in caption()
+    assert "dropped" not in caption() and "in the place of" not in caption()
+    assert caption(effects=[]).endswith(" Added and dropped again: backlash Y.")
+    bare = [dataclasses.replace(one, added=None) for one in closure.screenings]
+    assert caption(screenings=bare).endswith("in no round of its own: backlash Y.")
 
 
 def test_effects_that_were_searched_for(closed, written):
@@ -524,7 +575,9 @@ def test_report_of_an_arm(small_arm_study, tmp_path):
 @pytest.mark.parametrize("name", ["acceleration_crosstalk", "effect_of_ones_own_with_a_long_name"])
 def test_headings_of_the_search_have_room(rounds, name):
     kinds = [KindResult("kink", [], 3, 9.0, 3.0, 1e-3), KindResult(name, [], 3, 50.0, 3.0, 1e-20)]
-    drawn = search([Screening(kinds, 1e-20, 3.0, 1.0, [])] * rounds, [name] * rounds, [], 1e-3)
+    added = SimpleNamespace(name=name)
+    screening = Screening(kinds, 1e-20, 3.0, 1.0, [], added)  # type: ignore[arg-type]
+    drawn = search([screening] * rounds, 1e-3)
     headings = [
         title
         for ax in drawn.axes

@@ -89,6 +89,16 @@ class Rejected:
     reason: str
 
 
+def in_words(effect: Effect) -> str:
+    """What an empirical description is: ``"local error"``."""
+    return effect.summary.removeprefix("empirical: ")
+
+
+def outdone_by(effect: Effect) -> str:
+    """Why nothing else is added where an empirical description ends the search."""
+    return f"an empirical description ({in_words(effect)}) describes the residual better"
+
+
 @dataclass(frozen=True)
 class Closure:
     """The result of `close_loop`."""
@@ -176,13 +186,12 @@ class Closure:
             return "not significant any more beside what was added"
         if self.interrupted:
             return "the search was interrupted"
-        if number < len(self.effects):
+        if self.screenings[number].added is not None:
             return "less likely than what was added"
         if self._full:
             return "no more effects may be added (max_effects)"
         if self.unexplained is not None and self.unexplained.empirical is not None:
-            summary = self.unexplained.empirical.effect.summary
-            return f"{summary}: describes the residual better"
+            return outdone_by(self.unexplained.empirical.effect)
         return "its evidence is far behind that of others"
 
     @property

@@ -4,8 +4,8 @@ The largest of each kind is corrected for the search within that kind first, the
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,11 @@ class Screening:
     """Root of chi2 per degree of freedom, after the best candidate's share was taken out."""
     unseen: list[Effect]
     """Candidates whose columns the declared model already spans."""
+    added: Effect | None = None
+    """What was added after it, whether that stayed or not."""
+    told: Mapping[str, float] = field(default_factory=dict)
+    """Corrected p-value, by kind, of what was added or describes what is left: of its own shape,
+    which may be between the steps of a scan."""
 
     def corrected(self, kind: KindResult) -> float:
         """p-value of a kind's best candidate, corrected over all kinds too."""

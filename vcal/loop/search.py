@@ -10,7 +10,7 @@ from ..effects.base import Effect
 from ..fit import Fit
 from ..identify import identify
 from .candidates import Untestable, candidates
-from .closure import Rejected
+from .closure import Rejected, in_words, outdone_by
 from .empirical import EMPIRICAL, Empirical
 from .rivals import Rival, Weighed, likelier, preferred, weigh, widened
 from .round import Round
@@ -193,6 +193,7 @@ class Search:
         after = found.at_declared(rival.fit)
         refitted = self._at_its_size(fitted(rival.fit.model, measurement, after, self.room))
         effect, p, trials = refitted.model.effects[-1], found.p_value(rival), found.trials(rival)
+        self.screenings[-1] = replace(found.screening, added=effect, told={effect.name: p})
         # Last, so that an interruption leaves no effect without its fit.
         self.history.append(Added(effect, weighed, p, gain, trials))
         return refitted
@@ -202,11 +203,13 @@ class Search:
         best, state = found.description, found.state
         assert best is not None
         self._description, self._description_trials = best, found.trials(best)
+        p = found.p_value(best)
+        self.screenings[-1] = replace(found.screening, told={best.effect.name: p})
         self.unexplained = described(
             found.fit,
             state.scored,
             best,
-            found.p_value(best),
+            p,
             chi2_per_dof(state.fit),
             self.alpha,
             self.draws,
@@ -214,7 +217,7 @@ class Search:
         )
         known = len(self.rejected)
         for rival in found.significant:
-            self._reject(found, rival, f"{best.effect.summary}: describes the residual better")
+            self._reject(found, rival, outdone_by(best.effect))
         self._outdone = self.rejected[known:]
 
     def _unfitted(self, found: Round) -> Effect | None:
@@ -477,7 +480,8 @@ class Search:
             bare = fitted(less.model, less.measurement, less, self.room)
         # What it depends on is told anew without them; what then has a name after all, has it.
         kept = list(self.rejected), list(self.screenings), self.unexplained
-        self.rejected += [_dropped(i, f"superfluous beside the {effect.summary}") for i in dropped]
+        why = f"superfluous beside an empirical description ({in_words(effect)})"
+        self.rejected += [_dropped(item, why) for item in dropped]
         self.unexplained = None
         try:
             found = self.step(bare)

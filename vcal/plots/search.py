@@ -1,7 +1,7 @@
 """What the search tried, and how much each kind of effect would have explained."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,20 +22,17 @@ def minus_log10_p(screening: Screening, kind: KindResult) -> float:
     return (kind.minus_log_p - math.log(trials)) / math.log(10.0)
 
 
-def search(
-    screenings: Sequence[Screening], added: Sequence[str], tried: Collection[str], alpha: float
-) -> Figure:
-    """Significance of the best candidate of every kind, a column per round, logarithmic bars.
-
-    `added` are the kinds that were added, in the order of the rounds; `tried` those that were
-    tried and rejected.
+def search(screenings: Sequence[Screening], alpha: float) -> Figure:
+    """Significance of the best candidate of every kind, a column per round, logarithmic bars: blue
+    where the kind was added in that round, orange where it is significant and was not, else grey.
     """
     kinds = sorted({kind.kind for screening in screenings for kind in screening.kinds})
     height = {
         kind: minus_log10_p(screenings[0], k) for k in screenings[0].kinds for kind in [k.kind]
     }
     kinds.sort(key=lambda kind: height.get(kind, 0.0))
-    longest = max(map(len, added), default=0)
+    added = [s.added.name if s.added is not None else "" for s in screenings]
+    longest = max(map(len, added))
     # Else there is no room for the names, one beside the other.
     told = len(screenings) <= 3 and 0 < longest * len(screenings) <= _LETTERS
     top = 0.62 if told else 0.45
@@ -47,15 +44,16 @@ def search(
         {"left": 1.75, "right": 0.25, "top": top, "bottom": 0.65, "wspace": 0.25},
     )[0]
     largest = max(10.0, *(minus_log10_p(s, k) for s in screenings for k in s.kinds))
-    for i, (ax, screening) in enumerate(zip(row, screenings, strict=True)):
+    least = -math.log10(alpha)
+    for i, (ax, screening, chosen) in enumerate(zip(row, screenings, added, strict=True)):
         values = {k.kind: minus_log10_p(screening, k) for k in screening.kinds}
-        chosen = added[i] if i < len(added) else ""
+        heights = [values.get(kind, 0.0) for kind in kinds]
         colours = [
-            AFTER if kind == chosen else BEFORE if kind in tried and i == len(added) else DOTS
-            for kind in kinds
+            AFTER if kind == chosen else BEFORE if value >= least else DOTS
+            for kind, value in zip(kinds, heights, strict=True)
         ]
-        ax.barh(kinds, [values.get(kind, 0.0) for kind in kinds], color=colours, height=0.7)
-        ax.axvline(-math.log10(alpha), color=INK, linewidth=1.1, linestyle="--")
+        ax.barh(kinds, heights, color=colours, height=0.7)
+        ax.axvline(least, color=INK, linewidth=1.1, linestyle="--")
         ax.set_xscale("symlog", linthresh=2.0, linscale=0.8)
         ax.set_xlim(0, largest * 1.6)
         ticks = [t for t in (0, 1, 2, 5, 10, 30, 100, 300, 1000, 3000) if t <= 1.5 * largest]

@@ -306,22 +306,10 @@ def _summary(name: str) -> str:
     return known.summary if known else ""
 
 
-def _judged(closure: Closure) -> dict[tuple[int, str], float]:
-    """p-values by round and kind that the page tells elsewhere too: those of the shapes between
-    the steps of a scan, by which effects and descriptions are judged.
-    """
-    found = {(i, one.effect.name): one.p_value for i, one in enumerate(closure.effects)}
-    what = closure.unexplained
-    if what is not None and what.empirical is not None:
-        found[len(closure.screenings) - 1, what.empirical.effect.name] = what.p_value
-    return found
-
-
 def _tried(closure: Closure) -> list[dict[str, Any]]:
     """One line per kind of effect: its best place and its significance in every round."""
     lines: dict[str, dict[str, Any]] = {}
     added = [found.effect.name for found in closure.effects]
-    judged = _judged(closure)
     limit = -math.log10(closure.settings["alpha"])
     for i, screening in enumerate(closure.screenings):
         for kind in screening.kinds:
@@ -340,8 +328,8 @@ def _tried(closure: Closure) -> list[dict[str, Any]]:
             )
             significant = minus_log10_p(screening, kind) >= limit
             p_value = screening.corrected(kind)
-            # What was found beside other effects than those of this round has its own.
-            p_value = judged.get((i, kind.kind), p_value) if significant else p_value
+            # Of what was added it is that of its own shape, which is told elsewhere too.
+            p_value = screening.told.get(kind.kind, p_value) if significant else p_value
             line["p"][i] = text.probability(p_value)
             line["significant"][i] = significant
     return sorted(lines.values(), key=lambda line: line["order"])

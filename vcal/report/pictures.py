@@ -7,7 +7,7 @@ import numpy as np
 from .. import plots
 from ..fit import Fit
 from ..loop.closure import Closure
-from ..loop.empirical import Changing
+from ..loop.empirical import EMPIRICAL, Changing
 from ..plots import ErrorMotionTable
 from .picture import Picture
 from .text import number, percent
@@ -32,19 +32,8 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
         )
         yield Picture("error_motions", "geometry", caption, plots.png(figure))
     if closure.screenings:
-        figure = plots.search(
-            closure.screenings,
-            [found.effect.name for found in closure.effects],
-            {tried.effect for tried in (*closure.rejected, *closure.passed_over)},
-            float(closure.settings["alpha"]),
-        )
-        caption = (
-            "Significance of the best candidate of every kind of effect, corrected for the whole "
-            "search, in each round. Dashed: the limit alpha. Blue: the kind that was added; "
-            "orange: significant, but rejected for the reason below. What an added effect had "
-            "mimicked falls below the limit in the next round."
-        )
-        yield Picture("search", "tried", caption, plots.png(figure))
+        figure = plots.search(closure.screenings, float(closure.settings["alpha"]))
+        yield Picture("search", "tried", _search(closure), plots.png(figure))
     figure = plots.normal_plot(
         closure.before, closure.after, _enlarged(closure.before, closure.after)
     )
@@ -54,6 +43,28 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
         "bent at the ends: stray readings or something that is missing."
     )
     yield Picture("noise", "noise", caption, plots.png(figure))
+
+
+def _search(closure: Closure) -> str:
+    caption = (
+        "Significance of the best candidate of every kind of effect, corrected for the whole "
+        "search, in each round. Dashed: the limit alpha. Blue: the kind that was added in that "
+        "round; orange: significant in it, and not added. What an added effect had mimicked falls "
+        "below the limit beside it; why the rest was not added is told below."
+    )
+    screened = {kind.kind for screening in closure.screenings for kind in screening.kinds}
+    if drawn := sorted(screened & {cls.name for cls in EMPIRICAL}):
+        caption += f" For comparison, no effects and never added: {', '.join(drawn)}."
+    tried = [one.added for one in closure.screenings if one.added is not None]
+    added = [found.effect for found in closure.effects]
+    if dropped := [e.key for e in tried if not any(e.alike(one) for one in added)]:
+        caption += f" Added and dropped again: {', '.join(dict.fromkeys(dropped))}."
+    if anew := [e.key for e in added if not any(e.alike(one) for one in tried)]:
+        caption += (
+            f" Found in the place of another, beside all others, in no round of its own: "
+            f"{', '.join(anew)}."
+        )
+    return caption
 
 
 def _enlarged(before: Fit, after: Fit) -> dict[str, float]:
