@@ -27,6 +27,7 @@ from vcal.design import (
     touches,
     volumetric_gram,
 )
+from vcal.design.ball_array import without_poses
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from vcal.instruments.ball_array import BallArray
 from vcal.model import port_values, tool_points
@@ -124,6 +125,41 @@ def test_elimination_against_the_readings_covariance(fresh):
     np.testing.assert_allclose(
         H / np.outer(scale, scale), expected / np.outer(scale, scale), atol=2e-4
     )
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.0, 0.0, 45.0), (30.0, -20.0, 70.0)])
+@pytest.mark.parametrize("touched", ["a line", "two of each"])
+def test_balls_on_a_line_leave_the_turn_about_it_open(turn, touched):
+    """The same in any frame of the certificate; against a projection by singular values."""
+    chain, errors = machine()
+    poses = design(1)
+    frame = Turn.from_euler("xyz", turn, degrees=True).as_matrix()
+    balls = np.asarray(poses.balls) * ([1.0, 0.0, 0.0] if touched == "a line" else 1.0)
+    turned = ArrayPoses(jnp.asarray(balls @ frame.T), poses.rotation @ frame.T, poses.origin)
+    model = Model(chain, instrument_of(turned, 0.0), (errors,))
+    seen = touches(model, turned)
+    if touched != "a line":
+        here = np.zeros((M, 3 * N))
+        for pose in range(M):
+            for ball in {pose % N, (pose + 2) % N}:
+                here[pose, 3 * ball : 3 * ball + 3] = 1.0
+        seen = type(seen)(*(part * here[:, :, None] for part in seen))
+    J, A, B = (np.asarray(part) for part in seen)
+    found = np.asarray(without_poses(seen))
+    for pose in range(M):
+        u, s, _ = np.linalg.svd(A[pose] / np.sqrt((A[pose] ** 2).sum(0)).max())
+        u = u[:, :6][:, s > 1e-9]
+        assert u.shape[1] == 5
+        both = np.concatenate([J[pose], B[pose]], -1)
+        size = np.abs(both).max()
+        np.testing.assert_allclose(found[pose], both - u @ (u.T @ both), atol=1e-7 * size)
+
+    def summed(balls):
+        return without_poses(
+            touches(model, ArrayPoses(balls, turned.rotation, turned.origin))
+        ).sum()
+
+    assert np.isfinite(jax.grad(summed)(turned.balls)).all()
 
 
 @pytest.mark.slow
@@ -272,8 +308,18 @@ def test_the_search_finds_known_minima():
     assert found[0].value <= found[1].value and found[0].converged
     held = search(bowl, [np.array([1.0, 1.0])], np.array([0.5, -1.0]), np.ones(2))[0]
     assert held.z[0] == pytest.approx(0.5)
+    below = search(lambda z: bowl(z) - 5.0, [np.array([1.0, 1.0])], -np.ones(2), np.ones(2))[0]
+    np.testing.assert_allclose(below.z, [0.3, -0.2], atol=1e-3)
+    assert below.value == pytest.approx(-4.0, abs=1e-5)
+    high = search(lambda z: bowl(z) - 100.0, [np.array([1.0, 1.0])], -np.ones(2), np.ones(2))[0]
+    assert high.start == pytest.approx(1.0 + 0.49 + 14.4 - 100.0)
+    assert high.value == pytest.approx(-99.0, abs=1e-3)
     with pytest.raises(ValueError, match="not finite"):
         search(lambda z: z[0] / 0.0, [np.ones(1)], -np.ones(1), np.ones(1))
+    with pytest.raises(ValueError, match="gradient"):
+        search(
+            lambda z: 1.0 + jnp.sqrt(jnp.maximum(z[0], 0.0)), [np.zeros(1)], -np.ones(1), np.ones(1)
+        )
 
 
 @pytest.mark.slow

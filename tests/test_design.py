@@ -129,6 +129,32 @@ def test_minimax_of_known_problems():
         minimax(lambda z: two(z) / 0.0, np.array([0.5]), np.array([-2.0]), np.array([2.0]))
 
 
+def test_minimax_of_criteria_below_zero():
+    def two(z):
+        return jnp.stack([(z[0] - 0.3) ** 2 - 1.0, z[0] - 5.0])
+
+    for start in (0.0, 1.3):
+        found = minimax(two, np.array([start]), np.array([-1.0]), np.array([2.0]))
+        assert found.z[0] == pytest.approx(0.3, abs=1e-3)
+        assert found.largest == pytest.approx(-1.0, abs=1e-6)
+
+
+def test_the_slope_of_an_uncertainty_of_nothing():
+    """An odd error is zero in the middle, whatever its amplitude."""
+    rows = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, -1.0]])
+
+    def largest(scale):
+        C = jnp.diag(scale**2)
+        return expanded(rows, C).max() + 0.0 * expanded(rows, C).sum()
+
+    scale = jnp.array([2.0, 1.0])
+    U = np.asarray(expanded(rows, jnp.diag(scale**2)))
+    np.testing.assert_allclose(U, [0.0, 4.0, 2.0 * np.sqrt(5.0)], atol=1e-14)
+    np.testing.assert_allclose(
+        jax.grad(largest)(scale), 2.0 * np.array([2.0, 1.0]) / np.sqrt(5.0), rtol=1e-12
+    )
+
+
 def test_weights_of_a_line():
     """Offset and slope of a line: half of the measurements at either end (Kiefer and Wolfowitz)."""
     x = np.linspace(-1.0, 1.0, 21)
@@ -156,3 +182,6 @@ def test_sharing_out():
     assert apportion(np.array([2.0, 1.0]), 3).sum() == 3
     with pytest.raises(ValueError, match="at least 15"):
         apportion(np.ones(5), 12, 3)
+    for shares in (np.zeros(3), np.array([1.0, np.nan]), np.array([2.0, -1.0])):
+        with pytest.raises(ValueError, match="found the shares"):
+            apportion(shares, 3)

@@ -24,6 +24,9 @@ from vcal.dynamics import (
     set_phasors,
     task,
 )
+from vcal.dynamics.circles import answers
+from vcal.dynamics.gains import propose
+from vcal.dynamics.response import harmonics, response
 from vcal.dynamics.unknowns import CentreShift, Delay, DriveFactor, SpringFactor
 from vcal.errors import StudyError
 from vcal.io.machine import load_machine
@@ -204,6 +207,39 @@ def test_gains_that_are_left_out(tmp_path):
     machine, controller, _ = load_machine(path)
     check_stable(close(assemble(machine), controller))
     assert (controller.position_gain > 20.0).all()
+
+
+def test_a_machine_that_is_too_stiff_to_be_sampled(tmp_path):
+    """A motor's inertia in kg m2 where its mass is asked for; the gains are left to be proposed."""
+    path = tmp_path / "machine.toml"
+    head, _, _ = TEXT.partition("position_gain_per_s")
+    head = head.replace("motor_mass_kg = 220", "motor_mass_kg = 0.003")
+    path.write_text(head + "sample_time_ms = 1.0\n", encoding="utf-8")
+    with pytest.raises(StudyError, match="far too stiff for the sample time"):
+        load_machine(path)
+
+
+@pytest.mark.parametrize(
+    ("motors", "sample_time", "few"),
+    [(1.0, 0.25e-3, True), (0.1, 1e-3, False), (0.03, 1e-3, False)],
+)
+def test_harmonics_that_an_answer_needs(catalogue, motors, sample_time, few):
+    """Against the exact steady state: enough for seven digits of the error, wherever modes lie."""
+    machine, _, _ = catalogue
+    drives = tuple(dataclasses.replace(d, motor_mass=motors * d.motor_mass) for d in machine.drives)
+    structure = assemble(dataclasses.replace(machine, drives=drives))
+    controller = propose(structure, sample_time=sample_time, delay=0.5 * sample_time)
+    loop = close(structure, controller)
+    check_stable(loop)
+    omega = 48.0
+    number = harmonics(structure, controller, omega)
+    assert number is not None and (number == 1) == few
+    exact = [np.asarray(part) for part in answers(loop, np.array([omega]))]
+    for a, b in zip(response(structure, controller, omega, number), exact, strict=True):
+        np.testing.assert_allclose(a, b[0], atol=1e-7 * np.abs(b).max())
+    if not few:
+        rough = response(structure, controller, omega, 1)[1]
+        assert np.abs(rough - exact[1][0]).max() > 1e-5 * np.abs(exact[1]).max()
 
 
 # --- the publication's movements -----------------------------------------------------------------

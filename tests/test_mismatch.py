@@ -83,6 +83,14 @@ def test_priors_have_to_agree(given, small):
         expected_error(truth, model, plan, volumetric_gram(truth, judged_at(given)))
 
 
+@pytest.mark.slow
+def test_what_only_the_fit_has_is_refused(given, small):
+    """It is found to be something, and compensated."""
+    more, less, plan = models(given, small, "B", ("ram sags",), False)
+    with pytest.raises(ValueError, match="payload_sag Y', which the truth lacks"):
+        expected_error(less, more, plan, volumetric_gram(less, judged_at(given)))
+
+
 def test_gram_of_some_effects(given):
     points = judged_at(given)
     whole = given.model.with_effects(*effects("ram sags"))

@@ -33,7 +33,8 @@ from .posterior import by_root, eliminated, fresh_scatter, precision, slopes
 
 LOOSE_M = 1e-3
 """Standard deviation of a ball centre where nothing else is known of it."""
-
+_OPEN = 1e-10
+"""Information of a pose in one direction, of the largest, that counts as none."""
 
 DERIVED = (
     *(f"gravity_{c}" for c in "xyz"),
@@ -135,13 +136,19 @@ def probed(
 
 
 def without_poses(whitened: Touches) -> Float[Array, "m n k+n"]:
-    """Derivatives by the amplitudes and then by the balls, less what unknown poses can follow."""
+    """Derivatives by the amplitudes and then by the balls, less what unknown poses can follow.
+
+    Balls on a line leave the turn about it open, whatever the frame: nothing follows that, so that
+    nothing is projected out for it.
+    """
     J, A, B = whitened
-    # Metres and radians of a pose are made alike before they are projected out.
-    A = A / jnp.linalg.norm(A, axis=1, keepdims=True)
-    q, _ = jnp.linalg.qr(A)
+    # Metres and radians of a pose are made alike before they are projected out, in every direction
+    # by as much: what is open does not depend on the frame.
+    square = (A**2).sum(1).reshape(-1, 2, 3).sum(-1)
+    A = A / jnp.sqrt(jnp.repeat(jnp.where(square > 0.0, square, 1.0), 3, axis=1))[:, None]
     both = jnp.concatenate([J, B], -1)
-    return both - q @ (q.swapaxes(1, 2) @ both)
+    own = A.swapaxes(1, 2) @ A + _OPEN * jnp.eye(A.shape[-1])
+    return both - A @ jnp.linalg.solve(own, A.swapaxes(1, 2) @ both)
 
 
 def _touched(

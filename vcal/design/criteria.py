@@ -152,5 +152,4 @@ def averaged(
 
 def _uncertainties(judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, " n"]:
     rows = np.concatenate([judged.motions[k].functionals for k in judged.chosen])
-    # The square root of a variance of zero has no slope.
-    return jnp.maximum(expanded(rows, covariance), 1e-15) / MICRO
+    return expanded(rows, covariance) / MICRO

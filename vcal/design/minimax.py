@@ -66,7 +66,7 @@ def minimax(
     slack = 1e-9
     if (z < low - slack).any() or (z > high + slack).any() or (A @ z < b - slack).any():
         raise ValueError("found a start that breaks a bound or a constraint, expected one within")
-    unit = float(first.max())
+    unit = abs(float(first.max())) or 1.0
     best = [first.max(), z]
 
     def values(y: np.ndarray) -> np.ndarray:
@@ -91,10 +91,10 @@ def minimax(
         constraints.append({"type": "ineq", "fun": lambda y: wide @ y - b, "jac": lambda y: wide})
     found = minimize(
         lambda y: y[-1],
-        np.append(z, 1.0),
+        np.append(z, first.max() / unit),
         jac=lambda y: target,
         method="SLSQP",
-        bounds=[*zip(low, high, strict=True), (0.0, None)],
+        bounds=[*zip(low, high, strict=True), (None, None)],
         constraints=constraints,
         options={"maxiter": steps, "ftol": tolerance},
     )

@@ -56,7 +56,8 @@ def expected_error(truth: Model, fit: Model, plan: Plan, gram: Gram) -> Left:
 
     Both models have the same chain and instrument; the priors of what both know must have the same
     standard deviations. Random effects of the truth count as further noise. Raises as
-    `vcal.uncertainty.virtual_pair` does, and `ValueError` for priors that differ.
+    `vcal.uncertainty.virtual_pair` does, and `ValueError` for priors that differ and for an effect
+    of the machine that only the fit has: `gram` does not say what finding it does.
     """
     pair = virtual_pair(truth, fit, plan)
     gain = _gain(pair)
@@ -110,8 +111,15 @@ def _drawn(
 def _gain(pair: Pair) -> Float[np.ndarray, "k r"]:
     """The linear estimate of the truth's amplitudes from the readings; zero for what is not fitted.
 
-    Raises `ValueError` for priors that differ.
+    Raises `ValueError` for priors that differ, and for effects that only the fit has.
     """
+    true = {entry.key for entry in pair.truth.entries}
+    for effect in pair.fit.effects:
+        if effect.kind == "systematic" and effect.where == "machine" and effect.key not in true:
+            raise ValueError(
+                f"fit: found {effect.key!r}, which the truth lacks, expected the effects of the "
+                "truth or fewer; give it to the truth, or compare by `monte_carlo`"
+            )
     known, fitted = fitted_places(pair), pair.fit.entries
     for entry, place in zip(pair.truth.entries, known, strict=True):
         p = entry.parameter

@@ -20,6 +20,9 @@ from ..model import Model, observe_with_jacobian
 from ..plan import Plan
 from ..simulate import scattering
 
+_NOTHING = 1e-30
+"""Variance, SI, below which nothing is: the root of zero has no slope."""
+
 
 def jacobian(model: Model, plan: Plan) -> Float[Array, "n m k"]:
     """Derivative of the readings (SI) by the amplitudes in solver units (`Model.entries`), at the
@@ -129,8 +132,11 @@ def eliminated(
 def expanded(
     functionals: Float[Array, "q k"], covariance: Float[Array, "k k"], coverage: float = 2.0
 ) -> Float[Array, " q"]:
-    """U = k sqrt(d' C d) of functionals d of the amplitudes."""
-    return coverage * jnp.sqrt(jnp.einsum("qk,kl,ql->q", functionals, covariance, functionals))
+    """U = k sqrt(d' C d) of functionals d of the amplitudes; of a functional of nothing, such as an
+    odd error in the middle, zero with a slope of zero.
+    """
+    variance = jnp.einsum("qk,kl,ql->q", functionals, covariance, functionals)
+    return coverage * jnp.sqrt(jnp.maximum(variance, _NOTHING))
 
 
 def slopes(

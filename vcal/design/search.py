@@ -45,7 +45,8 @@ def search(
     Limited-memory BFGS within bounds (scipy's L-BFGS-B) on the relative criterion, one start after
     the other: XLA has the processors to itself, and calls from several threads can wait for each
     other for ever in its batched linear algebra. Ends where a step gains less than the relative
-    `tolerance`, or after `steps`. Raises `ValueError` where the criterion is not finite at a start.
+    `tolerance`, or after `steps`. Raises `ValueError` where the criterion or its gradient is not
+    finite at a start.
     """
     # Only here: whoever designs nothing need not wait for it.
     from scipy.optimize import minimize
@@ -53,10 +54,12 @@ def search(
     both = criterion if with_slope else outer_jit(jax.value_and_grad(criterion))
 
     def one(start: np.ndarray) -> Found:
-        first, _ = both(start)
-        scale = float(first)
-        if not np.isfinite(scale):
-            raise ValueError("found a criterion that is not finite at a start, expected a number")
+        first, slope = both(start)
+        if not (np.isfinite(float(first)) and np.isfinite(np.asarray(slope)).all()):
+            raise ValueError(
+                "found a criterion that is not finite at a start, or its gradient, expected numbers"
+            )
+        scale = abs(float(first)) or 1.0
 
         def relative(z: np.ndarray) -> tuple[float, np.ndarray]:
             value, slope = both(z)
@@ -73,7 +76,7 @@ def search(
         return Found(
             z=found.x,
             value=float(found.fun) * scale,
-            start=scale,
+            start=float(first),
             iterations=int(found.nit),
             converged=bool(found.success),
             message=str(found.message),

@@ -68,14 +68,21 @@ def apportion(shares: Float[np.ndarray, " n"], total: int, least: int = 0) -> np
     """Whole numbers near `shares` that add up to `total`, none below `least`: the largest remainder
     gets the next one.
 
-    Raises `ValueError` where `least` of each are more than `total`.
+    Raises `ValueError` where `least` of each are more than `total`, for shares that are negative or
+    no numbers, and where all are zero.
     """
     if least * len(shares) > total:
         raise ValueError(
             f"found {total} to share out among {len(shares)}, expected at least "
             f"{least * len(shares)}, {least} for each; give more, or ask for fewer"
         )
-    exact = np.maximum(np.asarray(shares, float) * total / np.sum(shares), least)
+    shares = np.asarray(shares, float)
+    if not (np.isfinite(shares).all() and (shares >= 0.0).all() and shares.sum() > 0.0):
+        raise ValueError(
+            f"found the shares {shares.tolist()}, expected finite ones, none below zero and one "
+            "above"
+        )
+    exact = np.maximum(shares * total / shares.sum(), least)
     counts = np.floor(exact).astype(int)
     while counts.sum() > total:
         above = np.where(counts > least, counts - exact, -np.inf)

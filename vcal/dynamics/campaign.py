@@ -76,7 +76,8 @@ class Campaign:
     matrix_u: Float[np.ndarray, "d 3 axes"]
     chi2: Float[np.ndarray, " d"]
     """Sum of the squared whitened differences and of the prior's: a chi-square with as many
-    degrees of freedom as there are `readings`.
+    degrees of freedom as there are `readings`, where scales are far quieter than probes. The error
+    is the one less the other, and both count as if they scattered independently.
     """
     readings: int
     stable: Bool[np.ndarray, " d"]
@@ -200,7 +201,7 @@ def _measured(
     rows = np.array(given.place)
     internal, error = (
         jnp.einsum("rxa,ra->rx", per[rows], seen.asked)
-        for per in replace(given, quick=False).answers(true[:k])
+        for per in replace(given, harmonics=None).answers(true[:k])
     )
     S = given.matrix_u * true[k:].reshape(3, 3)
     axes = jnp.array(["XYZ".index(axis) for axis in seen.axes])

@@ -162,18 +162,25 @@ def _exponential(X: Array) -> Array:
     return found
 
 
+def check_sampled(transition: Float[Array | np.ndarray, "n n"], sample_time: float) -> None:
+    """Raise `ValueError` where a machine moves too fast for the motion over one sample time to be
+    numbers.
+    """
+    if not np.isfinite(transition).all():
+        raise ValueError(
+            "controller: found a machine far too stiff for the sample time, expected springs that "
+            f"give frequencies up to some {0.5 / sample_time:.3g} Hz; shorten the sample "
+            "time, or correct the stiffness and the masses"
+        )
+
+
 def check_stable(loop: ClosedLoop, structure: Structure | None = None) -> None:
     """Raise `ValueError` where the loop is unstable.
 
     The message tells how fast: what grows with exp(s t) doubles within log(2) / s. With the
     structure it also tells where springs have no damping, which no gain makes up for.
     """
-    if not np.isfinite(loop.transition).all():
-        raise ValueError(
-            "controller: found a machine far too stiff for the sample time, expected springs that "
-            f"give frequencies up to some {0.5 / loop.sample_time:.3g} Hz; shorten the sample "
-            "time, or correct the stiffness and the masses"
-        )
+    check_sampled(loop.transition, loop.sample_time)
     values, shapes = np.linalg.eig(np.asarray(loop.transition))
     worst = int(np.argmax(np.abs(values)))
     radius = float(np.abs(values[worst]))

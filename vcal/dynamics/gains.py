@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from ..arrays import Array
 from .assemble import Structure
-from .closed_loop import close
+from .closed_loop import check_sampled, close
 from .control import Controller
 
 _MARGIN = 2.0
@@ -30,7 +30,7 @@ def propose(
     The bandwidth is the largest with which the velocity loops of all axes stay stable at twice
     their gain, but no more than a fifth of the sampling rate; Tn = 4 / w_v, Kv = w_v / 4, which is
     critical damping of the position loop of a rigid mass. Raises `ValueError` where no bandwidth
-    is slow enough.
+    is slow enough, and where the machine moves too fast to be sampled at all.
     """
 
     def controller(w: Array, factor: float = 1.0) -> Controller:
@@ -48,7 +48,9 @@ def propose(
         return controller(bandwidth)
     transition = jax.jit(lambda w: close(structure, controller(w, _MARGIN)).transition)
     for w in _BANDWIDTHS[_BANDWIDTHS * sample_time <= 0.2 * 2.0 * np.pi]:
-        if np.abs(np.linalg.eigvals(np.asarray(transition(w)))).max() < 1.0:
+        after = np.asarray(transition(w))
+        check_sampled(after, sample_time)
+        if np.abs(np.linalg.eigvals(after)).max() < 1.0:
             return controller(w)
     do = "shorten the delay, stiffen the machine, or give the gains"
     if structure.undamped:

@@ -29,7 +29,7 @@ from .circles import Phasors, answers
 from .closed_loop import close
 from .compliance import compliance
 from .control import Controller
-from .response import response
+from .response import harmonics, response
 from .unknowns import Unknown, applied
 
 Answers = tuple[Complex[Array, "w axes axes"], Complex[Array, "w 3 axes"]]
@@ -108,8 +108,8 @@ class Task(eqx.Module):
     place: tuple[int, ...] = eqx.field(static=True)
     matrix_u: float = eqx.field(static=True)
     """u_S."""
-    quick: bool = eqx.field(static=True, default=False)
-    """Whether answers come from `response`: a fraction of the time, to eight digits."""
+    harmonics: int | None = eqx.field(static=True, default=None)
+    """Those with which answers come from `response`: a fraction of the time. None: exact ones."""
 
     def at(self, z: Float[Array, " k"]) -> tuple[Structure, Controller]:
         """Matrices and controllers at z."""
@@ -119,8 +119,8 @@ class Task(eqx.Module):
     def answers(self, z: Float[Array, " k"]) -> Answers:
         """Internal reading and error per set position of every axis, at every `omega`."""
         structure, controller = self.at(z)
-        if self.quick:
-            return jax.vmap(lambda w: response(structure, controller, w))(self.omega)
+        if (number := self.harmonics) is not None:
+            return jax.vmap(lambda w: response(structure, controller, w, number))(self.omega)
         return answers(close(structure, controller), self.omega)
 
     def residual(self, z: Float[Array, " k"], seen: Phasors) -> Float[Array, " n"]:
@@ -156,8 +156,8 @@ def task(
 ) -> Task:
     """`matrix_u` is the standard uncertainty of an element of the probes' matrix: for the standard
     uncertainty u of a coordinate at the end of the range R, u / R. With `quick`, answers are
-    good to eight digits: for campaigns. Raises `ValueError` for an unknown of what the machine has
-    not.
+    good to seven digits at the catalogue's values: for campaigns. Raises `ValueError` for an
+    unknown of what the machine has not.
     """
     for unknown in unknowns:
         unknown.check(machine)
@@ -165,7 +165,8 @@ def task(
     omega, place = np.unique(np.round(np.asarray(seen.omega), 3), return_inverse=True)
     means = np.array([np.asarray(seen.omega)[place == i].mean() for i in range(len(omega))])
     known = jnp.asarray(means), tuple(place.tolist())
-    return Task(machine, controller, tuple(unknowns), *known, matrix_u, quick)
+    number = harmonics(assemble(machine), controller, means.max()) if quick else None
+    return Task(machine, controller, tuple(unknowns), *known, matrix_u, number)
 
 
 def solve(given: Task, seen: Phasors) -> Found:

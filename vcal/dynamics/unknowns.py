@@ -159,7 +159,11 @@ class CentreShift(Unknown):
 
 
 class Delay(Unknown):
-    """Delay of the controllers, from a sample to its force, beside the declared one."""
+    """Delay of the controllers, from a sample to its force, beside the declared one.
+
+    Where that is at an end of what is possible, none or two samples, a value of zero is a hundredth
+    of a sample within.
+    """
 
     sigma_ms: float = eqx.field(static=True, default=0.5)
 
