@@ -432,8 +432,11 @@ def test_a_joint_that_stands_keeps_the_way_it_came():
     angle = np.array([[0.0, 5], [10, 5], [10, 5], [4, 5], [4, 6], [4, 2], [7, 2]])
     way = [[0, 0], [1, 0], [1, 0], [-1, 0], [0, 0], [0, -1], [1, -1]]
     move = [[0, 0], [10, 0], [0, 0], [-6, 0], [0, 0], [0, -4], [3, 0]]
-    for found in (moves(angle, pose), jax.jit(lambda q: moves(q, pose))(angle)):
-        np.testing.assert_array_equal(found, [move, way])
+    for order in (np.arange(7), np.arange(7)[::-1], np.array([4, 0, 6, 2, 5, 1, 3])):
+        own, rows = pose[order], angle[order]
+        expected = np.array([move, way])[:, order]
+        for found in (moves(rows, own), jax.jit(lambda q, own=own: moves(q, own))(rows)):
+            np.testing.assert_array_equal(found, expected)
 
 
 def test_backlash_of_joints_that_stand_is_the_oracles(known):

@@ -115,6 +115,26 @@ def commanded(study):
     return [study.plan.covariate(f"commanded_J{j}") for j in (1, 2, 3)]
 
 
+@pytest.mark.parametrize("backwards", [True, False])
+def test_the_poses_of_an_arm_may_stand_in_any_order(small_arm_study, backwards):
+    """Their numbers tell which move led to which, and which of them were the last."""
+    study = load_study(small_arm_study)
+    data = small_arm_study / "data.csv"
+    header, *rows = data.read_text(encoding="utf-8").splitlines()
+    order = np.arange(16)[::-1] if backwards else np.random.default_rng(1).permutation(16)
+    data.write_text("\n".join([header, *(rows[i] for i in order)]), encoding="utf-8")
+    other = load_study(small_arm_study)
+    assert set(other.plan.covariates) == set(study.plan.covariates)
+    for name, values in study.plan.covariates.items():
+        np.testing.assert_array_equal(other.plan.covariate(name), np.asarray(values)[order])
+    (held, apart), (own, _) = other.instrument.folds(other.plan), study.instrument.folds(study.plan)
+    np.testing.assert_array_equal(own, np.where(np.arange(16) < 13, -1, 0))
+    np.testing.assert_array_equal(held, own[order])
+    assert apart is True
+    read = other.measurement.readings
+    np.testing.assert_allclose(read, study.measurement.readings[order], rtol=0, atol=1e-9)
+
+
 def test_smooth_family(small_tracker_study):
     setup = small_tracker_study / "setup.toml"
     text = setup.read_text(encoding="utf-8").split("[model.geometric]")[0]

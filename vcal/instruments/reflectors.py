@@ -260,7 +260,8 @@ class Reflectors(TableInstrument):
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
         # The last fifth in time is never fitted: an arm is used after it was calibrated.
-        held = np.arange(plan.rows) >= plan.rows - plan.rows // 5
+        in_time = np.argsort(np.asarray(plan.groups["pose"]), kind="stable")
+        held = np.argsort(in_time) >= plan.rows - plan.rows // 5
         return np.where(held, 0, -1), True
 
     def clusters(self, plan: Plan) -> np.ndarray:
@@ -272,15 +273,18 @@ def moves(
 ) -> tuple[Float[Array, "n joints"], Float[Array, "n joints"]]:
     """The move of every joint into every pose, rad, and the direction of its last one: +1, -1.
 
-    A joint that stands keeps the direction in which it came. The move into the first pose and into
-    one after a gap in the numbering is unknown: zero, and so is the direction until the next move.
+    The poses may stand in any order: their numbers tell which followed which. A joint that stands
+    keeps the direction in which it came. The move into the first pose and into one after a gap in
+    the numbering is unknown: zero, and so is the direction until the next move.
     """
     xp = namespace(angle)
+    in_time = np.argsort(pose, kind="stable")
+    pose, angle, own = pose[in_time], angle[in_time], np.argsort(in_time)
     known = np.r_[False, np.diff(pose) == 1][:, None]
     move = xp.where(known, xp.diff(angle, axis=0, prepend=angle[:1]), 0.0)
     row = np.arange(len(pose))[:, None]
     last = xp.maximum.accumulate(xp.where(known & (move == 0.0), 0, row), axis=0)
-    return move, xp.sign(xp.take_along_axis(move, last, axis=0))
+    return move[own], xp.sign(xp.take_along_axis(move, last, axis=0))[own]
 
 
 def _on_a_circle(count: int) -> np.ndarray:
