@@ -15,6 +15,7 @@ from matplotlib.text import Text
 
 from oracle import error_motions, make_case
 from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
+from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
 from vcal.instruments.conditions import file_column
 from vcal.io.simulated import parse_with
@@ -30,6 +31,7 @@ from vcal.plots.search import search
 from vcal.plots.style import AFTER, BEFORE, DOTS
 from vcal.plots.views import residual_without
 from vcal.report import check_folder, record, text, write, write_report
+from vcal.report.compensation import effects_csv
 from vcal.report.derived import parameters
 from vcal.report.own_effect import own_effect
 from vcal.report.page import _tried as tried
@@ -133,7 +135,8 @@ def test_record_has_the_keys_and_types_of_its_schema(written):
     assert content["verdict"] == "named"
     assert content["seconds"] == 1.5
     (effect,) = content["effects"]
-    assert effect["effect"] == "backlash" and effect["placement"] == "Y"
+    assert effect["effect"] == "backlash"
+    assert effect["placement"] == effect["fitted_placement"] == "Y"
     assert effect["status"] == "named"
     for key in ("p_value", "log_evidence", "delta_bic", "heldout_gain"):
         assert isinstance(effect[key], float)
@@ -496,10 +499,30 @@ def test_compensation_table_is_right(closed, written):
 
 def test_effects_table_repeats_the_record(written):
     header, row = (written / "effects.csv").read_text(encoding="utf-8").splitlines()
-    assert header == "effect,placement,parameter,value,unit,standard_uncertainty,status"
+    assert header == (
+        "effect,placement,parameter,value,unit,standard_uncertainty,status,fitted_placement"
+    )
     (size,) = strict(written / "report.json")["effects"][0]["parameters"]
     assert row.split(",")[:3] == ["backlash", "Y", "size"]
     assert float(row.split(",")[3]) == pytest.approx(size["value"])
+
+
+def test_values_are_those_of_one_placement_of_several(closed, capsys):
+    """At the other one, which the data do not tell from it, they may have the opposite sign."""
+    _, study, closure = closed
+    values = "Its values if it is <b>backlash Y</b>"
+    assert values not in page(closure, study, [], [])
+    (found,) = closure.effects
+    found = dataclasses.replace(found, placement="X|Y", equivalent=["backlash X"])
+    either = dataclasses.replace(closure, effects=[found])
+    (effect,) = record(either, study)["effects"]
+    assert (effect["placement"], effect["fitted_placement"]) == ("X|Y", "Y")
+    row = effects_csv(either).splitlines()[1].split(",")
+    assert (row[1], row[-1]) == ("X|Y", "Y")
+    said = page(either, study, [], [])
+    assert values in said and "alike, up to size and sign" in said and "exactly" not in said
+    show_closure(either)
+    assert "backlash X|Y: if it is backlash Y, size = " in capsys.readouterr().out
 
 
 def test_declared_effects_are_told_as_they_were_fitted(tmp_path):
@@ -519,7 +542,7 @@ def test_declared_effects_are_told_as_they_were_fitted(tmp_path):
     lines = (tmp_path / "out" / "effects.csv").read_text(encoding="utf-8").splitlines()[1:]
     table = [line.split(",") for line in lines]
     assert [row[:3] + row[6:] for row in table] == [
-        ["backlash", "X", "size", "declared"], ["scale_growth", "Y", "alpha", "declared"]
+        ["backlash", "X", "size", "declared", "X"], ["scale_growth", "Y", "alpha", "declared", "Y"]
     ]  # fmt: skip
     assert float(table[0][3]) == pytest.approx(size["value"])
     assert "What was declared" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..effects.base import Effect, Setup
-from ..instruments.conditions import file_name
+from ..instruments.conditions import file_name, inside_name
 from ..io import Study, read_header
 from ..io.study import DataSet, looked_for
 from ..loop.candidates import candidates
@@ -32,10 +32,11 @@ def show_closure(closure: Closure) -> None:
     console.print(Text(closure.sentence, style="bold"))
     for found in closure.effects:
         values = _values(parameters(closure, found))
+        at = f"if it is {found.effect.key}, " if found.joint else ""
         console.print(
             Text(
                 f"  {found.effect.name} {found.placement}".rstrip()
-                + f": {values}, p = {found.p_value:.2g}, {found.status}"
+                + f": {at}{values}, p = {found.p_value:.2g}, {found.status}"
             ),
             soft_wrap=True,
         )
@@ -152,7 +153,8 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
 def _constant(plan: Plan, header: Collection[str], of: str) -> list[tuple[str, str]]:
     """Recorded columns that effects could depend on, but that are the same in every row."""
     still = (name for name in (*plan.axes, *plan.covariates) if np.ptp(plan.values(name)) == 0)
-    columns = [c for c in (file_name(name, plan.axes) for name in still) if c in header]
+    there = {file_name(inside_name(c, plan.axes), plan.axes): c for c in header}
+    columns = [there[c] for c in (file_name(name, plan.axes) for name in still) if c in there]
     if not columns:
         return []
     whose = "their" if columns[1:] else "its"

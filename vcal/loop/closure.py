@@ -59,7 +59,8 @@ class FoundEffect:
     placement: str
     """Its place; a class of equivalent placements is written ``"X|Y|Z"``."""
     parameters: list[tuple[str, float, str, float]]
-    """(name, value, unit, standard uncertainty), from the final fit."""
+    """(name, value, unit, standard uncertainty), from the final fit, which has it at the placement
+    of `effect`: at another one of its class they may have another size and sign."""
     p_value: float
     log_evidence: float
     delta_bic: float
@@ -70,6 +71,11 @@ class FoundEffect:
     alternatives: list[tuple[str, str, float]]
     separation: str
     """The measurement that would separate it from its rivals, in words; empty if none is needed."""
+
+    @property
+    def joint(self) -> bool:
+        """Whether its place is one of several that the data do not tell apart."""
+        return self.placement != self.effect.placement
 
     @property
     def name(self) -> str:

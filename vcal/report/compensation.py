@@ -187,17 +187,20 @@ def compensation_csv(tables: Sequence[ErrorMotionTable]) -> str:
 
 def effects_csv(closure: Closure) -> str:
     """Parameters of the effects that were found and of those that were declared, as CSV, one per
-    line.
+    line. Those of an effect at one of several placements, ``"X|Y"``, are what they are at the
+    placement that was fitted, in the last column.
     """
-    rows = [["effect", "placement", "parameter", "value", "unit", "standard_uncertainty", "status"]]
+    header = "effect,placement,parameter,value,unit,standard_uncertainty,status,fitted_placement"
+    rows = [header.split(",")]
     effects = [
-        (found.effect.name, found.placement, parameters(closure, found), found.status)
+        (found.effect, found.placement, parameters(closure, found), found.status)
         for found in closure.effects
     ]
-    effects += [(e.name, e.placement, listed, "declared") for e, listed in declared(closure)]
+    effects += [(e, e.placement, listed, "declared") for e, listed in declared(closure)]
     for effect, placement, listed, status in effects:
         for name, value, unit, u in listed:
-            rows.append([effect, placement, name, _number(value), unit, _number(u), status])
+            numbers = [name, _number(value), unit, _number(u)]
+            rows.append([effect.name, placement, *numbers, status, effect.placement])
     return _csv(rows)
 
 

@@ -248,6 +248,7 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
     return {
         "title": f"{found.effect.name} {found.placement}".strip(),
         "summary": found.effect.summary,
+        "if": found.effect.key if found.joint else "",
         "status": found.status,
         "p": text.probability(found.p_value),
         "log_evidence": text.number(found.log_evidence),

@@ -29,8 +29,9 @@ def record(
     """Everything a program wants to know of a closure, as plain values; see `SCHEMA`. Of a study
     with several data sets also the share of each, as `data_sets`.
 
-    Columns and their values are those of the data file; numbers that do not exist are None, so
-    that the record is strict JSON.
+    An effect whose `placement` is a class of several, ``"X|Y"``, has the parameters that it has at
+    its `fitted_placement`. Columns and their values are those of the data file; numbers that do not
+    exist are None, so that the record is strict JSON.
     """
     plan = closure.after.measurement.plan
     found: dict[str, Any] = {
@@ -101,6 +102,7 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
     return {
         "effect": found.effect.name,
         "placement": found.placement,
+        "fitted_placement": found.effect.placement,
         "parameters": _parameters(parameters(closure, found)),
         "status": found.status,
         "p_value": found.p_value,
