@@ -81,6 +81,18 @@ def test_differences_against_a_monte_carlo_of_numpy(weighed):
     assert 1e-4 < comparison.precision.low[0] < 5e-4
 
 
+def test_inputs_that_cancel_leave_rounding_and_nothing_to_judge():
+    """3 x - y with sd(y) = 3 sd(x) and r = 1 is constant; what sums leave of it is no uncertainty."""
+    inputs = Inputs({"x": Normal(1.0, 0.1), "y": Normal(2.0, 0.3)}, correlation={("x", "y"): 1.0})
+
+    def constant(q):
+        return {"f": 3.0 * q["x"] - q["y"]}
+
+    drawn = propagate_distributions(constant, inputs, 20_000, seed=1)
+    found = compare(propagate(constant, inputs), drawn)
+    assert found.verdicts == ("passed",) and found.delta[0] < 1e-12
+
+
 def test_jcgm_101_9_2_normal_passes_and_a_dominant_rectangle_fails():
     def several(values):
         x, y = values["x"], values["y"]

@@ -16,6 +16,8 @@ Verdict = Literal["passed", "failed", "undecided"]
 
 _SHARE = 0.2
 """Part of delta within which the Monte Carlo itself has to be settled (JCGM 101, 8.2)."""
+_ROUNDING = 1e-13
+"""Of a value: what sums of inputs that cancel leave, and is no uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,9 @@ class Comparison:
     low: Float[np.ndarray, "m 2"] = field(repr=False)
     high: Float[np.ndarray, "m 2"] = field(repr=False)
     delta: Float[np.ndarray, " m"]
-    """Numerical tolerance delta = 10^l / 2 of u = c 10^l (7.9.2)."""
+    """Numerical tolerance delta = 10^l / 2 of u = c 10^l (7.9.2); of an output that does not vary,
+    what rounding makes of its value.
+    """
     precision: Precision
     """Standard deviations of the Monte Carlo's y, u, low and high."""
 
@@ -106,7 +110,10 @@ def compare(
         u=np.column_stack([budget.u, u]),
         low=np.column_stack([budget.value - budget.U, ends[:, 0]]),
         high=np.column_stack([budget.value + budget.U, ends[:, 1]]),
-        delta=np.array([numerical_tolerance(float(one), digits) for one in u]),
+        delta=np.maximum(
+            [numerical_tolerance(float(one), digits) for one in u],
+            _ROUNDING * np.abs(ensemble.mean[at]),
+        ),
         precision=Precision(*(s[at] for s in ensemble.precision(budget.coverage, kind))),
     )
 
