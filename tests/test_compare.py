@@ -82,7 +82,7 @@ def test_differences_against_a_monte_carlo_of_numpy(weighed):
 
 
 def test_inputs_that_cancel_leave_rounding_and_nothing_to_judge():
-    """3 x - y with sd(y) = 3 sd(x) and r = 1 is constant; what sums leave of it is no uncertainty."""
+    """3 x - y with sd(y) = 3 sd(x) and r = 1 is constant; what sums leave is no uncertainty."""
     inputs = Inputs({"x": Normal(1.0, 0.1), "y": Normal(2.0, 0.3)}, correlation={("x", "y"): 1.0})
 
     def constant(q):
