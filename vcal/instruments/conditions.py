@@ -1,4 +1,9 @@
-"""Conditions of machines with linear axes: columns of the data files to a plan, and back."""
+"""Conditions of machines with linear axes: columns of the data files to a plan, and back.
+
+A column carries its unit in its name: ``t_s``, ``T_x_degC``, ``since_x_mm``. The axis in it may be
+written in either case (``T_X_degC``). Names that vcal has inside (``t``, ``T_X``, ``a_X``) carry
+none and are no columns; every quantity has one column at most. `misnamed` says what is neither.
+"""
 
 import math
 import re
@@ -23,6 +28,8 @@ _COLUMNS = {
 """Column and factor from SI of covariates whose names inside differ from those in the files."""
 _MOTION = {"dir": ("", 1.0), "a": ("_m_s2", 1.0), "v": ("_m_s", 1.0), "since": ("_mm", 1e3)}
 """Unit at the end of a column of an axis's motion, and its factor from SI."""
+_INSIDE = {_COLUMNS[name][0]: name for name in ("t", "order")}
+"""Name inside of a column of conditions; the others are of what instruments derive or read."""
 _JOINT_COLUMNS = {
     "commanded_": ("q{}_cmd_deg", math.degrees(1.0)),
     "read_": ("q{}_read_deg", math.degrees(1.0)),
@@ -36,9 +43,9 @@ def linear_plan(
 ) -> Plan:
     """Plan from ``x_mm``, ``dir_x``, ``t_s``, ``T_x_degC``, ``T_air_degC``, group indices, ...
 
-    Temperatures and directions of axes are named after the axis (``"T_X"``, ``"dir_X"``). Any
-    further numeric column that is not one of the `readings` becomes a covariate under its own name,
-    for effects of the user's own.
+    Temperatures and motions of axes are named after the axis (``"T_X"``, ``"dir_X"``), in SI. Any
+    further numeric column that is not one of the `readings` becomes a covariate under its own name
+    and in its own unit, for effects of the user's own.
     """
     axes = chain.axes
     position = np.column_stack([table[f"{axis.lower()}_mm"] for axis in axes]) * 1e-3
@@ -51,7 +58,9 @@ def linear_plan(
         if name in GROUPS:
             groups[name] = np.asarray(values, int)
             continue
-        covariates[inside_name(name, axes)] = np.asarray(values, float)
+        covariate = inside_name(name, axes)
+        factor = 1.0 if covariate == name else file_column(covariate, axes)[1]
+        covariates[covariate] = np.asarray(values, float) / factor
     return Plan(axes, position, covariates, groups)
 
 
@@ -72,14 +81,46 @@ def linear_plan_table(plan: Plan, derived: Collection[str] = ()) -> dict[str, np
 
 
 def inside_name(column: str, axes: tuple[str, ...]) -> str:
-    """Name inside vcal of a column of conditions: the inverse of `file_name`."""
-    if match := re.fullmatch(r"dir_(\w+)|a_([xyz])_m_s2|v_([xyz])_m_s", column):
-        axis = (match[1] or match[2] or match[3]).upper()
-        return f"{column[: column.index('_')]}_{axis}" if axis in axes else column
+    """Name inside vcal of a column of conditions: the inverse of `file_name`.
+
+    Columns of positions and readings, and any further one, keep their names.
+    """
+    if match := re.fullmatch(r"(dir|a|v|since)_(\w+?)(_m_s2|_m_s|_mm)?", column):
+        axis = match[2].upper()
+        if axis in axes and (match[3] or "") == _MOTION[match[1]][0]:
+            return f"{match[1]}_{axis}"
     if match := re.fullmatch(r"T_(\w+)_degC", column):
         name = match[1].upper()
         return f"T_{name}" if name in axes else f"T_{match[1]}"
-    return "t" if column == "t_s" else column
+    return _INSIDE.get(column, _joint(column, axes))
+
+
+def _joint(column: str, axes: tuple[str, ...]) -> str:
+    """The same for a column of a joint of an arm."""
+    for prefix, (name, _) in _JOINT_COLUMNS.items():
+        match = re.fullmatch(name.format(r"(\d+)"), column)
+        if match and f"J{match[1]}" in axes:
+            return f"{prefix}J{match[1]}"
+    return column
+
+
+def misnamed(columns: Collection[str], axes: tuple[str, ...]) -> tuple[tuple[str, ...], str] | None:
+    """Columns that are not what they seem, and the column that is meant; None where all are well.
+
+    Two columns of one quantity (``T_x_degC`` and ``T_X_degC``), of which the last would win, or
+    one that has the name of a quantity inside and would be taken for it in whatever unit (``t``).
+    """
+    first: dict[str, str] = {}
+    for column in columns:
+        name = inside_name(column, axes)
+        meant = file_name(name, axes)
+        # dir_X has no unit that it could lack.
+        if name == column and meant.lower() != column.lower():
+            return (column,), meant
+        if name in first:
+            return (first[name], column), meant
+        first[name] = column
+    return None
 
 
 def file_name(covariate: str, axes: tuple[str, ...]) -> str:

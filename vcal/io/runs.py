@@ -9,7 +9,7 @@ import numpy as np
 from ..chain import Chain
 from ..instruments import INSTRUMENTS
 from ..instruments.base import Column, InstrumentSettings, TableInstrument
-from ..instruments.conditions import GROUPS, linear_plan
+from ..instruments.conditions import GROUPS, linear_plan, misnamed
 from ..measurement import CheckPoints
 from ..spatial import best_rigid
 from .folder import Folder
@@ -32,6 +32,8 @@ _QUANTITY = re.compile(
 )
 """Columns that effects ask for; where they are there, they are numbers."""
 _JOINT_COLUMN = re.compile(r"q(\d+)_(?:cmd|read)_deg")
+_MOVES = re.compile(r"(dir|move)_(q|J)\d+(_deg)?")
+"""What follows from the commanded angles of an arm, and is computed from them."""
 
 
 def run_table(
@@ -64,6 +66,7 @@ def run_table(
             f"at least {_FEWEST_ROWS} rows",
             "measure more points",
         )
+    _check_names(table, chain, (*kind.labels, *reading_names))
     _check_conditions(table, chain)
     if measured:
         check_repeated(table, reading_names)
@@ -94,6 +97,7 @@ def check_points(
             "at least 3 that are not: alignment alone takes out six numbers",
             "add points beside them, or remove the file",
         )
+    _check_names(table, chain, _TOOL_POINT)
     _check_conditions(table, chain)
     if linear:
         _check_tool_points(table, chain)
@@ -144,6 +148,38 @@ def _condition(name: str) -> Column | None:
     if _JOINT_COLUMN.fullmatch(name):
         return Column(name=name, low=-720.0, high=720.0)
     return None
+
+
+def _check_names(table: Table, chain: Chain, others: Sequence[str]) -> None:
+    """Every quantity has one column, under its name in files; `others` are no conditions."""
+    for name in table:
+        if _MOVES.fullmatch(name) and not _is_linear(chain):
+            raise refusal(
+                table.name,
+                f"header, column {name}",
+                "a column of the moves of a joint, which are computed",
+                "the angles that are commanded (q1_cmd_deg, ...) in the order of pose",
+                "rename or remove the column",
+            )
+    wrong = misnamed([c for c in table if c not in others and c not in GROUPS], chain.axes)
+    if wrong is None:
+        return
+    columns, meant = wrong
+    if len(columns) > 1:
+        raise refusal(
+            table.name,
+            f"header, columns {' and '.join(columns)}",
+            "two columns of one quantity",
+            f"one, {meant}",
+            "remove one of them, or rename it where it is another quantity",
+        )
+    raise refusal(
+        table.name,
+        f"header, column {columns[0]}",
+        f"the name that vcal itself has for what stands in {meant}",
+        f"{meant}, or another name for another quantity",
+        "rename or remove the column",
+    )
 
 
 def _check_conditions(table: Table, chain: Chain) -> None:

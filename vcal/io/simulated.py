@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from ..effects.base import Effect, Setup
 from ..errors import StudyError
-from ..instruments.conditions import linear_plan, linear_plan_table
+from ..instruments.conditions import file_name, inside_name, linear_plan, linear_plan_table
 from ..simulate import Simulated, scattered, simulate
 from .declared import Catalogue, declared_effects, unknown_effect
 from .folder import check_way
@@ -227,8 +227,14 @@ def _data(study: Study, one: DataSet, result: Simulated) -> dict[str, np.ndarray
     if one.name:
         width = len(one.instrument.readings)
         plan, readings = plan.part(one.name), readings[plan.in_set(one.name), :width]
-    # The model is that of the study, whose instrument this is.
-    made = one.instrument.to_table(plan, readings)
+    # The model is that of the study, whose instrument this is. A column keeps the name that it
+    # has in the file, T_X_degC say.
+    axes = study.chain.axes
+    names = {inside_name(name, axes): name for name in own}
+    made = {
+        names.get(inside_name(name, axes), name): values
+        for name, values in one.instrument.to_table(plan, readings).items()
+    }
     # Inside, time counts from `start_s` on.
     clock = {name: own[name] for name in ("t_s",) if name in own}
     return {**own, **made, **clock}
@@ -255,12 +261,14 @@ def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndar
 
 
 def _conditions(study: Study, one: DataSet) -> set[str]:
-    """Columns of a table that are no readings."""
+    """Columns of a table that are no readings, by the names that vcal writes them with."""
+    axes = study.chain.axes
     plain, full = (
-        {c.name for c in one.instrument.columns(one.settings, study.chain.axes, readings=readings)}
+        {c.name for c in one.instrument.columns(one.settings, axes, readings=readings)}
         for readings in (False, True)
     )
-    return set(read_header(study.folder / one.file)) - (full - plain)
+    header = set(read_header(study.folder / one.file)) - (full - plain)
+    return {file_name(inside_name(column, axes), axes) for column in header}
 
 
 def _check_travel(study: Study, result: Simulated) -> None:

@@ -1,0 +1,191 @@
+"""Columns of conditions: what they are called in files and inside, and what is refused."""
+
+import numpy as np
+import pytest
+
+from vcal import StudyError
+from vcal.chain import chain_from_string
+from vcal.cli.folders import example
+from vcal.cli.show import show_study
+from vcal.effects.registry import CATALOGUE
+from vcal.instruments import INSTRUMENTS
+from vcal.instruments.ball_array import _DERIVED
+from vcal.instruments.conditions import (
+    GROUPS,
+    file_column,
+    file_name,
+    inside_name,
+    linear_plan,
+    linear_plan_table,
+)
+from vcal.io import load_study, read_header, read_table, write_table
+from vcal.io.simulated import parse_with, write_simulated
+from vcal.loop.candidates import candidates
+
+LINEAR, ARM = ("X", "Y", "Z"), ("J1", "J2")
+MOTION = [f"{kind}_{axis}" for kind in ("dir", "a", "v", "since") for axis in LINEAR]
+CONDITIONS = [
+    *((name, LINEAR) for name in (*MOTION, "t", "T_X", "T_air", "T_head", "payload_kg", "sense")),
+    *((name, LINEAR) for name in ("speed_rpm", "approach_rad", "T_gradient_z_K_per_m", "path_mm")),
+    *((f"{kind}_J2", ARM) for kind in ("commanded", "read", "move", "dir")),
+    *((name, ARM) for name in ("t", "order", "T_air")),
+]
+
+
+def renamed(folder, names, file="data.csv"):
+    table = read_table(folder / file, [])
+    write_table(folder / file, {names.get(name, name): v for name, v in table.items()})
+    return folder
+
+
+def with_columns(folder, **columns):
+    table = read_table(folder / "data.csv", [])
+    write_table(folder / "data.csv", {**table, **columns})
+    return folder
+
+
+# --- names ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "axes"), CONDITIONS)
+def test_a_condition_has_one_column(name, axes):
+    assert inside_name(file_name(name, axes), axes) == name
+
+
+def test_what_an_effect_needs_can_be_in_a_file():
+    """But for what instruments derive, which no file holds, and positions."""
+    derived = {n for kind in INSTRUMENTS.values() for n in kind.derived} | {*_DERIVED}
+    examples = [one for one in map(example, CATALOGUE.values()) if one is not None]
+    assert len(examples) > 30
+    for instance, setup in examples:
+        axes = setup.plan.axes
+        for name in {*instance.needs} - derived - {*axes, *GROUPS}:
+            assert inside_name(file_name(name, axes), axes) == name, instance.key
+
+
+@pytest.mark.parametrize(
+    ("column", "name"),
+    [
+        ("T_X_degC", "T_X"),
+        ("dir_X", "dir_X"),
+        ("since_X_mm", "since_X"),
+        ("a_X_m_s2", "a_X"),
+        ("since_x", "since_x"),
+        ("a_x_m_s", "a_x_m_s"),
+        ("a_set_m_s2", "a_set_m_s2"),
+        ("range_mm", "range_mm"),
+        ("dir_q1", "dir_q1"),
+    ],
+)
+def test_a_column_of_another_name(column, name):
+    """The axis may be in either case; another unit, or an axis that is not there, is another."""
+    assert inside_name(column, LINEAR) == name
+
+
+def test_conditions_are_in_si_inside_and_in_their_units_in_files():
+    chain = chain_from_string("w X b Y Z t", {a: (0.0, 1.0) for a in LINEAR})
+    plan = linear_plan(
+        chain,
+        {f"{a.lower()}_mm": np.zeros(3) for a in LINEAR}
+        | {file_name(n, LINEAR): np.arange(3.0) for n in (*MOTION, "t", "T_X")},
+    )
+    for name in (*MOTION, "t", "T_X"):
+        factor = file_column(name, LINEAR)[1]
+        np.testing.assert_allclose(plan.covariate(name), np.arange(3.0) / factor)
+    np.testing.assert_allclose(plan.covariate("since_X"), [0.0, 1e-3, 2e-3])
+    for values in list(linear_plan_table(plan).values())[3:]:
+        np.testing.assert_allclose(values, np.arange(3.0))
+
+
+def test_the_way_since_a_reversal_can_be_recorded(small_tracker_study):
+    since = {f"since_{c}_mm": np.linspace(0.0, 4.0, 48) for c in "xyz"}
+    study = load_study(with_columns(small_tracker_study, **since))
+    found, missing = candidates(study.model, study.measurement, study.tried)
+    assert "reversal_spike" in {effect.name for effect in found}
+    assert "reversal_spike" not in {one.effect for one in missing}
+
+
+# --- the same under other names ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "names",
+    [{"dir_x": "dir_X"}, {"T_x_degC": "T_X_degC"}, {"T_x_degC": "T_X_degC", "dir_x": "dir_X"}],
+)
+def test_what_can_be_read_can_be_simulated(small_tracker_study, tmp_path, names):
+    plain = load_study(small_tracker_study)
+    study = load_study(renamed(small_tracker_study, names))
+    place = study.model.setup(study.plan)
+    text = "backlash:X:size_um=12", "scale_growth:X:alpha_um_per_m_K=3"
+    effects = [parse_with(one, study.catalogue, place) for one in text]
+    write_simulated(study, tmp_path / "made", effects=effects)
+    again = load_study(tmp_path / "made")
+    assert set(again.plan.covariates) == set(again.check.plan.covariates) | {
+        "range",
+        "azimuth",
+        "elevation",
+    }
+    for name, values in plain.plan.covariates.items():
+        np.testing.assert_allclose(again.plan.covariate(name), values, rtol=1e-6)
+    assert set(names.values()) <= set(read_header(tmp_path / "made" / "data.csv"))
+
+
+# --- what is refused -----------------------------------------------------------------------------
+
+TWICE = "found two columns of one quantity, expected one, "
+RESERVED = "found the name that vcal itself has for what stands in "
+REFUSED = {
+    "directions": ({"dir_X": np.ones(48)}, f"columns dir_x and dir_X: {TWICE}dir_x; remove one"),
+    "temperatures": (
+        {"T_X_degC": np.full(48, 20.0)},
+        f"columns T_x_degC and T_X_degC: {TWICE}T_x_degC; remove one",
+    ),
+    "time in minutes": (
+        {"t": np.arange(48.0)},
+        f"column t: {RESERVED}t_s, expected t_s, or another name for another quantity; rename or",
+    ),
+    "temperature without a unit": (
+        {"T_X": np.full(48, 300.0)},
+        f"column T_X: {RESERVED}T_x_degC, expected",
+    ),
+    "air without a unit": ({"T_air": np.full(48, 300.0)}, f"column T_air: {RESERVED}T_air_degC"),
+    "acceleration": ({"a_X": np.ones(48)}, f"column a_X: {RESERVED}a_x_m_s2, expected"),
+    "range": ({"range": np.ones(48)}, f"column range: {RESERVED}range_mm, expected"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_two_columns_of_one_quantity(small_tracker_study, case):
+    columns, expected = REFUSED[case]
+    with pytest.raises(StudyError) as caught:
+        load_study(with_columns(small_tracker_study, **columns))
+    assert str(caught.value).startswith(f"data.csv, header, {expected}")
+
+
+def test_check_points_have_the_same_names(small_tracker_study):
+    renamed(small_tracker_study, {"t_s": "t"}, "check.csv")
+    with pytest.raises(StudyError, match="check.csv, header, column t: found the name that"):
+        load_study(small_tracker_study)
+
+
+@pytest.mark.parametrize("name", ["dir_J1", "dir_q1", "move_q1_deg"])
+def test_moves_of_joints_are_computed(small_arm_study, name):
+    with pytest.raises(StudyError) as caught:
+        load_study(with_columns(small_arm_study, **{name: np.ones(16)}))
+    assert f"header, column {name}: found a column of the moves of a joint" in str(caught.value)
+
+
+def test_the_order_of_poses_has_one_column(small_arm_study):
+    with pytest.raises(StudyError, match="column order: found the name that .* stands in pose,"):
+        load_study(with_columns(small_arm_study, order=np.arange(16.0)[::-1]))
+
+
+def test_a_renamed_column_is_told_to_be_constant(small_tracker_study, capsys):
+    table = read_table(small_tracker_study / "data.csv", [])
+    table["T_X_degC"] = np.full(48, 20.0)
+    del table["T_x_degC"]
+    write_table(small_tracker_study / "data.csv", table)
+    show_study(load_study(small_tracker_study))
+    shown = capsys.readouterr().out.splitlines()
+    (line,) = (line for line in shown if line.strip().startswith("constant"))
+    assert "T_X_degC" in line
