@@ -102,6 +102,8 @@ def test_what_no_effect_has_is_described(tracker, tmp_path, case):
     assert set(what.depends_on[: len(on)]) == on
     assert what.joint == (len(on) == 2)
     assert what.words in closure.sentence
+    assert what.reason.endswith("better than every effect that was tried")
+    assert what.size_is.startswith("largest displacement") and "beyond the noise" in what.share_is
     (tmp_path / "own_effect.py").write_text(own_effect(closure))
     (own,) = load_effects(tmp_path / "own_effect.py")
     (effect,) = own.candidates(tracker.setup)

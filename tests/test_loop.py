@@ -83,6 +83,10 @@ def test_what_remains_may_depend_on_a_product(tracker, size):
     assert told.p_value < 0.01 and told.joint
     assert set(told.products[0][:2]) == {"Y", "dir_X"} and told.products[0][2] > 0.2
     assert set(what.depends_on[:2]) == {"Y", "dir_X"} and what.joint
+    assert "in a way that no effect that was tried has" in what.reason
+    assert what.share_of_variance == told.products[0][2] and "tells most" in what.share_is
+    far = from_structure(fit, 50.0, 0.01, 200, 0)
+    assert far.share_of_variance == 0.98 and "beyond the declared noise" in far.share_is
     closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
     assert closure.verdict == "unexplained"
     assert "(y_mm times dir_x)" in closure.sentence

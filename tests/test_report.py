@@ -19,7 +19,9 @@ from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
 from vcal.instruments.conditions import file_column
 from vcal.io.simulated import parse_with
+from vcal.io.study import looked_for
 from vcal.loop.components import Component
+from vcal.loop.doubt import Doubt
 from vcal.loop.empirical import LocalBump
 from vcal.loop.recorded import correlation
 from vcal.loop.screening import KindResult, Screening
@@ -184,6 +186,8 @@ def test_what_is_unexplained_is_told_in_columns_of_the_file(closed):
         share_of_variance=0.5,
         p_value=1e-9,
         reason="for the test",
+        size_is="rms",
+        share_is="of all",
     )
     told = record(dataclasses.replace(closure, verdict="unexplained", unexplained=what), study)
     assert told["unexplained"]["depends_on"] == ["x_mm", "T_y_degC", "t_s"]
@@ -192,6 +196,57 @@ def test_what_is_unexplained_is_told_in_columns_of_the_file(closed):
         {"column": "T_y_degC", "low": 20.5, "high": 21.0},
     ]
     assert told["sentence"].endswith("an error along Z where x_mm is 200 to 450.")
+    said = page(dataclasses.replace(closure, unexplained=what), study, [], [])
+    assert "<td>size</td><td>12.0 µm (rms)</td>" in said
+    assert "<td>share</td><td>50 % (of all)</td>" in said
+    assert [told["unexplained"][key] for key in ("size_is", "share_is")] == ["rms", "of all"]
+
+
+def test_page_says_what_was_tried_and_why_nothing_is_named(closed):
+    """No more than those that were asked for, and none where no more may be added."""
+    _, study, closure = closed
+    kinds = sum(looked_for(kind) for kind in CATALOGUE.values())
+    what = Unexplained(["X"], [0.5], [], "Z", 12.0, 0.5, 1e-9, "so")
+
+    def said(asked, most=6, **changed):
+        settings = {**closure.settings, "effects": asked, "max_effects": most}
+        found = dataclasses.replace(closure, settings=settings, unexplained=what, **changed)
+        return page(found, study, [], [])
+
+    tried = [*SEARCHED, "of_ones_own"]
+    few = said(tried, untestable=[])
+    told = f"5 of the {kinds} kinds in the catalogue and 1 of your own"
+    assert f"of those that were tried, {told}, none fits and holds.</p>" in few
+    assert f"The search was restricted to {told}; each of them was tried at every place" in few
+    assert f"Every effect that was looked for ({told}) and could sit on" in few
+    every = said(list(CATALOGUE), untestable=[])
+    assert "of those that were tried none fits and holds.</p>" in every
+    assert "Every kind of effect was tried at every place" in every
+    assert "Every effect that could sit on this machine found" in every
+    assert "No effect is named for it.</p>" in said(tried, most=1)
+    unbegun = said(tried, untestable=[], screenings=[])
+    assert "found the columns" not in unbegun and "The search had not begun" in unbegun
+
+
+def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):
+    _, study, closure = closed
+    certain = dataclasses.replace(closure, doubts=[])
+    doubted = dataclasses.replace(closure, doubts=[Doubt(closure.after, ((1.0, closure.before),))])
+    assert [("u holds more" in page(one, study, [], [])) for one in (certain, doubted)] == [0, 1]
+    assert "no allowance for the choice of the model" not in page(certain, study, [], [])
+    monkeypatch.setattr(plots, "png", lambda figure: b"")
+    monkeypatch.setattr(plots, "error_motions", lambda tables: None)
+    for one in (certain, doubted):
+        (shown,) = (p for p in pictures(one, ["a table"]) if p.name == "error_motions")
+        assert ("the data said nothing" in shown.caption) == (one is certain)
+    (found,) = closure.effects
+    rivals = dataclasses.replace(found, alternatives=[("jump", "", 0.01)])
+    described = SimpleNamespace(effect=LocalBump(port="tool.Z", unit="um", placement="X"))
+    what = Unexplained([], [], [], "Z", 4.0, 0.5, 1e-4, "so", empirical=described)  # type: ignore[arg-type]
+    part = "is part of the uncertainty of the error at the check points"
+    for changed, count in (({"effects": [rivals]}, 1), ({"unexplained": what}, 1), ({}, 0)):
+        said = page(dataclasses.replace(closure, **changed), study, [], [])
+        assert said.count(part) == count
 
 
 def test_shares_of_the_variance(closed):

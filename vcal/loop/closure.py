@@ -194,7 +194,7 @@ class Closure:
             return "the search was interrupted"
         if self.screenings[number].added is not None:
             return "less likely than what was added"
-        if self._full:
+        if self.full:
             return "no more effects may be added (max_effects)"
         if self.unexplained is not None and self.unexplained.empirical is not None:
             return outdone_by(self.unexplained.empirical.effect)
@@ -222,11 +222,11 @@ class Closure:
             how = "most likely" if likely else "it may be"
             return f"The declared model lacks something: {how} {listed}, but not for certain."
         found = f"Found {listed}; the rest is unexplained" if names else "Unexplained"
-        limit = ", and no more effects may be added (max_effects)" if self._full else ""
+        limit = ", and no more effects may be added (max_effects)" if self.full else ""
         return f"{found}{limit}: {self._remainder()}."
 
     @property
-    def _full(self) -> bool:
+    def full(self) -> bool:
         """Whether the limit of effects, and no description, ended the search."""
         described = self.unexplained is not None and self.unexplained.empirical is not None
         return not described and len(self.effects) >= self.settings["max_effects"]

@@ -37,13 +37,16 @@ _LAST_LOOK = 0.25
 """Share of alpha that the last look at what remains may spend beside the search."""
 _ROUNDING = 1e-9
 """Share of the variance, on average over null draws, that is nothing but rounding."""
+_BEYOND = "what is beyond the declared noise"
+_BY_THE_BEST = "what the column or product that tells most describes"
+"""Of the residual, what is told in size and share where nothing describes it."""
 _SHOWN = 3
 """Products of two covariates that are told."""
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """A residual that no effect of the catalogue explains."""
+    """A residual that no effect that was tried explains."""
 
     depends_on: list[str]
     """Covariates, most telling first."""
@@ -64,6 +67,10 @@ class Unexplained:
     """Pairs of covariates whose product describes some of it, with its share, largest first."""
     joint: bool = False
     """Whether it is the product of two that it depends on first of all."""
+    size_is: str = ""
+    """What `size_um` is, in words."""
+    share_is: str = ""
+    """What `share_of_variance` is a share of, in words."""
 
 
 def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
@@ -236,8 +243,8 @@ def described(
     draws: int,
     seed: int,
 ) -> Unexplained:
-    """The description where the `best` empirical one explains more than every effect of the
-    catalogue: by that or, where it leaves something and they describe clearly more, by a covariate
+    """The description where the `best` empirical one explains more than every effect that was
+    tried: by that or, where it leaves something and they describe clearly more, by a covariate
     or a product of two. `tested` is the fit with the noise to test by.
     """
     told = dependence(tested, draws, seed)
@@ -277,11 +284,13 @@ def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> 
         size_um=float(np.linalg.norm(vectors, axis=1).max() * 1e6),
         share_of_variance=float(min(drop, 1.0)),
         p_value=p_value,
-        reason=f"{words} describes the residual better than every effect of the catalogue",
+        reason=f"{words} describes the residual better than every effect that was tried",
         words=words,
         empirical=best,
         products=tuple(told.products),
         joint=effect.joint,
+        size_is="largest displacement of the tool point by the description",
+        share_is="of χ² beyond the noise, what the description takes",
     )
 
 
@@ -334,14 +343,14 @@ def _from_dependence(
         reason = (
             f"readings that follow each other are alike: {100 * correlated.share:.0f} % of the "
             f"scatter persists over some {correlated.length:.0f} readings, as noise that is "
-            "correlated in time does, or a drift that no effect of the catalogue has"
+            "correlated in time does, or a drift that no effect that was tried has"
         )
     elif quiet and isinstance(refused, Empirical):
         reason = f"{refused.words} is significant, but its fit does not end in a minimum"
     elif quiet:
         reason = (
-            "effects of the catalogue are significant, but none of them can be fitted and holds on "
-            "readings that it was not fitted to"
+            "effects are significant, but none of them can be fitted and holds on readings that it "
+            "was not fitted to"
         )
     elif spread and best < 0.1:
         reason = (
@@ -351,7 +360,7 @@ def _from_dependence(
     elif spread:
         reason = "the residual is far larger than the declared noise and depends on covariates"
     else:
-        reason = "the residual depends on covariates in a way no effect of the catalogue has"
+        reason = "the residual depends on covariates in a way that no effect that was tried has"
     if full and refused is not None:
         reason = f"{refused.key} is significant, but no more effects may be added (max_effects)"
     elif full:
@@ -368,4 +377,6 @@ def _from_dependence(
         words=_AS_NOISE if correlated is not None and correlated.share > _MOSTLY * best else "",
         products=tuple(told.products),
         joint=told.joint,
+        size_is=f"rms displacement of the tool point, {_BEYOND if spread else _BY_THE_BEST}",
+        share_is=f"of the variance of the residual, {_BEYOND if spread else _BY_THE_BEST}",
     )

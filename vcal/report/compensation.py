@@ -167,7 +167,9 @@ def compensation_csv(tables: Sequence[ErrorMotionTable]) -> str:
     """The tables as CSV in long format, one position of one error motion per line.
 
     Columns: component (ISO 230-1 name), axis, position_mm and/or position_deg, value, unit,
-    standard_uncertainty, information_share. Location errors have no position.
+    standard_uncertainty, information_share (1 - variance after / variance before the measurement,
+    both without what other effects would foretell instead, which the uncertainty holds). Location
+    errors have no position.
     """
     units = sorted({t.position_unit for t in tables} or {"mm"}, reverse=True)
     rows = [

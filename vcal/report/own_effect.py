@@ -1,4 +1,4 @@
-"""A file with an effect of the user's own, to start from where the catalogue has none that fits."""
+"""A file with an effect of the user's own, to start from where none that was tried fits."""
 
 import numpy as np
 

@@ -12,7 +12,7 @@ from scipy.linalg import cho_solve
 
 from ..effects.registry import CATALOGUE
 from ..fit import HARDLY_TOLD
-from ..io.study import Study
+from ..io.study import Study, looked_for
 from ..loop.closure import Closure, FoundEffect
 from ..loop.empirical import EMPIRICAL
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
@@ -71,6 +71,9 @@ def page(
         own_effect=own_effect(closure) is not None,
         pictures=shown,
         alpha=f"{100 * closure.settings['alpha']:g} %",
+        restricted=_restricted(closure),
+        full=closure.full,
+        doubts=any(doubt.others for doubt in closure.doubts),
         tried=_tried(closure),
         rounds=len(closure.screenings),
         rejected=[
@@ -283,6 +286,7 @@ def _unexplained(closure: Closure) -> dict[str, Any] | None:
         where.append(f"{column} from {text.number(low, 4)} to {text.number(high, 4)}")
     return {
         "reason": what.reason,
+        "described": what.empirical is not None,
         "depends_on": list(depends.items()),
         "where": where,
         "products": [
@@ -291,12 +295,26 @@ def _unexplained(closure: Closure) -> dict[str, Any] | None:
         ],
         "direction": what.direction,
         "size": text.number(what.size_um),
+        "size_is": f" ({what.size_is})" if what.size_is else "",
         "share": text.percent(what.share_of_variance),
+        "share_is": f" ({what.share_is})" if what.share_is else "",
         "p": text.probability(what.p_value),
         "variance": ", ".join(
             f"{name} {text.percent(share)}" for name, share in closure.variance.items()
         ),
     }
+
+
+def _restricted(closure: Closure) -> str:
+    """How many kinds of effects were asked for, where that is not all of the catalogue."""
+    asked = closure.settings.get("effects", ())
+    kinds = [name for name, kind in CATALOGUE.items() if looked_for(kind)]
+    told = [name for name in kinds if name in asked]
+    own = len(set(asked) - CATALOGUE.keys())
+    beside = f" and {own} of your own" if own else ""
+    return (
+        f"{len(told)} of the {len(kinds)} kinds in the catalogue{beside}" if told != kinds else ""
+    )
 
 
 def _summary(name: str) -> str:

@@ -27,9 +27,15 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
         caption = (
             "Identified error motions (error = actual − nominal, ISO 230-1 names). Blue band or "
             "bar: expanded uncertainty U (k = 2); grey: what was declared before the measurement "
-            "(± 2 standard deviations, cut off at the frame). Where blue is as wide as grey, the "
-            "data said nothing."
+            "(± 2 standard deviations, cut off at the frame). "
         )
+        if any(doubt.others for doubt in closure.doubts):
+            caption += (
+                "Blue holds what rivals, or a description of what is unexplained, would foretell "
+                "instead: how much the data said is in the table."
+            )
+        else:
+            caption += "Where blue is as wide as grey, the data said nothing."
         yield Picture("error_motions", "geometry", caption, plots.png(figure))
     if closure.screenings:
         figure = plots.search(closure.screenings, float(closure.settings["alpha"]))
@@ -118,7 +124,7 @@ def _unexplained(closure: Closure) -> str:
             "uncertainties. Black: what all of them say together; blue: its size by the empirical "
             "description, which describes and does not explain."
         )
-    caption = f"Residual of the tool point that no effect of the catalogue explains. {_DOTS}"
+    caption = f"Residual of the tool point that no effect explains. {_DOTS}"
     if what.where:
         caption += " Shaded: the interval in which it sits."
     if what.empirical is not None:

@@ -30,7 +30,10 @@ def record(
     with several data sets also the share of each, as `data_sets`.
 
     An effect whose `placement` is a class of several, ``"X|Y"``, has the parameters that it has at
-    its `fitted_placement`. Columns and their values are those of the data file; numbers that do not
+    its `fitted_placement`. What is `unexplained` has a `size_um` and a `share_of_variance`; of what
+    they are is in `size_is` and `share_is`: of the empirical description, its largest displacement
+    and its share of the chi-square beyond the noise, else an rms, and a share of the variance of
+    the residual. Columns and their values are those of the data file; numbers that do not
     exist are None, so that the record is strict JSON.
     """
     plan = closure.after.measurement.plan
@@ -183,7 +186,9 @@ def _unexplained(what: Unexplained | None, plan: Plan) -> dict[str, Any] | None:
         "where": where,
         "direction": what.direction,
         "size_um": what.size_um,
+        "size_is": what.size_is,
         "share_of_variance": what.share_of_variance,
+        "share_is": what.share_is,
         "p_value": what.p_value,
         "reason": what.reason,
     }
