@@ -284,9 +284,12 @@ def seen_by(loop, seed, *, noise=1.0, matrix_u=MATRIX_U):
     def drawn(u):
         return noise * u * (rng.standard_normal((30, 3)) + 1j * rng.standard_normal((30, 3)))
 
+    scales, probes = drawn(u[0]), drawn(u[1])
+    error = error + internal @ skew.T + probes
+    error = error.at[:, np.array(["XYZ".index(axis) for axis in AXES])].add(-scales)
     return Phasors(
-        AXES, jnp.asarray(omega), jnp.asarray(asked), internal + drawn(u[0]),
-        error + internal @ skew.T + drawn(u[1]), jnp.full((30, 3), u[0]), jnp.full(30, u[1]),
+        AXES, jnp.asarray(omega), jnp.asarray(asked), internal + scales, error,
+        jnp.full((30, 3), u[0]), jnp.full((30, 3), u[1]),
     )  # fmt: skip
 
 
@@ -320,7 +323,7 @@ def test_phasors_of_circles_with_one_speed(catalogue):
     omega, asked = set_phasors(circle_set(RADIUS_M, LEVELS), AXES)
     internal, error = predicted(loop, jnp.asarray(omega), jnp.asarray(asked))
     u = jnp.full((len(omega), 3), 1e-9)
-    seen = Phasors(AXES, jnp.asarray(omega), jnp.asarray(asked), internal, error, u, u[:, 0])
+    seen = Phasors(AXES, jnp.asarray(omega), jnp.asarray(asked), internal, error, u, u)
     machine, controller, _ = catalogue
     given = task(machine, controller, UNKNOWNS, seen)
     assert len(given.omega) == len(LEVELS)
@@ -363,10 +366,10 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
     left = outer_filter_jit(lambda given, z, seen: given.residual(z, seen))
     bare = left(task(machine, controller, UNKNOWNS, seen), z, seen)
     bare = np.asarray(bare[: -len(z)]).reshape(2, 60, 3)
-    S = np.asarray(seen.internal / seen.error_u[:, None]) * MATRIX_U
-    columns = np.r_[S.real, S.imag]
     least = 0.0
     for x in range(3):
+        S = np.asarray(seen.internal / seen.external_u[:, x, None]) * MATRIX_U
+        columns = np.r_[S.real, S.imag]
         whole = np.r_[columns, np.eye(3)]
         right = np.r_[bare[1][:, x], np.zeros(3)]
         least += np.linalg.lstsq(whole, right, rcond=None)[1][0]
@@ -376,12 +379,46 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
         assert cost == pytest.approx(least + (bare[0] ** 2).sum() + float(z @ z), rel=digits)
 
 
+def test_noise_of_scales_that_is_in_the_error_too(catalogue):
+    """What is left at the truth scatters independently, by one, however noisy the scales are."""
+    machine, controller, loop = catalogue
+    omega, asked = set_phasors(circle_set(RADIUS_M, (1.0, 4.5), ("ZX",)), machine.axes)
+    internal, error = (np.asarray(x) for x in predicted(loop, omega, asked))
+    rng, draws = np.random.default_rng(6), 400
+    u = 0.3e-6 * np.ones(error.shape)
+
+    def scatter() -> np.ndarray:
+        return rng.standard_normal((draws, *u.shape)) + 1j * rng.standard_normal((draws, *u.shape))
+
+    scales, probes = u * scatter(), u * scatter()
+    columns = ["XYZ".index(axis) for axis in machine.axes]
+    shown = probes.copy()
+    shown[:, :, columns] -= scales
+    given = Phasors(machine.axes, omega, asked, internal, error, u, u)
+    known = task(machine, controller, UNKNOWNS, given)
+
+    @jax.jit
+    def left(internal, error):
+        seen = dataclasses.replace(given, internal=internal, error=error)
+        return known.residual(jnp.zeros(len(UNKNOWNS)), seen)[: -len(UNKNOWNS)]
+
+    found = np.asarray(jax.lax.map(lambda one: left(*one), (internal + scales, error + shown)))
+    n = found.shape[1]
+    assert n == 12 * len(omega)
+    chi2 = (found**2).sum(1)
+    assert chi2.mean() == pytest.approx(n, rel=0.03)
+    assert chi2.std() == pytest.approx(np.sqrt(2.0 * n), rel=0.12)  # it was 1.3 times as much
+    correlation = np.corrcoef(found.T) - np.eye(n)
+    assert np.abs(correlation).max() < 5.0 / np.sqrt(draws)
+
+
 @pytest.mark.parametrize(
     ("noise", "message"),
     [
         ((0.0, 1e-7, 240), "found 0 um of the scales"),
         ((-1e-8, 1e-7, 240), "found -0.01 um of the scales"),
         ((1e-8, -1e-7, 240), "and -0.1 um of the sphere"),
+        ((1e-8, 0.0, 240), "and 0 um of the sphere, expected both above zero"),
         ((np.nan, 1e-7, 240), "found nan um"),
         ((1e-8, 1e-7, 0), "found 0 samples a turn, expected a whole number from 3 on"),
         ((1e-8, 1e-7, 2), "found 2 samples"),
@@ -455,7 +492,7 @@ def test_from_the_catalogue_to_the_measured_machine(catalogue, truth):
         seen,
         **{n: getattr(seen, n)[:1] for n in ("omega", "asked", "internal", "error")},
         internal_u=seen.internal_u[:1],
-        error_u=seen.error_u[:1],
+        external_u=seen.external_u[:1],
     )
     little = identify_machine(task(machine, controller, UNKNOWNS, few, matrix_u=MATRIX_U), few)
     assert len(little.not_told()) > len(found.not_told())

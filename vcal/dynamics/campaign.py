@@ -35,9 +35,9 @@ _NONE = 1e-9
 class Noise:
     """White noise of an R-test, and how many samples a turn has.
 
-    Raises `ValueError` for scales without noise, by which their readings count, for noise below
-    zero or without bound, and for less than three samples or a part of one: two do not tell an
-    amplitude from a phase.
+    Raises `ValueError` for no noise, by which readings count, for noise below zero or without
+    bound, and for less than three samples or a part of one: two do not tell an amplitude from a
+    phase.
     """
 
     internal: float
@@ -47,11 +47,11 @@ class Noise:
     samples: int
 
     def __post_init__(self):
-        if not (0.0 < self.internal < np.inf and 0.0 <= self.external < np.inf):
+        if not (0.0 < self.internal < np.inf and 0.0 < self.external < np.inf):
             raise ValueError(
                 f"noise: found {1e6 * self.internal:g} um of the scales and "
-                f"{1e6 * self.external:g} um of the sphere, expected the one above zero and the "
-                "other not below; correct them"
+                f"{1e6 * self.external:g} um of the sphere, expected both above zero; correct "
+                "them"
             )
         if not (isinstance(self.samples, int | np.integer) and self.samples >= 3):
             raise ValueError(
@@ -76,8 +76,7 @@ class Campaign:
     matrix_u: Float[np.ndarray, "d 3 axes"]
     chi2: Float[np.ndarray, " d"]
     """Sum of the squared whitened differences and of the prior's: a chi-square with as many
-    degrees of freedom as there are `readings`, where scales are far quieter than probes. The error
-    is the one less the other, and both count as if they scattered independently.
+    degrees of freedom as there are `readings`.
     """
     readings: int
     stable: Bool[np.ndarray, " d"]
@@ -138,8 +137,7 @@ def campaign(
         jnp.asarray(blank),
         jnp.zeros((len(circles), 3), complex),
         jnp.full(blank.shape, each * noise.internal),
-        # The noise of the scales is in the error as well.
-        jnp.full(len(circles), each * np.hypot(noise.internal, noise.external)),
+        jnp.full((len(circles), 3), each * noise.external),
     )
     given = task(machine, controller, unknowns, seen, matrix_u=matrix_u, quick=True)
     root = jax.random.key(seed)

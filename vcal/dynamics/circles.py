@@ -42,8 +42,10 @@ class Phasors(eqx.Module):
     """Standard uncertainty of real and imaginary part of `internal`, m; infinite where nothing is
     known of a scale, such as that of an axis at rest.
     """
-    error_u: Float[Array, " r"]
-    """The same of `error`, m."""
+    external_u: Float[Array, "r 3"]
+    """The same of what the probes show and of nothing that `internal` tells, m: their noise is in
+    the error, and so is that of the scales.
+    """
 
 
 def answers(
@@ -121,12 +123,17 @@ def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
     arrays = {name: np.array(values) for name, values in found.items()}
     each = np.sqrt(2.0 / arrays.pop("n"))
     # What the scale of an axis at rest read is not part of a plan.
-    known = np.where(arrays["internal"] == 0.0, np.inf, instrument.internal_sigma)
+    resting = arrays["internal"] == 0.0
+    known = np.where(resting, np.inf, instrument.internal_sigma)
+    # Its noise is in the error, all the same.
+    at_rest = np.zeros(arrays["error"].shape)
+    places = ["XYZ".index(axis) for axis in plan.axes]
+    at_rest[:, places] = np.where(resting, instrument.internal_sigma, 0.0)
     return Phasors(
         axes=plan.axes,
         **{name: jnp.asarray(values) for name, values in arrays.items()},
         internal_u=jnp.asarray(each[:, None] * known),
-        error_u=jnp.asarray(each * instrument.sigma),
+        external_u=jnp.asarray(each[:, None] * np.hypot(instrument.sigma, at_rest)),
     )
 
 

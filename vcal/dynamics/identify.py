@@ -129,15 +129,23 @@ class Task(eqx.Module):
         internal, error = (
             jnp.einsum("rxa,ra->rx", per[place], seen.asked) for per in self.answers(z)
         )
-        scales = _real((seen.internal - internal) / seen.internal_u)
-        probes = _real((seen.error - error) / seen.error_u[:, None])
+        scales = seen.internal - internal
+        # The error is what the probes show less the scales, whose noise it has: with what is known
+        # of the scales added again, both scatter independently.
+        axes = np.array(["XYZ".index(axis) for axis in seen.axes])
+        known = jnp.where(jnp.isfinite(seen.internal_u), scales, 0.0)
+        shown = (seen.error - error).at[:, axes].add(known)
+        scales, probes = _real(scales / seen.internal_u), _real(shown / seen.external_u)
         if self.matrix_u > 0.0:
             # V^(-1/2) leaves alone what S cannot do, and shrinks what it can.
-            taken = self.matrix_u * _real(seen.internal / seen.error_u[:, None])
-            values, ways = jnp.linalg.eigh(taken.T @ taken)
-            root = jnp.sqrt(1.0 + jnp.maximum(values, 0.0))
-            shrink = -1.0 / (root * (1.0 + root))
-            probes = probes + taken @ (ways @ (shrink[:, None] * (ways.T @ (taken.T @ probes))))
+            def shrunk(probes: Array, u: Array) -> Array:
+                taken = self.matrix_u * _real(seen.internal / u[:, None])
+                values, ways = jnp.linalg.eigh(taken.T @ taken)
+                root = jnp.sqrt(1.0 + jnp.maximum(values, 0.0))
+                shrink = -1.0 / (root * (1.0 + root))
+                return probes + taken @ (ways @ (shrink * (ways.T @ (taken.T @ probes))))
+
+            probes = jax.vmap(shrunk, in_axes=1, out_axes=1)(probes, seen.external_u)
         return jnp.concatenate([scales.ravel(), probes.ravel(), z])
 
 
