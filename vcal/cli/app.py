@@ -188,12 +188,12 @@ def simulate(
     """Make data as of a machine drawn from its priors, at the positions of a study."""
     start()
     from .. import load_study
-    from ..io.simulated import parse_with, write_simulated
+    from ..io.simulated import parse_every_with, write_simulated
 
     with working("simulating"):
         study = load_study(setup, override or [])
         place, files = study.model.setup(study.plan), study.files
-        effects = [parse_with(text, study.catalogue, place, files) for text in with_ or []]
+        effects = parse_every_with(with_ or [], study.catalogue, place, files)
         result = write_simulated(
             study,
             out,

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 from ..errors import StudyError
 from ..io import Study, load_study
 from ..io.messages import refusal
-from ..io.simulated import check_noise_factor, parse_with
+from ..io.simulated import check_noise_factor, parse_every_with
 from ..model import Model
 from ..report import DRAWS, check_virtual_folder, sentence, write_virtual
 from ..uncertainty.virtual import check_keys, virtual_calibration
@@ -106,13 +106,10 @@ def parse_draws(text: str) -> int | Literal["adaptive"]:
 def _truth(study: Study, effects: Sequence[str]) -> Model:
     """The declared model with the effects that are there but not fitted."""
     model = study.model
-    place = model.setup(study.plan)
-    found = []
-    for text in effects:
-        effect = parse_with(text, study.catalogue, place, study.files)
-        found.append(effect)
+    found = parse_every_with(effects, study.catalogue, model.setup(study.plan), study.files)
+    for i, (text, effect) in enumerate(zip(effects, found, strict=True)):
         try:
-            check_keys(model.with_effects(*found))
+            check_keys(model.with_effects(*found[: i + 1]))
         except ValueError:
             raise StudyError(
                 f"--with {text}: found {effect.key!r} a second time, expected an effect that is "

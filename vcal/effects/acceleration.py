@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import Array, namespace
 from ..circles import squared_pace
 from ..parameters import Parameter
-from ..plan import Plan
+from ..plan import Plan, of_set
 from .base import Effect, Response, Setup
 from .registry import register
 
@@ -71,12 +71,18 @@ _PACES = 2.0
 
 def paces_differ(plan: Plan, axes: Iterable[str]) -> bool:
     """Whether a plan has circles, of angular velocities that tell apart what goes with position,
-    acceleration and the second derivative of that: at one pace all three are the same.
+    acceleration and the second derivative of that: at one pace all three are the same. Of several
+    data sets each has to have circles, of whatever pace.
     """
-    if "run" not in plan.groups or not plan.has(*_motion(axes)):
+    if not plan.has(*_motion(axes), *_runs(plan.sets)):
         return False
     squared = np.asarray(_squared_pace(plan, axes))
     return bool(squared.max() > _PACES * squared.min())
+
+
+def _runs(sets: Iterable[str]) -> list[str]:
+    """Groups that number the circles: one in every data set, where there are several."""
+    return [of_set(name, "run") for name in sets] or ["run"]
 
 
 def _motion(axes: Iterable[str]) -> list[str]:
@@ -87,7 +93,10 @@ def _squared_pace(plan: Plan, axes: Iterable[str]) -> Array:
     axes = list(axes)
     columns = ([plan.covariate(f"{kind}_{axis}") for axis in axes] for kind in ("v", "a"))
     v, a = (namespace(*its).stack(its, axis=1) for its in columns)
-    return squared_pace(np.asarray(plan.groups["run"]), v, a)
+    # Runs count within one data set. Where there are several, -1 stands in the rows of others.
+    numbers = np.stack([np.asarray(plan.groups[name]) for name in _runs(plan.sets)], axis=1)
+    _, run = np.unique(numbers, axis=0, return_inverse=True)
+    return squared_pace(run.reshape(-1), v, a)
 
 
 class _Derivative(Effect):
@@ -103,6 +112,8 @@ class _Derivative(Effect):
     unit: ClassVar[str]
     sigma: ClassVar[float]
     axes: tuple[str, ...] = eqx.field(static=True)
+    sets: tuple[str, ...] = eqx.field(static=True, default=())
+    """Data sets with circles, where there are several."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -114,7 +125,7 @@ class _Derivative(Effect):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return (*_motion(self.axes), "run")
+        return (*_motion(self.axes), *_runs(self.sets))
 
     @property
     def betrayed_by(self) -> tuple[str, ...]:
@@ -134,7 +145,7 @@ class _Derivative(Effect):
         beside = any(effect.name == AccelerationCrosstalk.name for effect in setup.declared)
         axes = setup.chain.axes
         if beside and paces_differ(setup.plan, axes):
-            yield cls(axes=axes)
+            yield cls(axes=axes, sets=setup.plan.sets)
 
 
 @register

@@ -103,8 +103,11 @@ def declared_effects(
     distribution; a parameter that is not given keeps the catalogue's prior. `file` is what messages
     call the study file, `data` what they call the table of every data set, by its name. Raises
     `StudyError`.
+
+    The rows are placed one after the other: an effect that is there only beside another
+    (`jerk_crosstalk` beside `acceleration_crosstalk`) stands below it.
     """
-    found = []
+    found: list[Effect] = []
     for i, row in enumerate(rows):
         where = _Where(file, f"model.effect.{i}", row.name)
         if row.name not in catalogue:
@@ -129,7 +132,14 @@ def declared_effects(
                 "remove one of them",
             )
         found.append(placed)
+        setup = beside(setup, placed)
     return tuple(found)
+
+
+def beside(setup: Setup, *effects: Effect) -> Setup:
+    """The same setup with further effects declared, beside which others may have a place."""
+    parts = tuple(beside(part, *effects) for part in setup.parts)
+    return dataclasses.replace(setup, declared=(*setup.declared, *effects), parts=parts)
 
 
 def _setup_of(row: EffectSettings, cls: type[Effect], setup: Setup, where: "_Where") -> Setup:
@@ -243,8 +253,9 @@ def _placed(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Where)
         raise where.refusal(
             "name",
             "an effect that has no place here",
-            f"one that acts on the axes {listed(setup.chain.axes)} or on this instrument",
-            "remove it, or correct the machine or the instrument",
+            f"one that acts on the axes {listed(setup.chain.axes)} or on this instrument, after "
+            "the effect beside which it is, if it is a correction of one",
+            "remove it, declare that effect first, or correct the machine or the instrument",
         )
     placements = list(dict.fromkeys(e.placement for e in options))
     if row.placement in placements:

@@ -175,7 +175,7 @@ def _check_names(table: Table, chain: Chain, others: Sequence[str]) -> None:
         )
     raise refusal(
         table.name,
-        f"header, column {columns[0]}",
+        f"header, column {''.join(columns)}",
         f"the name that vcal itself has for what stands in {meant}",
         f"{meant}, or another name for another quantity",
         "rename or remove the column",

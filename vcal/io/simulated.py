@@ -19,7 +19,7 @@ from ..effects.base import Effect, Setup
 from ..errors import StudyError
 from ..instruments.conditions import file_name, inside_name, linear_plan, linear_plan_table
 from ..simulate import Simulated, scattered, simulate
-from .declared import Catalogue, declared_effects, unknown_effect
+from .declared import Catalogue, beside, declared_effects, unknown_effect
 from .folder import check_way
 from .messages import refusal, shown
 from .settings import COMPUTABLE, EffectSettings, computable, read_setup
@@ -82,6 +82,21 @@ def parse_with(
         message = message.replace("one [[model.effect]]", "one --with")
         raise StudyError(message) from error
     return effect
+
+
+def parse_every_with(
+    texts: Sequence[str],
+    catalogue: Catalogue,
+    setup: Setup,
+    files: Mapping[str, str] = MappingProxyType({"": "data.csv"}),
+) -> list[Effect]:
+    """The effects of several texts, each placed beside those before it; raises `StudyError` as
+    `parse_with` does.
+    """
+    found: list[Effect] = []
+    for text in texts:
+        found.append(parse_with(text, catalogue, beside(setup, *found), files))
+    return found
 
 
 def _value(text: str) -> int | float | str:
