@@ -20,6 +20,8 @@ from vcal.effects import Setup, load_effects
 from vcal.instruments.conditions import file_column
 from vcal.io.simulated import parse_with
 from vcal.io.study import looked_for
+from vcal.loop.candidates import Untestable
+from vcal.loop.closure import Rejected
 from vcal.loop.components import Component
 from vcal.loop.doubt import Doubt
 from vcal.loop.empirical import LocalBump
@@ -455,7 +457,7 @@ def test_one_p_value_of_what_was_found(closed):
     assert later[-1].added is None and later[-1].told == {}
     p_value = 1.25e-33  # not that of the step of the scan that is next to it
     first = dataclasses.replace(first, told={"backlash": p_value})
-    lines = tried(dataclasses.replace(closure, screenings=[first, *later]))
+    lines = tried(dataclasses.replace(closure, screenings=[first, *later]), {})
     (line,) = (line for line in lines if line["kind"] == "backlash")
     assert line["p"][0] == text.probability(p_value)
     assert line["p"][1] != line["p"][0]
@@ -475,7 +477,7 @@ def test_every_round_tells_what_was_added_in_it(closed):
             added = screening.added is not None and name == screening.added.name
             colour = AFTER if added else BEFORE if bar.get_width() >= limit else DOTS
             assert bar.get_facecolor() == to_rgba(colour)
-    lines = tried(dataclasses.replace(closure, screenings=begun_anew))
+    lines = tried(dataclasses.replace(closure, screenings=begun_anew), {})
     (line,) = (line for line in lines if line["kind"] == "backlash")
     (kind,) = (k for k in first.kinds if k.kind == "backlash")
     assert line["p"][0] == text.probability(first.corrected(kind))
@@ -501,6 +503,37 @@ def test_caption_of_the_search_tells_what_was_dropped(closed, monkeypatch):
     assert caption(effects=[]).endswith(" Added and dropped again: backlash Y.")
     bare = [dataclasses.replace(one, added=None) for one in closure.screenings]
     assert caption(screenings=bare).endswith("in no round of its own: backlash Y.")
+
+
+def test_page_says_what_an_effect_of_ones_own_is(closed):
+    """Whether the study knows it or not, and though it was never added."""
+    _, study, closure = closed
+
+    class Dent(LocalBump):
+        name, summary = "dent", "a dent in the guideway"
+
+    class Shaking(LocalBump):
+        name, summary = "shaking", "the floor shakes"
+
+    dent = Dent(port="tool.Z", unit="um", placement="X")
+    first = closure.screenings[0]
+    kind = dataclasses.replace(
+        first.kinds[0],
+        kind="dent",
+        peaks=[dataclasses.replace(first.kinds[0].peaks[0], effect=dent)],
+    )
+    first = dataclasses.replace(first, kinds=[*first.kinds, kind])
+    study = dataclasses.replace(study, catalogue={**study.catalogue, "shaking": Shaking})
+    missed = Untestable("shaking", "", "no such column", (("shakes", ()),))
+    rejected = [*closure.rejected, Rejected("dent", "X", 1e-4, "so")]
+    changed = dataclasses.replace(
+        closure, screenings=[first, *closure.screenings[1:]], rejected=rejected, untestable=[missed]
+    )
+    said = page(changed, study, [], [])
+    assert said.count("<td>dent</td><td>a dent in the guideway</td>") == 1
+    assert "<td>dent X</td><td>a dent in the guideway</td>" in said
+    assert "<td>shaking</td><td>the floor shakes</td>" in said
+    assert "<td>local_bump</td><td>empirical: local error (for comparison" in said
 
 
 def test_effects_that_were_searched_for(closed, written):

@@ -3,13 +3,14 @@
 import datetime
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_solve
 
+from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
 from ..fit import HARDLY_TOLD
 from ..io.study import Study, looked_for
@@ -49,7 +50,7 @@ def page(
     shown: dict[str, list[Picture]] = {}
     for picture in drawn:
         shown.setdefault(picture.section, []).append(picture)
-    after = closure.after
+    after, summaries = closure.after, _summaries(closure, study)
     return render(
         "page.html.j2",
         name=study.name,
@@ -74,19 +75,19 @@ def page(
         restricted=_restricted(closure),
         full=closure.full,
         doubts=any(doubt.others for doubt in closure.doubts),
-        tried=_tried(closure),
+        tried=_tried(closure, summaries),
         rounds=len(closure.screenings),
         rejected=[
             {
                 "key": f"{r.effect} {r.placement}".strip(),
-                "summary": _summary(r.effect),
+                "summary": summaries.get(r.effect, ""),
                 "p": text.probability(r.p_value),
                 "reason": r.reason,
             }
             for r in (*closure.rejected, *closure.passed_over)
         ],
-        untestable=_untestable(closure),
-        unseen=_unseen(closure),
+        untestable=_untestable(closure, summaries),
+        unseen=_unseen(closure, summaries),
         suspected=[
             {
                 "row": closure.after.measurement.plan.row_name(stray.row),
@@ -317,15 +318,20 @@ def _restricted(closure: Closure) -> str:
     )
 
 
-def _summary(name: str) -> str:
-    for cls in EMPIRICAL:
-        if name == cls.name:
-            return f"{cls.summary} (for comparison: no physical effect)"
-    known = CATALOGUE.get(name)
-    return known.summary if known else ""
+def _summaries(closure: Closure, study: Study) -> dict[str, str]:
+    """What every kind of effect is, those of the user's own among them."""
+    kinds: dict[str, type[Effect]] = dict(study.catalogue)
+    for screening in closure.screenings:
+        tested = (kind.peaks[0].effect for kind in screening.kinds if kind.peaks)
+        kinds |= {effect.name: type(effect) for effect in (*tested, *screening.unseen)}
+    known = {name: kind.summary for name, kind in kinds.items()}
+    described = {
+        cls.name: f"{cls.summary} (for comparison: no physical effect)" for cls in EMPIRICAL
+    }
+    return known | described
 
 
-def _tried(closure: Closure) -> list[dict[str, Any]]:
+def _tried(closure: Closure, summaries: Mapping[str, str]) -> list[dict[str, Any]]:
     """One line per kind of effect: its best place and its significance in every round."""
     lines: dict[str, dict[str, Any]] = {}
     added = [found.effect.name for found in closure.effects]
@@ -336,7 +342,7 @@ def _tried(closure: Closure) -> list[dict[str, Any]]:
                 kind.kind,
                 {
                     "kind": kind.kind,
-                    "summary": _summary(kind.kind),
+                    "summary": summaries.get(kind.kind, ""),
                     "places": kind.instances,
                     "best": kind.peaks[0].effect.placement if kind.peaks else "",
                     "p": [text.DASH] * len(closure.screenings),
@@ -354,7 +360,7 @@ def _tried(closure: Closure) -> list[dict[str, Any]]:
     return sorted(lines.values(), key=lambda line: line["order"])
 
 
-def _untestable(closure: Closure) -> list[dict[str, str]]:
+def _untestable(closure: Closure, summaries: Mapping[str, str]) -> list[dict[str, str]]:
     """One line per effect: its places, and the columns that they would need."""
     plan = closure.after.measurement.plan
     places: dict[str, list[str]] = {}
@@ -366,7 +372,7 @@ def _untestable(closure: Closure) -> list[dict[str, str]]:
     return [
         {
             "effect": effect,
-            "summary": _summary(effect),
+            "summary": summaries.get(effect, ""),
             "places": ", ".join(dict.fromkeys(p for p in found if p)),
             "missing": ", ".join(dict.fromkeys(reasons[effect])),
         }
@@ -374,14 +380,18 @@ def _untestable(closure: Closure) -> list[dict[str, str]]:
     ]
 
 
-def _unseen(closure: Closure) -> list[dict[str, str]]:
+def _unseen(closure: Closure, summaries: Mapping[str, str]) -> list[dict[str, str]]:
     """One line per effect that the declared model spans, its places joined."""
     places: dict[str, list[str]] = {}
     for key in dict.fromkeys(closure.unseen):
         name, _, place = key.partition(" ")
         places.setdefault(name, []).append(place)
     return [
-        {"effect": name, "summary": _summary(name), "places": ", ".join(p for p in found if p)}
+        {
+            "effect": name,
+            "summary": summaries.get(name, ""),
+            "places": ", ".join(p for p in found if p),
+        }
         for name, found in places.items()
     ]
 
