@@ -335,7 +335,7 @@ class RTest(TableInstrument):
             row = int(np.argmax(np.diff(t) <= 0.0))
             raise refuse(
                 "t_s",
-                f"{t[row + 1]:g} after {t[row]:g}",
+                f"{t[row + 1]:.15g} after {t[row]:.15g}",
                 "rising times",
                 "sort the rows of the run, or give the repeated circle another run",
                 row + 1,

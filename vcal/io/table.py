@@ -19,6 +19,9 @@ SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 """What may separate cells, by name: the first of them that the header has."""
 _MOST_WHOLE, _MOST = 1e9, 1e15
 """No index, and no quantity in a column that has no bounds of its own, is larger."""
+_DIGITS, _WHOLE_DIGITS = 10, 15
+"""Digits that numbers are written with at least, and that every decimal number keeps in float64."""
+_OF_A_STEP = 1e-7
 
 
 class Table(dict[str, np.ndarray]):
@@ -107,7 +110,8 @@ def read_table(
 
 
 def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of equal length as a CSV file, numbers with ten significant digits.
+    """Write columns of equal length as a CSV file, numbers with ten significant digits, or with as
+    many as tell its rows apart: times on a clock that began long ago have more.
 
     Raises `ValueError` where the lengths differ.
     """
@@ -117,8 +121,26 @@ def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
     with open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        for row in zip(*columns.values(), strict=True):
-            writer.writerow([v if isinstance(v, str) else f"{v:.10g}" for v in row])
+        writer.writerows(zip(*map(_written, columns.values()), strict=True))
+
+
+def _written(values: np.ndarray) -> list[str]:
+    """The cells of a column: numbers to `_OF_A_STEP` of the usual difference of two rows."""
+    values = np.asarray(values)
+    if values.dtype.kind not in "biuf":
+        return [v if isinstance(v, str) else f"{v:.{_DIGITS}g}" for v in values]
+    values = values.astype(float)
+    finite = values[np.isfinite(values)]
+    sizes, steps = np.abs(finite), np.abs(np.diff(finite))
+    # What rounding makes of a constant is no step.
+    steps = steps[steps > 4.0 * np.spacing(sizes.max(initial=0.0))]
+    digits = _WHOLE_DIGITS
+    if len(steps):
+        digits = math.ceil(math.log10(sizes.max() / np.median(steps) / _OF_A_STEP))
+    digits = max(digits, _DIGITS)
+    if digits > _WHOLE_DIGITS:
+        return [repr(float(v)) for v in values]  # the shortest that gives this number again
+    return [f"{v:.{digits}g}" for v in values]
 
 
 def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list[str]]]:
