@@ -897,10 +897,25 @@ def test_earlier_record_reaches_no_file_outside_its_folder(closed, quick, tmp_pa
         (1234.5, 62.0, ("1234", "62")),
         (123456.0, 4321.0, ("123500", "4300")),
         (3.14159, math.nan, ("3.1416", "–")),
+        (-0.0004, 0.021, ("0.000", "0.021")),
+        (-0.4, 120.0, ("0", "120")),
+        (-0.006, 0.021, ("−0.006", "0.021")),
     ],
 )
 def test_values_are_rounded_to_their_uncertainty(value, u, shown):
     assert text.rounded(value, u) == shown
+
+
+def test_a_zero_has_no_sign():
+    assert (text.percent(-0.0002), text.percent(-0.002)) == ("0.0 %", "−0.2 %")
+    assert text.percent(-0.5) == "−50 %" and text.number(-0.05, 1) == "−0.05"
+
+
+@pytest.mark.parametrize(("p", "said"), [(0.0, "p < 10⁻³⁰⁰, "), (1e-5, "p = 1.0 × 10⁻⁵, ")])
+def test_a_probability_that_underflows_is_not_zero(closed, capsys, p, said):
+    found = dataclasses.replace(closed[2].effects[0], p_value=p)
+    show_closure(dataclasses.replace(closed[2], effects=[found]))
+    assert said in capsys.readouterr().out
 
 
 def test_small_probabilities_are_powers_of_ten():

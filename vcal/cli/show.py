@@ -19,7 +19,7 @@ from ..loop.heldout import Rms
 from ..measurement import Measurement
 from ..plan import Plan
 from ..report.derived import Listed, declared, missing_columns, parameters
-from ..report.text import COVERAGE, with_uncertainty
+from ..report.text import COVERAGE, probability, with_uncertainty
 
 _MOST = 6
 _LITTLE = 0.3
@@ -36,7 +36,7 @@ def show_closure(closure: Closure) -> None:
         console.print(
             Text(
                 f"  {found.effect.name} {found.placement}".rstrip()
-                + f": {at}{values}, p = {found.p_value:.2g}, {found.status}"
+                + f": {at}{values}, {_probability(found.p_value)}, {found.status}"
             ),
             soft_wrap=True,
         )
@@ -58,6 +58,11 @@ def show_closure(closure: Closure) -> None:
         console.print(Text(f"Suspected readings, left out: rows {rows}{more}."))
     for note in closure.notes:
         console.print(Text(f"Note: {note}."))
+
+
+def _probability(p: float) -> str:
+    shown = probability(p)
+    return f"p {shown}" if shown[0] in "<>" else f"p = {shown}"
 
 
 def _values(listed: Listed) -> str:

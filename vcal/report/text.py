@@ -1,6 +1,7 @@
 """Numbers and names as people read them."""
 
 import math
+import re
 
 from ..plots import pretty_unit
 
@@ -71,4 +72,5 @@ def unit(text: str) -> str:
 
 
 def _minus(text: str) -> str:
-    return text.replace("-", "−")
+    """With a minus sign, which a zero has not."""
+    return re.sub(r"^-(?=[0.]+\D*$)", "", text).replace("-", "−")
