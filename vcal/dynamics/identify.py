@@ -134,7 +134,7 @@ class Task(eqx.Module):
         # of the scales added again, both scatter independently.
         axes = np.array(["XYZ".index(axis) for axis in seen.axes])
         known = jnp.where(jnp.isfinite(seen.internal_u), scales, 0.0)
-        shown = (seen.error - error).at[:, axes].add(known)
+        shown = jnp.asarray(seen.error - error).at[:, axes].add(known)
         scales, probes = _real(scales / seen.internal_u), _real(shown / seen.external_u)
         if self.matrix_u > 0.0:
             # V^(-1/2) leaves alone what S cannot do, and shrinks what it can.
