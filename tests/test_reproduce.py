@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from scipy.stats import maxwell, rayleigh
 from typer.testing import CliRunner
 
@@ -18,6 +19,7 @@ from vcal.model import observe_all, tool_columns, tool_points_with_jacobian
 from vcal.reproduce import REPRODUCTIONS, reproduction
 from vcal.reproduce.tracker_verification.compared import normal_length
 from vcal.reproduce.tracker_verification.family import find_family
+from vcal.reproduce.tracker_verification.plots import bars
 from vcal.reproduce.tracker_verification.probing import Probe, probing
 from vcal.reproduce.tracker_verification.rank import rank_of
 from vcal.reproduce.tracker_verification.setting import (
@@ -284,6 +286,18 @@ def test_probing_adds_what_is_independent(results):
 
 
 # --- the folder and the command ---
+
+
+@pytest.mark.parametrize("longest", [0, 2, 4])
+def test_no_bar_is_behind_the_legend(longest):
+    drawn = bars([(f"influence {i}", 20.0 if i == longest else 1.0, 0.5) for i in range(5)])
+    drawn.draw_without_rendering()
+    (ax,) = drawn.axes
+    legend = ax.get_legend().get_window_extent()
+    titles = [t for t in ax.get_children() if isinstance(t, Text) and t.get_text()]
+    assert not any(legend.overlaps(bar.get_window_extent()) for bar in ax.patches)
+    assert titles and not any(legend.overlaps(t.get_window_extent()) for t in titles)
+    assert legend.x1 <= drawn.bbox.x1 and legend.y1 <= drawn.bbox.y1
 
 
 @pytest.mark.slow

@@ -114,7 +114,8 @@ def bars(rows: Sequence[tuple[str, float, float]]) -> Figure:
     ax.barh(at - 0.19, [r[2] for r in rows], 0.36, color=AFTER, label="after rigid alignment")
     ax.set_yticks(at, [r[0] for r in rows])
     titled(ax, "Mean error left at the points", "µm")
-    ax.legend(fontsize=8.5, frameon=False, loc="center right")
+    # Above the frame, where no bar is.
+    ax.legend(fontsize=8.5, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     return drawn
 
 
