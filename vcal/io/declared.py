@@ -201,37 +201,31 @@ class _Where:
 
 def _declared(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Where) -> Effect:
     extra = dict(row.__pydantic_extra__ or {})
-    fields = {f.name for f in dataclasses.fields(cls)} - {"placement", "given", "priors"}
-    selectors = {key: extra.pop(key) for key in list(extra) if key in fields}
     options = _placed(row, cls, setup, where)
     if row.component is not None:
         options = _with_component(options, row.component, where)
-    for key, value in selectors.items():
-        values = list(dict.fromkeys(getattr(e, key) for e in options))
+    for key in list(extra):
+        if key not in _fields(options[0]):
+            continue
+        values = _values(options, key)
+        if not values:  # a chain, a basis, levers: nothing that could be written in a row
+            raise _unknown_parameter([key], options, row.component, where)
+        value = extra.pop(key)
         if value not in values:
-            raise where.refusal(
-                key, shown(value), f"one of {listed(map(str, values))}", "correct the value"
-            )
+            raise where.refusal(key, shown(value), f"one of {_either(values)}", "correct the value")
         options = [e for e in options if getattr(e, key) == value]
     laws = {key: value for key, value in extra.items() if isinstance(value, dict)}
     given = _spread({k: v for k, v in extra.items() if k not in laws}, options, where)
     keys = (*given, *laws)
-    labels = [_labels(e, row.component) for e in options]
     fitting = [
         (e, names)
-        for e, names in zip(options, labels, strict=True)
+        for e, names in ((e, _labels(e, row.component)) for e in options)
         if all(key.removesuffix("_sigma") in names or key in names for key in keys)
     ]
     if not fitting:
-        raise _unknown_parameter(keys, labels, where)
+        raise _unknown_parameter(keys, options, row.component, where)
     if len(fitting) > 1:
-        components = list(dict.fromkeys(_component(e) for e, _ in fitting))
-        raise where.refusal(
-            "component",
-            f"{len(fitting)} effects that these keys fit",
-            f"one, by its component: {listed(components)}",
-            "add the component",
-        )
+        raise _several_fit([e for e, _ in fitting], row.component, where)
     effect, names = fitting[0]
     return dataclasses.replace(
         effect,
@@ -294,9 +288,46 @@ def _texts(effect: Effect) -> list[str]:
     return values
 
 
-def _component(effect: Effect) -> str:
-    texts = _texts(effect)
-    return " ".join(texts) or ", ".join(p.label for p in effect.parameters)
+def _fields(effect: Effect) -> list[str]:
+    """The fields that a class has of its own."""
+    names = [field.name for field in dataclasses.fields(effect)]
+    return [name for name in names if name not in ("placement", "given", "priors")]
+
+
+def _values(options: Sequence[Effect], key: str) -> list[Any]:
+    """What a field is in these effects; nothing where it is more than a row can say."""
+    values = [getattr(e, key) for e in options]
+    values = [value.item() if isinstance(value, np.generic) else value for value in values]
+    if not all(isinstance(value, str | int | float) for value in values):
+        return []
+    return list(dict.fromkeys(values))
+
+
+def _chosen(options: Sequence[Effect], key: str) -> bool:
+    """Whether a field is a number in which these effects differ."""
+    values = _values(options, key)
+    return len(values) > 1 and not any(isinstance(value, str) for value in values)
+
+
+def _either(values: Sequence[Any]) -> str:
+    return listed(value if isinstance(value, str) else shown(value) for value in values)
+
+
+def _several_fit(options: Sequence[Effect], component: str | None, where: _Where) -> StudyError:
+    """The error to raise where a row leaves open which of several effects it means: it asks for
+    the first key in which they differ.
+    """
+    found = f"{len(options)} effects that these keys fit"
+    for key in _fields(options[0]):
+        values = _values(options, key)
+        if len(values) < 2:
+            continue
+        if component is None and key != "unit" and all(isinstance(v, str) for v in values):
+            key = "component"
+        expected = f"one, by its {key}: {_either(values)}"
+        return where.refusal(key, found, expected, f"add the {key}")
+    labels = listed(dict.fromkeys(p.label for e in options for p in e.parameters))
+    return where.refusal("", found, f"one, by its parameters: {labels}", "add one of them")
 
 
 def _labels(effect: Effect, component: str | None) -> dict[str, Parameter]:
@@ -345,16 +376,21 @@ def _number(key: str, value: Any, where: _Where) -> float:
 
 
 def _unknown_parameter(
-    given: Sequence[str], labels: Sequence[Mapping[str, Parameter]], where: _Where
+    given: Sequence[str], options: Sequence[Effect], component: str | None, where: _Where
 ) -> StudyError:
-    known = list(dict.fromkeys(label for names in labels for label in names))
+    known = list(dict.fromkeys(label for e in options for label in _labels(e, component)))
+    others = ["placement"] if any(e.placement for e in options) else []
+    others += ["component"] if any(map(_texts, options)) else []
+    others += [key for key in _fields(options[0]) if _chosen(options, key)]
     for key in given:
         if key.removesuffix("_sigma") not in known and key not in known:
             plain = key.removesuffix("_sigma")
             return where.refusal(
                 key,
-                f"the unknown key {key!r}{nearest(plain, known)}",
-                f"placement, component, or one of {listed(known)} (and with _sigma)",
+                f"the unknown key {key!r}{nearest(plain, [*known, *others])}",
+                "".join(f"{other}, " for other in others)
+                + ("or " if others else "")
+                + f"one of {listed(known)} (and with _sigma)",
                 "correct or remove the key",
             )
     return where.refusal(

@@ -108,7 +108,8 @@ class MachineSettings(Table):
         if self.joint and self.travel_mm:
             raise ValueError(
                 "found travel_mm beside joint rows, expected the bounds in the rows; "
-                "give `low` and `high` per [[machine.joint]]"
+                "give `low_deg` and `high_deg` (revolute) or `low_mm` and `high_mm` (prismatic) "
+                "per [[machine.joint]]"
             )
         return self
 

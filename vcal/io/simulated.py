@@ -100,6 +100,8 @@ def parse_every_with(
 
 
 def _value(text: str) -> int | float | str:
+    if text in ("true", "false"):
+        return text == "true"
     for kind in (int, float):
         try:
             return kind(text)
