@@ -30,10 +30,11 @@ from vcal.loop.screening import KindResult, Screening
 from vcal.loop.stray import Stray
 from vcal.loop.unexplained import Interval, Unexplained
 from vcal.plan import Plan, joined
-from vcal.plots.residuals import unexplained_views
+from vcal.plots.residuals import _means as means
+from vcal.plots.residuals import before_after, unexplained_views
 from vcal.plots.search import search
 from vcal.plots.style import AFTER, BEFORE, DOTS
-from vcal.plots.views import residual_without
+from vcal.plots.views import View, residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.compensation import effects_csv
 from vcal.report.derived import parameters
@@ -683,7 +684,14 @@ def test_report_of_an_arm(small_arm_study, tmp_path):
 
 
 @pytest.mark.parametrize("rounds", [1, 2, 3, 4])
-@pytest.mark.parametrize("name", ["acceleration_crosstalk", "effect_of_ones_own_with_a_long_name"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "acceleration_crosstalk",
+        "effect_of_ones_own_with_a_long_name",
+        "guideway_dent_from_the_crash_of_2019_on_the_second_pallet",
+    ],
+)
 def test_headings_of_the_search_have_room(rounds, name):
     kinds = [KindResult("kink", [], 3, 9.0, 3.0, 1e-3), KindResult(name, [], 3, 50.0, 3.0, 1e-20)]
     added = SimpleNamespace(name=name)
@@ -698,9 +706,37 @@ def test_headings_of_the_search_have_room(rounds, name):
     ends = [title.get_window_extent() for title in headings]
     assert len(ends) == rounds
     assert all(left.x1 < right.x0 for left, right in itertools.pairwise(ends))
+    assert min(label.get_window_extent().x0 for label in drawn.axes[0].get_yticklabels()) > 0.0
     assert max(end.x1 for end in ends) < drawn.bbox.x1
     assert max(end.y1 for end in ends) < drawn.bbox.y1
     assert (name in headings[0].get_text()) == (rounds * len(name) <= 72)
+
+
+@pytest.mark.parametrize("name", ["jump", "encoder_eccentricity warm azimuth of a second tracker"])
+def test_titles_of_before_and_after_are_apart(name):
+    x = np.linspace(0.0, 1.0, 50)
+    view = View(x, "x, mm", "scatter", "along Y", 1234.0 * np.sin(9.0 * x), 0.1 * np.cos(9.0 * x))
+    drawn = before_after(view, name)
+    drawn.draw_without_rendering()
+    above = [t for ax in drawn.axes for t in ax.get_children() if isinstance(t, Text)]
+    shown = [t for t in (*above, *drawn.texts) if t.get_text()]
+    told = sorted(t.get_text().partition(" (rms")[0] for t in shown)
+    assert told == sorted(["before", "after", name])
+    boxes = [t.get_window_extent() for t in shown]
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+    assert max(box.x1 for box in boxes) < drawn.bbox.x1
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.01])
+def test_readings_of_one_temperature_have_one_mean(jitter):
+    """A long plateau is one point of the line, not a stroke along the ordinate."""
+    x = np.concatenate([np.linspace(0.0, 1.0, 100), 2.0 + jitter * np.linspace(-1.0, 1.0, 200)])
+    y = np.concatenate([x[:100], np.linspace(-9.0, 11.0, 200)])
+    centres, values = means(x, y, 30)
+    assert (np.diff(centres) > 0.0).all()
+    assert (centres[-1], values[-1]) == (pytest.approx(2.0), pytest.approx(1.0))
+    assert len(centres) > 8
+    np.testing.assert_allclose(centres[:-1], values[:-1])
 
 
 def test_residual_without_the_effect_is_that_of_the_declared_model(closed):

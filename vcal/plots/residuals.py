@@ -29,41 +29,44 @@ from .style import (
 from .views import View, column_of, described, values_of
 
 _MOST_DOTS = 4000
+_NEAR = 0.7
+"""Share of the width of a group, were all of one width, within which groups begin that are one."""
 
 
 def before_after(view: View, name: str) -> Figure:
-    """Residual of the model without and with an effect, against what betrays it.
+    """Residual of the model without and with an effect of this name, against what betrays it.
 
     Dots are readings, the coloured points means of groups with two standard errors; the line is
     what is visible of the effect, that is, not taken up by other parameters.
     """
-    drawn = figure(9.6, 3.9)
-    left, right = _panels(drawn, 2, sharey=True)
+    drawn = figure(9.6, 4.15)
+    left, right = _panels(drawn, 2, sharey=True, top=0.7)
+    drawn.text(0.75 / 9.6, 1.0 - 0.3 / 4.15, name, fontsize=10, color=INK, weight="bold")
     bound = 1.1 * limit([view.without, view.with_])
     for ax, y, colour, word in (
-        (left, view.without, BEFORE, "before: without"),
-        (right, view.with_, AFTER, "after: with"),
+        (left, view.without, BEFORE, "before"),
+        (right, view.with_, AFTER, "after"),
     ):
         _dots(ax, view.x, y, colour, sides=view.kind == "sides", tone=view.tone)
         if ax is left:
-            _visible(ax, view, name)
+            _visible(ax, view)
         if view.event is not None:
             ax.axvline(view.event, color=INK, linewidth=1.2, linestyle="--")
         if view.kind != "sides":
             # Numbers of six letters have room beside each other.
             ax.locator_params(axis="x", nbins=7)
         rms = np.sqrt((y**2).mean())
-        titled(ax, f"{word} {name}   (rms {rms:.3g} µm)", view.x_label)
+        titled(ax, f"{word} (rms {rms:.3g} µm)", view.x_label)
         ax.set_ylim(-bound, bound)
     along = f" {view.along}" if len(view.along) < 24 else " of the tool point"
     left.set_ylabel(f"residual{along}, µm", fontsize=9.5, color=INK)
     return drawn
 
 
-def _visible(ax: Axes, view: View, name: str) -> None:
+def _visible(ax: Axes, view: View) -> None:
     """What is visible of an effect, as a line through the means of groups."""
     x, y = view.x, view.visible
-    label = f"visible of {name}"
+    label = "what is visible of it"
     levels = np.unique(x)
     if len(levels) <= 12:
         width = 0.3 * (np.diff(levels).min() if len(levels) > 1 else 1.0)
@@ -87,9 +90,20 @@ def _legend(ax: Axes) -> None:
 
 
 def _means(x: np.ndarray, y: np.ndarray, groups: int) -> tuple[np.ndarray, np.ndarray]:
-    """Means of `x` and `y` over groups of equal size in the order of `x`."""
-    order = np.array_split(np.argsort(x, kind="stable"), groups)
-    pairs = [(x[rows].mean(), y[rows].mean()) for rows in order if len(rows)]
+    """Means of `x` and `y` over groups of equal size in the order of `x`; what has the same `x`, or
+    as good as the same, is in one group, so that there is one mean of it.
+    """
+    _, level, counts = np.unique(x, return_inverse=True, return_counts=True)
+    middle = np.cumsum(counts) - 0.5 * counts
+    index = (middle * groups / len(x)).astype(int)[level]
+    begins: list[float] = []
+    group = np.zeros(len(x), int)
+    for k in np.unique(index):
+        first = float(x[index == k].min())
+        if not begins or first - begins[-1] >= _NEAR * np.ptp(x) / groups:
+            begins.append(first)
+        group[index == k] = len(begins)
+    pairs = [(x[group == k].mean(), y[group == k].mean()) for k in np.unique(group)]
     return tuple(np.array(pairs).T)  # type: ignore[return-value]
 
 
@@ -142,10 +156,10 @@ def unexplained(fit: Fit, what: Unexplained) -> Figure:
     return drawn
 
 
-def _panels(drawn: Figure, count: int, sharey: bool = False) -> np.ndarray:
+def _panels(drawn: Figure, count: int, sharey: bool = False, top: float = 0.45) -> np.ndarray:
     """Axes side by side, with the margins of all figures in this file."""
     gap = 0.35 if sharey else 0.8
-    margins = {"left": 0.75, "right": 0.2, "top": 0.45, "bottom": 0.6, "wspace": gap}
+    margins = {"left": 0.75, "right": 0.2, "top": top, "bottom": 0.6, "wspace": gap}
     return grid(drawn, 1, count, margins, sharey=sharey)[0]
 
 

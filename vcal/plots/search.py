@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..loop.screening import KindResult, Screening
-from .style import AFTER, BEFORE, DOTS, INK, figure, grid, titled
+from .style import AFTER, BEFORE, DOTS, INK, figure, grid, titled, width_of
 
 _LETTERS = 72
 """That the headings of all panels hold, side by side."""
@@ -36,12 +36,14 @@ def search(screenings: Sequence[Screening], alpha: float) -> Figure:
     # Else there is no room for the names, one beside the other.
     told = len(screenings) <= 3 and 0 < longest * len(screenings) <= _LETTERS
     top = 0.62 if told else 0.45
-    drawn = figure(9.6, 0.7 + top + 0.235 * len(kinds))
+    # Drawn text is a little wider, for its letters begin at whole pixels.
+    left = max(1.75, 0.2 + 1.06 * max(map(width_of, kinds), default=0.0))
+    drawn = figure(7.85 + left, 0.7 + top + 0.235 * len(kinds))
     row = grid(
         drawn,
         1,
         len(screenings),
-        {"left": 1.75, "right": 0.25, "top": top, "bottom": 0.65, "wspace": 0.25},
+        {"left": left, "right": 0.25, "top": top, "bottom": 0.65, "wspace": 0.25},
     )[0]
     largest = max(10.0, *(minus_log10_p(s, k) for s in screenings for k in s.kinds))
     least = -math.log10(alpha)

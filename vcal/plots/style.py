@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.textpath import TextPath
 
 BEFORE = "#D55E00"
 AFTER = "#0072B2"
@@ -94,6 +95,11 @@ def titled(ax: Axes, title: str, x: str = "", y: str = "") -> None:
         ax.set_xlabel(x, fontsize=9.5, color=INK)
     if y:
         ax.set_ylabel(y, fontsize=9.5, color=INK)
+
+
+def width_of(text: str, size: float = 9.0) -> float:
+    """How wide a text is, in inches."""
+    return float(TextPath((0.0, 0.0), text, size=size).get_extents().width) / 72.0 if text else 0.0
 
 
 def png(drawn: Figure) -> bytes:

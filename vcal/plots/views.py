@@ -194,7 +194,7 @@ def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.nda
         x = (values_of(warm[0], plan) - 20.0)[used] * values_of(axes[0], plan)[used]
         if described(x, visible) > _CLEAR:
             return x, f"(temperature of {axes[0]} − 20 °C) × its position, K m", "scatter", None
-    return visible, f"what is visible of {effect.key}, µm", "visible", None
+    return visible, "what is visible of it, µm", "visible", None
 
 
 def _tone(
