@@ -34,7 +34,7 @@ from vcal.plots.residuals import _means as means
 from vcal.plots.residuals import before_after, unexplained_views
 from vcal.plots.search import search
 from vcal.plots.style import AFTER, BEFORE, DOTS
-from vcal.plots.views import View, residual_without
+from vcal.plots.views import View, effect_view, residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.compensation import effects_csv
 from vcal.report.derived import parameters
@@ -745,6 +745,22 @@ def test_residual_without_the_effect_is_that_of_the_declared_model(closed):
     without = residual_without(closure.after, place)
     size = np.abs(closure.before.residual).max(0)
     assert (np.abs(without - closure.before.residual).max(0) < 1e-3 * size).all()
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("encoder_eccentricity:azimuth:sine_urad=20", "the effect seems to move it"),
+        ("angular_reversal:X:size_ECX_urad=20", "the effect moves it"),
+    ],
+)
+def test_direction_of_a_picture_is_in_the_words_of_a_reader(closed, spec, words):
+    """No names of the ports inside."""
+    _, study, _ = closed
+    effect = parse_with(spec, CATALOGUE, study.model.setup(study.plan))
+    free = dataclasses.replace(effect, given=())
+    fit = identify(study.model.with_effects(free), study.measurement)
+    assert effect_view(fit, fit.model.effects[-1]).along == f"in the direction in which {words}"
 
 
 def test_places_of_parameters_beside_a_pitch_that_is_known(closed):

@@ -154,7 +154,8 @@ def _direction(
         mean = direction[used].mean(0)
         if np.abs(mean).max() > 0.99:
             return direction, f"along {'XYZ'[int(np.argmax(np.abs(mean)))]}{frame}"
-        return direction, f"in the direction in which {ports[0]} moves the tool point"
+        moves = "moves" if effect.where == "machine" else "seems to move"
+        return direction, f"in the direction in which the effect {moves} it"
     _, s, vt = np.linalg.svd(moved, full_matrices=False)
     main = vt[0] * np.sign(vt[0][np.argmax(np.abs(vt[0]))])
     if s[0] ** 2 > 0.8 * (s**2).sum():
@@ -165,7 +166,7 @@ def _direction(
     # Rows that the effect does not touch are seen along its main direction.
     touched = length > 1e-9 * length.max()
     direction = np.where(touched, moved / np.where(touched, length, 1.0), main)
-    return direction, "along the displacement it causes"
+    return direction, "along the displacement that the effect causes"
 
 
 def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.ndarray):
