@@ -1,6 +1,9 @@
 """Effects of a user's own file that cannot be used, and searches that could test nothing."""
 
+import dataclasses
 import re
+import sys
+import typing
 
 import numpy as np
 import pytest
@@ -8,6 +11,7 @@ import pytest
 import vcal.cli.closing
 from designing import run
 from vcal.cli.closing import close_study
+from vcal.effects.registry import load_effects
 from vcal.errors import StudyError
 from vcal.io import load_study
 from vcal.io.simulated import parse_with
@@ -108,6 +112,39 @@ def test_a_class_that_cannot_be_used(small_tracker_study, case):
 
 def test_a_class_that_can(small_tracker_study):
     assert "quill_sag" in load_study(with_own(small_tracker_study, OWN)).catalogue
+
+
+def test_annotations_that_are_text(small_tracker_study):
+    """Dataclasses look them up in the module, which therefore has to be among the others."""
+    text = "from __future__ import annotations\n\nfrom typing import ClassVar\n" + OWN.replace(
+        '    name = "quill_sag"\n',
+        '    name: ClassVar[str] = "quill_sag"\n    overhang: float = 2.0\n',
+    )
+    kind = load_study(with_own(small_tracker_study, text)).catalogue["quill_sag"]
+    assert [f.name for f in dataclasses.fields(kind)][-1] == "overhang"
+    hints = typing.get_type_hints(kind)
+    assert hints["overhang"] is float and hints["name"] == typing.ClassVar[str]
+
+
+def test_files_of_one_name_stay_apart(tmp_path):
+    kinds = []
+    for i in range(2):
+        path = tmp_path / str(i) / "own.py"
+        path.parent.mkdir()
+        path.write_text(OWN.replace("import vcal", f"import vcal\n\nNUMBER = {i}"))
+        kinds += load_effects(path)
+    modules = [sys.modules[kind.__module__] for kind in kinds]
+    assert [module.NUMBER for module in modules] == [0, 1]
+    assert [module.QuillSag for module in modules] == kinds
+    path.write_text("NUMBER = 2\nraise ValueError")
+    before = dict(sys.modules)
+    with pytest.raises(StudyError, match="cannot be run: ValueError"):
+        load_effects(path)
+    assert sys.modules == before
+    path.rename(tmp_path / "other.py")
+    with pytest.raises(StudyError, match="cannot be run: ValueError"):
+        load_effects(tmp_path / "other.py")
+    assert sys.modules == before
 
 
 def test_a_file_that_ends_the_program(small_tracker_study):
