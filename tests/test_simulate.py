@@ -11,7 +11,7 @@ import pytest
 from vcal import StudyError, identify, load_study, predict
 from vcal.design.judged import grid_points
 from vcal.effects.base import Setup
-from vcal.io.simulated import parse_with
+from vcal.io.simulated import parse_with, write_simulated
 from vcal.model import Model
 from vcal.simulate import (
     Truth,
@@ -47,6 +47,60 @@ def balls(small_ball_study):
     return load_study(small_ball_study)
 
 
+# --- a tracker that stands elsewhere -------------------------------------------------------------
+
+READ = ("range", "azimuth", "elevation")
+ELSEWHERE = {"instrument.station_mm": [0, 0, 0]}
+"""Where the tracker was declared to be, 1.2 m from where it is."""
+
+
+def test_encoders_turn_by_what_they_read(small_tracker_study, tmp_path):
+    """An eccentric encoder has the same size, wherever the station was declared to be."""
+    declared = {"name": "encoder_eccentricity", "placement": "azimuth"}
+    with_it = {"model.effect": [declared]}
+    study = load_study(small_tracker_study)
+    made = tmp_path / "made"
+    encoder = effect(study, "encoder_eccentricity:azimuth:sine_urad=40,cosine_urad=10")
+    write_simulated(study, made, effects=[encoder], seed=2)
+    here, there = (load_study(made, with_it | more) for more in ({}, ELSEWHERE))
+    for name, column in zip(READ, here.measurement.readings.T, strict=True):
+        np.testing.assert_array_equal(here.plan.covariate(name), column)
+        np.testing.assert_array_equal(there.plan.covariate(name), column)
+    one, other = (identify(s.model, s.measurement) for s in (here, there))
+    assert other.chi2 == pytest.approx(one.chi2, rel=1e-4)
+    np.testing.assert_allclose(other.theta[-2:], one.theta[-2:], atol=1e-3)
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_a_tracker_is_simulated_where_it_is_declared(small_tracker_study, tmp_path, joint):
+    """Angles in the plan are those of the readings that were made, not of those before."""
+    if joint:
+        setup = small_tracker_study / "setup.toml"
+        head, rest = setup.read_text(encoding="utf-8").split("[instrument]")
+        own, model = rest.split("[model.geometric]")
+        rows = [f'[[data]]\nname = "{n}"\nfile = "{n}.csv"\n[data.instrument]{own}' for n in "ab"]
+        setup.write_text(f"{head}{''.join(rows)}[model.geometric]{model}", encoding="utf-8")
+        header, *lines = (small_tracker_study / "data.csv").read_text("utf-8").splitlines()
+        for name, part in (("a", lines[:24]), ("b", lines[24:])):
+            table = "\n".join([header, *part])
+            (small_tracker_study / f"{name}.csv").write_text(table, encoding="utf-8")
+    sets = ("a:", "b:") if joint else ("",)
+    key = "data.{}.instrument.station_mm" if joint else "instrument.station_mm"
+    more = {key.format(i): [0, 0, 0] for i in range(len(sets))}
+    study = load_study(small_tracker_study, more)
+    made = write_simulated(study, tmp_path / "made", noise_factor=0.0, overrides=more)
+    again = load_study(tmp_path / "made")
+    for name in sets:
+        for column in READ:
+            values = made.measurement.plan.values(name + column)
+            there = np.isfinite(values)
+            np.testing.assert_allclose(
+                values[there], again.plan.values(name + column)[there], rtol=0, atol=1e-8
+            )
+            old = study.plan.values(name + column)[there]
+            assert np.abs(values[there] - old).max() > 0.05
+
+
 # --- exact limits --------------------------------------------------------------------------------
 
 
@@ -58,7 +112,10 @@ def test_a_perfect_machine_reads_nominal(tracker):
         found.measurement.readings[:, 0], np.linalg.norm(v, axis=1), atol=1e-14
     )
     np.testing.assert_array_equal(found.noise, 0.0)
-    assert found.measurement.plan is plan
+    for name, values in plan.covariates.items():
+        if name not in ("range", "azimuth", "elevation"):
+            np.testing.assert_array_equal(found.measurement.plan.covariate(name), values)
+    np.testing.assert_array_equal(found.measurement.plan.position, plan.position)
     points = found.tool_points(plan)
     np.testing.assert_allclose(points, np.asarray(plan.position) + [0, 0, -0.15], atol=1e-15)
 

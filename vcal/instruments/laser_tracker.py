@@ -1,10 +1,11 @@
 """Laser tracker: range, azimuth and elevation of a reflector at the tool point."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from pydantic import Field
 
 from ..arrays import Array
@@ -29,6 +30,7 @@ from .frame import Station, displaced
 _Coordinate = Annotated[float, Field(ge=-200e3, le=200e3)]
 _Angle = Annotated[float, Field(ge=-360, le=360)]
 _READ = ("range", "azimuth", "elevation")
+_COLUMNS = ("range_mm", "azimuth_rad", "elevation_rad")
 _RANGE = np.array([1.0, 0.0, 0.0])
 
 
@@ -48,6 +50,9 @@ class LaserTracker(TableInstrument):
 
     Noise: range sigma a + b r (added linearly), one angle sigma for both angles. The station's pose
     (R = Rx Ry Rz of the nominal Euler angles) is a nuisance with six parameters.
+
+    Its errors depend on what it reads, wherever the station was found to be: range and angles of a
+    plan are the readings, or those seen from the nominal station where there are none yet.
     """
 
     kind = "laser_tracker"
@@ -98,21 +103,27 @@ class LaserTracker(TableInstrument):
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
-        plan = linear_plan(chain, table, ("range_mm", "azimuth_rad", "elevation_rad"))
+        plan = linear_plan(chain, table, _COLUMNS)
+        if all(name in table for name in _COLUMNS):
+            return _with_read(plan, self.measured(table))
         nominal = plan.position + np.asarray(chain.tool_offset)
         v = (nominal - self.station) @ self.orientation
         r = np.linalg.norm(v, axis=1)
-        derived = {
-            "range": r,
-            "azimuth": np.arctan2(v[:, 1], v[:, 0]),
-            "elevation": np.arcsin(v[:, 2] / r),
-        }
-        return Plan(plan.axes, plan.position, {**plan.covariates, **derived}, plan.groups)
+        seen = r, np.arctan2(v[:, 1], v[:, 0]), np.arcsin(v[:, 2] / r)
+        return _with_read(plan, np.column_stack(seen))
+
+    def record(
+        self, plan: Plan, ideal: Callable[[Plan], np.ndarray], noise: np.ndarray
+    ) -> tuple[Plan, np.ndarray]:
+        """Readings with noise, and the plan with range and angles as they are seen without: those
+        it held may be of a station that stood elsewhere.
+        """
+        plan = _with_read(plan, ideal(plan))
+        return plan, ideal(plan) + noise
 
     def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
-        return np.column_stack(
-            [table["range_mm"] * 1e-3, table["azimuth_rad"], table["elevation_rad"]]
-        )
+        r, azimuth, elevation = (np.asarray(table[name], float) for name in _COLUMNS)
+        return np.column_stack([1e-3 * r, azimuth, elevation])
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
         return {
@@ -152,3 +163,12 @@ class LaserTracker(TableInstrument):
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
         # Five contiguous blocks in time: neighbours in time share what drifts.
         return np.arange(plan.rows) * 5 // plan.rows, False
+
+
+def _with_read(plan: Plan, readings: Float[np.ndarray, "n 3"]) -> Plan:
+    """The plan with range (m), azimuth (-pi to pi) and elevation as covariates."""
+    r, azimuth, elevation = readings.T
+    turn = 2.0 * np.pi
+    read = {"range": r, "azimuth": azimuth - turn * np.round(azimuth / turn)}
+    covariates = {**plan.covariates, **read, "elevation": elevation}
+    return Plan(plan.axes, plan.position, covariates, plan.groups)

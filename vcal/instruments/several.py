@@ -137,18 +137,16 @@ class Several(Instrument):
     def record(
         self, plan: Plan, ideal: Callable[[Plan], np.ndarray], noise: np.ndarray
     ) -> tuple[Plan, np.ndarray]:
-        position = np.array(plan.position)
-        readings = np.zeros((plan.rows, self._width))
-        for member, part, rows, columns in self._each(plan):
+        recorded, readings = plan, np.zeros((plan.rows, self._width))
+        each = zip(self.names, self._each(plan), strict=True)
+        for name, (member, part, rows, columns) in each:
 
-            def mine(at: Plan, rows=rows, columns=columns) -> np.ndarray:
-                moved = np.array(plan.position)
-                moved[rows] = at.position
-                return np.asarray(ideal(plan.with_position(moved)))[rows, columns]
+            def mine(at: Plan, name=name, rows=rows, columns=columns) -> np.ndarray:
+                return np.asarray(ideal(_replaced(plan, name, rows, at)))[rows, columns]
 
             found, read = member.record(part, mine, np.asarray(noise)[rows, columns])
-            position[rows], readings[rows, columns] = found.position, read
-        return plan.with_position(position), readings
+            recorded, readings[rows, columns] = _replaced(recorded, name, rows, found), read
+        return recorded, readings
 
     def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         return self._table(plan, lambda m, part, own: m.noise(part, own), readings)
@@ -183,6 +181,19 @@ class Several(Instrument):
             for name, (member, part, *_) in zip(self.names, self._each(plan), strict=True)
             for effect in member.effects(part)
         )
+
+
+def _replaced(plan: Plan, name: str, rows: slice, part: Plan) -> Plan:
+    """A plan with positions and covariates of the rows of one data set from a plan of these."""
+    position = np.array(plan.position)
+    position[rows] = part.position
+    covariates = dict(plan.covariates)
+    for key, values in part.covariates.items():
+        own = key if key in plan.covariates else of_set(name, key)
+        column = np.array(covariates.get(own, np.full(plan.rows, np.nan)))
+        column[rows] = values
+        covariates[own] = column
+    return Plan(plan.axes, position, covariates, plan.groups, plan.sets)
 
 
 def with_tool(chain: Chain, offset: Sequence[float] | np.ndarray) -> Chain:
