@@ -430,6 +430,11 @@ def test_family_tables(small_tracker_study, case):
     check(small_tracker_study, ("errors.csv, ", *expected))
 
 
+def on_the_line(ball: int) -> Change:
+    """A ball of the artefact on a line along its x."""
+    return both(*(cell(ball + 1, f"{c}_mm", "1.5", "artefact.csv") for c in "yz"))
+
+
 PROBED = "probe_sigma_um = 0.7\n"
 BALLS = {
     "a single pose of three balls": (
@@ -463,6 +468,29 @@ BALLS = {
     "ball calibrated twice": (
         cell(2, "ball", "0", "artefact.csv"),
         ("artefact.csv, row 2 (line 3), column ball", "ball 0 again", "every ball once"),
+    ),
+    "two balls at one place": (
+        lines(lambda found: [*found[:4], f"3{found[1][1:]}", *found[5:]], "artefact.csv"),
+        (
+            "artefact.csv, columns x_mm, y_mm, z_mm: found balls 0 and 3 0 mm apart",
+            "expected every ball at a place of its own",
+        ),
+    ),
+    "an artefact that is a line": (
+        both(*(on_the_line(ball) for ball in range(6))),
+        (
+            "data.csv, row 1 (line 2), column ball: found the balls 0, 1, 2, 3, 4, 5 of pose 0, "
+            "all on one line of artefact.csv",
+            "expected balls that span a plane",
+            "measure a ball beside the line",
+        ),
+    ),
+    "three balls of a pose on a line": (
+        both(
+            *(on_the_line(ball) for ball in range(3)),
+            lines(lambda found: found[:10] + found[13:]),
+        ),
+        ("data.csv, row 7 (line 8), column ball: found the balls 0, 1, 2 of pose 1, all on one",),
     ),
     "both supports at one place": (
         replace(PROBED, PROBED + "supports = [0.5, 0.5]\n"),

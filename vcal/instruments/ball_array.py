@@ -31,6 +31,10 @@ from .frame import displaced, pose_parameters
 
 _FOUND_M = 1e-12
 _STEPS = 20
+_LEAST_APART_MM = 0.1
+"""Balls that are closer are one, or in another unit."""
+_LINE = 1e-5
+"""Breadth over length of balls on one line: what a certificate rounds."""
 _LEAST_SPAN = 0.01
 """Between the supports, of the artefact's length: on one support it would tip over."""
 _DERIVED = (
@@ -171,8 +175,11 @@ class BallArray(TableInstrument):
         _check_balls(settings.artefact, artefact["ball"], table["ball"])
         poses = np.unique(table["pose"]).astype(int)
         _check_poses(poses, table["pose"])
+        centres_mm = np.column_stack([artefact[f"{c}_mm"] for c in "xyz"])
+        _check_apart(settings.artefact, artefact["ball"], centres_mm)
+        _check_lines(poses, table, settings.artefact, artefact["ball"], centres_mm)
         return cls(
-            centres=np.column_stack([artefact[f"{c}_mm"] for c in "xyz"]) * 1e-3,
+            centres=centres_mm * 1e-3,
             numbers=artefact["ball"].astype(int),
             probe_sigma=settings.probe_sigma_um * 1e-6,
             position_sigma=settings.ball_position_u_um * 1e-6,
@@ -325,4 +332,40 @@ def _check_poses(poses: np.ndarray, found: np.ndarray) -> None:
                 f"{count} ball(s) in pose {pose}",
                 "at least 3 to find its six unknowns",
                 "measure more balls or remove the pose",
+            )
+
+
+def _check_apart(file: str, balls: np.ndarray, centres_mm: np.ndarray) -> None:
+    """Raise `StudyError` where two balls of the artefact are at one place."""
+    for i, centre in enumerate(centres_mm[1:], start=1):
+        apart = np.linalg.norm(centres_mm[:i] - centre, axis=1)
+        nearest = int(np.argmin(apart))
+        if apart[nearest] < _LEAST_APART_MM:
+            raise StudyError(
+                f"{file}, columns x_mm, y_mm, z_mm: found balls {int(balls[nearest])} and "
+                f"{int(balls[i])} {apart[nearest]:.3g} mm apart, expected every ball at a place of "
+                f"its own, {_LEAST_APART_MM:g} mm apart at least; correct the row or the unit"
+            )
+
+
+def _check_lines(
+    poses: np.ndarray,
+    table: Mapping[str, np.ndarray],
+    file: str,
+    balls: np.ndarray,
+    centres_mm: np.ndarray,
+) -> None:
+    """Raise `RowError` where nothing tells how the artefact is turned about a line of balls."""
+    for pose in poses:
+        rows = np.flatnonzero(table["pose"] == pose)
+        touched = centres_mm[np.isin(balls, table["ball"][rows])]
+        length, breadth, *_ = np.linalg.svd(touched - touched.mean(0), compute_uv=False)
+        if breadth < _LINE * length:
+            listed = ", ".join(f"{int(ball)}" for ball in table["ball"][rows])
+            raise RowError(
+                int(rows[0]),
+                "column ball",
+                f"the balls {listed} of pose {int(pose)}, all on one line of {file}",
+                "balls that span a plane, as nothing tells how the artefact is turned about a line",
+                "measure a ball beside the line as well, or remove the pose",
             )
