@@ -1,5 +1,7 @@
 """The laser frame: its geometry against plain numpy, what its beams see, its effects, mistakes."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -233,6 +235,28 @@ def test_the_map_corrects_the_readings(tmp_path):
     assert found.shape == (rows, 2)
 
 
+def test_what_a_diode_shows_is_corrected_to_what_it_was(tmp_path):
+    """There and back through a map that no plane fits, with the places on the diode or without."""
+    folder = write_frame(tmp_path / "study", growth=0.0)
+    study = load_study(folder)
+    nodes, rng = np.linspace(-1e-3, 1e-3, 9), np.random.default_rng(6)
+    psd_map = PsdMap(nodes, nodes, 20e-6 * rng.standard_normal((9, 9, 2)))
+    frame = dataclasses.replace(study.instrument, psd_map=psd_map)
+    rows, plan = study.plan.rows, study.plan
+    readings = 50e-6 * rng.standard_normal((rows, 2))
+    psd = {c: rng.uniform(-0.6, 0.6, rows) for c in ("psd_u_mm", "psd_v_mm")}
+    placed = dataclasses.replace(plan, covariates={**plan.covariates, **psd})
+    for at in (plan, placed):
+        table = frame.to_table(at, readings)
+        np.testing.assert_allclose(frame.measured(table), readings, rtol=0, atol=1e-14)
+        shown = np.column_stack([table["u_um"], table["v_um"]]) * 1e-6
+        assert np.abs(shown - readings).max() > 1e-6
+    torn = np.tile(3e-4 * (-1.0) ** np.arange(9)[:, None, None], (1, 9, 2))
+    frame = dataclasses.replace(frame, psd_map=dataclasses.replace(psd_map, error=torn))
+    with pytest.raises(StudyError, match="psd_map: found readings that still change by"):
+        frame.to_table(plan, readings)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -261,6 +285,11 @@ def test_the_map_corrects_the_readings(tmp_path):
             "setup.toml, key instrument.segment.0.psd_range_mm: found [0.0, 7.0], expected",
         ),
         ("sigma_um = 0.5", "sigma_um = -0.5", "sigma_um"),
+        (
+            "sigma_um = 0.5",
+            "sigma_um = 0.5\nreference_degC = 23",
+            "setup.toml, key instrument: found reference_degC = 23, expected 20, from which",
+        ),
         ("Z = [0, 350]", "", "setup.toml, key machine.travel_mm: found no travel of every axis"),
     ],
 )

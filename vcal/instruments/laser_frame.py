@@ -7,17 +7,18 @@ machine need be straight. Brecher, Spierling, Fey, Neus (2021), CIRP Annals 70(1
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from ..chain import Chain
 from ..effects.base import Effect
-from ..errors import KeyedError, RowError
+from ..effects.thermal import REFERENCE_DEGC
+from ..errors import KeyedError, RowError, StudyError
 from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
@@ -39,6 +40,8 @@ _XYZ = "XYZ"
 _READ = ("u", "v")
 _COLUMNS = ("u_um", "v_um")
 _PSD = ("psd_u_mm", "psd_v_mm")
+_SHOWN_M = 1e-15
+_STEPS = 100
 
 Psd = Literal["vertical", "horizontal"]
 Direction = Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"]
@@ -160,9 +163,9 @@ class LaserFrameSettings(InstrumentSettings):
     beam_path: Literal["3d", "planar", "own"] = "3d"
     """By name, over the travel of the machine; or ``"own"``, in [[instrument.segment]] rows."""
     segment: tuple[SegmentSettings, ...] = ()
-    reference_degC: float = Field(default=20.0, ge=-50, le=150)  # noqa: N815
-    """Temperature of the reference run. Effects count from 20 degC: what lies between is a
-    constant, which the frame's unknown pose takes up.
+    reference_degC: float = Field(default=REFERENCE_DEGC, ge=-50, le=150)  # noqa: N815
+    """Temperature of the reference run. Effects count from 20 degC, and what a growing frame or
+    scale has done from there to another temperature is no motion of the frame: 20 is expected.
     """
     psd_lever_mm: float = Field(default=0.0, ge=0, le=1e4)
     """From the spindle's axis to the upright diode, towards the beam."""
@@ -173,6 +176,16 @@ class LaserFrameSettings(InstrumentSettings):
     """Thickness of the filter in front of the diode."""
     filter_index: float = Field(default=1.5, gt=1, le=5)
     """Its refractive index."""
+
+    @model_validator(mode="after")
+    def _referred(self) -> Self:
+        if self.reference_degC != REFERENCE_DEGC:
+            raise ValueError(
+                f"found reference_degC = {self.reference_degC:g}, expected {REFERENCE_DEGC:g}, "
+                "from which effects count; subtract the difference from the columns of "
+                "temperatures, or leave the key out"
+            )
+        return self
 
 
 @register
@@ -285,6 +298,12 @@ class LaserFrame(TableInstrument):
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
         shown = linear_plan_table(plan)
+        if self.psd_map is not None:
+            # Where no segment says otherwise, the beam meets the middle of the diode.
+            middle = np.zeros(plan.rows)
+            place = {c: np.asarray(plan.covariates.get(c, middle)) for c in _PSD}
+            shown |= place
+            readings = _displayed(readings, np.column_stack([*place.values()]) * 1e-3, self.psd_map)
         return {**shown, **{c: readings[:, i] * 1e6 for i, c in enumerate(_COLUMNS)}}
 
     def rows(self, plan: Plan) -> Any:
@@ -388,6 +407,26 @@ def laser_frame(
         psd_map=psd_map,
         thickness=thickness,
         index=index,
+    )
+
+
+def _displayed(
+    readings: Float[np.ndarray, "n 2"], place: Float[np.ndarray, "n 2"], psd_map: PsdMap
+) -> Float[np.ndarray, "n 2"]:
+    """What the diode shows (m) for readings that are corrected by its map: fixed point of
+    r <- readings + map(place + r) - map(place).
+
+    Raises `StudyError` where the map is so steep that there is none.
+    """
+    shown, start = np.asarray(readings, float), psd_map(place)
+    for _ in range(_STEPS):
+        before, shown = shown, readings + psd_map(place + shown) - start
+        if (step := float(np.abs(shown - before).max())) < _SHOWN_M:
+            return shown
+    raise StudyError(
+        f"{psd_map.name}: found readings that still change by {step:.3g} m after {_STEPS} steps, "
+        f"expected less than {_SHOWN_M:g} m, as an error that changes by less than the place does; "
+        "correct error_u_um and error_v_um"
     )
 
 
