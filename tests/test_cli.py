@@ -446,7 +446,7 @@ def test_simulate_then_loop(tmp_path, small_tracker_study):
 def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatch):
     backlash = SimpleNamespace(name="backlash")
     found = SimpleNamespace(
-        effect=backlash, placement="Y", p_value=0.002, status="named", separation="",
+        effect=backlash, placement="Y", joint=False, p_value=0.002, status="named", separation="",
         equivalent=["angular_reversal Y"],
     )  # fmt: skip
     errors = Errors(Rms(5.2312, 1.26), None, Rms(0.9412, 0.183), Rms(0.9, 0.1), 1.0)

@@ -219,11 +219,11 @@ def test_page_says_what_was_tried_and_why_nothing_is_named(closed):
     tried = [*SEARCHED, "of_ones_own"]
     few = said(tried, untestable=[])
     told = f"5 of the {kinds} kinds in the catalogue and 1 of your own"
-    assert f"of those that were tried, {told}, none fits and holds.</p>" in few
+    assert f"of those that were tried, {told}, none explains it.</p>" in few
     assert f"The search was restricted to {told}; each of them was tried at every place" in few
     assert f"Every effect that was looked for ({told}) and could sit on" in few
     every = said(list(CATALOGUE), untestable=[])
-    assert "of those that were tried none fits and holds.</p>" in every
+    assert "of those that were tried none explains it.</p>" in every
     assert "Every kind of effect was tried at every place" in every
     assert "Every effect that could sit on this machine found" in every
     assert "No effect is named for it.</p>" in said(tried, most=1)
@@ -235,7 +235,10 @@ def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):
     _, study, closure = closed
     certain = dataclasses.replace(closure, doubts=[])
     doubted = dataclasses.replace(closure, doubts=[Doubt(closure.after, ((1.0, closure.before),))])
-    assert [("u holds more" in page(one, study, [], [])) for one in (certain, doubted)] == [0, 1]
+    assert [("u also holds what" in page(one, study, [], [])) for one in (certain, doubted)] == [
+        0,
+        1,
+    ]
     assert "no allowance for the choice of the model" not in page(certain, study, [], [])
     monkeypatch.setattr(plots, "png", lambda figure: b"")
     monkeypatch.setattr(plots, "error_motions", lambda tables: None)

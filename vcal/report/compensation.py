@@ -193,7 +193,7 @@ def effects_csv(closure: Closure) -> str:
     placement that was fitted, in the last column.
     """
     header = "effect,placement,parameter,value,unit,standard_uncertainty,status,fitted_placement"
-    rows = [header.split(",")]
+    rows: list[list[str]] = [[*header.split(",")]]
     effects = [
         (found.effect, found.placement, parameters(closure, found), found.status)
         for found in closure.effects
