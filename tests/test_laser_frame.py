@@ -285,11 +285,6 @@ def test_what_a_diode_shows_is_corrected_to_what_it_was(tmp_path):
             "setup.toml, key instrument.segment.0.psd_range_mm: found [0.0, 7.0], expected",
         ),
         ("sigma_um = 0.5", "sigma_um = -0.5", "sigma_um"),
-        (
-            "sigma_um = 0.5",
-            "sigma_um = 0.5\nreference_degC = 23",
-            "setup.toml, key instrument: found reference_degC = 23, expected 20, from which",
-        ),
         ("Z = [0, 350]", "", "setup.toml, key machine.travel_mm: found no travel of every axis"),
     ],
 )
@@ -360,3 +355,27 @@ def test_what_the_points_must_see(tmp_path, wanted, said):
 def test_the_box_is_that_of_the_files():
     assert BOX == (500.0, 400.0, 350.0)
     assert 'kind = "laser_frame"' in FRAME
+
+
+def test_temperatures_count_from_that_of_the_reference_run(tmp_path):
+    """A measurement three degrees warmer throughout, its reference run too, is the same."""
+    cold = load_study(write_frame(tmp_path / "cold", growth=1.5))
+    folder = write_frame(tmp_path / "warm", growth=1.5)
+    setup = folder / "setup.toml"
+    text = setup.read_text()
+    setup.write_text(text.replace("sigma_um = 0.5", "sigma_um = 0.5\nreference_degC = 23"))
+    path = folder / "data.csv"
+    head, *rows = [line.split(",") for line in path.read_text().splitlines()]
+    warm = [i for i, name in enumerate(head) if name.endswith("_degC")]
+    assert warm
+    for row in rows:
+        for i in warm:
+            row[i] = repr(float(row[i]) + 3.0)
+    path.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
+    told = load_study(folder)
+    excess = told.plan.covariate("T_head") - cold.plan.covariate("T_head")
+    np.testing.assert_allclose(excess, 0.0, atol=1e-9)
+    table = told.instrument.to_table(told.plan, told.measurement.readings)
+    for i in warm:
+        given = np.array([float(row[i]) for row in rows])
+        np.testing.assert_allclose(table[head[i]], given, atol=1e-9)

@@ -73,6 +73,13 @@ class Instrument(Record):
     def readings(self) -> tuple[str, ...]:
         """Names of the components of one reading."""
 
+    @property
+    def warmer(self) -> float:
+        """By how many K temperatures of its table are above those that effects count, which begin
+        at 20 degC: readings that are changes since a run at another temperature count from there.
+        """
+        return 0.0
+
     # --- the path of one observation ------------------------------------------------------------
     def rows(self, plan: Plan) -> Any:
         """Pytree of what `observe` needs per row beside the pose (leading axis n)."""

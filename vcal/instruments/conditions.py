@@ -28,6 +28,7 @@ _COLUMNS = {
 """Column and factor from SI of covariates whose names inside differ from those in the files."""
 _MOTION = {"dir": ("", 1.0), "a": ("_m_s2", 1.0), "v": ("_m_s", 1.0), "since": ("_mm", 1e3)}
 """Unit at the end of a column of an axis's motion, and its factor from SI."""
+_TEMPERATURE = "_degC"
 _INSIDE = {_COLUMNS[name][0]: name for name in ("t", "order")}
 """Name inside of a column of conditions; the others are of what instruments derive or read."""
 _JOINT_COLUMNS = {
@@ -39,13 +40,17 @@ _JOINT_COLUMNS = {
 
 
 def linear_plan(
-    chain: Chain, table: Mapping[str, np.ndarray], readings: Collection[str] = ()
+    chain: Chain,
+    table: Mapping[str, np.ndarray],
+    readings: Collection[str] = (),
+    warmer: float = 0.0,
 ) -> Plan:
     """Plan from ``x_mm``, ``dir_x``, ``t_s``, ``T_x_degC``, ``T_air_degC``, group indices, ...
 
     Temperatures and motions of axes are named after the axis (``"T_X"``, ``"dir_X"``), in SI. Any
     further numeric column that is not one of the `readings` becomes a covariate under its own name
-    and in its own unit, for effects of the user's own.
+    and in its own unit, for effects of the user's own. Temperatures are `warmer` in the table than
+    in the plan (`Instrument.warmer`), K.
     """
     axes = chain.axes
     position = np.column_stack([table[f"{axis.lower()}_mm"] for axis in axes]) * 1e-3
@@ -61,10 +66,14 @@ def linear_plan(
         covariate = inside_name(name, axes)
         factor = 1.0 if covariate == name else file_column(covariate, axes)[1]
         covariates[covariate] = np.asarray(values, float) / factor
+        if name.endswith(_TEMPERATURE):
+            covariates[covariate] = covariates[covariate] - warmer
     return Plan(axes, position, covariates, groups)
 
 
-def linear_plan_table(plan: Plan, derived: Collection[str] = ()) -> dict[str, np.ndarray]:
+def linear_plan_table(
+    plan: Plan, derived: Collection[str] = (), warmer: float = 0.0
+) -> dict[str, np.ndarray]:
     """Columns in file units: the inverse of `linear_plan`.
 
     `derived` names the covariates that an instrument derives itself and no file holds.
@@ -77,6 +86,8 @@ def linear_plan_table(plan: Plan, derived: Collection[str] = ()) -> dict[str, np
             continue
         name, factor = file_column(covariate, plan.axes)
         table[name] = np.asarray(values) * factor
+        if name.endswith(_TEMPERATURE):
+            table[name] = table[name] + warmer
     return table
 
 

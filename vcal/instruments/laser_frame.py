@@ -7,13 +7,13 @@ machine need be straight. Brecher, Spierling, Fey, Neus (2021), CIRP Annals 70(1
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from ..chain import Chain
 from ..effects.base import Effect
@@ -164,9 +164,7 @@ class LaserFrameSettings(InstrumentSettings):
     """By name, over the travel of the machine; or ``"own"``, in [[instrument.segment]] rows."""
     segment: tuple[SegmentSettings, ...] = ()
     reference_degC: float = Field(default=REFERENCE_DEGC, ge=-50, le=150)  # noqa: N815
-    """Temperature of the reference run. Effects count from 20 degC, and what a growing frame or
-    scale has done from there to another temperature is no motion of the frame: 20 is expected.
-    """
+    """Temperature of the reference run, from which its errors count (`Instrument.warmer`)."""
     psd_lever_mm: float = Field(default=0.0, ge=0, le=1e4)
     """From the spindle's axis to the upright diode, towards the beam."""
     psd_size_mm: float = Field(default=10.0, gt=0, le=1e3)
@@ -176,16 +174,6 @@ class LaserFrameSettings(InstrumentSettings):
     """Thickness of the filter in front of the diode."""
     filter_index: float = Field(default=1.5, gt=1, le=5)
     """Its refractive index."""
-
-    @model_validator(mode="after")
-    def _referred(self) -> Self:
-        if self.reference_degC != REFERENCE_DEGC:
-            raise ValueError(
-                f"found reference_degC = {self.reference_degC:g}, expected {REFERENCE_DEGC:g}, "
-                "from which effects count; subtract the difference from the columns of "
-                "temperatures, or leave the key out"
-            )
-        return self
 
 
 @register
@@ -216,6 +204,12 @@ class LaserFrame(TableInstrument):
     psd_map: PsdMap | None
     thickness: float
     index: float
+    reference: float = REFERENCE_DEGC
+    """Temperature of the reference run, degC."""
+
+    @property
+    def warmer(self) -> float:
+        return self.reference - REFERENCE_DEGC
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -258,10 +252,11 @@ class LaserFrame(TableInstrument):
             psd_map=psd_map,
             thickness=settings.filter_mm * 1e-3,
             index=settings.filter_index,
+            reference=settings.reference_degC,
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
-        plan = linear_plan(chain, table, _COLUMNS)
+        plan = linear_plan(chain, table, _COLUMNS, warmer=self.warmer)
         covariates = dict(plan.covariates)
         s = self.along(plan)
         self._check_places(plan, s)
@@ -297,7 +292,7 @@ class LaserFrame(TableInstrument):
         return readings - (self.psd_map(place + readings) - self.psd_map(place))
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
-        shown = linear_plan_table(plan)
+        shown = linear_plan_table(plan, warmer=self.warmer)
         if self.psd_map is not None:
             # Where no segment says otherwise, the beam meets the middle of the diode.
             middle = np.zeros(plan.rows)
@@ -393,8 +388,11 @@ def laser_frame(
     psd_map: PsdMap | None = None,
     thickness: float = 0.0,
     index: float = 1.5,
+    reference: float = REFERENCE_DEGC,
 ) -> LaserFrame:
-    """A laser frame on a machine of linear axes X, Y, Z; lengths in m."""
+    """A laser frame on a machine of linear axes X, Y, Z; lengths in m, the temperature of the
+    reference run in degC.
+    """
     ends = np.array([end for one in segments for end in (one.start, one.end)])
     offset = np.asarray(chain.tool_offset, float)
     return LaserFrame(
@@ -407,6 +405,7 @@ def laser_frame(
         psd_map=psd_map,
         thickness=thickness,
         index=index,
+        reference=reference,
     )
 
 

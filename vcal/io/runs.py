@@ -102,7 +102,10 @@ def check_points(
     if linear:
         _check_tool_points(table, chain)
     # Check points belong to the machine: what an instrument derives for itself is not in them.
-    plan = linear_plan(chain, table) if linear else instrument.plan(chain, table)
+    if linear:
+        plan = linear_plan(chain, table, warmer=instrument.warmer)
+    else:
+        plan = instrument.plan(chain, table)
     return CheckPoints(plan, points)
 
 
