@@ -247,8 +247,8 @@ def test_of_names_that_may_be_one_of_an_expected_size_goes_first():
     """The size of another had to be forgiven; what excludes all others goes first whatever."""
     odds = {}
 
-    def rival(log_odds: float, leniency: float):
-        made = SimpleNamespace(leniency=leniency)
+    def rival(log_odds: float, leniency: float, key: str = ""):
+        made = SimpleNamespace(leniency=leniency, effect=SimpleNamespace(key=key or f"{log_odds}"))
         odds[id(made)] = log_odds
         return made
 
@@ -258,6 +258,10 @@ def test_of_names_that_may_be_one_of_an_expected_size_goes_first():
     certain = rival(20.0, 15.0)
     assert preferred([certain, *ranked], odds) == [certain, *ranked]  # type: ignore[arg-type]
     assert preferred([], odds) == []
+    # Of one name, what says most with a size as expected, and not what says nothing.
+    huge, usual, poor = rival(12.0, 300.0, "a"), rival(6.0, 2.0, "a"), rival(-290.0, 0.0, "a")
+    told = preferred([large, huge, usual, poor], odds)  # type: ignore[arg-type]
+    assert told == [usual, large, huge, poor]
 
 
 def test_a_size_that_is_forgiven_needs_more_evidence():

@@ -274,15 +274,16 @@ def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:
 
 def preferred(ranked: Sequence[Rival], odds: Mapping[int, float]) -> list[Rival]:
     """Rivals (with their log odds as of `Names.ranked`, most probable first) in the order in which
-    they are to be added: of those that do not exclude each other, one of a size that is expected
+    they are to be added: of names that do not exclude each other, one of a size that is expected
     goes before one whose size had to be forgiven.
     """
     if not ranked:
         return []
     least = odds[id(ranked[0])] + math.log(1.0 - CERTAIN)
-    open_ = [r for r in ranked if odds[id(r)] >= least]
+    names = {r.effect.key for r in ranked if odds[id(r)] >= least}
+    open_ = [r for r in ranked if r.effect.key in names]
     first = sorted(open_, key=lambda r: r.leniency - odds[id(r)])
-    return [*first, *(r for r in ranked if odds[id(r)] < least)]
+    return [*first, *(r for r in ranked if r.effect.key not in names)]
 
 
 def outdoes(description: Rival, names: Sequence[tuple[Rival, float]]) -> bool:
