@@ -162,10 +162,14 @@ class Search:
         return None
 
     def look_on(self, state: State) -> None:
-        """What is significant where no more effects may be added; the first of it is refused."""
+        """What is significant where no more effects may be added: the first of it is refused, a
+        description only where no effect is significant.
+        """
         _, screening = self._screened(state)
-        if screening.p_value <= self.alpha:
-            self.refused = screening.kinds[0].peaks[0].effect
+        best = [k.peaks[0].effect for k in screening.kinds if screening.corrected(k) <= self.alpha]
+        if best:
+            effects = (effect for effect in best if not isinstance(effect, Empirical))
+            self.refused = next(effects, best[0])
 
     def _screened(self, state: State) -> tuple[Screen, Screening]:
         """The screening of one round."""

@@ -362,7 +362,8 @@ def _from_dependence(
     else:
         reason = "the residual depends on covariates in a way that no effect that was tried has"
     if full and refused is not None:
-        reason = f"{refused.key} is significant, but no more effects may be added (max_effects)"
+        what = refused.words if isinstance(refused, Empirical) else refused.key
+        reason = f"{what} is significant, but no more effects may be added (max_effects)"
     elif full:
         reason = "no more effects may be added (max_effects), and none is significant in the rest"
     return Unexplained(
