@@ -236,10 +236,12 @@ def test_what_is_the_same_as_a_namesake_is_not_the_same(order):
     same = [about_b, drift][::order]
     told = weigh([[about_a], same], about_a)  # type: ignore[arg-type]
     odds = np.exp([0.0, -0.5, -0.5])
-    assert told.probability == pytest.approx((odds[0] + odds[1]) / odds.sum())
+    assert told.probability == pytest.approx(odds[0] / odds.sum())
     assert told.equivalent == []
     ((*name, p),) = told.alternatives
-    assert name == ["drift", "Y"] and p == pytest.approx(odds[2] / odds.sum())
+    assert name == ["drift", "Y"] and p == pytest.approx((odds[1] + odds[2]) / odds.sum())
+    alone = weigh([[about_a], [about_b], [drift]], about_a)  # type: ignore[arg-type]
+    assert alone.probability == pytest.approx((odds[0] + odds[1]) / odds.sum())
     assert weigh([[about_a], same], same[0]).equivalent == [same[1].effect.key]  # type: ignore[arg-type]
 
 

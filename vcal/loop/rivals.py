@@ -415,28 +415,20 @@ class Names:
     def of(cls, classes: Sequence[Sequence[Rival]], best: Rival | None = None) -> "Names":
         """The classes of `classes_of`, that of `best` (the most probable one) with its name.
 
-        Members of other classes that have that name are a part of it themselves; what is the same
-        as one of them is not for that the same as the best.
+        Another class in which something else is the same as a namesake of the best has the name of
+        that: it makes the best no more certain.
         """
         top = max(rival.log_weight for members in classes for rival in members)
         best = classes[0][0] if best is None else best
         weights: dict[str, float] = {}
         found: dict[str, list[Rival]] = {}
-
-        def add(key: str, members: Sequence[Rival]) -> None:
+        for members in classes:
+            others = [r for r in members if r.effect.key != best.effect.key]
+            mine = not others or any(r is best for r in members)
+            key = best.effect.key if mine else others[0].effect.key
             distinct = {id(r.effect): math.exp(r.log_weight - top) for r in reversed(members)}
             weights[key] = weights.get(key, 0.0) + sum(distinct.values())
             found.setdefault(key, []).extend(members)
-
-        for members in classes:
-            if any(r is best for r in members):
-                add(best.effect.key, members)
-                continue
-            namesakes = [r for r in members if r.effect.key == best.effect.key]
-            others = [r for r in members if r.effect.key != best.effect.key]
-            for its in (namesakes, others):
-                if its:
-                    add(its[0].effect.key, its)
         return cls(weights, found)
 
     def ranked(self) -> list[tuple[Rival, float]]:
@@ -490,9 +482,10 @@ def weigh(
         probability=probability,
         equivalent=equivalent,
         alternatives=[
-            (members_of[k][0].effect.name, members_of[k][0].effect.placement, p)
+            (lead.name, lead.placement, p)
             for p, k in others
             if p > _LEAST
+            for lead in [next(r.effect for r in members_of[k] if r.effect.key == k)]
         ],
         other_shapes=[
             (dict(rival.fit.shapes[len(rival.fit.model.effects) - 1]), share)
