@@ -178,23 +178,48 @@ def test_white_noise_is_not_correlated(tracker):
     assert sum(serial(identify(tracker.model, m)) is not None for m in measured) <= 1
 
 
-def test_readings_follow_each_other_in_time(tracker):
-    """However the rows of a file are sorted."""
-    measurement = with_noise(tracker, persisting(tracker, 4, 0.9))
-    found = serial(identify(tracker.model, measurement))
-    order = np.random.default_rng(1).permutation(tracker.plan.rows)
+def reordered(it: Known, measurement: Measurement, order, without=()) -> Measurement:
+    """The readings with their rows in another order, without some covariates."""
     plan = dataclasses.replace(
-        tracker.plan,
-        position=np.asarray(tracker.plan.position)[order],
+        measurement.plan,
+        position=np.asarray(measurement.plan.position)[order],
         **{
-            kind: {k: np.asarray(v)[order] for k, v in getattr(tracker.plan, kind).items()}
+            kind: {
+                k: np.asarray(v)[order]
+                for k, v in getattr(measurement.plan, kind).items()
+                if k not in without
+            }
             for kind in ("covariates", "groups")
         },
     )
-    shuffled = serial(identify(tracker.model, Measurement(plan, measurement.readings[order])))
-    assert found is not None and shuffled is not None
-    assert (shuffled.phi, shuffled.share) == (found.phi, found.share)
-    assert shuffled.log_bayes == pytest.approx(found.log_bayes, rel=1e-6)
+    return Measurement(plan, measurement.readings[order])
+
+
+def same_correlation(it: Known, a: Measurement, b: Measurement) -> None:
+    found, other = (serial(identify(it.model, m)) for m in (a, b))
+    assert found is not None and other is not None
+    assert (other.phi, other.share) == (found.phi, found.share)
+    assert other.log_bayes == pytest.approx(found.log_bayes, rel=1e-6)
+
+
+def test_readings_follow_each_other_in_time(tracker):
+    """However the rows of a file are sorted."""
+    measurement = with_noise(tracker, persisting(tracker, 4, 0.9))
+    order = np.random.default_rng(1).permutation(tracker.plan.rows)
+    same_correlation(tracker, measurement, reordered(tracker, measurement, order))
+
+
+def test_poses_may_stand_among_each_other_where_no_time_is_recorded(tracker):
+    """Nothing persists from one to the next; readings follow each other as in the file."""
+    rows = tracker.plan.rows
+    pose = np.arange(rows) * 3 // rows
+    plan = dataclasses.replace(tracker.plan, groups={**tracker.plan.groups, "pose": pose})
+    measurement = with_noise(tracker, persisting(tracker, 4, 0.9))
+    measurement = Measurement(plan, measurement.readings)
+    in_order = reordered(tracker, measurement, np.arange(rows), without=("t",))
+    among = np.argsort(np.random.default_rng(1).permutation(pose), kind="stable")
+    among = np.argsort(among, kind="stable")  # the rows of every pose keep their order
+    same_correlation(tracker, in_order, reordered(tracker, measurement, among, without=("t",)))
 
 
 @pytest.mark.slow

@@ -250,11 +250,13 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
 
 def _beside(folds: np.ndarray, apart: np.ndarray, fit: Fit) -> np.ndarray:
     """The folds (n,), and more of the fitted rows of a data set some of which are never fitted, of
-    as many rows each as these.
+    as many rows each as these, in the order in which they were taken.
     """
-    found = np.array(folds)
-    for inside in fit.measurement.plan.parts.values():
-        rows = np.flatnonzero(fit.used & inside & (folds < 0))
+    found, plan = np.array(folds), fit.measurement.plan
+    taken = next((plan.values(name) for name in ("t", "pose") if plan.has(name)), found * 0)
+    in_time = np.argsort(taken, kind="stable")
+    for inside in plan.parts.values():
+        rows = in_time[(fit.used & inside & (folds < 0))[in_time]]
         if (held := int((apart & inside).sum())) and len(rows):
             count = max(round(len(rows) / held), 2)
             found[rows] = found.max() + 1 + np.arange(len(rows)) * count // len(rows)

@@ -102,15 +102,19 @@ class _Sequence:
         n, m = fit.residual.shape
         plan = fit.measurement.plan
         used = np.flatnonzero(fit.used)
+        broken = [
+            np.asarray(index)
+            for name, index in plan.groups.items()
+            if name.rpartition(":")[2] in _BREAKS
+        ]
         if plan.has("t"):
             # As they were taken, however the file is sorted.
             sets = plan.values(DATA_SET)[used] if plan.has(DATA_SET) else np.zeros(len(used))
             used = used[np.lexsort((plan.values("t")[used], sets))]
-        marks = [
-            np.asarray(index)[used]
-            for name, index in plan.groups.items()
-            if name.rpartition(":")[2] in _BREAKS
-        ]
+        elif broken:
+            # Those of one run or pose one after the other, in the order of the file.
+            used = used[np.lexsort([index[used] for index in broken])]
+        marks = [index[used] for index in broken]
         breaks = np.zeros(len(used) - 1, bool)
         for mark in marks:
             breaks |= np.diff(mark) != 0
