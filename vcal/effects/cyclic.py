@@ -1,5 +1,6 @@
 """Periodic effects: screws, gears."""
 
+import math
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
@@ -12,11 +13,18 @@ from .base import Effect, Response, Setup, along
 from .registry import register
 
 SHORTEST_PITCH_M = 4e-3
-"""The finest pitch of a positioning screw that is looked for."""
+"""The finest pitch of a positioning screw that is looked for wherever the axis stood."""
+_FINEST_M, _FINEST_SHARE, _PER_PERIOD = 0.25e-3, 0.01, 2.0
+"""Where it stood so closely that finer ones are seen: the finest pitch, also as a share of the
+travel, and how many places every period needs."""
 
-NOMINAL_LEADS_M = (4e-3, 5e-3, 6e-3, 8e-3, 10e-3, 12e-3, 16e-3, 20e-3, 25e-3, 32e-3, 40e-3)
-"""Nominal leads of ball screws, ISO 3408-2. A plan of nearly equal steps s cannot tell a pitch p
-from its aliases 1/p +/- 1/s; that real screws have these leads often can."""
+NOMINAL_LEADS_M = (
+    *(0.5e-3, 1e-3, 2e-3, 2.5e-3),
+    *(4e-3, 5e-3, 6e-3, 8e-3, 10e-3, 12e-3, 16e-3, 20e-3, 25e-3, 32e-3, 40e-3),
+)
+"""Nominal leads of ball screws, ISO 3408-2, and pole pitches of magnetic and inductive scales. A
+plan of nearly equal steps s cannot tell a pitch p from its aliases 1/p +/- 1/s; that real ones have
+these often can."""
 
 
 SIGNAL_PERIODS_M = (2e-6, 4e-6, 10e-6, 20e-6, 40e-6, 100e-6, 200e-6)
@@ -30,13 +38,16 @@ class ScrewCyclic(Effect):
     """Error of a screw within one turn: a sin(2 pi x/p) + b cos(2 pi x/p) along the axis.
 
     The pitch p is scanned in steps of 1/(4 L) in 1/p, L the travel really covered: wider steps
-    lose the peak between two of them. Pitches longer than a quarter of the travel belong to the
-    geometry.
+    lose the peak between two of them. It goes down to 4 mm, and further where the axis stood at two
+    places of every period or more. Pitches longer than a quarter of the travel belong to the
+    geometry, where that is fitted; where it is not, up to the whole travel is looked for.
     """
 
     name = "screw_cyclic"
-    summary = "periodic error of a screw or rack, pitch unknown"
+    summary = "periodic error of a screw, a rack or a scale, pitch unknown"
     port: str = eqx.field(static=True)
+    periods: float = eqx.field(static=True, default=4.0, repr=False)
+    """Of the longest pitch that is looked for, within the travel."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -56,11 +67,16 @@ class ScrewCyclic(Effect):
         return {(self.port, "sine"): xp.sin(phase), (self.port, "cosine"): xp.cos(phase)}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        covered = float(np.ptp(np.asarray(plan.x(self.placement)))) or 1.0
-        lowest, highest = 4.0 / covered, 1.0 / SHORTEST_PITCH_M
+        places = np.unique(np.asarray(plan.x(self.placement)))
+        covered = float(np.ptp(places)) or 1.0
+        apart = float(np.diff(places).max(initial=0.0)) or covered
+        shortest = max(_FINEST_M, _FINEST_SHARE * covered, _PER_PERIOD * apart)
+        lowest, highest = self.periods / covered, 1.0 / min(SHORTEST_PITCH_M, shortest)
         if highest <= lowest:
-            return {"pitch": np.array([covered / 4.0])}
-        return {"pitch": 1.0 / np.arange(lowest, highest, 0.25 / covered)}
+            return {"pitch": np.array([covered / self.periods])}
+        # Both ends, and a step beyond the finest: a pitch there is within the scan, not its end.
+        steps = math.ceil((highest - lowest) * 4.0 * covered) + 1
+        return {"pitch": 1.0 / (lowest + 0.25 / covered * np.arange(steps + 1))}
 
     def shape_odds(
         self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
@@ -80,7 +96,13 @@ class ScrewCyclic(Effect):
         for joint in setup.chain.joints:
             if joint.kind == "prismatic":
                 port, _ = along(setup.chain, joint.name)
-                yield cls(port=port, placement=joint.name)
+                fitted = any(
+                    motion.name == port
+                    for effect in setup.declared
+                    for motion in getattr(effect, "motions", ())
+                )
+                periods = cls.periods if fitted else 1.0
+                yield cls(port=port, periods=periods, placement=joint.name)
 
 
 @register

@@ -42,6 +42,8 @@ _NO_MACHINE_UM = 2000.0
 """What remains of a fit beyond which the data are not what they are said to be, um."""
 _MANY = 50.0
 """Degrees of freedom from which a search is worth its name."""
+_OUT = 3.0
+"""By how many of its standard uncertainties a shape would have to leave its scan to be told."""
 _ROOM = 16
 """Parameters that added effects may have before the solver must be compiled anew."""
 
@@ -178,6 +180,31 @@ def _beside_the_rest(found: FoundEffect, fit: Fit, rest: Unexplained | None) -> 
     return replace(found, status="ambiguous", separation=why)
 
 
+def _within_its_scan(found: FoundEffect, fit: Fit) -> FoundEffect:
+    """Not for certain, where a pitch or a speed is held at an end of what is looked for, and a step
+    of the linearised fit beyond it would lower chi-square by more than chance: the true one is
+    somewhere else, and so may be the effect.
+    """
+    place = next(i for i, e in enumerate(fit.model.effects) if e.alike(found.effect))
+    effect, (_, moving) = fit.model.effects[place], fit.places_of(place)
+    if found.status != "named" or not len(moving):
+        return found
+    grids = effect.scan(fit.measurement.plan)
+    values = {p.name: value * p.si for _, p, value, _ in fit.values_of(place)}
+    uphill = fit.jacobian.T @ fit.whitened.reshape(-1) - fit.precision * fit.theta
+    for p, k in zip((p for p in effect.shapes if p.moves), moving, strict=True):
+        ends = sorted((float(grids[p.name].min()), float(grids[p.name].max())))
+        held = len(grids[p.name]) > 1 and np.isclose(values[p.name], ends, rtol=1e-9).any()
+        if held and (fit.covariance @ uphill)[k] ** 2 > _OUT**2 * fit.covariance[k, k]:
+            low, high = (end / p.si for end in ends)
+            why = (
+                f"its {p.name} would have to lie within what is looked for, {low:.3g} to "
+                f"{high:.3g} {p.unit}, and the readings ask for more"
+            )
+            return replace(found, status="ambiguous", separation=why)
+    return found
+
+
 def _finish(
     run: Search, model: Model, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
@@ -189,6 +216,7 @@ def _finish(
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, run.room) for item in run.added(state)]
     found = [_beside_the_rest(effect, state.fit, run.unexplained) for effect in found]
+    found = [_within_its_scan(effect, state.fit) for effect in found]
     doubts = [_doubt(item.weighed) for item in run.added(state)]
     described = run.unexplained.empirical if run.unexplained is not None else None
     if described is not None:
