@@ -352,6 +352,40 @@ def test_jump_and_station_drift_are_the_oracles(known):
     assert np.abs(got - it.readings()).max() > 1e-5
 
 
+def test_a_stand_that_settles_is_a_drift_of_the_machine_the_other_way(known):
+    it = known["laser_tracker"]
+    setup = it.setup
+    found = {e.placement: e for e in CATALOGUE["station_settling"].candidates(setup)}
+    assert list(found) == list("XYZABC")
+    whole = next(iter(CATALOGUE["station_drift"].candidates(setup)))
+    for c, effect in found.items():
+        response = effect.response(it.plan, {})
+        assert list(response) == [(f"frame.{c}", f"rate_{c}")]
+        expected = whole.response(it.plan, {})[f"frame.{c}", f"rate_{c}"]
+        np.testing.assert_array_equal(response[f"frame.{c}", f"rate_{c}"], expected)
+    sinking = it.readings(it.effect("station_settling:Z:rate_Z_um_per_h=-40"))
+    rising = it.readings(it.effect("drift:Z:component=EZZ,rate_EZZ_um_per_h=40"))
+    assert np.abs(sinking - it.readings()).max() > 1e-6
+    # In the frame of Z, which errors of the axes have turned by some 50 urad.
+    np.testing.assert_allclose(sinking, rising, rtol=0, atol=5e-9)
+
+
+def test_pitches_of_a_screw_by_the_travel_and_the_places(known, r_test):
+    """Down to 4 mm and both ends, a quarter of the travel where the geometry is fitted; where it is
+    not, and the axis stood closely, all that was seen twice in a period.
+    """
+    it = known["laser_tracker"]
+    (screw,) = (e for e in CATALOGUE["screw_cyclic"].candidates(it.setup) if e.placement == "X")
+    pitches, travel = screw.scan(it.plan)["pitch"], np.ptp(it.plan.x("X"))
+    assert pitches[0] == pytest.approx(travel / 4) and pitches[-2] <= 4e-3 < pitches[-3]
+    assert (np.diff(1 / pitches) * travel).max() == pytest.approx(0.25)
+    (screw, *_) = CATALOGUE["screw_cyclic"].candidates(r_test.setup)
+    pitches, places = screw.scan(r_test.plan)["pitch"], np.unique(r_test.plan.x("X"))
+    assert pitches[0] == pytest.approx(np.ptp(places))
+    shortest = max(2.5e-4, 2 * np.diff(places).max())
+    assert pitches[-2] <= shortest < pitches[-3] < 1e-3
+
+
 def test_artefact_effects_are_the_oracles(known):
     it = known["ball_array"]
     balls, run = it.case.balls, it.case.run

@@ -1,9 +1,10 @@
 """Closing the loop on large effects, and on many at once."""
 
+import numpy as np
 import pytest
 
 from oracle import make_case, write_study
-from vcal import close_loop, load_study
+from vcal import CATALOGUE, close_loop, load_study
 from vcal.loop.components import components
 
 
@@ -38,6 +39,23 @@ def test_a_large_cyclic_error_has_its_own_pitch(seed, amplitude, tmp_path):
     assert values["sine"] == pytest.approx(amplitude, abs=1.0)
     before, after = closure.errors["uncompensated"].check, closure.errors["after"].check
     assert after.value < 0.05 * before.value
+
+
+class Short(CATALOGUE["screw_cyclic"]):
+    """A screw whose pitch is looked for beside the true one only."""
+
+    name = "short"
+
+    def scan(self, plan):
+        travel = np.ptp(plan.x(self.placement))
+        return {"pitch": 1.0 / (1.0 / 0.02 + np.array([0.15, 0.4, 0.65]) / travel)}
+
+
+def test_a_pitch_at_the_end_of_what_is_looked_for_is_not_certain(tmp_path):
+    closure = closed(tmp_path, 1, cyclic("Y", 8.0), effects=[Short], draws=200)
+    (found, *_) = closure.effects
+    assert (found.effect.key, found.status) == ("short Y", "ambiguous")
+    assert "its pitch would have to lie within what is looked for" in found.separation
 
 
 def test_seven_effects_of_one_machine_are_all_named(tmp_path):

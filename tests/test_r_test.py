@@ -433,6 +433,58 @@ def test_what_changes_is_the_derivative_of_an_effect(study):
     assert both[0] == pytest.approx(response["tool.X", "size"])
 
 
+def test_a_row_at_a_reversal_is_on_the_side_it_came_from():
+    """A play that is read at the quadrants too: whatever rounding makes of the phase there."""
+    t = np.arange(121) * 2 * np.pi / (30.0 * 120)
+    rng = np.random.default_rng(1)
+    for sense in (1, -1):
+        x = 2e-3 * np.column_stack([np.cos(30 * t), sense * np.sin(30 * t), 0 * t])
+        circle = fit_circle(t, x + 2e-8 * rng.standard_normal(x.shape))
+        came = np.sign(np.diff(x, axis=0))[:, :2]
+        np.testing.assert_array_equal(circle.direction(t)[1:, :2], came)
+        assert not circle.direction(t)[:, 2].any()
+        # All of the way since the reversal before, not none since this one.
+        np.testing.assert_allclose(circle.since_reversal(t)[[60, 120], 0], 4e-3, rtol=1e-4)
+
+
+def timed(table):
+    """The same with times that go on from run to run."""
+    runs = np.unique(table["run"])
+    length = [np.ptp(table["t_s"][table["run"] == run]) for run in runs]
+    start = np.cumsum([0.0, *(np.array(length[:-1]) + 1.0)])
+    return {**table, "t_s": table["t_s"] + start[np.searchsorted(runs, table["run"])]}
+
+
+def test_a_sphere_that_slips_within_a_run_is_a_jump(tmp_path):
+    """Only that run tells it: every run has a place of the sphere of its own."""
+    table = timed(circles(matrix=np.zeros((3, 3)), seed=5))
+    rows = np.flatnonzero(table["run"] == 4)[len(np.flatnonzero(table["run"] == 4)) // 2 :]
+    table["x_ext_mm"][rows] += 2e-3
+    table["z_ext_mm"][rows] -= 1e-3
+    s = load_study(write(tmp_path / "slip", table))
+    closure = close_loop(s.model, s.measurement, draws=200)
+    (found,) = closure.effects
+    assert (closure.verdict, found.effect.key) == ("named", "jump tool")
+    values = {name: (value, u) for name, value, _, u in found.parameters}
+    for name, true in (("X", 2.0), ("Y", 0.0), ("Z", -1.0)):
+        assert abs(values[name][0] - true) < 3.5 * values[name][1]
+    assert table["t_s"][rows[0] - 1] < values["at"][0] < table["t_s"][rows[0]]
+
+
+@pytest.mark.parametrize("pitch_mm", [0.5, 2.0])
+def test_a_scale_of_a_coarse_pitch_is_told_by_it(tmp_path, pitch_mm):
+    """A magnetic scale: no screw has such a pitch, and the whole circle is two of them or eight."""
+    table = circles(matrix=np.zeros((3, 3)), samples=120, seed=6)
+    table["x_ext_mm"] += 5e-4 * np.sin(2 * np.pi * table["x_int_mm"] / pitch_mm + 0.3)
+    s = load_study(write(tmp_path / "scale", table))
+    closure = close_loop(s.model, s.measurement, draws=200)
+    (found,) = closure.effects
+    assert (closure.verdict, found.effect.key) == ("named", "screw_cyclic X")
+    values = {name: (value, u) for name, value, _, u in found.parameters}
+    assert abs(values["pitch"][0] - pitch_mm) < 3.5 * values["pitch"][1] < 0.05 * pitch_mm
+    assert abs(values["sine"][0] - 0.5 * np.cos(0.3)) < 3.5 * values["sine"][1]
+
+
 def test_a_drift_in_every_run_is_told_by_its_time(tmp_path):
     """It closes no circle, and looks like a play to who has nothing else."""
     drift = {"effect": "drift", "component": "Z", "um_per_s": 1.5}

@@ -28,6 +28,7 @@ from vcal.effects.r_test import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.io.simulated import parse_with, write_simulated
 from vcal.loop.candidates import candidates
+from vcal.loop.close_loop import _among_the_tested
 from vcal.loop.close_loop import _worse
 from vcal.loop.closure import Errors
 from vcal.loop.heldout import (
@@ -381,6 +382,26 @@ def test_an_effect_of_an_instrument_is_named_for_its_data_set(tmp_path):
     # The picture shows the rows of one set, and the gain is that of one.
     page = write_report(closure, study, tmp_path / "report").read_text(encoding="utf-8")
     assert " when it was added (in the data set tracker)." in page
+
+
+def test_what_the_machine_may_do_as_well_and_was_not_tested_leaves_a_name_open(tmp_path):
+    """Its drift cannot be tested where the clocks overlap, and looks like one of the station."""
+    true = [{"effect": "drift", "axis": "X", "component": "Y", "um_per_h": 30}]
+    cases = {
+        "tracker": tracker_case(8, true, plan={**GRID, "cycles": True}),
+        "balls": ball_case(8, true),
+    }
+    study = load_study(write_joint(tmp_path / "one", cases))
+    assert "t" not in study.plan.covariates
+    closure = closed(study)
+    (found, *_) = closure.effects
+    assert found.effect.name in ("station_drift", "station_settling")
+    named = dataclasses.replace(found, status="named")
+    open_ = _among_the_tested(named, closure.untestable)
+    assert found.status == open_.status == "ambiguous"
+    assert "drift" in open_.separation and "of the machine may look the same" in open_.separation
+    assert "say when each began by its start_s" in open_.separation
+    assert _among_the_tested(named, []) is named
 
 
 @pytest.mark.campaign

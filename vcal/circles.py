@@ -15,6 +15,8 @@ from jaxtyping import Float, Int
 from .arrays import Array
 
 _STEPS = 20
+_AT = 5e-3
+"""Share of a step from row to row within which a row is at a reversal."""
 _STILL = 0.02
 """Amplitude over that of the circle below which an axis is at rest: a held axis gives way to what
 the others do to it, by some micrometres."""
@@ -57,16 +59,32 @@ class Circle:
         k = -(self.omega**2) * self.moving
         return self._wave(t, k * self.cosine, k * self.sine)
 
+    def direction(self, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n axes"]:
+        """+1, -1; zero for an axis that takes no part. A row at a reversal is on the side from
+        which it came, as a position that was approached (ISO 230-2, 3.7), not on that which the
+        rounding of its phase happens to give.
+        """
+        at = self._phase(t) >= np.pi
+        return np.where(at, -1.0, 1.0) * np.sign(self.velocity(t))
+
     def since_reversal(self, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n axes"]:
         """Distance travelled since the last reversal of every axis, m, as if the circle had been
         travelled for ever; the radius for an axis that takes no part, half of the way to the next
         one: were it far, all axes that move would seem alike beside it, and a product with the
         distance that an axis has travelled would be a product with whether it moves.
         """
-        phase = np.arctan2(-self.sine, self.cosine)
-        angle = np.mod(self.omega * np.asarray(t)[:, None] + phase, np.pi)
-        way = self.amplitude * (1.0 - np.cos(angle))
+        way = self.amplitude * (1.0 - np.cos(self._phase(t)))
         return np.where(self.moving, way, self.amplitude.max())
+
+    def _phase(self, t: np.ndarray) -> np.ndarray:
+        """Angle since the last reversal of every axis, 0 to pi; pi and a little more in a row that
+        is at the next one.
+        """
+        t = np.asarray(t)
+        start = np.arctan2(-self.sine, self.cosine)
+        angle = np.mod(self.omega * t[:, None] + start, np.pi)
+        step = self.omega * float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+        return np.where(angle < _AT * abs(step), angle + np.pi, angle)
 
     def _wave(self, t: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
         angle = self.omega * np.asarray(t)[:, None]

@@ -10,7 +10,7 @@ from ..plan import Plan
 from ..ports import COMPONENTS
 from .base import Effect, Response, Setup
 from .registry import register
-from .thermal import first_time
+from .thermal import TIME_ODDS, first_time
 
 
 @register
@@ -133,3 +133,39 @@ class StationDrift(Effect):
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         if "frame.X" in setup.layout:
             yield cls(start=first_time(setup))
+
+
+@register
+class StationSettling(Effect):
+    """The instrument's frame drifts in one direction: along, or about, one axis with time.
+
+    A stand that settles, or tilts. Along an axis it is the same to all readings as a `drift` of
+    the machine the other way: which of the two it is they cannot tell.
+    """
+
+    name = "station_settling"
+    summary = "the instrument's stand gives way in one direction"
+    where = "instrument"
+    odds = 0.3 * TIME_ODDS
+    """So that no place of it is likelier than one of the `drift` that looks the same."""
+    start: float = 0.0
+    """Time of the first reading, s."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        c = self.placement
+        return (Parameter(f"rate_{c}", "um/h" if c in "XYZ" else "urad/h", sigma=20.0),)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("t",)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        elapsed = plan.covariate("t") - self.start
+        return {(f"frame.{self.placement}", f"rate_{self.placement}"): elapsed}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        if "frame.X" in setup.layout:
+            for c in COMPONENTS:
+                yield cls(start=first_time(setup), placement=c)

@@ -231,7 +231,7 @@ class RTest(TableInstrument):
             found = {
                 "a": values,
                 "v": circle.velocity(t[mine]),
-                "dir": np.sign(circle.velocity(t[mine])),
+                "dir": circle.direction(t[mine]),
                 "since": circle.since_reversal(t[mine]),
             }
             for kind, columns in found.items():

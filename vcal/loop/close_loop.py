@@ -9,6 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
+from ..effects.data_set import OfDataSet
 from ..effects.registry import CATALOGUE
 from ..fit import HARDLY_TOLD, Fit
 from ..identify import identify
@@ -17,6 +18,7 @@ from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from .begin import shapes_begun
+from .candidates import Untestable
 from .chance import LEAST_NOISE
 from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .confounded import confounded, unrecorded_time
@@ -205,6 +207,29 @@ def _within_its_scan(found: FoundEffect, fit: Fit) -> FoundEffect:
     return found
 
 
+def _among_the_tested(found: FoundEffect, untestable: Iterable[Untestable]) -> FoundEffect:
+    """Not for certain, where an effect of the instrument of one data set follows what the data sets
+    do not share: one of the machine that follows the same could look like it, and was not tested.
+    """
+    effect = found.effect
+    if found.status != "named" or not isinstance(effect, OfDataSet):
+        return found
+    own = {name.rpartition(":")[2] for name in effect.betrayed_by}
+    twins = [
+        other
+        for other in untestable
+        if any(name in own for name, _ in other.missing)
+        and not any(effect.data_set in lacking for _, lacking in other.missing)
+    ]
+    if not twins:
+        return found
+    names = " or ".join(dict.fromkeys(other.effect for other in twins))
+    shared = any(not lacking for _, lacking in twins[0].missing)
+    do = ": say when each began by its start_s" if shared and "t" in own else ""
+    why = f"{names} of the machine may look the same and could not be tested, as {twins[0].reason}"
+    return replace(found, status="ambiguous", separation=why + do)
+
+
 def _finish(
     run: Search, model: Model, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
@@ -217,6 +242,7 @@ def _finish(
     found = [_found(item, after, state, run.room) for item in run.added(state)]
     found = [_beside_the_rest(effect, state.fit, run.unexplained) for effect in found]
     found = [_within_its_scan(effect, state.fit) for effect in found]
+    found = [_among_the_tested(effect, run.untestable) for effect in found]
     doubts = [_doubt(item.weighed) for item in run.added(state)]
     described = run.unexplained.empirical if run.unexplained is not None else None
     if described is not None:

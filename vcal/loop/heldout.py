@@ -17,6 +17,8 @@ _BLOCK, _BLOCKS = 8, 25
 """Least rows of a block that is foretold as one, and about how many blocks a fold may have."""
 _FEW = 12
 """Folds from which the scatter over them tells how certain a sum over them is."""
+_ALL = 0.99
+"""Share of what tells an effect from which one fold is all of it."""
 
 
 @dataclass(frozen=True)
@@ -275,6 +277,22 @@ def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, flo
     sums = np.array([fall[groups == g].sum() for g in np.unique(groups)])
     error = math.sqrt(len(sums)) * sums.std(ddof=1) if len(sums) > 1 else math.inf
     return float(fall.sum()), float(error)
+
+
+def told_by_one_fold(fit: Fit, effect: int) -> bool:
+    """Whether only one fold tells the effect at that place of the model, as it does of a jump
+    within a run where every run has an offset of its own: what the flat parameters of the others
+    take up is no part of it.
+    """
+    folds, _ = folds_of(fit.model, fit.measurement)
+    n, m = fit.residual.shape
+    flat, mine = fit.precision == 0, fit.places_of(effect)[0]
+    q, r = np.linalg.qr(fit.jacobian[:, flat])
+    q = q[:, np.abs(np.diag(r)) > 1e-9 * np.abs(np.diag(r)).max(initial=0.0)]
+    own = fit.jacobian[:, mine]
+    squares = ((own - q @ (q.T @ own)) ** 2).sum(1).reshape(n, m).sum(1)
+    by_fold = [squares[folds == fold].sum() for fold in np.unique(folds)]
+    return len(by_fold) > 1 and max(by_fold) > _ALL * sum(by_fold)
 
 
 def weighted_squares(fit: Fit, residuals: np.ndarray) -> np.ndarray:

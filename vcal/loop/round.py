@@ -8,7 +8,7 @@ import numpy as np
 
 from ..fit import Fit
 from .empirical import Empirical
-from .heldout import improvement, rms_fall, weighted_squares
+from .heldout import improvement, rms_fall, told_by_one_fold, weighted_squares
 from .rivals import Names, Rival, classes_of, outdoes, refit_all
 from .screen import Peak, Screen
 from .screening import Screening
@@ -163,7 +163,7 @@ class Round:
         fall, error = improvement(self.fit, rival.fit, noise)
         if _in_the_prior(self.fit, rival.fit, noise):
             return ""
-        if fall <= error:
+        if fall <= (self._chosen(rival) if self._in_one_fold(rival) else error):
             return "held-out readings are not foretold better beyond uncertainty"
         if not self._poor(rival.fit):
             return ""
@@ -200,6 +200,16 @@ class Round:
         """The classes, and one more for a rival that is in none of them."""
         among = any(one is rival for members in self.classes for one in members)
         return self.classes if among else [*self.classes, [rival]]
+
+    def _in_one_fold(self, rival: Rival) -> bool:
+        return told_by_one_fold(rival.fit, len(rival.fit.model.effects) - 1)
+
+    def _chosen(self, rival: Rival) -> float:
+        """What a moment or a pitch owes, in deviance, to having been chosen by the readings that
+        are foretold: those of one fold, whose sum has no scatter to be judged by.
+        """
+        scan = rival.effect.scan(self.fit.measurement.plan) if rival.effect.shapes else {}
+        return 2.0 * math.fsum(math.log(len(grid)) for grid in scan.values())
 
     def _rows(self, rival: Rival) -> np.ndarray:
         # The readings of another instrument are no witness for an effect of this one.
