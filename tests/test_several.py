@@ -28,8 +28,7 @@ from vcal.effects.r_test import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.io.simulated import parse_with, write_simulated
 from vcal.loop.candidates import candidates
-from vcal.loop.close_loop import _among_the_tested
-from vcal.loop.close_loop import _worse
+from vcal.loop.close_loop import _among_the_tested, _worse
 from vcal.loop.closure import Errors
 from vcal.loop.heldout import (
     Rms,
