@@ -222,6 +222,8 @@ def test_effects_on_a_circle(rng):
          -2e-6 * c.way * np.exp(-c.since / 1e-4)),
         ({"effect": "stribeck_friction", "axis": "X", "size_um": 2, "speed_mm_per_s": 20},
          -2e-6 * c.way * np.exp(-np.abs(c.velocity) / 0.02) * [1, 0, 0]),
+        ({"effect": "coulomb_friction", "axis": "Y", "size_um": 2, "speed_mm_per_s": 20},
+         -2e-6 * np.tanh(c.velocity / 0.02) * [0, 1, 0]),
         ({"effect": "drift", "component": "Z", "um_per_s": 3},
          3e-6 * c.time[:, None] * [0, 0, 1]),
     ]:  # fmt: skip

@@ -343,15 +343,22 @@ def test_a_circle_with_bumps_is_told_by_its_angle(tmp_path, way):
     assert fit.chi2 / fit.dof == pytest.approx(1.0, abs=0.1)
 
 
-def test_friction_that_falls_with_the_speed_has_its_name(tmp_path):
-    """It was a quadrant peak without an end, probes worse than declared, and a lag."""
-    held = {"effect": "stribeck_friction", "size_um": 1.5, "speed_mm_per_s": 15.0}
+@pytest.mark.parametrize(
+    ("name", "axis"),
+    [("stribeck_friction", ""), ("coulomb_friction", ""), ("coulomb_friction", "Y")],
+)
+def test_friction_that_depends_on_the_speed_has_its_name(tmp_path, name, axis):
+    """It was a quadrant peak without an end, or plays, lags and friction that falls, of the sign
+    that friction does not have.
+    """
+    held = {"effect": name, "size_um": 1.5, "speed_mm_per_s": 15.0}
+    held |= {"axis": axis} if axis else {}
     table = circles(matrix=np.zeros((3, 3)), others=[held], samples=120)
-    s = load_study(write(tmp_path / "stribeck", table))
+    s = load_study(write(tmp_path / "friction", table))
     closure = close_loop(s.model, s.measurement, draws=200)
     assert closure.verdict == "named"
     (found,) = closure.effects
-    assert found.effect.key == "stribeck_friction" and found.status == "named"
+    assert found.effect.key == f"{name} {axis}".strip() and found.status == "named"
     values = {name: (v, u) for name, v, _, u in found.parameters}
     assert abs(values["size"][0] - 1.5) < 3.5 * values["size"][1] < 0.2
     assert abs(values["speed"][0] - 15.0) < 3.5 * values["speed"][1] < 3.0

@@ -220,6 +220,7 @@ ON_CIRCLES = (
     "reversal_spike",
     "servo_lag",
     "stribeck_friction",
+    "coulomb_friction",
     "scale_interpolation",
     "backlash",
     "lateral_reversal",

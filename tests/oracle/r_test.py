@@ -10,6 +10,7 @@ difference is the error of the structure in between.  Effects, in SI once `in_si
 | harmonic | size cos(n phi) outwards, phi the angle in the plane of the circle | size, order |
 | reversal_spike | -size sgn(v) exp(-s/decay), s the way since the reversal | axis or all, these |
 | stribeck_friction | -size sgn(v) exp(-abs(v)/speed) | axis or all, these (m, m/s) |
+| coulomb_friction | -size tanh(v/speed) | axis or all, these (m, m/s) |
 | servo_lag | -T v | axis or all, T (s) |
 | scale_interpolation | amplitude sin(2 pi x/period + phase) along the axis | axis and these |
 | backlash, lateral_reversal | size/2 sgn(v) along or across the axis | axis, component, size |
@@ -88,6 +89,10 @@ def moved(motion: Circle, effects: Iterable[Effect]) -> Array:
             case "stribeck_friction":
                 held = effect["size"] * np.exp(-np.abs(motion.velocity) / effect["speed"])
                 off[:, axes] -= (motion.way * held)[:, axes]
+            case "coulomb_friction":
+                off[:, axes] -= (effect["size"] * np.tanh(motion.velocity / effect["speed"]))[
+                    :, axes
+                ]
             case "servo_lag":
                 off[:, axes] -= effect["T"] * motion.velocity[:, axes]
             case "scale_interpolation":

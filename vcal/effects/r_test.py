@@ -24,11 +24,14 @@ class ProbeMatrix(Effect):
 
     S has nine independent elements; their standard deviation u/range makes the standard uncertainty
     of a coordinate u at the end of the range. One S for all runs: what circles of one acceleration
-    cannot tell from the machine, those of several can.
+    cannot tell from the machine's structure, those of several can. Scale errors of the axes and
+    their squareness are the same to all readings, and are told under this name.
     """
 
     name = "probe_matrix"
-    summary = "sensitivities and directions of the probes of an R-test"
+    summary = (
+        "sensitivities and directions of the probes of an R-test; or scales, squareness of axes"
+    )
     where = "instrument"
     sigma: float = 0.0
     """u/range."""

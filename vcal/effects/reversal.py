@@ -172,7 +172,8 @@ class StribeckFriction(Effect):
 
     The part of the friction curve F(v) = sgn(v) (F_c + (F_s - F_c) exp(-|v|/v_s)) + F_v v
     (Armstrong-Helouvry, Dupont, Canudas de Wit 1994, Automatica 30, 1083-1138) that is neither
-    Coulomb's, which bends a structure as a play does (`backlash`), nor viscous (`servo_lag`). A
+    Coulomb's, which bends a structure as a play does (`backlash`; `coulomb_friction` where it sets
+    in smoothly), nor viscous (`servo_lag`). A
     `reversal_spike` falls with the distance since the reversal instead, at any speed. Placed on one
     axis, or on all of them with one size and one speed.
     """
@@ -201,12 +202,9 @@ class StribeckFriction(Effect):
         return found
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        fastest = max(
-            float(np.abs(np.asarray(plan.covariate(f"v_{axis}"))).max()) for axis in self.axes
-        )
-        # Slower than a hundredth of that is a matter of one or two rows; what has not fallen to a
-        # tenth at the highest speed cannot be told from play and lag.
-        return {"speed": np.geomspace(1e-2, 0.4, 16) * (fastest or 1.0)}
+        # Slower than a hundredth of the fastest is a matter of one or two rows; what has not fallen
+        # to a tenth at the highest speed cannot be told from play and lag.
+        return {"speed": np.geomspace(1e-2, 0.4, 16) * _fastest(plan, self.axes)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
@@ -215,3 +213,55 @@ class StribeckFriction(Effect):
             for one in ReversalSpike.candidates(setup)
             if isinstance(one, ReversalSpike)
         )
+
+
+@register
+class CoulombFriction(Effect):
+    """Friction that sets in smoothly: -a tanh(v/v_c) along every axis, a > 0.
+
+    Coulomb's friction, the direction of which changes with the speed instead of at once: the usual
+    smooth law, of rolling guideways and of seals that creep. Far above v_c it bends a structure as
+    a play does (`backlash`, where the reversal is sudden), far below as viscous friction does
+    (`servo_lag`). Placed on one axis, or on all of them with one size and one speed.
+    """
+
+    name = "coulomb_friction"
+    summary = "friction that changes its direction smoothly at a reversal"
+    odds = 0.1
+    """Most friction is told as the play that it looks like."""
+    axes: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            Parameter("size", "um", sigma=5.0),
+            Parameter("speed", "mm/s", shape=True, coordinate="log"),
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(f"v_{axis}" for axis in self.axes)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        found = {}
+        for axis in self.axes:
+            v = plan.covariate(f"v_{axis}") / shape["speed"]
+            found[f"tool.{axis}", "size"] = -namespace(v).tanh(v)
+        return found
+
+    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
+        # Faster at its reversals it is a play but for a few rows, slower at all times a lag.
+        return {"speed": np.geomspace(0.03, 0.6, 14) * _fastest(plan, self.axes)}
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        return (
+            cls(axes=one.axes, placement=one.placement)
+            for one in ReversalSpike.candidates(setup)
+            if isinstance(one, ReversalSpike)
+        )
+
+
+def _fastest(plan: Plan, axes: Iterable[str]) -> float:
+    """The highest speed of some axes, m/s."""
+    return max(float(np.abs(np.asarray(plan.covariate(f"v_{a}"))).max()) for a in axes) or 1.0
