@@ -298,20 +298,32 @@ class CoolantLift(vcal.Effect):
 '''
 
 
-@pytest.fixture(scope="module")
-def lifted(tmp_path_factory):
-    """A tracker's study whose table rises by 6 um per bar of a column that nobody knows."""
+def moved_by_the_coolant(folder, **size):
+    """A tracker's study whose table moves with the bar of a column that nobody knows."""
     case = make_case("laser_tracker", seed=8, plan=PLANS["laser_tracker"], tool_offset=LATERAL)
     pressure = np.random.default_rng(8).uniform(0, 4, len(case.run.t))
     run = dataclasses.replace(case.run, extra={"coolant_bar": pressure})
-    up = {"effect": "follows", "axis": "X", "component": "Z", "column": "coolant_bar",
-          "scale": 1.0, "size_um": 6.0}  # fmt: skip
+    up = {"effect": "follows", "axis": "X", "column": "coolant_bar", "scale": 1.0, **size}
     moved = tracker_readings(case.tracker, tool_point(case.machine, run, [up]))
     change = moved - tracker_readings(case.tracker, tool_point(case.machine, run))
     for i, name in enumerate(("range_mm", "azimuth_rad", "elevation_rad")):
         case.data[name] += change[:, i] * (1e3 if i == 0 else 1.0)
     case.data["coolant_bar"] = pressure
-    return write_study(tmp_path_factory.mktemp("lifted") / "study", case)
+    return write_study(folder / "study", case)
+
+
+@pytest.fixture(scope="module")
+def lifted(tmp_path_factory):
+    """The table rises by 6 um per bar."""
+    folder = tmp_path_factory.mktemp("lifted")
+    return moved_by_the_coolant(folder, component="Z", size_um=6.0)
+
+
+def test_a_rotation_that_follows_a_column_is_told_as_one(tmp_path):
+    study = load_study(moved_by_the_coolant(tmp_path, component="B", size_urad=15.0))
+    closure = close_loop(study.model, study.measurement, draws=200)
+    assert closure.verdict == "unexplained" and not closure.effects
+    assert "a quantity by the rotation EBX (coolant_bar)" in closure.sentence
 
 
 def test_what_follows_a_column_that_no_effect_knows(lifted):

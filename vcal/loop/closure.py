@@ -239,6 +239,9 @@ class Closure:
         columns = [file_column(name, axes)[0] for name in what.depends_on[:2]]
         on = " times ".join(columns if what.joint else columns[:1])
         along = f" along {what.direction}" if what.direction in "XYZ" else ""
+        described = what.empirical.effect if what.empirical is not None else None
+        if isinstance(described, Empirical) and described.unit == "urad":
+            along = f" by the rotation {described.port}"
         if what.where:
             place = what.where[0]
             column, factor = file_column(place.covariate, axes)
