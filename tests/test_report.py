@@ -17,6 +17,7 @@ from oracle import error_motions, make_case
 from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
 from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
+from vcal.effects.data_set import OfDataSet
 from vcal.instruments.conditions import file_column
 from vcal.io.simulated import parse_with
 from vcal.io.study import looked_for
@@ -26,6 +27,7 @@ from vcal.loop.components import Component
 from vcal.loop.doubt import Doubt
 from vcal.loop.empirical import LocalBump
 from vcal.loop.recorded import correlation
+from vcal.loop.screen import Peak
 from vcal.loop.screening import KindResult, Screening
 from vcal.loop.stray import Stray
 from vcal.loop.unexplained import Interval, Unexplained
@@ -229,6 +231,20 @@ def test_page_says_what_was_tried_and_why_nothing_is_named(closed):
     assert "No effect is named for it.</p>" in said(tried, most=1)
     unbegun = said(tried, untestable=[], screenings=[])
     assert "found the columns" not in unbegun and "The search had not begun" in unbegun
+
+
+def test_page_says_what_effects_of_one_data_set_are(closed):
+    """Their line is that of the kind, whatever the data set."""
+    _, study, closure = closed
+    kind = CATALOGUE["encoder_eccentricity"]
+    effect = OfDataSet.of(kind(angle="azimuth", placement="azimuth"), "hall")
+    peak = Peak(effect, {}, np.ones(2), 9.0, 3.0, 2)
+    screening = Screening(
+        [KindResult(kind.name, [peak], 2, 9.0, 3.0, 1e-3)], 1e-3, 3.0, 1.0, [effect]
+    )
+    found = dataclasses.replace(closure, screenings=[screening], unseen=[effect.key])
+    said = page(found, study, [], [])
+    assert "property object" not in said and said.count(f"<td>{kind.summary}</td>") > 1
 
 
 def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):

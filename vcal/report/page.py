@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
+from ..effects.data_set import OfDataSet
 from ..effects.registry import CATALOGUE
 from ..fit import HARDLY_TOLD
 from ..io.study import Study, looked_for
@@ -320,11 +321,12 @@ def _restricted(closure: Closure) -> str:
 
 def _summaries(closure: Closure, study: Study) -> dict[str, str]:
     """What every kind of effect is, those of the user's own among them."""
-    kinds: dict[str, type[Effect]] = dict(study.catalogue)
+    known = {name: kind.summary for name, kind in study.catalogue.items()}
     for screening in closure.screenings:
         tested = (kind.peaks[0].effect for kind in screening.kinds if kind.peaks)
-        kinds |= {effect.name: type(effect) for effect in (*tested, *screening.unseen)}
-    known = {name: kind.summary for name, kind in kinds.items()}
+        for effect in (*tested, *screening.unseen):
+            inner: Effect = effect.effect if isinstance(effect, OfDataSet) else effect
+            known[inner.name] = inner.summary
     described = {
         cls.name: f"{cls.summary} (for comparison: no physical effect)" for cls in EMPIRICAL
     }
