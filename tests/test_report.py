@@ -18,6 +18,7 @@ from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
 from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
 from vcal.effects.data_set import OfDataSet
+from vcal.instruments.ball_array import BallCalibration
 from vcal.instruments.conditions import file_column
 from vcal.io.simulated import parse_with
 from vcal.io.study import looked_for
@@ -39,7 +40,7 @@ from vcal.plots.style import AFTER, BEFORE, DOTS
 from vcal.plots.views import View, effect_view, residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.compensation import effects_csv
-from vcal.report.derived import parameters
+from vcal.report.derived import in_short, parameters
 from vcal.report.own_effect import own_effect
 from vcal.report.page import _tried as tried
 from vcal.report.page import page
@@ -654,6 +655,29 @@ def test_declared_effects_are_told_as_they_were_fitted(tmp_path):
     ]  # fmt: skip
     assert float(table[0][3]) == pytest.approx(size["value"])
     assert "What was declared" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+
+
+def test_many_declared_values_are_told_in_short(closed, monkeypatch, capsys):
+    """In one line where commands print, and folded on the page."""
+    _, study, closure = closed
+    array = BallCalibration(balls=(0, 1, 2), sigma=0.5e-6)
+    listed = [(p.name, 0.8 * (p.name == "2.X"), "um", 0.1) for p in array.parameters]
+    play = closure.effects[0].effect
+    told = [(array, listed), (play, [("size", 12.98, "um", 0.21)])]
+    for module in ("vcal.cli.show", "vcal.report.page"):
+        monkeypatch.setattr(f"{module}.declared", lambda _: told)
+    short = "ball_calibration: 9 declared values; the fit moved 2.X most, by 1.60 of its sigma"
+    show_closure(closure)
+    shown = capsys.readouterr().out
+    assert f"  {short}\n" in shown and "0.X = " not in shown
+    assert "backlash Y: size = 12.98 ± 0.42 um (k = 2), declared" in shown
+    said = page(closure, study, [], [])
+    section = said[said.index('id="declared"') : said.index('id="tried"')]
+    before, folded = section.split(f"<details><summary>{short}</summary>")
+    assert "<td>backlash Y</td>" in before
+    assert "ball_calibration" not in before and folded.count("<td>ball_calibration</td>") == 9
+    flat = [(p.name, 0.3, p.unit, 0.1) for p in study.model.effects[-1].parameters]
+    assert in_short(study.model.effects[-1], flat) == f"{len(flat)} declared values"
 
 
 def test_report_without_check_points(closed, tmp_path):

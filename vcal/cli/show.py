@@ -18,7 +18,7 @@ from ..loop.closure import Closure, Errors
 from ..loop.heldout import Rms
 from ..measurement import Measurement
 from ..plan import Plan
-from ..report.derived import Listed, declared, missing_columns, parameters
+from ..report.derived import FEW, Listed, declared, in_short, missing_columns, parameters
 from ..report.text import COVERAGE, probability, with_uncertainty
 
 _MOST = 6
@@ -46,7 +46,9 @@ def show_closure(closure: Closure) -> None:
             console.print(Text(f"    to be certain: {found.separation}"))
     for effect, listed in declared(closure):
         if any(u > 0.0 for *_, u in listed):
-            line = f"  {effect.key}: {_values(listed)}, declared"
+            many = len(listed) > FEW
+            told = in_short(effect, listed) if many else f"{_values(listed)}, declared"
+            line = f"  {effect.key}: {told}"
             console.print(Text(line), soft_wrap=True)
     if closure.unexplained is not None:
         console.print(Text(f"  {closure.unexplained.reason}"))

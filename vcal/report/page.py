@@ -19,7 +19,7 @@ from ..loop.closure import Closure, FoundEffect
 from ..loop.empirical import EMPIRICAL
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
-from .derived import declared, missing_columns, parameters
+from .derived import FEW, declared, in_short, missing_columns, parameters
 from .own_effect import own_effect
 from .picture import Picture
 from .record import plain, versions
@@ -67,7 +67,12 @@ def page(
         has_check=closure.check is not None,
         effects=[_effect(closure, found) for found in closure.effects],
         declared=[
-            (effect.key, _parameter(*row)) for effect, listed in declared(closure) for row in listed
+            {
+                "key": effect.key,
+                "parameters": [_parameter(*row) for row in listed],
+                "in_short": in_short(effect, listed) if len(listed) > FEW else "",
+            }
+            for effect, listed in declared(closure)
         ],
         unexplained=_unexplained(closure),
         own_effect=own_effect(closure) is not None,
