@@ -657,6 +657,47 @@ def test_declared_effects_are_told_as_they_were_fitted(tmp_path):
     assert "What was declared" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
 
 
+ALL = "the readings scatter 2.8 times as declared"
+X_ALONE = "X scatters 4.1 times as declared"
+TWO = "X scatters 4.1 and Z 2 times as declared"
+HALL = "hall scatters 1.6 times as declared"
+
+
+@pytest.mark.parametrize(
+    ("scale", "uneven", "factors", "sets", "told"),
+    [
+        (1.0, False, (1.0, 1.0), {}, ""),
+        (1.4, False, (1.4, 1.4), {}, ""),
+        (2.76, False, (2.7, 2.8), {}, ALL),
+        (2.76, True, (4.14, 0.98), {}, X_ALONE),
+        (2.76, True, (4.14, 2.04), {}, TWO),
+        (1.2, True, (1.4, 0.9), {}, ""),
+        (1.3, False, (), {"hall": 1.6, "yard": 1.1}, HALL),
+    ],
+)
+def test_noise_far_beyond_what_was_declared_is_part_of_the_verdict(
+    closed, scale, uneven, factors, sets, told
+):
+    _, study, closure = closed
+    parts = tuple(Component(n, f, 0.2) for n, f in zip("XZ", factors, strict=False))
+    found = dataclasses.replace(
+        closure, verdict="nothing_missing", effects=[], noise_scale=scale, noise_uneven=uneven,
+        noise_components=parts, noise_scales=sets,
+    )  # fmt: skip
+    unsure = [dataclasses.replace(part, u=1.0 + part.factor) for part in parts]
+    assert record(found, study)["verdict"] == "nothing_missing"
+    said = page(found, study, [], [])
+    if told:
+        assert found.sentence.startswith(f"No effect was found, but {told}: the noise is larger")
+        assert '<span class="badge louder">Noise larger than declared</span>' in said
+        assert dataclasses.replace(found, verdict="named").louder == {}
+    else:
+        assert found.sentence.endswith("nothing is missing.")
+        assert '<span class="badge nothing_missing">Nothing is missing</span>' in said
+    if uneven:
+        assert not dataclasses.replace(found, noise_components=tuple(unsure)).louder
+
+
 def test_many_declared_values_are_told_in_short(closed, monkeypatch, capsys):
     """In one line where commands print, and folded on the page."""
     _, study, closure = closed

@@ -55,8 +55,8 @@ def page(
     return render(
         "page.html.j2",
         name=study.name,
-        title=_TITLES[closure.verdict] if closure.verdict else "Interrupted",
-        verdict=closure.verdict or "interrupted",
+        title=_title(closure),
+        verdict="louder" if closure.louder else closure.verdict or "interrupted",
         sentence=closure.sentence,
         interrupted=closure.interrupted,
         notes=closure.notes,
@@ -131,6 +131,12 @@ def page(
         seconds=text.number(seconds) if math.isfinite(seconds) else "",
         written=datetime.datetime.now().strftime("%Y-%m-%d %H:%M"),
     )
+
+
+def _title(closure: Closure) -> str:
+    if closure.louder:
+        return "Noise larger than declared"
+    return _TITLES[closure.verdict] if closure.verdict else "Interrupted"
 
 
 @dataclass(frozen=True)
