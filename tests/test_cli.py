@@ -157,6 +157,22 @@ def test_check_names_what_did_not_vary(small_tracker_study):
     assert "constant dir_x, T_y_degC, payload_kg: what depends on their change is not seen" in shown
 
 
+@pytest.mark.parametrize("kept", [24, 0])
+def test_temperatures_that_were_hardly_recorded_are_ignored(small_tracker_study, kept):
+    """As other columns are; so are comments, and `check` says it."""
+    data = small_tracker_study / "data.csv"
+    table: dict = dict(read_table(data, []))
+    table["T_y_degC"] = np.array([f"{20 + 0.1 * i:.1f}" if i < kept else "" for i in range(48)])
+    vcal.io.write_table(data, table | {"remark": np.full(48, "fine")})
+    assert not vcal.load_study(small_tracker_study).plan.has("T_Y")
+    shown = " ".join(run("check", small_tracker_study).output.split())
+    assert "ignored T_y_degC, remark: no more than half of the cells are numbers" in shown
+    if kept:  # one more, and it is one of numbers
+        table["T_y_degC"][kept] = "21.0"
+        vcal.io.write_table(data, table)
+        assert "row 26 (line 27), column T_y_degC" in refused("check", small_tracker_study)
+
+
 def test_check_says_of_which_axis_little_is_covered(small_tracker_study):
     shown = " ".join(
         run("check", small_tracker_study, "--set", "machine.travel_mm.Z=[0, 3000]").output.split()

@@ -13,6 +13,7 @@ from ..effects.base import Effect, Setup
 from ..instruments.conditions import file_name, inside_name
 from ..io import Study, read_header
 from ..io.study import DataSet, looked_for
+from ..io.table import read_table
 from ..loop.candidates import candidates
 from ..loop.closure import Closure, Errors
 from ..loop.heldout import Rms
@@ -152,9 +153,19 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
             else f"{rows} rows without readings: a plan",
         ),
         (f"columns{of}", ", ".join(header)),
+        *_ignored(study, one, header, of),
         *_constant(one.plan, header, of),
         *_covered(one, of),
     ]
+
+
+def _ignored(study: Study, one: DataSet, header: Sequence[str], of: str) -> list[tuple[str, str]]:
+    """Columns that count as left out."""
+    used = {*read_table(study.folder / one.file, []), *one.instrument.labels}
+    columns = [column for column in header if column not in used]
+    if not columns:
+        return []
+    return [(f"ignored{of}", f"{', '.join(columns)}: no more than half of the cells are numbers")]
 
 
 def _constant(plan: Plan, header: Collection[str], of: str) -> list[tuple[str, str]]:

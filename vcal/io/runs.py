@@ -143,7 +143,7 @@ def _check_machine(kind: str, chain: Chain, own: Sequence[Column], file: str, ke
 def _condition(name: str) -> Column | None:
     """What is known of a column that need not be there."""
     if name.startswith("T_") and name.endswith("_degC"):
-        return Column(name=name, low=-50.0, high=150.0)
+        return Column(name=name, low=-50.0, high=150.0, sparse=True)
     if name in GROUPS:
         return Column(name=name, low=0, integer=True)
     if name == "t_s" or name.startswith("dir_") or _QUANTITY.fullmatch(name):
