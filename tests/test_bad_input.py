@@ -585,7 +585,11 @@ ARMS = {
             replace('type = "revolute"\na', 'type = "prismatic"\na'),
             replace("low_deg = -170\nhigh_deg = 170\n", ""),
         ),
-        ("setup.toml, key instrument.kind", "'reflectors'", "an arm of revolute"),
+        (
+            "setup.toml, key machine.joint",
+            "found rotary and linear joints in one machine",
+            "rotary joints alone, or a machine.chain with the axes X, Y and Z",
+        ),
     ),
     "more parameters than readings": (
         # 3 rows of 3 readings against a base pose, a reflector, and six links without a prior.
@@ -716,6 +720,10 @@ SETUP = {
     "unknown axis of the chain": (
         replace('"w X b Y Z t"', '"w X b Y V t"'),
         ("setup.toml, key machine.chain", "axis 'V' is not one of X, Y, Z", "expected 'w'"),
+    ),
+    "a rotary axis": (
+        replace('"w X b Y Z t"', '"w C X b Y Z t"'),
+        ("key machine.chain", "axis 'C'", "that mix rotary and linear axes are not supported"),
     ),
     "two axes": (
         both(replace('"w X b Y Z t"', '"w X b Z t"'), replace("Y = [0, 1000]\n", "")),

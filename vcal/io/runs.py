@@ -123,6 +123,15 @@ def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
 
 def _check_machine(kind: str, chain: Chain, own: Sequence[Column], file: str, key: str) -> None:
     """An instrument that reads joint angles needs an arm, any other one the axes X, Y and Z."""
+    if len({joint.kind for joint in chain.joints}) > 1:
+        raise refusal(
+            file,
+            "key machine.joint",
+            f"rotary and linear joints in one machine, {chain.text!r}, which no instrument "
+            "measures",
+            "rotary joints alone, or a machine.chain with the axes X, Y and Z",
+            "describe the axes of one kind, with the others standing still",
+        )
     joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
     if joints:
         fits = all(joint.kind == "revolute" for joint in chain.joints)

@@ -75,7 +75,8 @@ def read_table(
     `columns` must be there and are checked against their declarations; `optional` gives the
     declaration of a column that need not be there; `labels` are columns of text. Any further column
     is kept if it is numeric, that is, if more than half of its cells are numbers (then all must
-    be), and is ignored otherwise; so is an optional one that may be `sparse`. `base_name` is what messages call the file.
+    be), and is ignored otherwise; so is an optional one that may be `sparse`. `base_name` is what
+    messages call the file.
 
     Raises `StudyError` for a file that is missing, empty or cut off, a column that is missing or
     there twice, and a cell that is not a finite number, not whole where it must be, outside its

@@ -220,8 +220,8 @@ class Closure:
             return "Nothing could be tested: the data say nothing about any effect that was tried."
         if self.louder:
             return (
-                f"No effect was found, but {self._scatter()} times as declared: the noise is larger "
-                "than was declared, or something is missing that nothing tried describes."
+                f"No effect was found, but {self._scatter()} times as declared: the noise is "
+                "larger than was declared, or something is missing that nothing tried describes."
             )
         if self.verdict == "nothing_missing":
             return "The declared model explains the measurement: nothing is missing."
