@@ -250,8 +250,8 @@ def steady(loop: ClosedLoop, omega: Float[Array, ""] | float) -> Complex[Array, 
     """States per set position exp(i omega t) of every axis, once everything has settled.
 
     (z - Phi) X = Gamma (1, i omega), z = exp(i omega T). That there is such an answer says nothing
-    of whether anything settles: in an unstable loop nothing does. `check_stable` tells, or `settles`
-    within a program.
+    of whether anything settles: in an unstable loop nothing does. `check_stable` tells, or
+    `settles` within a program.
     """
     axes = len(loop.axes)
     z = jnp.exp(1j * omega * loop.sample_time)
