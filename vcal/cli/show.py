@@ -16,6 +16,7 @@ from ..io.study import DataSet, looked_for
 from ..io.table import read_table
 from ..loop.candidates import candidates
 from ..loop.closure import Closure, Errors
+from ..loop.confounded import confounding
 from ..loop.heldout import Rms
 from ..measurement import Measurement
 from ..plan import Plan
@@ -156,6 +157,7 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
         *_ignored(study, one, header, of),
         *_constant(one.plan, header, of),
         *_covered(one, of),
+        *_together(one, header, of),
     ]
 
 
@@ -192,6 +194,18 @@ def _covered(one: DataSet, of: str) -> list[tuple[str, str]]:
             found.append(f"{100 * share:.2g} % of {joint.name}")
     told = f"{', '.join(found)}: errors of the rest of the travel are not seen"
     return [(f"covered{of}", told)] if found else []
+
+
+def _together(one: DataSet, header: Collection[str], of: str) -> list[tuple[str, str]]:
+    """Conditions that follow a position or each other: effects of them are hard to tell apart."""
+    if one.instrument.positioned:  # its circles are what they are
+        return []
+    axes = one.plan.axes
+    inside = {column: inside_name(column, axes) for column in header}
+    # What an axis does follows from where it is.
+    names = [n for c, n in inside.items() if n == "t" or n == c or n.startswith("T_")]
+    told = confounding(one.plan, [n for n in names if n in one.plan.covariates])
+    return [(f"together{of}", line) for line in told]
 
 
 def _size(effect: Effect) -> str:
