@@ -36,7 +36,7 @@ from vcal.plan import Plan, joined
 from vcal.plots.residuals import _means as means
 from vcal.plots.residuals import before_after, unexplained_views
 from vcal.plots.search import search
-from vcal.plots.style import AFTER, BEFORE, DOTS
+from vcal.plots.style import AFTER, BEFORE, DOTS, column_label
 from vcal.plots.views import View, effect_view, residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.compensation import effects_csv
@@ -794,6 +794,49 @@ def test_headings_of_the_search_have_room(rounds, name):
     assert max(end.x1 for end in ends) < drawn.bbox.x1
     assert max(end.y1 for end in ends) < drawn.bbox.y1
     assert (name in headings[0].get_text()) == (rounds * len(name) <= 72)
+
+
+@pytest.mark.parametrize(
+    ("column", "label"),
+    [
+        ("a_set_m_s2", "a_set, m/s²"),
+        ("a_x_m_s2", "acceleration of X, m/s²"),
+        ("coolant_l_min", "coolant, l/min"),
+        ("oil_pressure_bar", "oil_pressure, bar"),
+        ("payload_kg", "payload, kg"),
+        ("humidity_pct", "humidity, %"),
+        ("speed_rpm", "speed, 1/min"),
+        ("T_gradient_z_K_per_m", "T_gradient_z, K/m"),
+        ("hall: flow_l_min", "hall: flow, l/min"),
+        ("t_s", "time, s"),
+        ("x_mm", "x, mm"),
+        ("circle_angle_deg", "circle_angle, °"),
+        ("T_air_degC", "temperature of air, °C"),
+        ("probe_A", "probe_A"),
+        ("kg", "kg"),
+        ("m_s", "m, s"),
+        ("level", "level"),
+    ],
+)
+def test_columns_as_labels_have_their_unit(column, label):
+    assert column_label(column) == label
+
+
+@pytest.mark.parametrize("kind", ["scatter", "visible", "sides"])
+def test_no_dot_is_behind_the_legend(kind):
+    """Whatever corner the readings fill; and it overlaps nothing else."""
+    rng = np.random.default_rng(0)
+    x = rng.choice([-1.0, 1.0], 400) if kind == "sides" else rng.uniform(-1.0, 1.0, 400)
+    y, part = rng.uniform(-9.0, 9.0, 400), 0.5 * x
+    tone, label = (np.abs(x), "dots: temperature of column_front_of_the_second_machine, °C, 20.08 "
+                   "(dark) to 24.31 (bright)") if kind == "visible" else (None, "")  # fmt: skip
+    view = View(x, "x, mm", kind, "along Y", y, y - part, tone=tone, tone_label=label)
+    drawn = before_after(view, "jump")
+    drawn.draw_without_rendering()
+    (legend,) = (one.get_window_extent() for one in drawn.legends)
+    assert not any(ax.get_legend() for ax in drawn.axes)
+    assert not any(legend.overlaps(ax.get_tightbbox()) for ax in drawn.axes)
+    assert legend.x0 > 0.0 < legend.y0 and legend.x1 < drawn.bbox.x1
 
 
 @pytest.mark.parametrize("name", ["jump", "encoder_eccentricity warm azimuth of a second tracker"])
