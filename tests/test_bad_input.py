@@ -188,6 +188,14 @@ TABLES = {
         cell(5, "x_mm", ""),
         ("data.csv, row 5 (line 6), column x_mm", "found an empty cell", "expected a number"),
     ),
+    "a beam that was lost": (
+        cell(5, "range_mm", ""),
+        ("row 5 (line 6), column range_mm", "found an empty cell", "fill it in, or remove the row"),
+    ),
+    "a temperature that was not recorded": (
+        cell(5, "T_y_degC", ""),
+        ("row 5 (line 6), column T_y_degC", "found an empty cell", "the row, or the column"),
+    ),
     "NaN": (
         cell(7, "elevation_rad", "nan"),
         ("data.csv, row 7 (line 8), column elevation_rad", "'nan'", "a number from -1.570796"),
@@ -577,7 +585,11 @@ ARMS = {
             replace('type = "revolute"\na', 'type = "prismatic"\na'),
             replace("low_deg = -170\nhigh_deg = 170\n", ""),
         ),
-        ("setup.toml, key instrument.kind", "'reflectors'", "an arm of revolute"),
+        (
+            "setup.toml, key machine.joint",
+            "found rotary and linear joints in one machine",
+            "rotary joints alone, or a machine.chain with the axes X, Y and Z",
+        ),
     ),
     "more parameters than readings": (
         # 3 rows of 3 readings against a base pose, a reflector, and six links without a prior.
@@ -708,6 +720,10 @@ SETUP = {
     "unknown axis of the chain": (
         replace('"w X b Y Z t"', '"w X b Y V t"'),
         ("setup.toml, key machine.chain", "axis 'V' is not one of X, Y, Z", "expected 'w'"),
+    ),
+    "a rotary axis": (
+        replace('"w X b Y Z t"', '"w C X b Y Z t"'),
+        ("key machine.chain", "axis 'C'", "that mix rotary and linear axes are not supported"),
     ),
     "two axes": (
         both(replace('"w X b Y Z t"', '"w X b Z t"'), replace("Y = [0, 1000]\n", "")),

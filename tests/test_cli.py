@@ -157,6 +157,42 @@ def test_check_names_what_did_not_vary(small_tracker_study):
     assert "constant dir_x, T_y_degC, payload_kg: what depends on their change is not seen" in shown
 
 
+@pytest.mark.parametrize("kept", [24, 0])
+def test_temperatures_that_were_hardly_recorded_are_ignored(small_tracker_study, kept):
+    """As other columns are; so are comments, and `check` says it."""
+    data = small_tracker_study / "data.csv"
+    table: dict = dict(read_table(data, []))
+    table["T_y_degC"] = np.array([f"{20 + 0.1 * i:.1f}" if i < kept else "" for i in range(48)])
+    vcal.io.write_table(data, table | {"remark": np.full(48, "fine")})
+    assert not vcal.load_study(small_tracker_study).plan.has("T_Y")
+    shown = " ".join(run("check", small_tracker_study).output.split())
+    assert "ignored T_y_degC, remark: no more than half of the cells are numbers" in shown
+    if kept:  # one more, and it is one of numbers
+        table["T_y_degC"][kept] = "21.0"
+        vcal.io.write_table(data, table)
+        assert "row 26 (line 27), column T_y_degC" in refused("check", small_tracker_study)
+
+
+def test_check_names_what_goes_together(small_tracker_study):
+    """While the order can still be changed, and the conditions varied."""
+    data = small_tracker_study / "data.csv"
+    table = dict(read_table(data, []))
+    rng = np.random.default_rng(0)
+    apart = {n: rng.uniform(20.0, 25.0, 48) for n in table if n.startswith("T_")}
+    vcal.io.write_table(data, table | apart | {"t_s": rng.permutation(48) * 60.0})
+    assert "together" not in run("check", small_tracker_study).output
+    climbing = 100.0 + table["z_mm"] + rng.uniform(0.0, 20.0, 48)
+    wet = {"humidity_pct": 30.0 - 2.0 * apart["T_y_degC"], "steady_pct": np.full(48, 5.0)}
+    vcal.io.write_table(data, table | apart | {"t_s": climbing} | wet)
+    shown = " ".join(run("check", small_tracker_study).output.split())
+    assert (
+        "together t_s follows z_mm (1.00): what depends on one looks as if it depended on the "
+        "other; measure in random order to tell them apart"
+    ) in shown
+    assert "together T_y_degC follows humidity_pct (1.00): " in shown
+    assert shown.count("together") == 2
+
+
 def test_check_says_of_which_axis_little_is_covered(small_tracker_study):
     shown = " ".join(
         run("check", small_tracker_study, "--set", "machine.travel_mm.Z=[0, 3000]").output.split()

@@ -316,6 +316,13 @@ def test_an_unstable_loop():
         check_stable(loop)
     assert "damping" not in str(error.value)
     assert not settles(loop)
+    # No circle settles in it; a program that has the loop for its argument cannot tell.
+    circle = jnp.array([1e-3 + 0.0j]), 30.0, jnp.arange(3.0)
+    with pytest.raises(ValueError, match="unstable loop"):
+        run_circle(loop, *circle)
+    with pytest.raises(ValueError, match="unstable loop"):
+        jax.jit(lambda phasor: run_circle(loop, phasor, *circle[1:]).scale)(circle[0])
+    assert np.isfinite(jax.jit(run_circle)(loop, *circle).scale).all()
 
 
 def test_how_fast_an_unstable_loop_grows():

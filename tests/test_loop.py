@@ -11,7 +11,7 @@ from known import LATERAL, PLANS, Known
 from oracle import make_case, tool_point, tracker_readings, write_study
 from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify, load_study
 from vcal.loop.empirical import EMPIRICAL, Proportion
-from vcal.loop.unexplained import dependence, from_structure
+from vcal.loop.unexplained import Refused, _from_dependence, dependence, from_structure
 from vcal.report.own_effect import own_effect
 
 STAGES = ("screening", "refitting", "adding", "describing")
@@ -90,6 +90,25 @@ def test_what_remains_may_depend_on_a_product(tracker, size):
     closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
     assert closure.verdict == "unexplained"
     assert "(y_mm times dir_x)" in closure.sentence
+
+
+def test_what_was_refused_is_told_where_nothing_else_shows(tracker):
+    """No product of columns, and its own p-value."""
+    fit = identify(tracker.model, noisy(tracker, 5), room=tracker.room)
+    told = dependence(fit, 200, 0)._replace(p_value=0.5)
+    told = told._replace(products=[("Y", "dir_X", 0.004)], joint=True)
+    effect = tracker.effect("scale_growth:Y")
+    refused = Refused(effect, 0.004, "held-out readings are not foretold better")
+    what = _from_dependence(fit, told, 1.0, 0.01, refused=refused)
+    assert what is not None and not what.joint and what.p_value == 0.004
+    assert what.depends_on[: len(effect.betrayed_by)] == list(effect.betrayed_by)
+    assert what.reason == (
+        "scale_growth Y is significant, but held-out readings are not foretold better"
+    )
+    assert what.words == "what looks like scale_growth Y, which is not certain"
+    assert _from_dependence(fit, told, 1.0, 0.01) is None
+    loud = _from_dependence(fit, told._replace(p_value=1e-6), 1.0, 0.01, refused=refused)
+    assert loud is not None and loud.joint and loud.p_value == 1e-6
 
 
 def test_nothing_is_missing_from_a_clean_machine(tracker):

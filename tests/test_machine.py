@@ -30,6 +30,7 @@ from vcal.dynamics.response import harmonics, response
 from vcal.dynamics.unknowns import CentreShift, Delay, DriveFactor, SpringFactor
 from vcal.errors import StudyError
 from vcal.io.machine import load_machine
+from vcal.least_squares import Status
 from vcal.programs import outer_filter_jit, outer_jit
 from vcal.reproduce.acceleration.measured import MATRIX_U, fit_matrix, measure
 from vcal.reproduce.acceleration.moves import compensated, positioned
@@ -410,6 +411,23 @@ def test_noise_of_scales_that_is_in_the_error_too(catalogue):
     assert chi2.std() == pytest.approx(np.sqrt(2.0 * n), rel=0.12)  # it was 1.3 times as much
     correlation = np.corrcoef(found.T) - np.eye(n)
     assert np.abs(correlation).max() < 5.0 / np.sqrt(draws)
+
+
+def test_a_machine_of_which_everything_is_known(catalogue):
+    """Without unknowns chi2 is that of the catalogue: the scales are off by (1 + 2i) u, the probes,
+    which show the error with them, by (3 - i) u.
+    """
+    machine, controller, loop = catalogue
+    omega = jnp.array([20.0, 40.0])
+    asked = jnp.array([[1e-3, -1e-3j, 0.0], [0.0, 1e-3, -1e-3j]])
+    internal, error = predicted(loop, omega, asked)
+    u, scales = np.full((2, 3), 1e-7), 1e-7 * (1.0 + 2.0j)
+    error = error + 1e-7 * (3.0 - 1.0j) - scales
+    seen = Phasors(machine.axes, omega, asked, internal + scales, error, jnp.array(u), jnp.array(u))
+    found = identify_machine(task(machine, controller, [], seen), seen)
+    assert (found.readings, found.status) == (2 * 2 * (3 + 3), Status.CONVERGED)
+    assert found.chi2 == pytest.approx(2 * 3 * (5.0 + 10.0), rel=1e-6)
+    assert found.values.shape == (0,) and not found.matrix_u.any()
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,8 @@ from oracle import error_motions, make_case
 from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
 from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
+from vcal.effects.data_set import OfDataSet
+from vcal.instruments.ball_array import BallCalibration
 from vcal.instruments.conditions import file_column
 from vcal.io.simulated import parse_with
 from vcal.io.study import looked_for
@@ -26,6 +28,7 @@ from vcal.loop.components import Component
 from vcal.loop.doubt import Doubt
 from vcal.loop.empirical import LocalBump
 from vcal.loop.recorded import correlation
+from vcal.loop.screen import Peak
 from vcal.loop.screening import KindResult, Screening
 from vcal.loop.stray import Stray
 from vcal.loop.unexplained import Interval, Unexplained
@@ -33,11 +36,11 @@ from vcal.plan import Plan, joined
 from vcal.plots.residuals import _means as means
 from vcal.plots.residuals import before_after, unexplained_views
 from vcal.plots.search import search
-from vcal.plots.style import AFTER, BEFORE, DOTS
+from vcal.plots.style import AFTER, BEFORE, DOTS, column_label
 from vcal.plots.views import View, effect_view, residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.compensation import effects_csv
-from vcal.report.derived import parameters
+from vcal.report.derived import in_short, parameters
 from vcal.report.own_effect import own_effect
 from vcal.report.page import _tried as tried
 from vcal.report.page import page
@@ -229,6 +232,20 @@ def test_page_says_what_was_tried_and_why_nothing_is_named(closed):
     assert "No effect is named for it.</p>" in said(tried, most=1)
     unbegun = said(tried, untestable=[], screenings=[])
     assert "found the columns" not in unbegun and "The search had not begun" in unbegun
+
+
+def test_page_says_what_effects_of_one_data_set_are(closed):
+    """Their line is that of the kind, whatever the data set."""
+    _, study, closure = closed
+    kind = CATALOGUE["encoder_eccentricity"]
+    effect = OfDataSet.of(kind(angle="azimuth", placement="azimuth"), "hall")
+    peak = Peak(effect, {}, np.ones(2), 9.0, 3.0, 2)
+    screening = Screening(
+        [KindResult(kind.name, [peak], 2, 9.0, 3.0, 1e-3)], 1e-3, 3.0, 1.0, [effect]
+    )
+    found = dataclasses.replace(closure, screenings=[screening], unseen=[effect.key])
+    said = page(found, study, [], [])
+    assert "property object" not in said and said.count(f"<td>{kind.summary}</td>") > 1
 
 
 def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):
@@ -640,6 +657,70 @@ def test_declared_effects_are_told_as_they_were_fitted(tmp_path):
     assert "What was declared" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
 
 
+ALL = "the readings scatter 2.8 times as declared"
+X_ALONE = "X scatters 4.1 times as declared"
+TWO = "X scatters 4.1 and Z 2 times as declared"
+HALL = "hall scatters 1.6 times as declared"
+
+
+@pytest.mark.parametrize(
+    ("scale", "uneven", "factors", "sets", "told"),
+    [
+        (1.0, False, (1.0, 1.0), {}, ""),
+        (1.4, False, (1.4, 1.4), {}, ""),
+        (2.76, False, (2.7, 2.8), {}, ALL),
+        (2.76, True, (4.14, 0.98), {}, X_ALONE),
+        (2.76, True, (4.14, 2.04), {}, TWO),
+        (1.2, True, (1.4, 0.9), {}, ""),
+        (1.3, False, (), {"hall": 1.6, "yard": 1.1}, HALL),
+    ],
+)
+def test_noise_far_beyond_what_was_declared_is_part_of_the_verdict(
+    closed, scale, uneven, factors, sets, told
+):
+    _, study, closure = closed
+    parts = tuple(Component(n, f, 0.2) for n, f in zip("XZ", factors, strict=False))
+    found = dataclasses.replace(
+        closure, verdict="nothing_missing", effects=[], noise_scale=scale, noise_uneven=uneven,
+        noise_components=parts, noise_scales=sets,
+    )  # fmt: skip
+    unsure = [dataclasses.replace(part, u=1.0 + part.factor) for part in parts]
+    assert record(found, study)["verdict"] == "nothing_missing"
+    said = page(found, study, [], [])
+    if told:
+        assert found.sentence.startswith(f"No effect was found, but {told}: the noise is larger")
+        assert '<span class="badge louder">Noise larger than declared</span>' in said
+        assert dataclasses.replace(found, verdict="named").louder == {}
+    else:
+        assert found.sentence.endswith("nothing is missing.")
+        assert '<span class="badge nothing_missing">Nothing is missing</span>' in said
+    if uneven:
+        assert not dataclasses.replace(found, noise_components=tuple(unsure)).louder
+
+
+def test_many_declared_values_are_told_in_short(closed, monkeypatch, capsys):
+    """In one line where commands print, and folded on the page."""
+    _, study, closure = closed
+    array = BallCalibration(balls=(0, 1, 2), sigma=0.5e-6)
+    listed = [(p.name, 0.8 * (p.name == "2.X"), "um", 0.1) for p in array.parameters]
+    play = closure.effects[0].effect
+    told = [(array, listed), (play, [("size", 12.98, "um", 0.21)])]
+    for module in ("vcal.cli.show", "vcal.report.page"):
+        monkeypatch.setattr(f"{module}.declared", lambda _: told)
+    short = "ball_calibration: 9 declared values; the fit moved 2.X most, by 1.60 of its sigma"
+    show_closure(closure)
+    shown = capsys.readouterr().out
+    assert f"  {short}\n" in shown and "0.X = " not in shown
+    assert "backlash Y: size = 12.98 ± 0.42 um (k = 2), declared" in shown
+    said = page(closure, study, [], [])
+    section = said[said.index('id="declared"') : said.index('id="tried"')]
+    before, folded = section.split(f"<details><summary>{short}</summary>")
+    assert "<td>backlash Y</td>" in before
+    assert "ball_calibration" not in before and folded.count("<td>ball_calibration</td>") == 9
+    flat = [(p.name, 0.3, p.unit, 0.1) for p in study.model.effects[-1].parameters]
+    assert in_short(study.model.effects[-1], flat) == f"{len(flat)} declared values"
+
+
 def test_report_without_check_points(closed, tmp_path):
     _, study, closure = closed
     errors = {
@@ -713,6 +794,49 @@ def test_headings_of_the_search_have_room(rounds, name):
     assert max(end.x1 for end in ends) < drawn.bbox.x1
     assert max(end.y1 for end in ends) < drawn.bbox.y1
     assert (name in headings[0].get_text()) == (rounds * len(name) <= 72)
+
+
+@pytest.mark.parametrize(
+    ("column", "label"),
+    [
+        ("a_set_m_s2", "a_set, m/s²"),
+        ("a_x_m_s2", "acceleration of X, m/s²"),
+        ("coolant_l_min", "coolant, l/min"),
+        ("oil_pressure_bar", "oil_pressure, bar"),
+        ("payload_kg", "payload, kg"),
+        ("humidity_pct", "humidity, %"),
+        ("speed_rpm", "speed, 1/min"),
+        ("T_gradient_z_K_per_m", "T_gradient_z, K/m"),
+        ("hall: flow_l_min", "hall: flow, l/min"),
+        ("t_s", "time, s"),
+        ("x_mm", "x, mm"),
+        ("circle_angle_deg", "circle_angle, °"),
+        ("T_air_degC", "temperature of air, °C"),
+        ("probe_A", "probe_A"),
+        ("kg", "kg"),
+        ("m_s", "m, s"),
+        ("level", "level"),
+    ],
+)
+def test_columns_as_labels_have_their_unit(column, label):
+    assert column_label(column) == label
+
+
+@pytest.mark.parametrize("kind", ["scatter", "visible", "sides"])
+def test_no_dot_is_behind_the_legend(kind):
+    """Whatever corner the readings fill; and it overlaps nothing else."""
+    rng = np.random.default_rng(0)
+    x = rng.choice([-1.0, 1.0], 400) if kind == "sides" else rng.uniform(-1.0, 1.0, 400)
+    y, part = rng.uniform(-9.0, 9.0, 400), 0.5 * x
+    tone, label = (np.abs(x), "dots: temperature of column_front_of_the_second_machine, °C, 20.08 "
+                   "(dark) to 24.31 (bright)") if kind == "visible" else (None, "")  # fmt: skip
+    view = View(x, "x, mm", kind, "along Y", y, y - part, tone=tone, tone_label=label)
+    drawn = before_after(view, "jump")
+    drawn.draw_without_rendering()
+    (legend,) = (one.get_window_extent() for one in drawn.legends)
+    assert not any(ax.get_legend() for ax in drawn.axes)
+    assert not any(legend.overlaps(ax.get_tightbbox()) for ax in drawn.axes)
+    assert legend.x0 > 0.0 < legend.y0 and legend.x1 < drawn.bbox.x1
 
 
 @pytest.mark.parametrize("name", ["jump", "encoder_eccentricity warm azimuth of a second tracker"])

@@ -357,6 +357,7 @@ def test_the_page_tells_the_data_sets_apart(backlash):
     for one in study.sets:
         assert f"<td>{one.name}</td>" in text and one.file in text
     assert "tracker: laser tracker; balls: ball array" in text
+    assert "property object" not in text
     record = json.loads((page.parent / "report.json").read_text(encoding="utf-8"))
     assert [one["name"] for one in record["data_sets"]] == ["tracker", "balls"]
     told = record["data_sets"][1]["errors"]["after"]

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,10 @@ from vcal.cli import app
 from vcal.cli.virtual import parse_draws
 from vcal.report import Badge, Picture, Section, Table, Tile, sheet
 from vcal.report.place import Place
-from vcal.uncertainty.virtual import virtual_calibration
+from vcal.report.uncertainty_page import _badge, _volumetric
+from vcal.report.uncertainty_pictures import virtual_pictures
+from vcal.report.uncertainty_record import sentence
+from vcal.uncertainty.virtual import Scalar, VirtualCalibration, virtual_calibration
 
 SETUP = """\
 name = "a plan"
@@ -193,6 +197,33 @@ def test_report(study, report):
     command = f"vcal uncertainty {study} --out {out} --draws 9500 --seed 3"
     assert found["command"].startswith(command)
     assert not found["interrupted"]
+
+
+@pytest.mark.parametrize("largest", [0.0, 1e-9, 0.1])
+def test_a_machine_without_errors_has_nothing_to_improve(largest):
+    """It is said, and how to declare one; no picture shows zeros."""
+
+    def volumetric(statistic, when):
+        return Scalar(largest / 2, 0.0, 0.0, largest)
+
+    result = SimpleNamespace(
+        volumetric=volumetric, improved=0.0, coverage=0.95, ensemble=SimpleNamespace(interrupted=0),
+        nodes=(np.zeros(2),) * 3, contributions=(), motions=(), points=SimpleNamespace(rows=8),
+    )  # fmt: skip
+    result.faultless = VirtualCalibration.faultless.fget(result)  # type: ignore[attr-defined]
+    assert result.faultless == (largest < 1e-6)
+    said = sentence(result)  # type: ignore[arg-type]
+    section = _volumetric(result, {})  # type: ignore[arg-type]
+    badge = _badge(result)  # type: ignore[arg-type]
+    if not result.faultless:
+        assert "it gets smaller on 0.0 %" in said and badge.tone == "bad"
+        assert "on 0.0 % of the machines" in section.paragraphs[0]
+        return
+    assert said.startswith("No error of the machine is declared")
+    assert "[model.geometric]" in said and "[[model.effect]]" in said
+    assert badge == Badge("No error to improve")
+    assert section.paragraphs[0].startswith("No machine drawn has an error. Judged at 8 points")
+    assert not list(virtual_pictures(result))  # type: ignore[arg-type]
 
 
 def test_sheet():

@@ -263,8 +263,9 @@ def chain_from_string(
     for axis in axes:
         if axis not in _DIRECTIONS:
             raise ValueError(
-                f"chain {text!r}: axis {axis!r} is not one of X, Y, Z; {expected} "
-                "(give other joints as [[machine.joint]] rows)"
+                f"chain {text!r}: axis {axis!r} is not one of X, Y, Z; {expected}: machines that "
+                "mix rotary and linear axes are not supported, an arm of rotary joints alone is "
+                "(as [[machine.joint]] rows)"
             )
         if axes.count(axis) > 1:
             raise ValueError(f"chain {text!r}: axis {axis!r} appears twice; {expected}")

@@ -13,12 +13,14 @@ from ..effects.base import Effect, Setup
 from ..instruments.conditions import file_name, inside_name
 from ..io import Study, read_header
 from ..io.study import DataSet, looked_for
+from ..io.table import read_table
 from ..loop.candidates import candidates
 from ..loop.closure import Closure, Errors
+from ..loop.confounded import confounding
 from ..loop.heldout import Rms
 from ..measurement import Measurement
 from ..plan import Plan
-from ..report.derived import Listed, declared, missing_columns, parameters
+from ..report.derived import FEW, Listed, declared, in_short, missing_columns, parameters
 from ..report.text import COVERAGE, probability, with_uncertainty
 
 _MOST = 6
@@ -46,7 +48,9 @@ def show_closure(closure: Closure) -> None:
             console.print(Text(f"    to be certain: {found.separation}"))
     for effect, listed in declared(closure):
         if any(u > 0.0 for *_, u in listed):
-            line = f"  {effect.key}: {_values(listed)}, declared"
+            many = len(listed) > FEW
+            told = in_short(effect, listed) if many else f"{_values(listed)}, declared"
+            line = f"  {effect.key}: {told}"
             console.print(Text(line), soft_wrap=True)
     if closure.unexplained is not None:
         console.print(Text(f"  {closure.unexplained.reason}"))
@@ -150,9 +154,20 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
             else f"{rows} rows without readings: a plan",
         ),
         (f"columns{of}", ", ".join(header)),
+        *_ignored(study, one, header, of),
         *_constant(one.plan, header, of),
         *_covered(one, of),
+        *_together(one, header, of),
     ]
+
+
+def _ignored(study: Study, one: DataSet, header: Sequence[str], of: str) -> list[tuple[str, str]]:
+    """Columns that count as left out."""
+    used = {*read_table(study.folder / one.file, []), *one.instrument.labels}
+    columns = [column for column in header if column not in used]
+    if not columns:
+        return []
+    return [(f"ignored{of}", f"{', '.join(columns)}: no more than half of the cells are numbers")]
 
 
 def _constant(plan: Plan, header: Collection[str], of: str) -> list[tuple[str, str]]:
@@ -179,6 +194,18 @@ def _covered(one: DataSet, of: str) -> list[tuple[str, str]]:
             found.append(f"{100 * share:.2g} % of {joint.name}")
     told = f"{', '.join(found)}: errors of the rest of the travel are not seen"
     return [(f"covered{of}", told)] if found else []
+
+
+def _together(one: DataSet, header: Collection[str], of: str) -> list[tuple[str, str]]:
+    """Conditions that follow a position or each other: effects of them are hard to tell apart."""
+    if one.instrument.positioned:  # its circles are what they are
+        return []
+    axes = one.plan.axes
+    inside = {column: inside_name(column, axes) for column in header}
+    # What an axis does follows from where it is.
+    names = [n for c, n in inside.items() if n == "t" or n == c or n.startswith("T_")]
+    told = confounding(one.plan, [n for n in names if n in one.plan.covariates])
+    return [(f"together{of}", line) for line in told]
 
 
 def _size(effect: Effect) -> str:

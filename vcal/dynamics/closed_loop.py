@@ -17,6 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Bool, Complex, Float
 
 from ..arrays import Array
@@ -248,7 +249,9 @@ def set_points(
 def steady(loop: ClosedLoop, omega: Float[Array, ""] | float) -> Complex[Array, "m axes"]:
     """States per set position exp(i omega t) of every axis, once everything has settled.
 
-    (z - Phi) X = Gamma (1, i omega), z = exp(i omega T).
+    (z - Phi) X = Gamma (1, i omega), z = exp(i omega T). That there is such an answer says nothing
+    of whether anything settles: in an unstable loop nothing does. `check_stable` tells, or
+    `settles` within a program.
     """
     axes = len(loop.axes)
     z = jnp.exp(1j * omega * loop.sample_time)
@@ -261,7 +264,8 @@ def run_circle(
 ) -> Response:
     """A circle that goes on for ever, at any times.
 
-    Raises `ValueError` where the phasor has not one number per axis.
+    Raises `ValueError` where the phasor has not one number per axis, and as `check_stable` does
+    for an unstable loop; where the loop is traced, that is for the caller to check beforehand.
     """
     phasor = jnp.asarray(phasor)
     if phasor.shape != (len(loop.axes),):
@@ -269,6 +273,8 @@ def run_circle(
             f"phasor: found an array of shape {phasor.shape}, expected ({len(loop.axes)},), one "
             f"number for each of {', '.join(loop.axes)}; correct it"
         )
+    if not isinstance(loop.transition, Tracer):
+        check_stable(loop)
     turned = jnp.exp(1j * omega * jnp.asarray(t))[:, None]
     states = (turned * (steady(loop, omega) @ phasor)).real
     asked = (turned * jnp.concatenate([phasor, 1j * omega * phasor])).real

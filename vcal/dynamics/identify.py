@@ -216,7 +216,8 @@ def identify_machine(given: Task, seen: Phasors) -> Identified:
 
     slope = np.asarray(jax.jacfwd(matrix)(jnp.asarray(z)))
     variance = np.einsum("iak,kl,ial->ia", slope, covariance, slope)
-    residual = np.asarray(found.residual)[: -len(z)]
+    whole = np.asarray(found.residual)
+    residual = whole[: len(whole) - len(z)]
     silent = 2 * int(np.isinf(seen.internal_u).sum())
     return Identified(
         given.unknowns,

@@ -28,6 +28,8 @@ class Column(BaseModel):
     integer: bool = False
     unique_with: tuple[str, ...] = ()
     """Index columns that together with this one must not repeat."""
+    sparse: bool = False
+    """Whether it may be left out, and counts as left out where hardly any cell is a number."""
 
 
 LARGEST_NOISE = 1e5

@@ -123,6 +123,15 @@ def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
 
 def _check_machine(kind: str, chain: Chain, own: Sequence[Column], file: str, key: str) -> None:
     """An instrument that reads joint angles needs an arm, any other one the axes X, Y and Z."""
+    if len({joint.kind for joint in chain.joints}) > 1:
+        raise refusal(
+            file,
+            "key machine.joint",
+            f"rotary and linear joints in one machine, {chain.text!r}, which no instrument "
+            "measures",
+            "rotary joints alone, or a machine.chain with the axes X, Y and Z",
+            "describe the axes of one kind, with the others standing still",
+        )
     joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
     if joints:
         fits = all(joint.kind == "revolute" for joint in chain.joints)
@@ -143,7 +152,7 @@ def _check_machine(kind: str, chain: Chain, own: Sequence[Column], file: str, ke
 def _condition(name: str) -> Column | None:
     """What is known of a column that need not be there."""
     if name.startswith("T_") and name.endswith("_degC"):
-        return Column(name=name, low=-50.0, high=150.0)
+        return Column(name=name, low=-50.0, high=150.0, sparse=True)
     if name in GROUPS:
         return Column(name=name, low=0, integer=True)
     if name == "t_s" or name.startswith("dir_") or _QUANTITY.fullmatch(name):

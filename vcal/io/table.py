@@ -75,7 +75,8 @@ def read_table(
     `columns` must be there and are checked against their declarations; `optional` gives the
     declaration of a column that need not be there; `labels` are columns of text. Any further column
     is kept if it is numeric, that is, if more than half of its cells are numbers (then all must
-    be), and is ignored otherwise. `base_name` is what messages call the file.
+    be), and is ignored otherwise; so is an optional one that may be `sparse`. `base_name` is what
+    messages call the file.
 
     Raises `StudyError` for a file that is missing, empty or cut off, a column that is missing or
     there twice, and a cell that is not a finite number, not whole where it must be, outside its
@@ -98,11 +99,11 @@ def read_table(
             table[name] = np.array([cell.strip() for cell in cells])
             continue
         column = asked.get(name) or optional(name)
-        if column is None:
+        if name not in asked and (column is None or column.sparse):
             numbers = sum(math.isfinite(_number(cell)) for cell in cells)
             if 2 * numbers <= len(cells):
                 continue
-        table[name] = _checked(table, column or Column(name=name), cells)
+        table[name] = _checked(table, column or Column(name=name), cells, name in asked)
     for column in columns:
         if column.unique_with:
             _check_unique(table, column)
@@ -245,7 +246,7 @@ def _number(cell: str) -> float:
         return math.nan
 
 
-def _checked(table: Table, column: Column, cells: Sequence[str]) -> np.ndarray:
+def _checked(table: Table, column: Column, cells: Sequence[str], needed: bool) -> np.ndarray:
     values = np.array([_number(cell) for cell in cells])
     # A file of ten digits may round a value at the bound to just beyond it.
     slack = 1e-9 * max((abs(b) for b in (column.low, column.high) if math.isfinite(b)), default=0)
@@ -261,10 +262,13 @@ def _checked(table: Table, column: Column, cells: Sequence[str]) -> np.ndarray:
         expected = f"{expected}, no more than {most:g} in size"
     if bad.any():
         row = int(np.argmax(bad))
-        found = repr(cells[row].strip()) if not math.isfinite(values[row]) else cells[row].strip()
-        if not cells[row].strip():
-            found = "an empty cell"
-        raise table.refusal(row, column.name, found, expected, "correct the value")
+        found, do = cells[row].strip(), "correct the value"
+        if not math.isfinite(values[row]):
+            # What was not recorded cannot be corrected: neither a reading nor a condition.
+            remove = "remove the row" if needed else "remove the row, or the column"
+            do = f"{'correct the value' if found else 'fill it in'}, or {remove}"
+            found = repr(found) if found else "an empty cell"
+        raise table.refusal(row, column.name, found, expected, do)
     return values
 
 

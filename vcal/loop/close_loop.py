@@ -120,7 +120,7 @@ def close_loop(
                 draws,
                 seed + 1,
                 correlated,
-                run.refused,
+                run.refusal,
                 full,
             )
     except KeyboardInterrupt:

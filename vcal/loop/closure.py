@@ -20,6 +20,9 @@ from .unexplained import Unexplained
 Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
 
 
+_LOUDER, _SURELY = 1.5, 3.0
+"""Scatter over what is declared, and standard uncertainties of that, from which the verdict tells
+it."""
 _A_PART = 0.05
 """Share of what remains from which a covariate is told with noise that is correlated in time."""
 
@@ -103,6 +106,10 @@ def in_words(effect: Effect) -> str:
 def outdone_by(effect: Effect) -> str:
     """Why nothing else is added where an empirical description ends the search."""
     return f"an empirical description ({in_words(effect)}) describes the residual better"
+
+
+def _and(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 @dataclass(frozen=True)
@@ -204,13 +211,18 @@ class Closure:
     def sentence(self) -> str:
         """The verdict in words."""
         names = [e.name for e in self.effects]
-        listed = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+        listed = _and(names)
         if self.interrupted:
             return f"Interrupted before the search ended; found by then: {listed or 'nothing'}."
         tried = set(self.settings.get("effects", ()))
         tested = {kind.kind for screening in self.screenings for kind in screening.kinds}
         if self.verdict == "nothing_missing" and tried and tested and not tried & tested:
             return "Nothing could be tested: the data say nothing about any effect that was tried."
+        if self.louder:
+            return (
+                f"No effect was found, but {self._scatter()} times as declared: the noise is "
+                "larger than was declared, or something is missing that nothing tried describes."
+            )
         if self.verdict == "nothing_missing":
             return "The declared model explains the measurement: nothing is missing."
         if self.verdict == "named":
@@ -224,6 +236,29 @@ class Closure:
         found = f"Found {listed}; the rest is unexplained" if names else "Unexplained"
         limit = ", and no more effects may be added (max_effects)" if self.full else ""
         return f"{found}{limit}: {self._remainder()}."
+
+    @property
+    def louder(self) -> dict[str, float]:
+        """Where no effect was found: what scatters far more than declared, by the kind of reading
+        or the data set (all: without a name), in units of what is declared.
+        """
+        if self.verdict != "nothing_missing":
+            return {}
+        if self.noise_scale >= _LOUDER and not self.noise_uneven:
+            return {"": self.noise_scale}
+        parts = {
+            part.name: part.factor
+            for part in self.noise_components
+            if part.factor >= _LOUDER and part.factor - 1.0 > _SURELY * part.u
+        }
+        sets = {name: scale for name, scale in self.noise_scales.items() if scale >= _LOUDER}
+        return parts or sets
+
+    def _scatter(self) -> str:
+        """What `louder` says, up to "times as declared"."""
+        (name, factor), *others = self.louder.items()
+        first = f"{name} scatters {factor:.2g}" if name else f"the readings scatter {factor:.2g}"
+        return _and([first, *(f"{other} {factor:.2g}" for other, factor in others)])
 
     @property
     def full(self) -> bool:

@@ -20,7 +20,7 @@ from .screen import Screen
 from .screening import Screening, screen
 from .serial import Serial, gain_beside, serial
 from .state import State, chi2_per_dof, fitted, without
-from .unexplained import Unexplained, described
+from .unexplained import Refused, Unexplained, described
 from .whitened import declared_chi2
 
 _CONTRADICTED = math.log(5.0)
@@ -31,6 +31,7 @@ _WIDENINGS, _WIDER = 4, 4.0
 _INSTEAD = 1
 """How often several effects may take the place of a description that ended the search."""
 _SUPERFLUOUS = "superfluous after later effects"
+_NO_MINIMUM = "its fit does not end in a minimum"
 _AGAIN = 2
 """How often the search goes on after an effect was replaced."""
 _SAME = 1.0
@@ -171,6 +172,23 @@ class Search:
             effects = (effect for effect in best if not isinstance(effect, Empirical))
             self.refused = next(effects, best[0])
 
+    @property
+    def refusal(self) -> Refused | None:
+        """What `refused` is, with the p-value and the reason that are told of it."""
+        effect = self.refused
+        if effect is None:
+            return None
+        for told in self.rejected:
+            if (told.effect, told.placement) == (effect.name, effect.placement):
+                return Refused(effect, told.p_value, told.reason)
+        tested = (
+            screening.corrected(kind)
+            for screening in reversed(self.screenings)
+            for kind in screening.kinds
+            if kind.kind == effect.name
+        )
+        return Refused(effect, next(tested, math.nan), _NO_MINIMUM)
+
     def _screened(self, state: State) -> tuple[Screen, Screening]:
         """The screening of one round."""
         number = len(self.added(state)) + 1
@@ -237,7 +255,7 @@ class Search:
                 continue
             first = first or effect
             if not isinstance(effect, Empirical):
-                self._refuse(effect, p, "its fit does not end in a minimum")
+                self._refuse(effect, p, _NO_MINIMUM)
         return first
 
     def _at_its_size(self, state: State) -> State:

@@ -73,6 +73,21 @@ class Unexplained:
     """What `share_of_variance` is a share of, in words."""
 
 
+@dataclass(frozen=True)
+class Refused:
+    """An effect, or a description, that was significant in the last round, and did not hold."""
+
+    effect: Effect
+    p_value: float
+    """Corrected for the search."""
+    reason: str
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        return self.effect.words if isinstance(self.effect, Empirical) else self.effect.key
+
+
 def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
     """The displacement of the tool point (n, 3), m, that would give each row's residual.
 
@@ -301,7 +316,7 @@ def from_structure(
     draws: int,
     seed: int,
     correlated: Serial | None = None,
-    refused: Effect | None = None,
+    refused: Refused | None = None,
     full: bool = False,
 ) -> Unexplained | None:
     """The description where the residual depends on covariates, is correlated in time, or is far
@@ -318,7 +333,7 @@ def _from_dependence(
     chi2_per_dof: float,
     alpha: float,
     correlated: Serial | None = None,
-    refused: Effect | None = None,
+    refused: Refused | None = None,
     full: bool = False,
 ) -> Unexplained | None:
     spread = chi2_per_dof > _SPREAD
@@ -326,7 +341,7 @@ def _from_dependence(
     if quiet and refused is None:
         return None
     shares = dict(told.single)
-    if told.joint:
+    if told.joint and not quiet:
         # A product shows in neither alone: both of it come first.
         first, second, _ = told.products[0]
         ahead = {name: shares.get(name, 0.0) for name in (first, second)}
@@ -334,7 +349,9 @@ def _from_dependence(
     if correlated is not None and not shares and fit.measurement.plan.has("t"):
         shares = {"t": 0.0}
     if quiet and refused is not None:
-        shares = dict.fromkeys(refused.betrayed_by, 0.0) | shares
+        # Nothing else is significant: neither a product nor what a column tells by itself.
+        alone = {name: shares.get(name, 0.0) for name in refused.effect.betrayed_by}
+        shares = alone | {name: s for name, s in shares.items() if name not in alone}
     best = max([*shares.values(), *(share for *_, share in told.products)], default=0.0)
     vectors = displacements(fit)[fit.used]
     excess = max(1.0 - 1.0 / chi2_per_dof, 0.0)
@@ -345,13 +362,8 @@ def _from_dependence(
             f"scatter persists over some {correlated.length:.0f} readings, as noise that is "
             "correlated in time does, or a drift that no effect that was tried has"
         )
-    elif quiet and isinstance(refused, Empirical):
-        reason = f"{refused.words} is significant, but its fit does not end in a minimum"
-    elif quiet:
-        reason = (
-            "effects are significant, but none of them can be fitted and holds on readings that it "
-            "was not fitted to"
-        )
+    elif quiet and refused is not None:
+        reason = f"{refused.words} is significant, but {refused.reason}"
     elif spread and best < 0.1:
         reason = (
             "the residual is far larger than the declared noise, and no single covariate "
@@ -361,9 +373,13 @@ def _from_dependence(
         reason = "the residual is far larger than the declared noise and depends on covariates"
     else:
         reason = "the residual depends on covariates in a way that no effect that was tried has"
+    words = ""
+    if correlated is not None and correlated.share > _MOSTLY * best:
+        words = _AS_NOISE
+    elif quiet and refused is not None:
+        words = f"what looks like {refused.words}, which is not certain"
     if full and refused is not None:
-        what = refused.words if isinstance(refused, Empirical) else refused.key
-        reason = f"{what} is significant, but no more effects may be added (max_effects)"
+        reason = f"{refused.words} is significant, but no more effects may be added (max_effects)"
     elif full:
         reason = "no more effects may be added (max_effects), and none is significant in the rest"
     return Unexplained(
@@ -373,11 +389,11 @@ def _from_dependence(
         direction=main_direction(vectors),
         size_um=size * 1e6,
         share_of_variance=excess if spread else best,
-        p_value=told.p_value,
+        p_value=refused.p_value if quiet and refused is not None else told.p_value,
         reason=reason,
-        words=_AS_NOISE if correlated is not None and correlated.share > _MOSTLY * best else "",
+        words=words,
         products=tuple(told.products),
-        joint=told.joint,
+        joint=told.joint and not quiet,
         size_is=f"rms displacement of the tool point, {_BEYOND if spread else _BY_THE_BEST}",
         share_is=f"of the variance of the residual, {_BEYOND if spread else _BY_THE_BEST}",
     )

@@ -39,9 +39,10 @@ def before_after(view: View, name: str) -> Figure:
     Dots are readings, the coloured points means of groups with two standard errors; the line is
     what is visible of the effect, that is, not taken up by other parameters.
     """
-    drawn = figure(9.6, 4.15)
-    left, right = _panels(drawn, 2, sharey=True, top=0.7)
-    drawn.text(0.75 / 9.6, 1.0 - 0.3 / 4.15, name, fontsize=10, color=INK, weight="bold")
+    width, height = 9.6, 4.45
+    drawn = figure(width, height)
+    left, right = _panels(drawn, 2, sharey=True, top=0.7, bottom=0.9)
+    drawn.text(0.75 / width, 1.0 - 0.3 / height, name, fontsize=10, color=INK, weight="bold")
     bound = 1.1 * limit([view.without, view.with_])
     for ax, y, colour, word in (
         (left, view.without, BEFORE, "before"),
@@ -60,6 +61,11 @@ def before_after(view: View, name: str) -> Figure:
         ax.set_ylim(-bound, bound)
     along = f" {view.along}" if len(view.along) < 24 else " of the tool point"
     left.set_ylabel(f"residual{along}, µm", fontsize=9.5, color=INK)
+    # Below the panels: within them it would be on dots of some measurement.
+    drawn.legend(
+        *left.get_legend_handles_labels(), fontsize=8.5, loc="lower left", ncols=2, frameon=False,
+        bbox_to_anchor=(0.75 / width, 0.08 / height), borderpad=0.0, borderaxespad=0.0,
+    )  # fmt: skip
     return drawn
 
 
@@ -79,7 +85,6 @@ def _visible(ax: Axes, view: View) -> None:
             ax.plot([], [], ".", color=TONE, markersize=6, label=view.tone_label)
     else:
         ax.plot(*_means(x, y, 30), color=INK, linewidth=1.4, label=label)
-    _legend(ax)
 
 
 def _legend(ax: Axes) -> None:
@@ -156,10 +161,12 @@ def unexplained(fit: Fit, what: Unexplained) -> Figure:
     return drawn
 
 
-def _panels(drawn: Figure, count: int, sharey: bool = False, top: float = 0.45) -> np.ndarray:
+def _panels(
+    drawn: Figure, count: int, sharey: bool = False, top: float = 0.45, bottom: float = 0.6
+) -> np.ndarray:
     """Axes side by side, with the margins of all figures in this file."""
     gap = 0.35 if sharey else 0.8
-    margins = {"left": 0.75, "right": 0.2, "top": top, "bottom": 0.6, "wspace": gap}
+    margins = {"left": 0.75, "right": 0.2, "top": top, "bottom": bottom, "wspace": gap}
     return grid(drawn, 1, count, margins, sharey=sharey)[0]
 
 

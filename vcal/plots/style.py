@@ -32,6 +32,20 @@ _UNITS = {
     "1": "",
     "%": "%",
 }
+_COLUMN_UNITS = {
+    **{unit: unit for unit in (
+        "mm", "um", "nm", "s", "ms", "rad", "mrad", "urad", "deg", "degC", "K", "kg", "N", "kN",
+        "kW", "bar", "mbar", "Pa", "hPa", "kPa", "MPa", "Hz", "kHz",
+    )},
+    **{f"{a}_{b}": f"{a}/{b}" for a in ("l", "m", "mm") for b in ("min", "s")},
+    "m_s2": "m/s2",
+    "rpm": "1/min",
+    "pct": "%",
+}  # fmt: skip
+"""How a unit is written at the end of a column's name. What may as well be a name is none: A, m."""
+_COLUMN_UNITS |= {
+    f"{a}_per_{b}": f"{_COLUMN_UNITS[a]}/{b}" for a in _COLUMN_UNITS for b in ("m", "K", "min", "s")
+}
 
 
 def figure(width: float, height: float) -> Figure:
@@ -138,8 +152,12 @@ def column_label(column: str) -> str:
         return f"joint {match[1]}, {'commanded' if match[2] == 'cmd' else 'read back'}, °"
     if match := re.fullmatch(r"T_(\w+)_degC", column):
         return f"temperature of {match[1] if len(match[1]) > 1 else match[1].upper()}, °C"
-    if match := re.fullmatch(r"(\w+)_(mm|um|s|rad|deg)", column):
-        return f"{'time' if match[1] == 't' else match[1]}, {pretty_unit(match[2])}"
+    # The first place from which it is a unit: of load_m_s that is m_s, not s.
+    words = column.split("_")
+    for k in range(1, len(words)):
+        if unit := _COLUMN_UNITS.get("_".join(words[k:])):
+            name = "_".join(words[:k])
+            return f"{'time' if name == 't' else name}, {pretty_unit(unit)}"
     return {"pose": "pose number", "ball": "ball number", "tilt": "tilt, rad"}.get(column, column)
 
 

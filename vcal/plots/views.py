@@ -213,4 +213,4 @@ def _tone(
     column, factor = column_of(name, plan)
     low, high = x.min() * factor, x.max() * factor
     ends = f"{low:.4g} (dark) to {high:.4g} (bright)".replace("-", "−")
-    return ranks, f"dots: {column_label(column)},\n{ends}"
+    return ranks, f"dots: {column_label(column)}, {ends}"

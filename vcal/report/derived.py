@@ -10,9 +10,12 @@ from ..loop.candidates import Untestable
 from ..loop.closure import Closure, FoundEffect
 from ..plan import Plan
 from ..plots import column_of, place_of
+from .text import number
 
 Listed = list[tuple[str, float, str, float]]
 """(name, value, unit, standard uncertainty) of the parameters of an effect."""
+FEW = 6
+"""Most parameters of a declared effect that are told one by one where there is little room."""
 
 
 def parameters(closure: Closure, found: FoundEffect) -> Listed:
@@ -35,6 +38,23 @@ def declared(closure: Closure) -> list[tuple[Effect, Listed]]:
         listed = [(p.name, float(value), p.unit, float(u)) for _, p, value, u in values]
         found.append((effect, listed + _harmonics(fit, effect, listed)))
     return found
+
+
+def in_short(effect: Effect, listed: Listed) -> str:
+    """Many parameters of a declared effect in one line: how far the fit has moved them at most, in
+    standard deviations of what was declared.
+    """
+    priors = {p.name: p for p in (*effect.amplitudes, *effect.shapes)}
+    moved = {
+        name: abs(value - priors[name].mean) / priors[name].sigma
+        for name, value, *_ in listed
+        if name in priors and priors[name].informed and not priors[name].known
+    }
+    count = f"{len(listed)} declared values"
+    if not moved:
+        return count
+    most = max(moved, key=lambda name: moved[name])
+    return f"{count}; the fit moved {most} most, by {number(moved[most])} of its sigma"
 
 
 def _harmonics(fit: Fit, effect: Effect, listed: Listed) -> Listed:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
+from ..effects.data_set import OfDataSet
 from ..effects.registry import CATALOGUE
 from ..fit import HARDLY_TOLD
 from ..io.study import Study, looked_for
@@ -18,7 +19,7 @@ from ..loop.closure import Closure, FoundEffect
 from ..loop.empirical import EMPIRICAL
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
-from .derived import declared, missing_columns, parameters
+from .derived import FEW, declared, in_short, missing_columns, parameters
 from .own_effect import own_effect
 from .picture import Picture
 from .record import plain, versions
@@ -54,8 +55,8 @@ def page(
     return render(
         "page.html.j2",
         name=study.name,
-        title=_TITLES[closure.verdict] if closure.verdict else "Interrupted",
-        verdict=closure.verdict or "interrupted",
+        title=_title(closure),
+        verdict="louder" if closure.louder else closure.verdict or "interrupted",
         sentence=closure.sentence,
         interrupted=closure.interrupted,
         notes=closure.notes,
@@ -66,7 +67,12 @@ def page(
         has_check=closure.check is not None,
         effects=[_effect(closure, found) for found in closure.effects],
         declared=[
-            (effect.key, _parameter(*row)) for effect, listed in declared(closure) for row in listed
+            {
+                "key": effect.key,
+                "parameters": [_parameter(*row) for row in listed],
+                "in_short": in_short(effect, listed) if len(listed) > FEW else "",
+            }
+            for effect, listed in declared(closure)
         ],
         unexplained=_unexplained(closure),
         own_effect=own_effect(closure) is not None,
@@ -125,6 +131,12 @@ def page(
         seconds=text.number(seconds) if math.isfinite(seconds) else "",
         written=datetime.datetime.now().strftime("%Y-%m-%d %H:%M"),
     )
+
+
+def _title(closure: Closure) -> str:
+    if closure.louder:
+        return "Noise larger than declared"
+    return _TITLES[closure.verdict] if closure.verdict else "Interrupted"
 
 
 @dataclass(frozen=True)
@@ -320,11 +332,12 @@ def _restricted(closure: Closure) -> str:
 
 def _summaries(closure: Closure, study: Study) -> dict[str, str]:
     """What every kind of effect is, those of the user's own among them."""
-    kinds: dict[str, type[Effect]] = dict(study.catalogue)
+    known = {name: kind.summary for name, kind in study.catalogue.items()}
     for screening in closure.screenings:
         tested = (kind.peaks[0].effect for kind in screening.kinds if kind.peaks)
-        kinds |= {effect.name: type(effect) for effect in (*tested, *screening.unseen)}
-    known = {name: kind.summary for name, kind in kinds.items()}
+        for effect in (*tested, *screening.unseen):
+            inner: Effect = effect.effect if isinstance(effect, OfDataSet) else effect
+            known[inner.name] = inner.summary
     described = {
         cls.name: f"{cls.summary} (for comparison: no physical effect)" for cls in EMPIRICAL
     }

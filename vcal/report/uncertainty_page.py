@@ -78,6 +78,8 @@ def virtual_page(
 def _badge(result: VirtualCalibration) -> Badge:
     if result.ensemble.interrupted:
         return Badge("Interrupted", "caution")
+    if result.faultless:
+        return Badge("No error to improve")
     if result.improved > 0.99:
         return Badge("Improves the machine", "good")
     if result.improved > 0.5:
@@ -133,12 +135,12 @@ def _volumetric(result: VirtualCalibration, shown: Mapping[str, Picture]) -> Sec
         "",
     )
     pictures = tuple(shown[name] for name in ("volumetric", "field") if name in shown)
+    smaller = f"The error got smaller on {text.percent(result.improved)} of the machines."
+    if result.faultless:
+        smaller = "No machine drawn has an error."
     return Section(
         "Volumetric error before and after",
-        (
-            f"The error got smaller on {text.percent(result.improved)} of the machines. Judged at "
-            f"{result.points.rows} points over the travel.",
-        ),
+        (f"{smaller} Judged at {result.points.rows} points over the travel.",),
         tables=(Table(header, rows, "lrrrrl"),),
         pictures=pictures,
     )

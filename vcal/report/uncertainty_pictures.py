@@ -35,12 +35,13 @@ _NAMES = {
 def virtual_pictures(result: VirtualCalibration) -> Iterator[Picture]:
     """All pictures of a virtual calibration, in the order of the page."""
     share = percent(result.coverage)
-    caption = (
-        "Root-mean-square volumetric error of every machine drawn, before and after calibration. "
-        f"Bars below: {share} coverage intervals."
-    )
-    yield Picture("volumetric", "volumetric", caption, png(_histograms(result)))
-    if result.nodes:
+    if not result.faultless:
+        caption = (
+            "Root-mean-square volumetric error of every machine drawn, before and after "
+            f"calibration. Bars below: {share} coverage intervals."
+        )
+        yield Picture("volumetric", "volumetric", caption, png(_histograms(result)))
+    if result.nodes and not result.faultless:
         caption = (
             f"Volumetric error that {share} of the machines stay below, point by point in three "
             "mid-planes of the travel, after rigid alignment: before (top) and after calibration "

@@ -20,6 +20,11 @@ _OFTEN = 0.1
 
 def sentence(result: VirtualCalibration) -> str:
     """The answer in one sentence."""
+    if result.faultless:
+        return (
+            "No error of the machine is declared, so that there is nothing to improve. Declare "
+            "what it may have under [model.geometric], or as [[model.effect]]."
+        )
     before, after = (result.volumetric("rms", when) for when in WHEN)
     span = "{} µm ({} to {} µm)".format
     told = [span(number(v.mean), number(v.low), number(v.high, 3)) for v in (before, after)]

@@ -53,6 +53,8 @@ _MOTIONS = (5, 9)
 """Fewest and most positions along an axis at which error motions are judged."""
 _HARDLY = 0.05
 """Share of information below which the data say practically nothing."""
+_NOTHING = 1e-6
+"""Volumetric error, um, that is rounding."""
 _BEFORE, _AFTER = "volumetric error before [um]", "volumetric error after [um]"
 _PARTS = "error components after [um]"
 
@@ -154,6 +156,11 @@ class VirtualCalibration:
         """The same by Monte Carlo."""
         found = self.volumetric("rms", "after")
         return float(np.hypot(found.mean, found.u))
+
+    @property
+    def faultless(self) -> bool:
+        """Whether no machine has an error before calibration: none is declared."""
+        return max(self.volumetric("largest", "before")) < _NOTHING
 
     @property
     def improved(self) -> float:
