@@ -21,6 +21,7 @@ from vcal.io import write_table
 from vcal.io.simulated import write_simulated
 from vcal.loop.empirical import Changing, Harmonic
 from vcal.loop.unexplained import dependence
+from vcal.loop.vibration import vibration
 from vcal.plots import changing_sizes
 from vcal.report.own_effect import own_effect
 
@@ -452,6 +453,41 @@ def test_a_row_at_a_reversal_is_on_the_side_it_came_from():
         assert not circle.direction(t)[:, 2].any()
         # All of the way since the reversal before, not none since this one.
         np.testing.assert_allclose(circle.since_reversal(t)[[60, 120], 0], 4e-3, rtol=1e-4)
+
+
+def test_a_vibration_is_told_by_its_frequency_in_time(tmp_path):
+    """On every circle it comes round another number of times."""
+    table = circles(matrix=np.zeros((3, 3)), samples=120, seed=7)
+    rng = np.random.default_rng(7)
+    start = rng.uniform(0, 2 * np.pi, table["run"].max() + 1)[table["run"]]
+    table["z_ext_mm"] += 5e-4 * np.sin(2 * np.pi * 37.0 * table["t_s"] + start)
+    s = load_study(write(tmp_path / "swings", table))
+    closure = close_loop(s.model, s.measurement, draws=200)
+    found = closure.vibration
+    assert found.reading == "z_ext" and found.hz == pytest.approx(37.0, abs=0.05)
+    assert found.amplitude_um == pytest.approx(0.5, rel=0.1) and found.share > 0.5
+    assert closure.verdict == "unexplained" and "a vibration of 37 Hz in every" in closure.sentence
+
+
+def test_no_vibration_in_noise_or_in_what_belongs_to_the_circle(study):
+    """Of twenty draws of the noise none; bumps have another frequency on circles of another pace,
+    and where all have one pace, nothing tells the two apart.
+    """
+    plan, sigma = study.plan, study.instrument.noise(study.plan, study.measurement.readings)
+    fit = fitted(study, bend(study.chain))
+    around = 7.0 * plan.values("circle_angle")
+    swing = np.sin(2 * np.pi * 37.0 * plan.values("t_run"))
+    a_set = plan.values("a_set_m_s2")
+    for seed in range(20):
+        noise = sigma * np.random.default_rng(seed).standard_normal(sigma.shape)
+        assert vibration(dataclasses.replace(fit, residual=noise)) is None
+    bumps = noise + 2e-6 * np.sin(around)[:, None] * [0, 0, 1]
+    assert vibration(dataclasses.replace(fit, residual=bumps)) is None
+    swings = noise + 1e-6 * swing[:, None] * [0, 0, 1]
+    assert vibration(dataclasses.replace(fit, residual=swings)).reading == "z_ext"
+    alone = (a_set == a_set[0])[:, None, None] * fit.whitener
+    one = dataclasses.replace(fit, residual=swings, whitener=alone)
+    assert vibration(one) is None
 
 
 def timed(table):

@@ -227,8 +227,8 @@ class CoulombFriction(Effect):
 
     name = "coulomb_friction"
     summary = "friction that changes its direction smoothly at a reversal"
-    odds = 0.1
-    """Most friction is told as the play that it looks like."""
+    odds = 0.05
+    """Most friction is told as the play, or the lag, that it looks like."""
     axes: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -251,7 +251,7 @@ class CoulombFriction(Effect):
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         # Faster at its reversals it is a play but for a few rows, slower at all times a lag.
-        return {"speed": np.geomspace(0.03, 0.6, 14) * _fastest(plan, self.axes)}
+        return {"speed": np.geomspace(0.03, 0.4, 12) * _fastest(plan, self.axes)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:

@@ -38,6 +38,7 @@ from .steps import uncertainties
 from .stray import at_an_end, too_many
 from .together import contradiction
 from .unexplained import Unexplained, from_structure
+from .vibration import vibration
 from .whitened import declared_chi2, declared_residual
 
 _NO_MACHINE_UM = 2000.0
@@ -259,6 +260,7 @@ def _finish(
         "before": errors(before, run.check),
         "after": errors(after, run.check, doubts),
     }
+    swings = vibration(state.fit)
     apart = "" if interrupted else contradiction(before, after, run.room)
     return Closure(
         verdict=verdict,
@@ -270,6 +272,7 @@ def _finish(
         doubts=doubts,
         check=run.check,
         unexplained=run.unexplained,
+        vibration=swings,
         suspected=state.strays,
         rejected=still_rejected(run.rejected, found),
         untestable=run.untestable,
@@ -288,6 +291,7 @@ def _finish(
             *_described_at_the_check(described, wrong["after"], run.check),
             *_untold(after, dict.fromkeys(item.effect.key for item in found)),
             *_notes(scales, state, run),
+            *([swings.words] if swings is not None and run.unexplained is None else []),
         ],
     )
 

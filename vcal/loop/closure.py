@@ -16,6 +16,7 @@ from .heldout import Rms
 from .screening import Screening
 from .stray import Stray
 from .unexplained import Unexplained
+from .vibration import Vibration
 
 Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
 
@@ -146,6 +147,8 @@ class Closure:
     declared; the fit after closing the loop then goes by `noise_components`.
     """
     interrupted: bool = False
+    vibration: Vibration | None = None
+    """Of what is left, where runs of several paces tell it."""
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -268,6 +271,8 @@ class Closure:
 
     def _remainder(self) -> str:
         what = self.unexplained
+        if self.vibration is not None:
+            return self.vibration.words
         if what is None or not what.depends_on:
             return "no covariate orders it"
         axes = self.after.measurement.plan.axes

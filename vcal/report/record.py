@@ -3,6 +3,7 @@
 import math
 import platform
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -72,6 +73,7 @@ def record(
             {"effect": item.effect, "placement": item.placement, "reason": _reason(item, plan)}
             for item in closure.untestable
         ],
+        "vibration": None if closure.vibration is None else asdict(closure.vibration),
         "unseen": list(dict.fromkeys(closure.unseen)),
         "settings": {
             **closure.settings,

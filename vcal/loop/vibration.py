@@ -1,0 +1,106 @@
+"""What swings at one frequency in every run, however fast its circle is travelled."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincc
+
+from ..fit import Fit
+from .chance import SILENT
+
+_CHANCE = 1e-3
+"""Probability by chance, over all frequencies and readings, below which one is told."""
+_A_PART = 0.1
+"""Least share of the variance of a reading that it must describe."""
+_EVERYWHERE = 0.3
+"""Least part of that share in the runs of every pace: what belongs to the circle has another
+frequency on each."""
+_FINE = 4.0
+"""Frequencies that are tried within the width of a peak, one over the length of the longest run."""
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """A swing of one reading with a frequency of its own."""
+
+    reading: str
+    hz: float
+    amplitude_um: float
+    """Median over the runs."""
+    share: float
+    """Of the variance that was left of this reading."""
+    p_value: float
+
+    @property
+    def words(self) -> str:
+        """What it is, for a sentence."""
+        return (
+            f"a vibration of {self.hz:.3g} Hz in every run, of {self.amplitude_um:.2g} um in "
+            f"{self.reading}, describes {100.0 * self.share:.0f} % of its scatter"
+        )
+
+
+def vibration(fit: Fit) -> Vibration | None:
+    """The strongest one in the residual; None where there is none beyond chance, or where all runs
+    have one pace, so that a frequency in time is one on the circle.
+
+    Least-squares periodograms (Lomb 1976, Astrophys. Space Sci. 39, 447-462) of every run, whose
+    phase is its own, added up over the runs: the sum of squares that cosine and sine take, in units
+    of the variance that is left, is chi-square distributed with two degrees of freedom a run.
+    """
+    plan = fit.measurement.plan
+    if plan.sets or "run" not in plan.groups or not plan.has("t_run"):
+        return None
+    t, run = plan.values("t_run"), np.asarray(plan.groups["run"])
+    rows = [np.flatnonzero((run == number) & fit.used) for number in np.unique(run)]
+    rows = [mine[np.argsort(t[mine])] for mine in rows if len(mine) > _FINE]
+    length = np.array([np.ptp(t[mine]) for mine in rows])
+    # Runs whose lengths are within a few per cent have one pace.
+    pace = np.unique(np.round(np.log(length) / 0.05), return_inverse=True)[1] if rows else []
+    if len(np.unique(pace)) < 2:
+        return None
+    finest = min(float(np.median(np.diff(t[mine]))) for mine in rows)
+    step = 1.0 / (_FINE * length.max())
+    hz = np.arange(1.0 / length.min(), 0.5 / finest, step)
+    if not len(hz):
+        return None
+    unit = math.sqrt(float((fit.residual[fit.used] ** 2).mean())) or 1.0
+    residual = fit.residual / unit
+    scatter = np.array([((residual[m] - residual[m].mean(0)) ** 2).sum(0) for m in rows])
+    silent = scatter.sum(0) <= SILENT
+
+    def taken(hz: np.ndarray) -> np.ndarray:
+        return np.array([_taken(t[mine], residual[mine], hz) for mine in rows])
+
+    whole = np.where(silent, np.inf, scatter.sum(0))
+    at, reading = np.unravel_index(int(np.argmax(taken(hz).sum(0) / whole)), (len(hz), len(whole)))
+    near = hz[at] + step * np.linspace(-1.0, 1.0, 81)
+    by_run = taken(near)[:, :, reading]
+    best = by_run[:, k := int(np.argmax(by_run.sum(0)))]
+    own, part = best / scatter[:, reading], float(best.sum() / whole[reading])
+    dof = sum(map(len, rows)) - 3.0 * len(rows)
+    statistic = part * dof / max(1.0 - part, SILENT)
+    trials = len(hz) / _FINE * len(whole)
+    p_value = min(1.0, trials * float(gammaincc(len(rows), statistic / 2)))
+    everywhere = min(float(np.median(own[pace == k])) for k in np.unique(pace))
+    if p_value > _CHANCE or part < _A_PART or everywhere < _EVERYWHERE * part:
+        return None
+    count = np.array([len(mine) for mine in rows])
+    size = unit * float(np.median(np.sqrt(2.0 * best / count)))
+    name = fit.model.instrument.readings[int(reading)]
+    return Vibration(name, float(near[k]), 1e6 * size, part, p_value)
+
+
+def _taken(t: np.ndarray, left: np.ndarray, hz: np.ndarray) -> np.ndarray:
+    """Sum of squares (f, m) that cosine and sine of every frequency take of readings (n, m) beside
+    their mean.
+    """
+    y = left - left.mean(0)
+    turn = 2.0 * np.pi * hz[:, None] * (t - t.mean())
+    cosine, sine = np.cos(turn), np.sin(turn)
+    cosine, sine = (wave - wave.mean(1, keepdims=True) for wave in (cosine, sine))
+    cc, ss, cs = ((a * b).sum(1) for a, b in ((cosine, cosine), (sine, sine), (cosine, sine)))
+    cy, sy = cosine @ y, sine @ y
+    determinant = np.maximum(cc * ss - cs**2, 1e-12 * len(t) ** 2)[:, None]
+    return (ss[:, None] * cy**2 - 2 * cs[:, None] * cy * sy + cc[:, None] * sy**2) / determinant
