@@ -99,7 +99,16 @@ class Model(Record):
         return Model(self.chain, self.instrument, (*kept, *self.random))
 
     def motion(self, plan: Plan, shapes: Shapes | None = None) -> Plan:
-        """The command step: what the axes did when the plan was commanded, effect after effect."""
+        """The command step: what the axes did when the plan was commanded, effect after effect.
+
+        Raises `ValueError` for a plan of another machine, or with its axes in another order.
+        """
+        if plan.axes != self.chain.axes:
+            raise ValueError(
+                f"plan: found the axes {', '.join(plan.axes)}, expected "
+                f"{', '.join(self.chain.axes)} in this order, as the chain has them; put the "
+                "columns of the positions in order"
+            )
         for i, effect in enumerate(self.effects):
             shape = (shapes or {}).get(i, {})
             if type(effect).command is Effect.command:
@@ -311,6 +320,20 @@ def _over_rows(
     return jax.vmap(one)(position, rows, varying)
 
 
+def check_theta(model: Model, theta: Any) -> None:
+    """Raises `ValueError` where there is not one value per amplitude, alone or before one per shape
+    parameter that moves, as a fit has them: compiled code would read past the end without a word.
+    """
+    amplitudes = len(model.entries)
+    moving = sum(p.moves for effect in model.effects for p in effect.shapes)
+    if np.shape(theta) not in ((amplitudes,), (amplitudes + moving,)):
+        more = f", or ({amplitudes + moving},) with the shape parameters" if moving else ""
+        raise ValueError(
+            f"theta: found shape {np.shape(theta)}, expected ({amplitudes},), one value per "
+            f"amplitude of the model{more}; `Model.entries` names them in order"
+        )
+
+
 def predict(
     model: Model, plan: Plan, theta: Float[Array, " k"], shapes: Shapes | None = None
 ) -> Float[Array, "n m"]:
@@ -318,9 +341,11 @@ def predict(
 
     `theta` are the amplitudes in solver units (`Model.entries`), `shapes` the values of shape
     parameters in SI. Of these, `theta` may be traced by `jax.jit`, `jax.vmap` and the like. Raises
-    `RuntimeError` where JAX runs in float32.
+    `RuntimeError` where JAX runs in float32, and `ValueError` where plan or theta do not fit the
+    model.
     """
     require_float64()
+    check_theta(model, theta)
     with jax.ensure_compile_time_eval():  # also where theta is traced, the effects are plain data
         plan = model.motion(plan, shapes)
         terms = model.terms(plan, shapes)
