@@ -23,6 +23,7 @@ from .confounded import confounded, unrecorded_time
 from .doubt import Doubt
 from .empirical import EMPIRICAL
 from .heldout import Rms, check_rms, fit_rms, heldout_rms
+from .loop_settings import checked, classes_of
 from .rivals import CERTAIN, Rival, Weighed
 from .search import Added, Search, place_of
 from .state import (
@@ -56,7 +57,7 @@ def close_loop(
     measurement: Measurement,
     *,
     check: CheckPoints | None = None,
-    effects: Iterable[type[Effect]] | None = None,
+    effects: Iterable[type[Effect] | str] | None = None,
     alpha: float = 0.01,
     draws: int = 500,
     seed: int = 0,
@@ -68,15 +69,15 @@ def close_loop(
 
     Fit, screen every effect of the catalogue, pay for the search, refit the best, weigh it against
     its rivals, check it on held-out readings, add it, and repeat until nothing is significant at
-    `alpha` (of the whole search). `effects` restricts the search to some classes; `check` adds the
-    error at independent points; `learn` learns the sizes of the declared families (`vcal.learn`)
-    for the final fit, after the search. `KeyboardInterrupt` ends the search with what
-    is known so far; before the declared model is fitted nothing is, and it passes on. Raises
-    `RuntimeError` in float32.
+    `alpha` (of the whole search). `effects` restricts the search to some classes, or names of the
+    catalogue; `check` adds the error at independent points; `learn` learns the
+    sizes of the declared families (`vcal.learn`) for the final fit, after the search.
+    `KeyboardInterrupt` ends the search with what is known so far; before the declared model is
+    fitted nothing is, and it passes on. Raises
+    `RuntimeError` in float32, and `ValueError` for settings out of their bounds (`LoopSettings`).
     """
-    if effects is None:
-        effects = CATALOGUE.values()
-    classes = list(effects)
+    checked(alpha=alpha, draws=draws, seed=seed, max_effects=max_effects, learn=learn)
+    classes = classes_of(CATALOGUE.values() if effects is None else effects)
     settings = {
         "alpha": alpha,
         "draws": draws,
