@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vcal import Model
+from vcal import Model, Plan, predict
 from vcal.basis import Legendre
 from vcal.batch import prepare_batch
 from vcal.chain import chain_from_string
@@ -20,10 +20,12 @@ from vcal.design import (
     rank_of,
     weigh,
 )
+from vcal.design.judged import error_motions
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from vcal.effects.random import Repeatability
 from vcal.effects.thermal import WarmUp
 from vcal.instruments.laser_frame import beam_path, laser_frame
+from vcal.simulate import prepare
 
 TRAVEL = {"X": (0.0, 0.3), "Y": (0.0, 0.2), "Z": (0.0, 0.25)}
 
@@ -81,6 +83,21 @@ def test_a_free_shape_parameter_is_refused():
     loose = WarmUp(port="EZZ", unit="um", placement="Z")
     with pytest.raises(ValueError, match="free shape parameter 'tau'"):
         curvature(model.with_effects(loose), plan)
+
+
+def test_declared_shape_parameters_are_where_they_are_declared():
+    model, plan = setup()
+    plan = Plan(plan.axes, plan.position, {"t": 10.0 * np.arange(plan.rows)}, plan.groups)
+    grown = model.with_effects(
+        WarmUp(port="EZZ", unit="um", placement="Z", given=(("tau", 0.25, 0.0),))
+    )
+    assert grown.shapes_at(plan) == {2: {"tau": 900.0}}
+    (motion,) = (m for m in error_motions(grown, plan) if m.name == "EZZ")
+    assert np.isfinite(motion.functionals).all() and motion.functionals.any()
+    theta = 0.1 * np.ones(len(grown.entries))
+    same = predict(grown, plan, theta, {2: {"tau": 900.0}})
+    np.testing.assert_array_equal(predict(grown, plan, theta), same)
+    assert prepare(grown, plan).fixed == {2: {"tau": 900.0}}
 
 
 def test_rank_by_hand():

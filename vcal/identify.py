@@ -282,18 +282,10 @@ def identify(
         whitener = declared_whitener(model, measurement)
     if keep is not None:
         whitener = whitener * np.asarray(keep, float)[:, None, None]
-    current: dict[int, dict[str, float]] = {}
-    for i, effect in enumerate(model.effects):
-        if effect.shapes:
-            grids = effect.scan(plan)
-            given = {name for name, *_ in effect.given}
-            begin = {
-                p.name: p.mean * p.si
-                if p.name in given
-                else float(grids[p.name][len(grids[p.name]) // 2])
-                for p in effect.shapes
-            }
-            current[i] = begin | {k: float(v) for k, v in (shapes or {}).get(i, {}).items()}
+    current = {
+        i: {name: float(value) for name, value in shape.items()}
+        for i, shape in model.shapes_at(plan, shapes).items()
+    }
     names = entries(model)
     size, amplitudes = len(names), len(model.entries)
     precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in names])

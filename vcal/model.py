@@ -127,11 +127,33 @@ class Model(Record):
         """The amplitudes of all effects, in the order of the parameter vector."""
         return tuple(Entry(i, p, e.key) for i, e in enumerate(self.effects) for p in e.amplitudes)
 
-    def terms(self, plan: Plan, shapes: Shapes | None = None) -> Terms:
-        """Responses of all effects per solver unit (prior sigma) of their amplitudes."""
-        blocks, start = [], 0
+    def shapes_at(self, plan: Plan, shapes: Shapes | None = None) -> dict[int, dict[str, Any]]:
+        """Values (SI) of all shape parameters: as given, as declared, or the middle of their scan,
+        by position of the effect.
+        """
+        found: dict[int, dict[str, Any]] = {}
         for i, effect in enumerate(self.effects):
-            blocks.append(effect_terms(effect, self.layout, plan, (shapes or {}).get(i, {}), start))
+            if not effect.shapes:
+                continue
+            declared = {name for name, *_ in effect.given}
+            known = {p.name: p.mean * p.si for p in effect.shapes if p.name in declared}
+            known |= (shapes or {}).get(i, {})
+            grids = {} if all(p.name in known for p in effect.shapes) else effect.scan(plan)
+            found[i] = {
+                p.name: known[p.name]
+                if p.name in known
+                else float(grids[p.name][len(grids[p.name]) // 2])
+                for p in effect.shapes
+            }
+        return found
+
+    def terms(self, plan: Plan, shapes: Shapes | None = None) -> Terms:
+        """Responses of all effects per solver unit (prior sigma) of their amplitudes, at the given
+        shape parameters or those of `shapes_at`.
+        """
+        shapes, blocks, start = self.shapes_at(plan, shapes), [], 0
+        for i, effect in enumerate(self.effects):
+            blocks.append(effect_terms(effect, self.layout, plan, shapes.get(i, {}), start))
             start += len(effect.amplitudes)
         return concatenate(blocks, plan.rows, len(self.layout))
 
@@ -340,9 +362,9 @@ def predict(
     """Reduced readings of a plan.
 
     `theta` are the amplitudes in solver units (`Model.entries`), `shapes` the values of shape
-    parameters in SI. Of these, `theta` may be traced by `jax.jit`, `jax.vmap` and the like. Raises
-    `RuntimeError` where JAX runs in float32, and `ValueError` where plan or theta do not fit the
-    model.
+    parameters in SI; what is left out of them is as `Model.shapes_at` has it. Of these, `theta` may
+    be traced by `jax.jit`, `jax.vmap` and the like. Raises `RuntimeError` where JAX runs in
+    float32, and `ValueError` where plan or theta do not fit the model.
     """
     require_float64()
     check_theta(model, theta)
