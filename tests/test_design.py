@@ -14,6 +14,7 @@ from vcal.design import (
     covariance,
     curvature,
     expanded,
+    flat_rank,
     information,
     minimax,
     precision,
@@ -113,6 +114,24 @@ def test_rank_by_hand():
     # The beams cross Z at two heights only, and none reads along the upright one.
     assert found.rank < found.columns
     assert {both.entries[i].parameter.name for i in found.mixed} & {"EZZ.P1", "EZZ.P2"}
+
+
+def test_rank_of_what_has_no_prior():
+    """Beside it, what has one takes nothing away; an effect whose shape is yet to be found may be
+    told there.
+    """
+    model, plan = setup()
+    found = flat_rank(model, plan)
+    assert (found.columns, found.rank, found.mixed) == (6, 6, ())
+    flat = (("size_EZZ", 0.0, np.inf),)
+    plan = Plan(plan.axes, plan.position, {"t": 10.0 * np.arange(plan.rows)}, plan.groups)
+    late = WarmUp(port="EZZ", unit="um", placement="Z", given=flat)
+    assert flat_rank(model.with_effects(late), plan).columns == 6
+    told = WarmUp(port="EZZ", unit="um", placement="Z", given=(*flat, ("tau", 0.25, 0.0)))
+    twice = model.with_effects(told, told)
+    found = flat_rank(twice, plan)
+    assert (found.columns, found.rank) == (8, 7)
+    assert [twice.entries[i].parameter.name for i in found.mixed] == ["size_EZZ"] * 2
 
 
 def test_minimax_of_known_problems():

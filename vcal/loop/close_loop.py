@@ -206,6 +206,17 @@ def _within_its_scan(found: FoundEffect, fit: Fit) -> FoundEffect:
     return found
 
 
+def _told(found: FoundEffect, fit: Fit) -> FoundEffect:
+    """Not for certain, where the readings say next to nothing of any of its amplitudes: what got
+    better with it is then something else, such as a fit that had not come to its end.
+    """
+    place = next(i for i, e in enumerate(fit.model.effects) if e.alike(found.effect))
+    if found.status != "named" or (fit.information[fit.places_of(place)[0]] > HARDLY_TOLD).any():
+        return found
+    why = "the readings say next to nothing of its size: measure where it would be larger"
+    return replace(found, status="ambiguous", separation=why)
+
+
 def _finish(
     run: Search, model: Model, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
@@ -218,6 +229,7 @@ def _finish(
     found = [_found(item, after, state, run.room) for item in run.added(state)]
     found = [_beside_the_rest(effect, state.fit, run.unexplained) for effect in found]
     found = [_within_its_scan(effect, state.fit) for effect in found]
+    found = [_told(effect, state.fit) for effect in found]
     doubts = [_doubt(item.weighed) for item in run.added(state)]
     described = run.unexplained.empirical if run.unexplained is not None else None
     if described is not None:
