@@ -302,3 +302,5 @@ def test_models_must_belong_together(known):
             virtual_pair(truth, fit, tracker.plan)
     with pytest.raises(ValueError, match="draws"):
         monte_carlo(tracker.model, tracker.model, tracker.plan, draws=1)
+    with pytest.raises(TypeError, match=r"quantities: found <class .*such as ParameterErrors\(\)"):
+        monte_carlo(fit, fit, tracker.plan, quantities=[ParameterErrors])  # pyright: ignore

@@ -153,8 +153,14 @@ def monte_carlo(
     faster.
 
     The other arguments are those of `vcal.uncertainty.stream`. Raises as `virtual_pair` and
-    `stream` do.
+    `stream` do, and `TypeError` for what is no quantity.
     """
+    for quantity in quantities:
+        if not isinstance(quantity, Quantity):
+            raise TypeError(
+                f"quantities: found {quantity!r}, expected instances of quantities, such as "
+                "ParameterErrors()"
+            )
     pair = virtual_pair(truth, fit, plan, shapes=shapes, noise_factor=noise_factor)
     measures = tuple(q.measure(pair) for q in quantities)
     given = [o for m in measures for o in m.outputs]
