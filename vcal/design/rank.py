@@ -60,5 +60,5 @@ def _rank(model: Model, plan: Plan, columns: Sequence[int]) -> Rank:
     _, sizes, vt = np.linalg.svd(J, full_matrices=len(J) < J.shape[1])
     rank = int((sizes > FREE).sum())
     parts = np.abs(vt[rank:]).max(0, initial=0.0)
-    mixed = tuple(columns[i] for i in np.flatnonzero(parts > _PART))
+    mixed = tuple(columns[i] for i in np.flatnonzero(parts > _PART).tolist())
     return Rank(J.shape[1], rank, mixed)
