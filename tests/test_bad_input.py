@@ -237,6 +237,19 @@ TABLES = {
             "measure more rows",
         ),
     ),
+    "points on one line": (
+        both(
+            *(cell(row, "y_mm", "300") for row in range(1, 49)),
+            *(cell(row, "z_mm", "200") for row in range(1, 49)),
+        ),
+        (
+            "data.csv, columns of positions and conditions",
+            "found 48 rows that tell 5 of 6 parameters without a prior; station Y, "
+            "station A are part of what they do not",
+            "positions that are not all on one straight line",
+            "measure some more elsewhere, or give a prior (a *_sigma) to what can have one",
+        ),
+    ),
     "direction of an unknown axis": (
         replace("dir_z", "dir_w", "data.csv"),
         ("data.csv, header, column dir_w", "unknown axis 'W'", "one of dir_x, dir_y, dir_z"),

@@ -287,5 +287,20 @@ def test_models_must_belong_together(known):
     tracker, balls = known["laser_tracker"], known["ball_array"]
     with pytest.raises(ValueError, match="expected the same machine and instrument"):
         virtual_pair(tracker.model, balls.model, tracker.plan)
+    fit = tracker.model
+    longer = eqx.tree_at(lambda m: m.chain.tool_offset, fit, fit.chain.tool_offset + 0.01)
+    travel = tuple(dataclasses.replace(j, travel=2.0 * j.travel) for j in fit.chain.joints)
+    farther = eqx.tree_at(lambda m: m.chain.joints, fit, travel)
+    quieter = dataclasses.replace(fit.instrument, angle_sigma=1e-9)
+    quieter = eqx.tree_at(lambda m: m.instrument, fit, quieter)
+    for truth, expected in (
+        (longer, "machine.tool_offset, expected"),
+        (farther, "machine.joints, expected"),
+        (quieter, "instrument.angle_sigma, expected"),
+    ):
+        with pytest.raises(ValueError, match=f"truth and fit: found others in {expected}"):
+            virtual_pair(truth, fit, tracker.plan)
     with pytest.raises(ValueError, match="draws"):
         monte_carlo(tracker.model, tracker.model, tracker.plan, draws=1)
+    with pytest.raises(TypeError, match=r"quantities: found <class .*such as ParameterErrors\(\)"):
+        monte_carlo(fit, fit, tracker.plan, quantities=[ParameterErrors])  # pyright: ignore

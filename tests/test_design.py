@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vcal import Model
+from vcal import Model, Plan, predict
 from vcal.basis import Legendre
 from vcal.batch import prepare_batch
 from vcal.chain import chain_from_string
@@ -14,16 +14,19 @@ from vcal.design import (
     covariance,
     curvature,
     expanded,
+    flat_rank,
     information,
     minimax,
     precision,
     rank_of,
     weigh,
 )
+from vcal.design.judged import error_motions
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from vcal.effects.random import Repeatability
 from vcal.effects.thermal import WarmUp
 from vcal.instruments.laser_frame import beam_path, laser_frame
+from vcal.simulate import prepare
 
 TRAVEL = {"X": (0.0, 0.3), "Y": (0.0, 0.2), "Z": (0.0, 0.25)}
 
@@ -83,6 +86,21 @@ def test_a_free_shape_parameter_is_refused():
         curvature(model.with_effects(loose), plan)
 
 
+def test_declared_shape_parameters_are_where_they_are_declared():
+    model, plan = setup()
+    plan = Plan(plan.axes, plan.position, {"t": 10.0 * np.arange(plan.rows)}, plan.groups)
+    grown = model.with_effects(
+        WarmUp(port="EZZ", unit="um", placement="Z", given=(("tau", 0.25, 0.0),))
+    )
+    assert grown.shapes_at(plan) == {2: {"tau": 900.0}}
+    (motion,) = (m for m in error_motions(grown, plan) if m.name == "EZZ")
+    assert np.isfinite(motion.functionals).all() and motion.functionals.any()
+    theta = 0.1 * np.ones(len(grown.entries))
+    same = predict(grown, plan, theta, {2: {"tau": 900.0}})
+    np.testing.assert_array_equal(predict(grown, plan, theta), same)
+    assert prepare(grown, plan).fixed == {2: {"tau": 900.0}}
+
+
 def test_rank_by_hand():
     """A frame of unknown pose sees no constant, and no slope of its own."""
     model, plan = setup()
@@ -96,6 +114,24 @@ def test_rank_by_hand():
     # The beams cross Z at two heights only, and none reads along the upright one.
     assert found.rank < found.columns
     assert {both.entries[i].parameter.name for i in found.mixed} & {"EZZ.P1", "EZZ.P2"}
+
+
+def test_rank_of_what_has_no_prior():
+    """Beside it, what has one takes nothing away; an effect whose shape is yet to be found may be
+    told there.
+    """
+    model, plan = setup()
+    found = flat_rank(model, plan)
+    assert (found.columns, found.rank, found.mixed) == (6, 6, ())
+    flat = (("size_EZZ", 0.0, np.inf),)
+    plan = Plan(plan.axes, plan.position, {"t": 10.0 * np.arange(plan.rows)}, plan.groups)
+    late = WarmUp(port="EZZ", unit="um", placement="Z", given=flat)
+    assert flat_rank(model.with_effects(late), plan).columns == 6
+    told = WarmUp(port="EZZ", unit="um", placement="Z", given=(*flat, ("tau", 0.25, 0.0)))
+    twice = model.with_effects(told, told)
+    found = flat_rank(twice, plan)
+    assert (found.columns, found.rank) == (8, 7)
+    assert [twice.entries[i].parameter.name for i in found.mixed] == ["size_EZZ"] * 2
 
 
 def test_minimax_of_known_problems():

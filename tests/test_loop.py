@@ -11,6 +11,7 @@ from known import LATERAL, PLANS, Known
 from oracle import make_case, tool_point, tracker_readings, write_study
 from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify, load_study
 from vcal.loop.empirical import EMPIRICAL, Proportion
+from vcal.loop.loop_settings import checked, classes_of
 from vcal.loop.unexplained import Refused, _from_dependence, dependence, from_structure
 from vcal.report.own_effect import own_effect
 
@@ -375,3 +376,37 @@ def test_an_effect_of_the_users_own(lifted, tmp_path):
     ((name, value, unit, u),) = found.parameters
     assert (name, unit) == ("k", "um")
     assert value == pytest.approx(6.0, abs=3 * u)
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"alpha": 0.0}, "alpha: found 0.0, expected greater than 0"),
+        ({"alpha": 1.5}, "alpha: found 1.5, expected less than 1"),
+        ({"draws": 0}, "draws: found 0, expected greater than or equal to 1"),
+        ({"draws": 20.5}, "draws: found 20.5, expected a valid integer"),
+        ({"seed": -1}, "seed: found -1, expected greater than or equal to 0"),
+        ({"max_effects": -1}, "max_effects: found -1, expected greater than or equal to 0"),
+        ({"effects": ["backlsh"]}, r"unknown effect 'backlsh' \(did you mean 'backlash'\?\)"),
+        ({"effects": "backlsh"}, "unknown effect 'backlsh'"),
+        (
+            {"effects": [CATALOGUE["backlash"](port="EXX", unit="um")]},
+            r"effects: found .*, expected classes of effects or",
+        ),
+        ({"effects": [int]}, "effects: found <class 'int'>, expected classes of effects or"),
+    ],
+)
+def test_settings_out_of_their_bounds_are_refused(backlash, settings, expected):
+    with pytest.raises(ValueError, match=expected):
+        close_loop(backlash.model, backlash.measurement, **settings)
+
+
+def test_effects_by_name():
+    jump = CATALOGUE["jump"]
+    assert classes_of(["backlash", jump]) == [CATALOGUE["backlash"], jump]
+    assert classes_of("jump") == [jump]
+
+
+def test_numbers_of_numpy_are_settings():
+    found = checked(draws=np.int64(50), alpha=np.float64(0.05), learn=np.bool_(True))
+    assert (found.draws, found.alpha, found.learn) == (50, 0.05, True)

@@ -10,7 +10,7 @@ import pytest
 import vcal.model as forward
 from known import KINDS, Known, know_all
 from oracle import Tracker, tool_point, tracker_readings, write_study
-from vcal import Measurement, close_loop, identify, load_study, predict
+from vcal import Measurement, Plan, close_loop, identify, load_study, predict
 from vcal.model import observe_all, observe_row, observe_with_jacobian
 from vcal.simulate import prepare, simulate
 
@@ -149,3 +149,80 @@ def test_float32_is_refused(known, tmp_path):
             with pytest.raises(RuntimeError, match="float64.*enable_float64"):
                 call()
     assert np.isfinite(predict(it.model, it.plan, theta)).all()
+
+
+# --- what does not fit ---------------------------------------------------------------------------
+
+
+def test_a_plan_with_other_axes_is_refused(known):
+    it = known["laser_tracker"]
+    turned = Plan(it.plan.axes[::-1], it.plan.position[:, ::-1], it.plan.covariates, it.plan.groups)
+    with pytest.raises(ValueError, match="plan: found the axes .*, expected .* in this order"):
+        predict(it.model, turned, it.theta)
+    with pytest.raises(ValueError, match="plan: found the axes"):
+        identify(it.model, Measurement(turned, it.readings()))
+
+
+@pytest.mark.parametrize("by", (-1, 1))
+def test_theta_has_one_value_per_amplitude(by, known):
+    it = known["laser_tracker"]
+    wrong = np.resize(it.theta, len(it.theta) + by)
+    with pytest.raises(ValueError, match=rf"theta: found shape \({len(wrong)},\), expected"):
+        predict(it.model, it.plan, wrong)
+    with pytest.raises(ValueError, match="theta: found shape"):
+        jax.jit(jax.vmap(lambda theta: predict(it.model, it.plan, theta)))(wrong[None])
+    with pytest.raises(ValueError, match="theta: found shape"):
+        identify(it.model, it.measurement, theta=wrong)
+
+
+def test_theta_of_a_fit_with_shape_parameters_fits(known):
+    it = known["laser_tracker"]
+    model = it.model.with_effects(it.effect("screw_cyclic:X"))
+    shapes = {len(model.effects) - 1: {"pitch": 0.01}}
+    theta = 0.1 * np.arange(len(model.entries))
+    np.testing.assert_array_equal(
+        predict(model, it.plan, np.append(theta, 0.0), shapes),
+        predict(model, it.plan, theta, shapes),
+    )
+
+
+def test_readings_are_those_of_the_instrument(known):
+    it = known["laser_tracker"]
+    one = Measurement(it.plan, it.measurement.readings[:, :1])
+    with pytest.raises(ValueError, match="measurement: found 1 readings per row, expected 3"):
+        identify(it.model, one)
+
+
+_PLACES = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]])
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ((np.zeros((3, 3)),), r"positions of shape \(3, 3\), expected \(rows, 2\)"),
+        ((np.zeros(3),), r"positions of shape \(3,\), expected \(rows, 2\)"),
+        ((np.where(_PLACES == 0.4, np.nan, _PLACES),), "position nan of Y in row 1"),
+        ((_PLACES, {"t": np.arange(2.0)}), r"the covariate 't' of shape \(2,\), expected \(3,\)"),
+        ((_PLACES, {}, {"run": np.arange(4)}), r"the group 'run' of shape \(4,\), expected \(3,\)"),
+    ],
+)
+def test_a_plan_whose_parts_do_not_fit_is_refused(given, expected):
+    with pytest.raises(ValueError, match=f"plan: found the .*{expected}|plan: found {expected}"):
+        Plan(("X", "Y"), *given)
+
+
+def test_lists_are_arrays():
+    plan = Plan(("X", "Y"), _PLACES.tolist(), {"t": [0.0, 1.0, 2.0]}, {"run": [0, 0, 1]})
+    np.testing.assert_array_equal(plan.x("Y"), _PLACES[:, 1])
+    assert plan.rows == Measurement(plan, [[1.0], [2.0], [3.0]]).readings.shape[0]
+    with pytest.raises(ValueError, match=r"readings of shape \(3,\) do not fit"):
+        Measurement(plan, [1.0, 2.0, 3.0])
+
+
+def test_a_plan_is_made_of_what_is_traced():
+    def furthest(position):
+        return jnp.sum(Plan(("X", "Y"), position, {"t": position[:, 0]}).x("X"))
+
+    many = jax.jit(jax.vmap(jax.grad(furthest)))(np.stack([_PLACES, _PLACES]))
+    np.testing.assert_array_equal(many[..., 0], 1.0)
+    jax.eval_shape(lambda p: p.x("X"), Plan(("X", "Y"), jax.ShapeDtypeStruct((3, 2), float)))

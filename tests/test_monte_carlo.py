@@ -485,6 +485,15 @@ def test_results_do_not_depend_on_the_number_of_devices():
     assert found.stdout.strip() == own
 
 
+@pytest.mark.parametrize("verb", (propagate, propagate_distributions))
+def test_inputs_that_are_not_there_are_refused(verb):
+    inputs = {"length": Normal(1.0, 0.1), "width": Normal(2.0, 0.1)}
+    with pytest.raises(TypeError, match=r"inputs: found {'length'.*expected Inputs; write"):
+        verb(lambda x: x["length"], inputs)
+    with pytest.raises(ValueError, match=r"takes the input 'lenght' \(did you mean 'length'\?\)"):
+        verb(lambda x: x["lenght"] * x["width"], Inputs(inputs))
+
+
 def test_a_function_that_is_not_written_in_jax_is_refused():
     with pytest.raises(ValueError, match="not written in JAX"):
         small(function=lambda v: math.sin(v["x"]))

@@ -89,6 +89,25 @@ WRONG = {
     ),
     "no effect": ('yield cls(placement="Z")', "yield 3", "candidates: found 3, expected effects"),
 }
+AT = f"""{SHAPE}
+
+    def scan(self, plan):
+        return {{"at": [0.01, 0.02, 0.03]}}
+"""
+OF_A_SHAPE = {
+    "numpy": ("np.sin(plan.x('Z') / shape['at'])", "found TracerArrayConversionError: "),
+    "first": (
+        "plan.x('Z') / float(np.ravel(shape['at'])[0])",
+        "found TracerArrayConversionError: ",
+    ),
+    "condition": ("plan.x('Z') * (1 if shape['at'] > 0 else -1)", "found ValueError: The truth"),
+    "no column": (
+        "plan.x('Z') / np.resize(shape['at'], plan.rows - 1 if np.ndim(shape['at']) else ())",
+        "found ValueError: operands could not be broadcast",
+    ),
+    "right": ("jnp.sin(plan.x('Z') / shape['at'])", ""),
+    "either": ("namespace(shape['at']).sin(plan.x('Z') / shape['at'])", ""),
+}
 
 
 def with_own(folder, text):
@@ -108,6 +127,23 @@ def test_a_class_that_cannot_be_used(small_tracker_study, case):
     message = str(caught.value)
     assert message.startswith("own.py, class QuillSag, ") and message.endswith("mend the class")
     assert expected in message
+
+
+@pytest.mark.parametrize("case", OF_A_SHAPE)
+def test_what_is_made_of_a_shape(small_tracker_study, case):
+    """It is evaluated for a whole grid at once, and traced."""
+    made, expected = OF_A_SHAPE[case]
+    text = "import jax.numpy as jnp\nimport numpy as np\nfrom vcal.arrays import namespace\n" + OWN
+    text = text.replace(PARAMETERS, AT).replace('plan.x("Z")}', made + "}")
+    folder = with_own(small_tracker_study, text)
+    if not expected:
+        assert "quill_sag" in load_study(folder).catalogue
+        return
+    with pytest.raises(StudyError) as caught:
+        load_study(folder)
+    message = str(caught.value)
+    assert message.startswith(f"own.py, class QuillSag, response: {expected}")
+    assert message.endswith("mend the class") and "\n" not in message
 
 
 def test_a_class_that_can(small_tracker_study):

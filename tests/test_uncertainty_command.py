@@ -312,6 +312,20 @@ def test_mistakes_in_options(study, tmp_path, options, message):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_shape_that_nothing_would_tell(study, tmp_path):
+    folder = Path(shutil.copytree(study, tmp_path / "study"))
+    setup = folder / "setup.toml"
+    row = '[[model.effect]]\nname = "warm_up"\nplacement = "Y"\ncomponent = "EYY"\n'
+    setup.write_text(setup.read_text() + row)
+    found = run("uncertainty", folder, "--out", tmp_path / "report", code=2)
+    assert (
+        "setup.toml, [[model.effect]] warm_up Y, key tau_h: found no value, and no size_EYY_um from"
+        in found.stderr
+    )
+    assert "give tau_h, or a size with its sigma" in found.stderr
+    assert not (tmp_path / "report").exists()
+
+
 def test_mistakes_in_places(study, tmp_path):
     out = tmp_path / "out"
     assert "found no such file" in run("uncertainty", "nowhere", "--out", out, code=2).stderr

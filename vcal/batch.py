@@ -255,7 +255,10 @@ def prepare_batch(
     """
     require_float64()
     plan = model.motion(plan, shapes)
-    at = nominal_shapes(model, plan, shapes)
+    at = {
+        i: {name: float(value) for name, value in shape.items()}
+        for i, shape in model.shapes_at(plan, shapes).items()
+    }
     rows = model.instrument.rows(plan)
     names = entries(model)
     moving = sorted({i for i, e in enumerate(model.effects) if any(p.moves for p in e.shapes)})
@@ -402,20 +405,3 @@ def identify_damped(
     # The residuals are whitened: their standard deviation is known to be one.
     found = least_squares(batch.dense_residual, start, readings, tolerance=tolerance, noise=1.0)
     return Identified(found.value, found.converged, found.steps)
-
-
-def nominal_shapes(model: Model, plan: Plan, shapes: Shapes | None) -> dict[int, dict[str, float]]:
-    """Values (SI) of all shape parameters: as given, as declared, or the middle of their scan."""
-    found: dict[int, dict[str, float]] = {}
-    for i, effect in enumerate(model.effects):
-        if not effect.shapes:
-            continue
-        declared = {name for name, *_ in effect.given}
-        grids = effect.scan(plan)
-        found[i] = {
-            p.name: p.mean * p.si
-            if p.name in declared
-            else float(grids[p.name][len(grids[p.name]) // 2])
-            for p in effect.shapes
-        } | {k: float(v) for k, v in (shapes or {}).get(i, {}).items()}
-    return found

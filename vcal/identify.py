@@ -26,6 +26,7 @@ from .model import (
     Model,
     Shapes,
     Terms,
+    check_theta,
     concatenate,
     effect_terms,
     observe_all,
@@ -263,27 +264,28 @@ def identify(
     start at the middle of their scan. `whitener` (n, m, m) replaces the declared noise, `keep` (n,)
     leaves rows out, `room` is the least number of slots to compile the solver for (smaller and
     larger models then share it). Gauss-Newton first, with damping where that does not
-    converge; `Fit.status` says how it ended. Raises `RuntimeError` where JAX runs in float32.
+    converge; `Fit.status` says how it ended. Raises `RuntimeError` where JAX runs in float32, and
+    `ValueError` where measurement or theta do not fit the model.
     """
     require_float64()
     instrument = model.instrument
+    width, found = len(instrument.readings), measurement.readings.shape[1]
+    if found != width:
+        raise ValueError(
+            f"measurement: found {found} readings per row, expected {width} "
+            f"({', '.join(instrument.readings)}) as the instrument of the model has them; give all"
+        )
+    if theta is not None:
+        check_theta(model, theta)
     plan = model.motion(measurement.plan, shapes)
     if whitener is None:
         whitener = declared_whitener(model, measurement)
     if keep is not None:
         whitener = whitener * np.asarray(keep, float)[:, None, None]
-    current: dict[int, dict[str, float]] = {}
-    for i, effect in enumerate(model.effects):
-        if effect.shapes:
-            grids = effect.scan(plan)
-            given = {name for name, *_ in effect.given}
-            begin = {
-                p.name: p.mean * p.si
-                if p.name in given
-                else float(grids[p.name][len(grids[p.name]) // 2])
-                for p in effect.shapes
-            }
-            current[i] = begin | {k: float(v) for k, v in (shapes or {}).get(i, {}).items()}
+    current = {
+        i: {name: float(value) for name, value in shape.items()}
+        for i, shape in model.shapes_at(plan, shapes).items()
+    }
     names = entries(model)
     size, amplitudes = len(names), len(model.entries)
     precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in names])

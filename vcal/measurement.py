@@ -19,10 +19,11 @@ class Measurement:
     """Rows (n,) that are neither fitted nor foretold, as they do not belong; None: all count."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "readings", np.asarray(self.readings, float))
         if self.readings.ndim != 2 or len(self.readings) != self.plan.rows:
             raise ValueError(
                 f"readings of shape {self.readings.shape} do not fit a plan of {self.plan.rows} "
-                "rows: expected (rows, components)"
+                "rows: expected (rows, components); give one row of readings for each position"
             )
         if not np.isfinite(self.readings).all():
             row, column = np.argwhere(~np.isfinite(self.readings))[0]

@@ -99,7 +99,16 @@ class Model(Record):
         return Model(self.chain, self.instrument, (*kept, *self.random))
 
     def motion(self, plan: Plan, shapes: Shapes | None = None) -> Plan:
-        """The command step: what the axes did when the plan was commanded, effect after effect."""
+        """The command step: what the axes did when the plan was commanded, effect after effect.
+
+        Raises `ValueError` for a plan of another machine, or with its axes in another order.
+        """
+        if plan.axes != self.chain.axes:
+            raise ValueError(
+                f"plan: found the axes {', '.join(plan.axes)}, expected "
+                f"{', '.join(self.chain.axes)} in this order, as the chain has them; put the "
+                "columns of the positions in order"
+            )
         for i, effect in enumerate(self.effects):
             shape = (shapes or {}).get(i, {})
             if type(effect).command is Effect.command:
@@ -118,11 +127,33 @@ class Model(Record):
         """The amplitudes of all effects, in the order of the parameter vector."""
         return tuple(Entry(i, p, e.key) for i, e in enumerate(self.effects) for p in e.amplitudes)
 
-    def terms(self, plan: Plan, shapes: Shapes | None = None) -> Terms:
-        """Responses of all effects per solver unit (prior sigma) of their amplitudes."""
-        blocks, start = [], 0
+    def shapes_at(self, plan: Plan, shapes: Shapes | None = None) -> dict[int, dict[str, Any]]:
+        """Values (SI) of all shape parameters: as given, as declared, or the middle of their scan,
+        by position of the effect.
+        """
+        found: dict[int, dict[str, Any]] = {}
         for i, effect in enumerate(self.effects):
-            blocks.append(effect_terms(effect, self.layout, plan, (shapes or {}).get(i, {}), start))
+            if not effect.shapes:
+                continue
+            declared = {name for name, *_ in effect.given}
+            known = {p.name: p.mean * p.si for p in effect.shapes if p.name in declared}
+            known |= (shapes or {}).get(i, {})
+            grids = {} if all(p.name in known for p in effect.shapes) else effect.scan(plan)
+            found[i] = {
+                p.name: known[p.name]
+                if p.name in known
+                else float(grids[p.name][len(grids[p.name]) // 2])
+                for p in effect.shapes
+            }
+        return found
+
+    def terms(self, plan: Plan, shapes: Shapes | None = None) -> Terms:
+        """Responses of all effects per solver unit (prior sigma) of their amplitudes, at the given
+        shape parameters or those of `shapes_at`.
+        """
+        shapes, blocks, start = self.shapes_at(plan, shapes), [], 0
+        for i, effect in enumerate(self.effects):
+            blocks.append(effect_terms(effect, self.layout, plan, shapes.get(i, {}), start))
             start += len(effect.amplitudes)
         return concatenate(blocks, plan.rows, len(self.layout))
 
@@ -311,16 +342,32 @@ def _over_rows(
     return jax.vmap(one)(position, rows, varying)
 
 
+def check_theta(model: Model, theta: Any) -> None:
+    """Raises `ValueError` where there is not one value per amplitude, alone or before one per shape
+    parameter that moves, as a fit has them: compiled code would read past the end without a word.
+    """
+    amplitudes = len(model.entries)
+    moving = sum(p.moves for effect in model.effects for p in effect.shapes)
+    if np.shape(theta) not in ((amplitudes,), (amplitudes + moving,)):
+        more = f", or ({amplitudes + moving},) with the shape parameters" if moving else ""
+        raise ValueError(
+            f"theta: found shape {np.shape(theta)}, expected ({amplitudes},), one value per "
+            f"amplitude of the model{more}; `Model.entries` names them in order"
+        )
+
+
 def predict(
     model: Model, plan: Plan, theta: Float[Array, " k"], shapes: Shapes | None = None
 ) -> Float[Array, "n m"]:
     """Reduced readings of a plan.
 
     `theta` are the amplitudes in solver units (`Model.entries`), `shapes` the values of shape
-    parameters in SI. Of these, `theta` may be traced by `jax.jit`, `jax.vmap` and the like. Raises
-    `RuntimeError` where JAX runs in float32.
+    parameters in SI; what is left out of them is as `Model.shapes_at` has it. Of these, `theta` may
+    be traced by `jax.jit`, `jax.vmap` and the like. Raises `RuntimeError` where JAX runs in
+    float32, and `ValueError` where plan or theta do not fit the model.
     """
     require_float64()
+    check_theta(model, theta)
     with jax.ensure_compile_time_eval():  # also where theta is traced, the effects are plain data
         plan = model.motion(plan, shapes)
         terms = model.terms(plan, shapes)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .arrays import Array, namespace
+from .arrays import Array, array, arrays, known, namespace
 from .record import Record
 
 DATA_SET = "data_set"
@@ -28,12 +28,12 @@ class Plan(Record):
 
     axes: tuple[str, ...] = eqx.field(static=True)
     """Names of the joints, in the order of the columns of `position`."""
-    position: Float[Array, "n axes"]
+    position: Float[Array, "n axes"] = eqx.field(converter=array)
     """Axis positions, m or rad. Commanded, or found (ball array), or read back (arm)."""
-    covariates: Mapping[str, Float[Array, " n"]] = eqx.field(default_factory=dict)
+    covariates: Mapping[str, Float[Array, " n"]] = eqx.field(converter=arrays, default_factory=dict)
     """Everything else that was recorded, SI, by name: ``"dir_X"`` (+1, -1), ``"t"`` (s),
     ``"T_X"``, ``"T_air"`` (degC), ``"commanded_J1"``, ``"read_J1"`` (rad), ..."""
-    groups: Mapping[str, Int[Array, " n"]] = eqx.field(default_factory=dict)
+    groups: Mapping[str, Int[Array, " n"]] = eqx.field(converter=arrays, default_factory=dict)
     """Group indices by name: ``"pose"``, ``"ball"``, ``"run"``, ``"segment"``."""
     sets: tuple[str, ...] = eqx.field(static=True, default=())
     """Names of the data sets whose rows stand one after the other; none where there is only one.
@@ -42,6 +42,31 @@ class Plan(Record):
     something to the instrument of one, goes by `of_set`, and is nan in the rows of the others
     (group indices: -1).
     """
+
+    def __check_init__(self) -> None:
+        if not known(self.position):
+            return
+        if self.position.ndim != 2 or self.position.shape[1] != len(self.axes):
+            raise ValueError(
+                f"plan: found positions of shape {self.position.shape}, expected (rows, "
+                f"{len(self.axes)}), one column for each of the axes {', '.join(self.axes)}; "
+                "correct the positions or the axes"
+            )
+        finite = np.isfinite(np.asarray(self.position))
+        if not finite.all():
+            row, column = np.argwhere(~finite)[0]
+            raise ValueError(
+                f"plan: found the position {self.position[row, column]} of {self.axes[column]} in "
+                f"row {row}, expected a finite number; correct it, or leave the row out"
+            )
+        for what, table in (("covariate", self.covariates), ("group", self.groups)):
+            for name, values in table.items():
+                if known(values) and values.shape != (self.rows,):
+                    raise ValueError(
+                        f"plan: found the {what} {name!r} of shape {values.shape}, expected "
+                        f"({self.rows},), one value for each of the {self.rows} positions; give "
+                        "as many"
+                    )
 
     @property
     def rows(self) -> int:

@@ -172,6 +172,7 @@ def prepare(
         raise ValueError(f"noise_factor: found {noise_factor}, expected a number of at least 0")
     plan = model.motion(plan, shapes)
     drawn = drawn_shapes(model, plan) if draw_shapes else ()
+    shapes = shapes if draw_shapes else model.shapes_at(plan, shapes)
     moving = sorted({item.effect for item in drawn})
     rows = model.instrument.rows(plan)
     nominal = jnp.zeros((plan.rows, len(model.layout)))

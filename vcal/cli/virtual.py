@@ -53,6 +53,7 @@ def run_virtual(
     check_noise_factor(noise_factor)
     check_virtual_folder(out)
     study = load_study(setup, overrides)
+    _check_shapes(study)
     truth = _truth(study, effects)
     settings: dict[str, Any] = {
         "draws": number,
@@ -101,6 +102,23 @@ def parse_draws(text: str) -> int | Literal["adaptive"]:
             "correct it",
         )
     return number
+
+
+def _check_shapes(study: Study) -> None:
+    """What is fitted is judged at the nominal machine, where an effect of no size has no shape."""
+    for effect in study.model.effects:
+        sizes = effect.amplitudes
+        declared = {name for name, *_ in effect.given}
+        for p in effect.shapes:
+            if p.moves and p.name not in declared and not any(size.mean for size in sizes):
+                raise refusal(
+                    study.path.name,
+                    f"[[model.effect]] {effect.key}, key {p.label}",
+                    f"no value, and no {' or '.join(size.label for size in sizes)} from which a "
+                    f"measurement would tell {p.name}",
+                    "one of them, as the uncertainty is that near the declared values",
+                    f"give {p.label}, or a size with its sigma",
+                )
 
 
 def _truth(study: Study, effects: Sequence[str]) -> Model:

@@ -20,7 +20,7 @@ from .mismatch import Left, drawn_errors, expected_error, fitted_places
 from .optimise import Designed, Task, optimise
 from .plan_space import DesignSettings, PlanSpace, Subject
 from .posterior import covariance, curvature, expanded, information, inverse, jacobian, precision
-from .rank import Rank, rank_of
+from .rank import Rank, flat_rank, rank_of
 from .search import Found, search
 from .separation import Rival, Separation
 from .spaces import SPACES
@@ -73,6 +73,7 @@ __all__ = [
     "expected_error",
     "expected_rms",
     "fitted_places",
+    "flat_rank",
     "follow",
     "gram_for",
     "information",

@@ -34,13 +34,17 @@ def jacobian(model: Model, plan: Plan) -> Float[Array, "n m k"]:
     return _with_ports(model, plan)[0]
 
 
+def open_shapes(effect: Effect) -> set[str]:
+    """Names of the shape parameters without a declared value."""
+    return {p.name for p in effect.shapes} - {name for name, *_ in effect.given}
+
+
 def _with_ports(
     model: Model, plan: Plan
 ) -> tuple[Float[Array, "n m k"], Float[Array, "n m"], Float[Array, "n m p"]]:
     """`jacobian`, the readings at the nominal machine, and their derivative by its ports."""
     for effect in model.effects:
-        loose = {p.name for p in effect.shapes} - {name for name, *_ in effect.given}
-        if loose:
+        if loose := open_shapes(effect):
             raise ValueError(
                 f"effect {effect.key!r}: found the free shape parameter {min(loose)!r}, expected "
                 "declared ones, as a design is judged at the nominal machine"

@@ -1,12 +1,13 @@
 """What a plan tells apart without any prior, and what it does not."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ..model import Model
 from ..plan import Plan
-from .posterior import jacobian
+from .posterior import jacobian, open_shapes
 
 FREE = 1e-8
 """Singular value of columns of unit length below which a combination is not seen."""
@@ -25,11 +26,39 @@ class Rank(NamedTuple):
 
 def rank_of(model: Model, plan: Plan) -> Rank:
     """Rank at the nominal machine. Raises as `jacobian` does."""
+    return _rank(model, plan, range(len(model.entries)))
+
+
+def flat_rank(model: Model, plan: Plan) -> Rank:
+    """The same of the amplitudes without a prior alone. What has one is known beside them, and
+    takes nothing away from what the readings say of them.
+
+    Effects with shape parameters that are not declared are left out: where they are, their
+    amplitudes may be told.
+    """
+    flat = [
+        i
+        for i, entry in enumerate(model.entries)
+        if not entry.parameter.informed and not open_shapes(model.effects[entry.effect])
+    ]
+    kept = sorted({model.entries[i].effect for i in flat})
+    less = Model(model.chain, model.instrument, [model.effects[i] for i in kept])
+    # Places in the whole model of the amplitudes that are left.
+    own = [i for i, entry in enumerate(model.entries) if entry.effect in kept]
+    found = _rank(less, plan, [own.index(i) for i in flat])
+    return found._replace(mixed=tuple(own[i] for i in found.mixed))
+
+
+def _rank(model: Model, plan: Plan, columns: Sequence[int]) -> Rank:
+    """Of some of the amplitudes, by their places."""
+    if not columns:
+        return Rank(0, 0, ())
     J = np.asarray(jacobian(model, plan))
-    J = J.reshape(-1, J.shape[-1])
+    J = J.reshape(-1, J.shape[-1])[:, np.asarray(columns)]
     norms = np.linalg.norm(J, axis=0)
     J = J / np.where(norms > 0.0, norms, 1.0)
-    _, sizes, vt = np.linalg.svd(J, full_matrices=True)
+    _, sizes, vt = np.linalg.svd(J, full_matrices=len(J) < J.shape[1])
     rank = int((sizes > FREE).sum())
     parts = np.abs(vt[rank:]).max(0, initial=0.0)
-    return Rank(J.shape[1], rank, tuple(np.flatnonzero(parts > _PART).tolist()))
+    mixed = tuple(columns[i] for i in np.flatnonzero(parts > _PART).tolist())
+    return Rank(J.shape[1], rank, mixed)

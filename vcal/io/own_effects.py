@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any, get_args
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..effects.base import Effect, Kind, Setup
@@ -55,7 +57,7 @@ def _check(file: str, kind: type[Effect], setup: Setup, plan: Plan) -> None:
         except StudyError:
             raise
         except Exception as error:
-            found = f"{type(error).__name__}: {error}"
+            found = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
             raise refusal(file, f"{name}, {method}", found, expected, _DO) from error
 
     def refuse(method: str, found: str, expected: str) -> StudyError:
@@ -96,6 +98,26 @@ def _check(file: str, kind: type[Effect], setup: Setup, plan: Plan) -> None:
             raise refuse("response", f"{type(response).__name__}", expected)
         for key, column in response.items():
             _check_column(key, column, effect, setup, plan, refuse)
+        if not shape:
+            continue
+        expected = "a column of the shape (2, rows) where the shape values are columns of two"
+        two = {p: np.array([[value], [float(grids[p][-1])]]) for p, value in shape.items()}
+        attempt("response", expected, lambda e=effect, s=two: _check_grid(e, plan, s))
+        if any(p.moves for p in effect.shapes):
+            expected = "jax.numpy, not numpy, and no float() or if, where a shape value comes in"
+            attempt("response", expected, lambda e=effect, s=shape: _slopes(e, plan, s))
+
+
+def _check_grid(effect: Effect, plan: Plan, shape: Mapping[str, np.ndarray]) -> None:
+    """Several values of each shape at once, as the loop looks for the best."""
+    for column in effect.response(plan, shape).values():
+        np.broadcast_to(np.asarray(column, float), (2, plan.rows))
+
+
+def _slopes(effect: Effect, plan: Plan, shape: Mapping[str, float]) -> None:
+    """The derivative by the shape values, as every fit takes it: they are traced."""
+    at = {name: jnp.asarray(value) for name, value in shape.items()}
+    jax.jvp(lambda s: dict(effect.response(plan, s)), (at,), (jax.tree.map(jnp.ones_like, at),))
 
 
 def _check_names(method: str, names: Any, refuse: Callable[[str, str, str], StudyError]) -> None:

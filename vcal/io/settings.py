@@ -16,6 +16,7 @@ from ..design.spaces import settings_of
 from ..errors import StudyError
 from ..instruments import INSTRUMENTS
 from ..instruments.base import FileName, InstrumentSettings
+from ..loop.loop_settings import LoopSettings
 from .messages import at, explain, listed, refusal, shown, source
 
 Triple = tuple[float, float, float]
@@ -208,22 +209,6 @@ class DataSetSettings(Table):
     """When its ``t_s`` was zero, on the clock of the study."""
     must_see: dict[str, int] = {}
     """What its points have to tell apart by themselves, as in ``[data]``."""
-
-
-class LoopSettings(Table):
-    """``[loop]``: how the missing effect is looked for."""
-
-    alpha: float = Field(default=0.01, gt=0, lt=1)
-    """Share of clean measurements in which the whole loop may name an effect."""
-    seed: int = Field(default=0, ge=0, le=2**63 - 1)
-    effects: tuple[str, ...] | None = Field(default=None, min_length=1)
-    """Identifiers of the effects to try; all of the catalogue by default."""
-    draws: int = Field(default=500, ge=1, le=1_000_000)
-    """Null draws behind a significance."""
-    max_effects: int = Field(default=6, ge=0)
-    """Effects after which the loop stops."""
-    learn: bool = False
-    """Whether the families' sizes are learned for the final fit, after the search."""
 
 
 class StudySettings(Table):

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..catalogue import nearest
 from ..chain import Chain, chain_from_dh, chain_from_string
+from ..design import flat_rank
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
 from ..errors import KeyedError, RowError, StudyError
@@ -197,6 +198,7 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         own = {name: kind for name, kind in catalogue.items() if name not in CATALOGUE}
         check_own(settings.model.effects_file, own, model.setup(plan), plan)
     _check_size(model, plan, listed(files.values()), measurement is not None)
+    _check_determined(model, plan, listed(files.values()))
     _check_seen(settings, sets, file)
     return Study(
         name=settings.name or path.resolve().parent.name,
@@ -478,4 +480,24 @@ def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
         if measured
         else f"at least {needed} readings",
         "measure more rows, or give a prior (a *_sigma) to what is known",
+    )
+
+
+def _check_determined(model: Model, plan: Plan, data: str) -> None:
+    """What has no prior must be told by where and what was measured, however many readings there
+    are: those of points on one straight line say nothing of a turn about it.
+    """
+    found = flat_rank(model, plan)
+    if found.rank == found.columns:
+        return
+    mixed = [model.entries[i] for i in found.mixed]
+    names = [f"{entry.key} {entry.parameter.name}" for entry in mixed]
+    raise refusal(
+        data,
+        "columns of positions and conditions",
+        f"{plan.rows} rows that tell {found.rank} of {found.columns} parameters without a prior; "
+        f"{listed(names)} {'is' if len(names) == 1 else 'are'} part of what they do not",
+        "rows that tell all of them: for an instrument whose pose is looked for, positions that "
+        "are not all on one straight line, or in one place",
+        "measure some more elsewhere, or give a prior (a *_sigma) to what can have one",
     )

@@ -25,6 +25,7 @@ from .confounded import confounded, unrecorded_time
 from .doubt import Doubt
 from .empirical import EMPIRICAL
 from .heldout import Rms, check_rms, fit_rms, heldout_rms
+from .loop_settings import checked, classes_of
 from .rivals import CERTAIN, Rival, Weighed
 from .search import Added, Search, place_of
 from .state import (
@@ -59,7 +60,7 @@ def close_loop(
     measurement: Measurement,
     *,
     check: CheckPoints | None = None,
-    effects: Iterable[type[Effect]] | None = None,
+    effects: Iterable[type[Effect] | str] | None = None,
     alpha: float = 0.01,
     draws: int = 500,
     seed: int = 0,
@@ -71,15 +72,15 @@ def close_loop(
 
     Fit, screen every effect of the catalogue, pay for the search, refit the best, weigh it against
     its rivals, check it on held-out readings, add it, and repeat until nothing is significant at
-    `alpha` (of the whole search). `effects` restricts the search to some classes; `check` adds the
-    error at independent points; `learn` learns the sizes of the declared families (`vcal.learn`)
-    for the final fit, after the search. `KeyboardInterrupt` ends the search with what
-    is known so far; before the declared model is fitted nothing is, and it passes on. Raises
-    `RuntimeError` in float32.
+    `alpha` (of the whole search). `effects` restricts the search to some classes, or names of the
+    catalogue; `check` adds the error at independent points; `learn` learns the
+    sizes of the declared families (`vcal.learn`) for the final fit, after the search.
+    `KeyboardInterrupt` ends the search with what is known so far; before the declared model is
+    fitted nothing is, and it passes on. Raises
+    `RuntimeError` in float32, and `ValueError` for settings out of their bounds (`LoopSettings`).
     """
-    if effects is None:
-        effects = CATALOGUE.values()
-    classes = list(effects)
+    checked(alpha=alpha, draws=draws, seed=seed, max_effects=max_effects, learn=learn)
+    classes = classes_of(CATALOGUE.values() if effects is None else effects)
     settings = {
         "alpha": alpha,
         "draws": draws,
@@ -231,6 +232,17 @@ def _among_the_tested(found: FoundEffect, untestable: Iterable[Untestable]) -> F
     return replace(found, status="ambiguous", separation=why + do)
 
 
+def _told(found: FoundEffect, fit: Fit) -> FoundEffect:
+    """Not for certain, where the readings say next to nothing of any of its amplitudes: what got
+    better with it is then something else, such as a fit that had not come to its end.
+    """
+    place = next(i for i, e in enumerate(fit.model.effects) if e.alike(found.effect))
+    if found.status != "named" or (fit.information[fit.places_of(place)[0]] > HARDLY_TOLD).any():
+        return found
+    why = "the readings say next to nothing of its size: measure where it would be larger"
+    return replace(found, status="ambiguous", separation=why)
+
+
 def _finish(
     run: Search, model: Model, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
@@ -244,6 +256,7 @@ def _finish(
     found = [_beside_the_rest(effect, state.fit, run.unexplained) for effect in found]
     found = [_within_its_scan(effect, state.fit) for effect in found]
     found = [_among_the_tested(effect, run.untestable) for effect in found]
+    found = [_told(effect, state.fit) for effect in found]
     doubts = [_doubt(item.weighed) for item in run.added(state)]
     described = run.unexplained.empirical if run.unexplained is not None else None
     if described is not None:

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from scipy.special import gammaincc
 
+from ..design import flat_rank
 from ..fit import Fit, undetermined
 from ..identify import declared_whitener, identify
 from ..least_squares import Status
@@ -67,10 +68,8 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     else:
         options["shapes"] = shapes_begun(model, measurement, keep, room)
     fit = whole = identify(model, measurement, **options)
-    if fit.status == Status.SINGULAR:
-        raise np.linalg.LinAlgError(
-            f"no reading tells {' and '.join(undetermined(fit))} apart from the rest"
-        )
+    if free := _free(fit):
+        raise np.linalg.LinAlgError(f"no reading tells {' and '.join(free)} apart from the rest")
     strays: list[Stray] = []
     moved: set[int] = set()
     for _ in range(_SEARCHES):
@@ -106,6 +105,19 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
         if noise.uneven or _quieter(fit):
             scored = identify(model, measurement, whitener=_found_whitener(noise, noise), **options)
     return State(model, fit, scored, keep, sorted(strays, key=lambda s: s.row), noise)
+
+
+def _free(fit: Fit) -> list[str]:
+    """Parameters that neither the data nor a prior tell, by name, where that is why a fit ended
+    elsewhere than at a minimum: with nothing to hold them some run away, to where the readings seem
+    to tell them after all.
+    """
+    if fit.status == Status.SINGULAR:
+        return undetermined(fit)
+    if fit.converged:
+        return []
+    names = [f"{key} {p.name}" for key, p in fit.entries]
+    return [names[i] for i in flat_rank(fit.model, fit.measurement.plan).mixed]
 
 
 def _stray(fit: Fit, options: dict) -> list[Stray]:

@@ -11,17 +11,20 @@ import hashlib
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..arrays import Array
 from ..batch import identify_alone, identify_damped, identify_one, prepare_batch
+from ..chain import Chain
+from ..instruments.base import Instrument
 from ..model import Model, Shapes
 from ..plan import Plan
 from ..programs import outer_jit
@@ -87,10 +90,13 @@ def virtual_pair(
     drawn, unless declared. Raises as `vcal.simulate.prepare` and `vcal.batch.prepare_batch` do,
     and `ValueError` where the two models differ in more than their effects.
     """
-    if truth.chain.text != fit.chain.text or truth.layout != fit.layout:
+    apart = [
+        *_apart("machine", truth.chain, fit.chain),
+        *_apart("instrument", truth.instrument, fit.instrument),
+    ]
+    if apart:
         raise ValueError(
-            f"truth and fit: found the chains {truth.chain.text!r} and {fit.chain.text!r} with "
-            f"{len(truth.layout)} and {len(fit.layout)} ports, expected the same machine and "
+            f"truth and fit: found others in {', '.join(apart)}, expected the same machine and "
             "instrument; let them differ in their effects"
         )
     declared = {
@@ -100,6 +106,15 @@ def virtual_pair(
     }
     simulator = prepare(truth, plan, declared, noise_factor=noise_factor, draw_shapes=True)
     return Pair(truth, fit, simulator, prepare_batch(fit, plan, shapes=shapes))
+
+
+def _apart(what: str, one: Chain | Instrument, other: Chain | Instrument) -> list[str]:
+    """What differs between two of a sort, by name."""
+    if type(one) is not type(other):
+        return [f"{what} ({type(one).__name__} and {type(other).__name__})"]
+    names = [f.name for f in fields(one)]
+    pairs = [(name, getattr(one, name), getattr(other, name)) for name in names]
+    return [f"{what}.{name}" for name, a, b in pairs if a is not b and not eqx.tree_equal(a, b)]
 
 
 def monte_carlo(
@@ -138,8 +153,14 @@ def monte_carlo(
     faster.
 
     The other arguments are those of `vcal.uncertainty.stream`. Raises as `virtual_pair` and
-    `stream` do.
+    `stream` do, and `TypeError` for what is no quantity.
     """
+    for quantity in quantities:
+        if not isinstance(quantity, Quantity):
+            raise TypeError(
+                f"quantities: found {quantity!r}, expected instances of quantities, such as "
+                "ParameterErrors()"
+            )
     pair = virtual_pair(truth, fit, plan, shapes=shapes, noise_factor=noise_factor)
     measures = tuple(q.measure(pair) for q in quantities)
     given = [o for m in measures for o in m.outputs]

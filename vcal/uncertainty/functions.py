@@ -47,7 +47,8 @@ def propagate_distributions(
     its seed, and by the compiled function and the numbers of the inputs.
 
     Raises `RuntimeError` where JAX runs in float32, `ValueError` for a function that is not written
-    in JAX and for settings that make no sense, and `StudyError` for a folder of another campaign.
+    in JAX or takes an input that there is not and for settings that make no sense, `TypeError` for
+    what are no `Inputs`, and `StudyError` for a folder of another campaign.
     """
     require_float64()
     outputs = outputs_of(function, inputs)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..arrays import Array
+from ..catalogue import nearest
 from ..distributions import Inputs, Univariate
 from ..spatial import require_float64
 from .budget import Budget, Source
@@ -80,15 +81,16 @@ def propagate(
     terms have no degrees of freedom of their own: nu_eff is that of the first-order part, and the
     smallest of all inputs where that part is zero.
 
-    Raises `ValueError` if the function is not written in JAX, if it or a derivative is not finite
-    at the estimates, if a second-order variance is negative, and for settings that make no sense.
+    Raises `ValueError` if the function is not written in JAX or takes an input that there is not,
+    if it or a derivative is not finite at the estimates, if a second-order variance is negative,
+    and for settings that make no sense; `TypeError` for what are no `Inputs`.
     """
     require_float64()
     _check_settings(order, moments)
     check_coverage(coverage)
+    labels = labels_of(outputs_of(function, inputs))
     source = _source(inputs)
     flat = Flat(function, inputs)
-    labels = labels_of(outputs_of(function, inputs))
     value, sensitivity = first_derivatives(flat, source.value)
     _check_finite(np.isfinite(value[:, None]), labels, "value")
     _check_finite(np.isfinite(sensitivity), labels, "derivative")
@@ -134,8 +136,14 @@ def named(values: Any) -> dict[str, Array]:
 def outputs_of(function: Function, inputs: Inputs) -> tuple[Output, ...]:
     """Names and shapes of what a measurement function gives, in its own order.
 
-    Raises `ValueError` if the function is not written in JAX, or gives nothing.
+    Raises `ValueError` if the function is not written in JAX, gives nothing, or takes an input that
+    there is not, and `TypeError` for what are no `Inputs`.
     """
+    if not isinstance(inputs, Inputs):
+        raise TypeError(
+            f"inputs: found {inputs!r}, expected Inputs; write Inputs({{'x': Normal(0, 1)}}), with "
+            "a distribution for every quantity"
+        )
     names: list[str] = []
 
     def in_order(x: Array) -> list[Array]:
@@ -151,6 +159,14 @@ def outputs_of(function: Function, inputs: Inputs) -> tuple[Output, ...]:
             "the measurement function is not written in JAX: it turns a value into a plain number "
             "or a condition; use jax.numpy, and jax.numpy.where in place of if "
             f"({str(error).splitlines()[0]})"
+        ) from error
+    except KeyError as error:
+        name = next(iter(error.args), None)
+        if not isinstance(name, str) or name in inputs.names:
+            raise
+        raise ValueError(
+            f"the measurement function takes the input {name!r}{nearest(name, inputs.names)}, "
+            f"expected one of {', '.join(inputs.names)}; correct the name, or add it to the inputs"
         ) from error
     if not any(math.prod(shape) for shape in shapes):
         raise ValueError("the measurement function gave no outputs, expected at least one")
