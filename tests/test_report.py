@@ -123,6 +123,7 @@ KEYS = {
     "suspected_readings": list,
     "rejected": list,
     "untestable": list,
+    "vibration": type(None),
     "unseen": list,
     "settings": dict,
     "versions": dict,
