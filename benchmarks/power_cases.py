@@ -538,6 +538,10 @@ _DECAY: dict[str, Callable[[Rng], Any]] = {"decay_mm": lambda rng: float(rng.uni
 _SPEED: dict[str, Callable[[Rng], Any]] = {
     "speed_mm_per_s": lambda rng: float(rng.uniform(3.0, 20.0))
 }
+_SMOOTH: dict[str, Callable[[Rng], Any]] = {
+    "speed_mm_per_s": lambda rng: float(rng.uniform(10.0, 30.0))
+}
+"""Of 21 to 95 mm/s on the circles: below, friction sets in between two rows, and is a play."""
 _PERIOD: dict[str, Callable[[Rng], Any]] = {
     "period_um": lambda rng: float(rng.choice([10.0, 20.0, 40.0, 100.0, 200.0])),
     "phase": _phase,
@@ -598,9 +602,9 @@ KINDS: tuple[Kind, ...] = (
     Kind("stribeck_friction of one axis", "um", 2,
          _on_circles("stribeck_friction", "size_um", one=True, **_SPEED), CIRCLES),
     Kind("coulomb_friction", "um", 2,
-         _on_circles("coulomb_friction", "size_um", one=False, **_SPEED), CIRCLES),
+         _on_circles("coulomb_friction", "size_um", one=False, **_SMOOTH), CIRCLES),
     Kind("coulomb_friction of one axis", "um", 2,
-         _on_circles("coulomb_friction", "size_um", one=True, **_SPEED), CIRCLES),
+         _on_circles("coulomb_friction", "size_um", one=True, **_SMOOTH), CIRCLES),
     Kind("servo_lag", "ms", 0.02, _on_circles("servo_lag", "T_ms", one=False), CIRCLES),
     Kind("servo_lag of one axis", "ms", 0.02, _on_circles("servo_lag", "T_ms", one=True), CIRCLES),
     Kind("scale_interpolation", "um", 0.3,
