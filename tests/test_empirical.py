@@ -15,7 +15,8 @@ from known import Known
 from oracle import make_case, write_study
 from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify, load_study
 from vcal.effects.registry import load_effects
-from vcal.loop.close_loop import _beside_the_rest, _separation
+from vcal.loop.certainty import doubted
+from vcal.loop.close_loop import _separation
 from vcal.loop.empirical import EMPIRICAL, Harmonic, Interaction, Kink, LocalBump, Proportion, Since
 from vcal.loop.heldout import improvement, predictive_deviance
 from vcal.loop.rivals import Rival, Weighed, fits_better, in_doubt, outdoes, refit_all
@@ -146,13 +147,13 @@ def test_a_name_is_not_certain_beside_more_that_is_unexplained(tracker):
     rest = close_loop(tracker.model, both, draws=200).unexplained
     assert named.status == "named" and "dir_X" in rest.depends_on
     model = tracker.model.with_effects(named.effect)
-    doubted = _beside_the_rest(named, identify(model, both), rest)
-    assert doubted.status == "ambiguous"
-    assert "what is unexplained, more than it explains, depends on" in doubted.separation
+    less = doubted(named, identify(model, both), rest, [])
+    assert less.status == "ambiguous"
+    assert "what is unexplained, more than it explains, depends on" in less.separation
     # Not where it explains more than is left, and not where that depends on something else.
-    assert _beside_the_rest(named, identify(model, alone), rest) is named
+    assert doubted(named, identify(model, alone), rest, []) is named
     elsewhere = dataclasses.replace(rest, depends_on=["T_Y"], shares=[1.0])
-    assert _beside_the_rest(named, identify(model, both), elsewhere) is named
+    assert doubted(named, identify(model, both), elsewhere, []) is named
 
 
 @pytest.mark.parametrize("unit_", ["deg", "rad"])

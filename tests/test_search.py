@@ -14,7 +14,8 @@ from vcal import CATALOGUE, Effect, Measurement, Parameter, Prior, close_loop, i
 from vcal.distributions import Normal
 from vcal.loop import screen as screening
 from vcal.loop.candidates import candidates
-from vcal.loop.close_loop import _told, still_rejected
+from vcal.loop.certainty import doubted
+from vcal.loop.close_loop import still_rejected
 from vcal.loop.closure import FoundEffect, Rejected
 from vcal.loop.heldout import heldout_rms, improvement
 from vcal.loop.rivals import Names, preferred, refit_all, weigh
@@ -422,11 +423,11 @@ def test_an_effect_of_which_the_readings_say_nothing_is_not_named(tracker):
     along = tracker.effect("backlash:Y")
     fit = identify(tracker.model.with_effects(along), noisy(tracker, 5), room=tracker.room)
     found = FoundEffect(along, "named", "Y", [], 1e-6, 20.0, 30.0, 0.1, [], [], "")
-    assert _told(found, fit) is found
+    assert doubted(found, fit, None, []) is found
     blind = dataclasses.replace(fit, jacobian=fit.jacobian.copy())
     blind.jacobian[:, fit.places_of(len(fit.model.effects) - 1)[0]] *= 1e-6
-    doubted = _told(found, blind)
-    assert doubted.status == "ambiguous" and "next to nothing of its size" in doubted.separation
+    less = doubted(found, blind, None, [])
+    assert less.status == "ambiguous" and "next to nothing of its size" in less.separation
 
 
 def test_no_more_effects_are_added_than_may_be(tracker):

@@ -28,7 +28,8 @@ from vcal.effects.r_test import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.io.simulated import parse_with, write_simulated
 from vcal.loop.candidates import candidates
-from vcal.loop.close_loop import _among_the_tested, _worse
+from vcal.loop.certainty import doubted
+from vcal.loop.close_loop import _worse
 from vcal.loop.closure import Errors
 from vcal.loop.heldout import (
     Rms,
@@ -397,11 +398,11 @@ def test_what_the_machine_may_do_as_well_and_was_not_tested_leaves_a_name_open(t
     (found, *_) = closure.effects
     assert found.effect.name in ("station_drift", "station_settling")
     named = dataclasses.replace(found, status="named")
-    open_ = _among_the_tested(named, closure.untestable)
+    open_ = doubted(named, closure.after, None, closure.untestable)
     assert found.status == open_.status == "ambiguous"
     assert "drift" in open_.separation and "of the machine may look the same" in open_.separation
     assert "say when each began by its start_s" in open_.separation
-    assert _among_the_tested(named, []) is named
+    assert doubted(named, closure.after, None, []) is named
 
 
 @pytest.mark.campaign

@@ -113,8 +113,23 @@ class AngularReversal(Effect):
                     yield cls(port=f"E{c}{axis}", placement=axis)
 
 
+class _AlongAxes(Effect):
+    """Base class of what friction does along one axis, or along all of them with one size."""
+
+    axes: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        axes = [joint.name for joint in setup.chain.joints if joint.kind == "prismatic"]
+        if len(axes) == len(setup.chain.joints):
+            yield cls(axes=tuple(axes))
+            if len(axes) > 1:
+                for axis in axes:
+                    yield cls(axes=(axis,), placement=axis)
+
+
 @register
-class ReversalSpike(Effect):
+class ReversalSpike(_AlongAxes):
     """Friction after a reversal: -a sgn(v) exp(-s/s0) along every axis that reverses, a > 0.
 
     s is the distance travelled since the reversal. Until the drive has built up the force that
@@ -126,7 +141,6 @@ class ReversalSpike(Effect):
 
     name = "reversal_spike"
     summary = "quadrant peak: friction holds an axis back after its reversal"
-    axes: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -156,18 +170,9 @@ class ReversalSpike(Effect):
         # What takes longer than a quarter of it has no end before the next reversal.
         return {"decay": np.geomspace(2e-3 * longest, 0.25 * longest, 22)}
 
-    @classmethod
-    def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        axes = [joint.name for joint in setup.chain.joints if joint.kind == "prismatic"]
-        if len(axes) == len(setup.chain.joints):
-            yield cls(axes=tuple(axes))
-            if len(axes) > 1:
-                for axis in axes:
-                    yield cls(axes=(axis,), placement=axis)
-
 
 @register
-class StribeckFriction(Effect):
+class StribeckFriction(_AlongAxes):
     """Friction that falls with the speed: -a sgn(v) exp(-|v|/v_s) along every axis, a > 0.
 
     The part of the friction curve F(v) = sgn(v) (F_c + (F_s - F_c) exp(-|v|/v_s)) + F_v v
@@ -180,7 +185,6 @@ class StribeckFriction(Effect):
 
     name = "stribeck_friction"
     summary = "friction that is larger the slower the axis moves"
-    axes: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -206,17 +210,9 @@ class StribeckFriction(Effect):
         # to a tenth at the highest speed cannot be told from play and lag.
         return {"speed": np.geomspace(1e-2, 0.4, 16) * _fastest(plan, self.axes)}
 
-    @classmethod
-    def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        return (
-            cls(axes=one.axes, placement=one.placement)
-            for one in ReversalSpike.candidates(setup)
-            if isinstance(one, ReversalSpike)
-        )
-
 
 @register
-class CoulombFriction(Effect):
+class CoulombFriction(_AlongAxes):
     """Friction that sets in smoothly: -a tanh(v/v_c) along every axis, a > 0.
 
     Coulomb's friction, the direction of which changes with the speed instead of at once: the usual
@@ -229,7 +225,6 @@ class CoulombFriction(Effect):
     summary = "friction that changes its direction smoothly at a reversal"
     odds = 0.05
     """Most friction is told as the play, or the lag, that it looks like."""
-    axes: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -252,14 +247,6 @@ class CoulombFriction(Effect):
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         # Faster at its reversals it is a play but for a few rows, slower at all times a lag.
         return {"speed": np.geomspace(0.03, 0.4, 12) * _fastest(plan, self.axes)}
-
-    @classmethod
-    def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        return (
-            cls(axes=one.axes, placement=one.placement)
-            for one in ReversalSpike.candidates(setup)
-            if isinstance(one, ReversalSpike)
-        )
 
 
 def _fastest(plan: Plan, axes: Iterable[str]) -> float:

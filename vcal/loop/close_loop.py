@@ -2,14 +2,11 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Literal
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
-from ..effects.data_set import OfDataSet
 from ..effects.registry import CATALOGUE
 from ..fit import HARDLY_TOLD, Fit
 from ..identify import identify
@@ -18,7 +15,7 @@ from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
 from .begin import shapes_begun
-from .candidates import Untestable
+from .certainty import doubted
 from .chance import LEAST_NOISE
 from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .confounded import confounded, unrecorded_time
@@ -38,16 +35,14 @@ from .state import (
 from .steps import uncertainties
 from .stray import at_an_end, too_many
 from .together import contradiction
-from .unexplained import Unexplained, from_structure
+from .unexplained import from_structure
 from .vibration import vibration
-from .whitened import declared_chi2, declared_residual
+from .whitened import declared_residual
 
 _NO_MACHINE_UM = 2000.0
 """What remains of a fit beyond which the data are not what they are said to be, um."""
 _MANY = 50.0
 """Degrees of freedom from which a search is worth its name."""
-_OUT = 3.0
-"""By how many of its standard uncertainties a shape would have to leave its scan to be told."""
 _ROOM = 16
 """Parameters that added effects may have before the solver must be compiled anew."""
 
@@ -160,89 +155,6 @@ def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
     )
 
 
-def _beside_the_rest(found: FoundEffect, fit: Fit, rest: Unexplained | None) -> FoundEffect:
-    """Not for certain, where something that can be described is unexplained, more than the effect
-    explains, and depends on the same: it may be a part of that. What only scatters, or what many
-    small things leave, takes nothing from a name.
-
-    The effect explains theta' C^-1 theta of its amplitudes, the chi-square that would be there
-    without them.
-    """
-    if found.status != "named" or rest is None or rest.empirical is None:
-        return found
-    same = [name for name in rest.depends_on if name in found.effect.betrayed_by]
-    if not same:
-        return found
-    place = next(i for i, e in enumerate(fit.model.effects) if e.alike(found.effect))
-    mine = fit.places_of(place)[0]
-    theta, covariance = fit.theta[mine], fit.covariance[np.ix_(mine, mine)]
-    explained = theta @ np.linalg.solve(covariance, theta)
-    if explained >= declared_chi2(fit) - fit.dof:
-        return found
-    column = file_column(same[0], fit.measurement.plan.axes)[0]
-    why = f"what is unexplained, more than it explains, depends on {column} too: find that first"
-    return replace(found, status="ambiguous", separation=why)
-
-
-def _within_its_scan(found: FoundEffect, fit: Fit) -> FoundEffect:
-    """Not for certain, where a pitch or a speed is held at an end of what is looked for, and a step
-    of the linearised fit beyond it would lower chi-square by more than chance: the true one is
-    somewhere else, and so may be the effect.
-    """
-    place = next(i for i, e in enumerate(fit.model.effects) if e.alike(found.effect))
-    effect, (_, moving) = fit.model.effects[place], fit.places_of(place)
-    if found.status != "named" or not len(moving):
-        return found
-    grids = effect.scan(fit.measurement.plan)
-    values = {p.name: value * p.si for _, p, value, _ in fit.values_of(place)}
-    uphill = fit.jacobian.T @ fit.whitened.reshape(-1) - fit.precision * fit.theta
-    for p, k in zip((p for p in effect.shapes if p.moves), moving, strict=True):
-        ends = sorted((float(grids[p.name].min()), float(grids[p.name].max())))
-        held = len(grids[p.name]) > 1 and np.isclose(values[p.name], ends, rtol=1e-9).any()
-        if held and (fit.covariance @ uphill)[k] ** 2 > _OUT**2 * fit.covariance[k, k]:
-            low, high = (end / p.si for end in ends)
-            why = (
-                f"its {p.name} would have to lie within what is looked for, {low:.3g} to "
-                f"{high:.3g} {p.unit}, and the readings ask for more"
-            )
-            return replace(found, status="ambiguous", separation=why)
-    return found
-
-
-def _among_the_tested(found: FoundEffect, untestable: Iterable[Untestable]) -> FoundEffect:
-    """Not for certain, where an effect of the instrument of one data set follows what the data sets
-    do not share: one of the machine that follows the same could look like it, and was not tested.
-    """
-    effect = found.effect
-    if found.status != "named" or not isinstance(effect, OfDataSet):
-        return found
-    own = {name.rpartition(":")[2] for name in effect.betrayed_by}
-    twins = [
-        other
-        for other in untestable
-        if any(name in own for name, _ in other.missing)
-        and not any(effect.data_set in lacking for _, lacking in other.missing)
-    ]
-    if not twins:
-        return found
-    names = " or ".join(dict.fromkeys(other.effect for other in twins))
-    shared = any(not lacking for _, lacking in twins[0].missing)
-    do = ": say when each began by its start_s" if shared and "t" in own else ""
-    why = f"{names} of the machine may look the same and could not be tested, as {twins[0].reason}"
-    return replace(found, status="ambiguous", separation=why + do)
-
-
-def _told(found: FoundEffect, fit: Fit) -> FoundEffect:
-    """Not for certain, where the readings say next to nothing of any of its amplitudes: what got
-    better with it is then something else, such as a fit that had not come to its end.
-    """
-    place = next(i for i, e in enumerate(fit.model.effects) if e.alike(found.effect))
-    if found.status != "named" or (fit.information[fit.places_of(place)[0]] > HARDLY_TOLD).any():
-        return found
-    why = "the readings say next to nothing of its size: measure where it would be larger"
-    return replace(found, status="ambiguous", separation=why)
-
-
 def _finish(
     run: Search, model: Model, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
@@ -253,10 +165,7 @@ def _finish(
     noise, scales = scales_told(state)
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, run.room) for item in run.added(state)]
-    found = [_beside_the_rest(effect, state.fit, run.unexplained) for effect in found]
-    found = [_within_its_scan(effect, state.fit) for effect in found]
-    found = [_among_the_tested(effect, run.untestable) for effect in found]
-    found = [_told(effect, state.fit) for effect in found]
+    found = [doubted(effect, state.fit, run.unexplained, run.untestable) for effect in found]
     doubts = [_doubt(item.weighed) for item in run.added(state)]
     described = run.unexplained.empirical if run.unexplained is not None else None
     if described is not None:

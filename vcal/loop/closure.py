@@ -24,6 +24,8 @@ Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
 _LOUDER, _SURELY = 1.5, 3.0
 """Scatter over what is declared, and standard uncertainties of that, from which the verdict tells
 it."""
+_MOST_OF_IT = 0.5
+"""Share of a reading's scatter from which a vibration is all that is said of the rest."""
 _A_PART = 0.05
 """Share of what remains from which a covariate is told with noise that is correlated in time."""
 
@@ -270,9 +272,14 @@ class Closure:
         return not described and len(self.effects) >= self.settings["max_effects"]
 
     def _remainder(self) -> str:
+        swings = self.vibration
+        if swings is None:
+            return self._described()
+        words = swings.words
+        return words if swings.share > _MOST_OF_IT else f"{self._described()}; {words}"
+
+    def _described(self) -> str:
         what = self.unexplained
-        if self.vibration is not None:
-            return self.vibration.words
         if what is None or not what.depends_on:
             return "no covariate orders it"
         axes = self.after.measurement.plan.axes
