@@ -45,9 +45,9 @@ def effective_trials(null: np.ndarray) -> float:
     """Effective number of independent trials whose largest -ln p is distributed as the rarest of
     `null` (draws): maximum likelihood, where all others are known to be no rarer than these.
 
-    Neighbouring steps of a scan are alike, and the less so the rarer what they show (Gross, Vitells,
-    Eur. Phys. J. C 70, 2010, 525): by all draws, most of which show nothing rare, there are fewer
-    trials than where something seems significant.
+    Neighbouring steps of a scan are alike, and the less so the rarer what they show (Gross,
+    Vitells, Eur. Phys. J. C 70, 2010, 525): by all draws, most of which show nothing rare, there
+    are fewer trials than where something seems significant.
     """
     common = np.log1p(-np.clip(np.exp(-null), 1e-15, 1.0 - 1e-15))
     count = min(max(int(_RAREST * len(null)), _ENOUGH), len(null))
