@@ -12,10 +12,10 @@ from scipy.stats import binom, chi2
 from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, identify
 from vcal.loop.candidates import candidates
-from vcal.loop.chance import minus_log_chi2_tail
+from vcal.loop.chance import corrected, effective_trials, minus_log_chi2_tail
 from vcal.loop.empirical import EMPIRICAL, LocalBump
 from vcal.loop.rivals import classes_of, refit, refit_all, weigh
-from vcal.loop.screen import Peak, Screen
+from vcal.loop.screen import Peak, Screen, largest
 from vcal.loop.screening import screen
 from vcal.loop.stray import stray_rows
 from vcal.robust import identify_robust
@@ -174,6 +174,42 @@ def test_p_values_are_even_where_nothing_is_missing(known):
     assert (found < 0.1).sum() <= binom.ppf(0.999, 40, 0.1)
     assert (found < 0.01).sum() <= 3
     assert found.mean() == pytest.approx(0.5, abs=4 * np.sqrt(1 / 12 / 40))
+
+
+def levels(parts: list[np.ndarray]) -> list[float]:
+    """How often p, corrected by the trials that each part of null draws tells, is below 0.05 and
+    0.01 in the other parts.
+    """
+    found = []
+    for i, own in enumerate(parts):
+        others = np.concatenate(parts[:i] + parts[i + 1 :])
+        p = corrected(others, effective_trials(own))
+        found.append([(p < 0.05).mean(), (p < 0.01).mean()])
+    return np.mean(found, axis=0).tolist()
+
+
+def test_steps_of_a_scan_count_as_many_trials_as_they_are_where_something_is_rare():
+    """Steps that are alike, such as moments of a jump, are less so the rarer what they show."""
+    rng, rows = np.random.default_rng(5), np.arange(1, 200)
+    walk = rng.standard_normal((20_000, 200), dtype=np.float32).cumsum(1)
+    bridge = walk[:, :-1] - walk[:, -1:] * (rows / 200)
+    null = minus_log_chi2_tail((bridge**2 / (rows * (200 - rows) / 200)).max(1), 1.0)
+    often, seldom = levels(np.split(null, 40))
+    assert 0.045 < often < 0.06  # by all draws alike it would be 0.075
+    assert 0.008 < seldom < 0.016  # and 0.020
+
+
+def test_corrected_p_of_a_scan_is_uniform_at_its_small_end(known):
+    """Of draws other than those that the trials were told by: a scan of pitches in two axes."""
+    it, parts = known["laser_tracker"], []
+    fit = identify(it.model, noisy(it, 8), room=it.room)
+    for seed in range(16):
+        state = Screen(fit, 500, seed)
+        drops = [t.drops.null for t in state.tests([it.effect(f"screw_cyclic:{a}") for a in "XY"])]
+        parts.append(state.rarest(largest(drops), state.null_cost))
+    often, seldom = levels(parts)
+    assert 0.043 < often < 0.064
+    assert 0.007 < seldom < 0.017
 
 
 def test_p_value_pays_for_the_search(known):

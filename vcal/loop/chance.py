@@ -11,6 +11,8 @@ SILENT = 0.1
 """Variance, in that of the noise that a fit goes by, that residuals count for at least: by noise
 that was found theirs is one, but by the least noise it may be anything.
 """
+_RAREST, _ENOUGH = 0.1, 25
+"""Share of the null draws, and their least number, that tell of how many trials the rarest is."""
 
 
 def minus_log_chi2_tail(x: np.ndarray, dof: np.ndarray | float) -> np.ndarray:
@@ -40,9 +42,17 @@ def minus_log_beta_tail(
 
 
 def effective_trials(null: np.ndarray) -> float:
-    """Effective number of independent trials whose largest -ln p is distributed as `null`."""
-    tail = np.clip(np.exp(-null), 1e-15, 1.0 - 1e-15)
-    return float(-len(null) / np.log1p(-tail).sum())
+    """Effective number of independent trials whose largest -ln p is distributed as the rarest of
+    `null` (draws): maximum likelihood, where all others are known to be no rarer than these.
+
+    Neighbouring steps of a scan are alike, and the less so the rarer what they show (Gross,
+    Vitells, Eur. Phys. J. C 70, 2010, 525): by all draws, most of which show nothing rare, there
+    are fewer trials than where something seems significant.
+    """
+    common = np.log1p(-np.clip(np.exp(-null), 1e-15, 1.0 - 1e-15))
+    count = min(max(int(_RAREST * len(null)), _ENOUGH), len(null))
+    least = np.partition(common, -count)[-count]
+    return float(-count / np.maximum(common, least).sum())
 
 
 def corrected(minus_log_p: np.ndarray | float, trials: float) -> np.ndarray:
