@@ -511,7 +511,7 @@ def test_what_looking_everywhere_costs_is_paid_once(tracker):
     """An effect at the limit of what can be found is named where its p-value, which has paid for
     all that was tried, says so; its evidence does not have to pay for all kinds of effects again.
     """
-    measurement = with_noise(tracker, white(tracker, 23), tracker.effect("backlash:Y:size_um=1.4"))
+    measurement = with_noise(tracker, white(tracker, 23), tracker.effect("backlash:Y:size_um=1.6"))
     closure = closed(tracker, measurement)
     (found,) = closure.effects
     assert found.effect.key == "backlash Y"
