@@ -72,7 +72,7 @@ class LocationError(Record):
         column = tuple(
             (f"E{c}{axis}", float(v)) for c, v in zip("XYZ", tilt, strict=True) if v != 0.0
         )
-        return cls(name, axis, sigma, column, law)
+        return cls(name, axis, sigma, column, law=law)
 
 
 class GeometricErrors(Effect):

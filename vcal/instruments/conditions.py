@@ -1,8 +1,9 @@
 """Conditions of machine tools: columns of the data files to a plan, and back.
 
-A column carries its unit in its name: ``t_s``, ``T_x_degC``, ``since_x_mm``, ``c_deg``. The axis in it may be
-written in either case (``T_X_degC``). Names that vcal has inside (``t``, ``T_X``, ``a_X``) carry
-none and are no columns; every quantity has one column at most. `misnamed` says what is neither.
+A column carries its unit in its name: ``t_s``, ``T_x_degC``, ``since_x_mm``, ``c_deg``. The axis
+in it may be written in either case (``T_X_degC``). Names that vcal has inside (``t``, ``T_X``,
+``a_X``) carry none and are no columns; every quantity has one column at most. `misnamed` says what
+is neither.
 """
 
 import math

@@ -125,8 +125,8 @@ class MachineSettings(Table):
                 "both a chain and joint rows" if self.joint else "neither a chain nor joint rows"
             )
             raise ValueError(
-                f"found {found}, expected either `chain` (axes of a machine tool) or [[machine.joint]] rows; "
-                "keep or add one of them"
+                f"found {found}, expected either `chain` (axes of a machine tool) or "
+                "[[machine.joint]] rows; keep or add one of them"
             )
         if self.joint and self.rotary:
             raise ValueError(
