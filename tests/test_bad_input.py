@@ -601,7 +601,7 @@ ARMS = {
         (
             "setup.toml, key machine.joint",
             "found rotary and linear joints in one machine",
-            "rotary joints alone, or a machine.chain with the axes X, Y and Z",
+            "rotary joints alone, or a machine.chain with X, Y, Z and rotary axes",
         ),
     ),
     "more parameters than readings": (
@@ -732,11 +732,11 @@ SETUP = {
     ),
     "unknown axis of the chain": (
         replace('"w X b Y Z t"', '"w X b Y V t"'),
-        ("setup.toml, key machine.chain", "axis 'V' is not one of X, Y, Z", "expected 'w'"),
+        ("setup.toml, key machine.chain", "axis 'V' is none of the linear axes X, Y, Z", "expected 'w'"),
     ),
     "a rotary axis": (
         replace('"w X b Y Z t"', '"w C X b Y Z t"'),
-        ("key machine.chain", "axis 'C'", "that mix rotary and linear axes are not supported"),
+        ("key machine.rotary.C", "found nothing", "where the rotary axis C", "add [machine.rotary.C]"),
     ),
     "two axes": (
         both(replace('"w X b Y Z t"', '"w X b Z t"'), replace("Y = [0, 1000]\n", "")),

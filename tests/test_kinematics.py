@@ -263,8 +263,8 @@ def test_chain_strings(text, tool_side, workpiece_side):
         ("b X Y Z t", "expected 'w'"),
         ("w X b Y Z", "expected 'w'"),
         ("w X b Y X t", "axis 'X' appears twice"),
-        ("w X b C Z t", "axis 'C' is not one of X, Y, Z"),
-        ("w X1 b Y Z t", "axis 'X1' is not one of X, Y, Z"),
+        ("w X b C Z t", "rotary axis 'C': found it only in the chain"),
+        ("w X1 b Y Z t", "axis 'X1' is none of the linear axes X, Y, Z"),
         ("xfyz", "expected 'w'"),
     ],
 )

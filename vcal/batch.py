@@ -160,7 +160,7 @@ class Batch(eqx.Module):
 
     def residual(self, theta: Float[Array, " k"], readings: Float[Array, "n m"]) -> Array:
         """Whitened data residual, then the prior's rows: what is squared and minimised."""
-        if self.chain.revolute:
+        if not self.chain.linear:
             return self.dense_residual(theta, readings)
         off = self.instrument.difference(readings, self.predict(theta))
         return jnp.concatenate([self._whitened(off), self.root_precision * theta])
@@ -169,7 +169,7 @@ class Batch(eqx.Module):
         """`residual`, differentiated by way of the readings' derivatives by all ports.
 
         That takes the kinematics in arrays, which compile in seconds also for the long expressions
-        of revolute joints, but run slower.
+        of axes that turn, but run slower.
         """
 
         @jax.custom_jvp

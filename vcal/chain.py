@@ -3,8 +3,11 @@
 Conventions (stated here once): frames are right-handed; error = actual - nominal. A prismatic joint
 translates by its position along its nominal direction plus its error translation, then rotates by
 its error rotation about its own moving frame, then comes what it carries. A joint on the workpiece
-side moves against its own command, and its errors live in its own frame all the same. A revolute
-joint (standard DH) rotates by theta + q about z, then comes the error twist, then d, a, alpha.
+side moves against its own command, and its errors live in its own frame all the same. A rotary axis
+(ISO 230-1) is displaced by its error translation, tilted by its error rotation about its reference
+point, and turns about the axis that is there: its errors are seen from what carries it and do not
+turn with it. A revolute joint (standard DH) rotates by theta + q about z, then comes the error
+twist, then d, a, alpha: its errors turn with it.
 """
 
 import re
@@ -34,13 +37,16 @@ from .rigid import (
 )
 
 _DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+_ABOUT = dict(zip("ABC", _DIRECTIONS.values(), strict=True))
+"""Nominal directions of rotary axes: A turns about X, B about Y, C about Z (ISO 841)."""
 
 
 class Joint(Record):
     """One joint: what it does nominally, and where its six error ports act."""
 
     name: str = eqx.field(static=True)
-    kind: Literal["prismatic", "revolute"] = eqx.field(static=True)
+    kind: Literal["prismatic", "rotary", "revolute"] = eqx.field(static=True)
+    """A linear axis, a rotary axis of a machine tool, or a joint of an arm."""
     side: Literal["tool", "workpiece"] = eqx.field(static=True)
     direction: Float[Array, "3"]
     """Nominal direction of travel or of rotation, in the joint's own frame."""
@@ -50,6 +56,17 @@ class Joint(Record):
     """Fixed transformation behind the error twist (the link)."""
     travel: Float[Array, "2"]
     """Lowest and highest position, m or rad; infinite where not declared."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether its position is an angle."""
+        return self.kind != "prismatic"
+
+    @property
+    def around(self) -> bool:
+        """Whether it turns all the way round, so that its errors come round with it."""
+        low, high = np.asarray(self.travel)
+        return self.turns and bool(high - low >= 2.0 * np.pi * (1.0 - 1e-9))
 
     @property
     def sign(self) -> float:
@@ -158,11 +175,18 @@ class Chain(Record):
             drive = r @ (direction * joint.sign)
             if joint.kind == "prismatic":
                 t = base + drive * q[i]
-            else:
+            elif joint.kind == "revolute":
                 t, r = base, r @ algebra.about(direction, joint.sign * q[i])
+            else:
+                t = base
             t = t + r @ algebra.vector(twist[:3])
+            tilted = r @ algebra.exp(algebra.vector(twist[3:]))
+            if joint.kind == "rotary":
+                drive, base = tilted @ (direction * joint.sign), t
             hinges.append(_Hinge(drive, base, r, t))
-            r = r @ algebra.exp(algebra.vector(twist[3:]))
+            r = tilted
+            if joint.kind == "rotary":
+                r = r @ algebra.about(direction, joint.sign * q[i])
             turn, shift = algebra.placement(joint.after)
             t, r = t + r @ shift, r @ turn
         return r, t, hinges
@@ -190,9 +214,26 @@ class Chain(Record):
         return moved, turned
 
     @property
-    def revolute(self) -> bool:
-        """Whether any joint turns."""
+    def arm(self) -> bool:
+        """Whether it is an arm of revolute joints, the errors of whose links are not small."""
         return any(joint.kind == "revolute" for joint in self.joints)
+
+    @property
+    def linear(self) -> bool:
+        """Whether no axis turns."""
+        return not any(joint.turns for joint in self.joints)
+
+    def tool_point(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3"]:
+        """Nominal tool point in the workpiece frame, m."""
+        still = np.zeros((len(self.joints), 6))
+        r, t = jax.vmap(lambda row: self.pose_as_arrays(row, still))(jnp.asarray(q, float))
+        return np.asarray(t + r @ self.tool_offset)
+
+    def turn(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3 3"]:
+        """Nominal rotation from the bed's frame to that of the workpiece."""
+        still = np.zeros((len(self.joints), 6))
+        walk = lambda row: self._walk(self.workpiece_side, row, still, ARRAYS)[0].T  # noqa: E731
+        return np.asarray(jax.vmap(walk)(jnp.asarray(q, float)))
 
     def frames(self, q: Float[Array, " axes"]) -> tuple[Array, Array]:
         """Nominal frame of every joint before its motion, in the bed frame: R (axes, 3, 3) and
@@ -240,17 +281,23 @@ def _(primals, tangents):
 
 def chain_from_string(
     text: str,
-    travel_m: Mapping[str, Sequence[float]] | None = None,
+    travel: Mapping[str, Sequence[float]] | None = None,
     tool_offset_m: Sequence[float] = (0.0, 0.0, 0.0),
+    rotary_m: Mapping[str, Sequence[float]] | None = None,
 ) -> Chain:
-    """A chain of linear axes from its ISO 10791-6 description, such as ``"w X b Y Z t"``.
+    """A machine tool from its ISO 10791-6 description, such as ``"w X b Y Z t"`` or, with rotary
+    axes A, B or C, ``"w C A b X Y Z t"``.
 
     Everything between ``b`` (bed) and ``t`` (tool) carries the tool, everything between ``w``
     (workpiece) and ``b`` carries the workpiece. The seeds' way to write the same without spaces
-    and with ``F`` or ``b`` for the bed (``"XFYZ"``) is understood too.
+    and with ``F`` or ``b`` for the bed (``"XFYZ"``) is understood too. `travel` is in m or rad;
+    `rotary_m` gives a point on every rotary axis with all axes at zero, m: its reference point,
+    about which it tilts. The frame of the machine is the one in which the tool point is then at the
+    tool offset.
 
     Raises `ValueError` if the string does not start at ``w`` and end at ``t`` with one bed in
-    between, or names an axis twice or one that is not X, Y or Z.
+    between, or names an axis twice, or one that is none of X, Y, Z, A, B and C; if `rotary` does
+    not say where one of its rotary axes is, says so of another, or gives no direction.
     """
     letters = re.findall(r"[A-Za-z]\d*", text)
     if letters and letters[0] != "w" and letters[-1] != "t":
@@ -261,30 +308,43 @@ def chain_from_string(
         raise ValueError(f"chain {text!r}: {expected}")
     axes = [letter for letter in letters[1:-1] if letter != "b"]
     for axis in axes:
-        if axis not in _DIRECTIONS:
+        if axis not in _DIRECTIONS and axis not in _ABOUT:
             raise ValueError(
-                f"chain {text!r}: axis {axis!r} is not one of X, Y, Z; {expected}: machines that "
-                "mix rotary and linear axes are not supported, an arm of rotary joints alone is "
-                "(as [[machine.joint]] rows)"
+                f"chain {text!r}: axis {axis!r} is none of the linear axes X, Y, Z and the rotary "
+                f"axes A, B, C; {expected}"
             )
         if axes.count(axis) > 1:
             raise ValueError(f"chain {text!r}: axis {axis!r} appears twice; {expected}")
+    places = dict(rotary_m or {})
+    for axis in sorted({*places} | {*axes} & {*_ABOUT}):
+        if axis not in places or axis not in axes or axis not in _ABOUT:
+            raise ValueError(
+                f"rotary axis {axis!r}: found it only in "
+                f"{'the chain' if axis not in places else 'what says where rotary axes are'}, "
+                "expected every rotary axis of the chain, and where it is; add or remove it"
+            )
     bed = letters.index("b")
-    order = sorted(axes)
-    joints = tuple(
-        Joint(
-            name=axis,
-            kind="prismatic",
-            side="workpiece" if letters.index(axis) < bed else "tool",
-            direction=np.asarray(_DIRECTIONS[axis]),
-            before=np.eye(4),
-            after=np.eye(4),
-            travel=np.asarray((travel_m or {}).get(axis, (-np.inf, np.inf)), float),
+    # Linear axes first, as long as there have been plans of them.
+    order = sorted(axes, key=lambda axis: (axis in _ABOUT, axis))
+    joints = []
+    for axis in order:
+        before, after = np.eye(4), np.eye(4)
+        if axis in _ABOUT:
+            before[:3, 3] = places[axis]
+            after[:3, 3] = -before[:3, 3]
+        joints.append(
+            Joint(
+                name=axis,
+                kind="rotary" if axis in _ABOUT else "prismatic",
+                side="workpiece" if letters.index(axis) < bed else "tool",
+                direction=np.asarray({**_DIRECTIONS, **_ABOUT}[axis]),
+                before=before,
+                after=after,
+                travel=np.asarray((travel or {}).get(axis, (-np.inf, np.inf)), float),
+            )
         )
-        for axis in order
-    )
     return Chain(
-        joints=joints,
+        joints=tuple(joints),
         tool_side=tuple(order.index(a) for a in letters[bed + 1 : -1]),
         workpiece_side=tuple(order.index(a) for a in reversed(letters[1:bed])),
         tool_offset=np.asarray(tool_offset_m, float),

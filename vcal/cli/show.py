@@ -1,6 +1,7 @@
 """What commands print: compact text on stdout, the details are in the files they write."""
 
 import inspect
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ..chain import Joint
 from ..effects.base import Effect, Setup
 from ..instruments.conditions import file_name, inside_name
 from ..io import Study, read_header
@@ -106,16 +108,11 @@ def show_study(study: Study) -> None:
     """Print what a study holds, and what the loop could do with it."""
     plan, chain = study.plan, study.chain
     readings = len(study.instrument.readings)
-    linear = all(joint.kind == "prismatic" for joint in chain.joints)
-    travels = ", ".join(
-        f"{j.name} {j.travel[0] * 1e3:g} to {j.travel[1] * 1e3:g} mm"
-        for j in chain.joints
-        if np.isfinite(j.travel).all()
-    )
+    travels = ", ".join(_travel(j) for j in chain.joints if np.isfinite(j.travel).all())
     measurement = study.measurement or Measurement(plan, np.zeros((plan.rows, readings)))
     found, missing = candidates(study.model, measurement, study.tried)
     rows = [
-        ("machine", f"{chain.text}; {travels}" if linear and travels else chain.text),
+        ("machine", f"{chain.text}; {travels}" if travels and not chain.arm else chain.text),
         *(line for one in study.sets for line in _data_set(study, one)),
         ("check points", str(study.check.plan.rows) if study.check else "none"),
         (
@@ -181,13 +178,19 @@ def _constant(plan: Plan, header: Collection[str], of: str) -> list[tuple[str, s
     return [(f"constant{of}", f"{', '.join(columns)}: what depends on {whose} change is not seen")]
 
 
+def _travel(joint: Joint) -> str:
+    unit, factor = ("deg", math.degrees(1.0)) if joint.turns else ("mm", 1e3)
+    low, high = factor * np.asarray(joint.travel)
+    return f"{joint.name} {low:g} to {high:g} {unit}"
+
+
 def _covered(one: DataSet, of: str) -> list[tuple[str, str]]:
     """Axes of which the measurement covers a small part: most of their errors are not seen, or the
     travel is that of another machine, or in another unit.
     """
     found = []
     for joint in one.chain.joints:
-        if joint.kind != "prismatic" or not np.isfinite(joint.travel).all():
+        if joint.kind == "revolute" or not np.isfinite(joint.travel).all():
             continue
         share = np.ptp(one.plan.values(joint.name)) / np.ptp(joint.travel)
         if 0.0 < share < _LITTLE and not one.instrument.positioned:

@@ -221,13 +221,12 @@ class Effect(Record):
 def along(chain: Chain, axis: str) -> tuple[str, str]:
     """Port of the motion of a joint itself and its unit: ``("EYY", "um")``, ``("ECJ2", "urad")``.
 
-    Linear axes move along their own letter, revolute and DH joints along or about their z.
+    Axes of machine tools move along or about their own letter, joints of arms along or about their
+    z: ``"ECC"``, ``"EAA"``.
     """
     joint = chain.joint(axis)
-    if joint.kind == "revolute":
-        return f"EC{axis}", "urad"
-    letter = "XYZ"[int(np.argmax(np.abs(joint.direction)))]
-    return f"E{letter}{axis}", "um"
+    letters, unit = ("ABC", "urad") if joint.turns else ("XYZ", "um")
+    return f"E{letters[int(np.argmax(np.abs(joint.direction)))]}{axis}", unit
 
 
 def across(chain: Chain, axis: str) -> tuple[str, ...]:

@@ -56,7 +56,7 @@ class CrossAxis(Effect):
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         for joint in setup.chain.joints:
             for other in setup.chain.joints:
-                if joint is other or "revolute" in (joint.kind, other.kind):
+                if joint is other or joint.turns or other.turns:
                     continue
                 (a, b), (c, d) = joint.travel.tolist(), other.travel.tolist()
                 travel = (a, b, c, d)

@@ -155,11 +155,14 @@ class ScaleInterpolation(Effect):
 
 @register
 class GearHarmonic(Effect):
-    """Harmonic n of a revolute joint's angle: a sin(n q) + b cos(n q) about the joint, n = 1..4."""
+    """Harmonic n of the angle of a rotary axis or a revolute joint: a sin(n q) + b cos(n q) about
+    it, n = 1..4.
+    """
 
     name = "gear_harmonic"
-    summary = "eccentric gear or encoder of a revolute joint"
+    summary = "eccentric gear or encoder of a rotary axis or a revolute joint"
     order: int = eqx.field(static=True)
+    port: str = eqx.field(static=True)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -174,15 +177,15 @@ class GearHarmonic(Effect):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         phase = self.order * plan.x(self.placement)
         xp = namespace(phase)
-        port = f"EC{self.placement}"
         return {
-            (port, f"sine{self.order}"): xp.sin(phase),
-            (port, f"cosine{self.order}"): xp.cos(phase),
+            (self.port, f"sine{self.order}"): xp.sin(phase),
+            (self.port, f"cosine{self.order}"): xp.cos(phase),
         }
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         for joint in setup.chain.joints:
-            if joint.kind == "revolute":
+            if joint.turns:
+                port, _ = along(setup.chain, joint.name)
                 for order in (1, 2, 3, 4):
-                    yield cls(order=order, placement=joint.name)
+                    yield cls(order=order, port=port, placement=joint.name)

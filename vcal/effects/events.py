@@ -14,7 +14,7 @@ from .registry import register
 
 @register
 class Jump(Effect):
-    """A step at an unknown moment: the tool point, the angle of a revolute joint, or the
+    """A step at an unknown moment: the tool point, the angle of a joint, or the
     instrument's frame is displaced after.
 
     Deviation = (t > t0) times a translation (tool), a rotation about a joint, or a translation and
@@ -66,7 +66,7 @@ class Jump(Effect):
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         yield cls(ports=("tool.X", "tool.Y", "tool.Z"), placement="tool")
         for joint in setup.chain.joints:
-            if joint.kind == "revolute":
+            if joint.turns:
                 yield cls(ports=(along(setup.chain, joint.name)[0],), placement=joint.name)
         if "frame.X" in setup.layout:
             yield cls(ports=tuple(f"frame.{c}" for c in "XYZABC"), placement="frame")

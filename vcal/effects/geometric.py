@@ -34,19 +34,29 @@ class ErrorMotion(Record):
 
 
 class LocationError(Record):
-    """Squareness of a linear axis: a tilt of its direction, E(A|B|C)0(axis), ISO 230-1.
+    """Where an axis is and how it points, ISO 230-1:2012, 3.6.
 
-    The axis moves along axis + tilt x axis: with EC0Y, y moves by (-EC0Y y, y, 0).
+    Squareness of a linear axis, E(A|B|C)0(axis): a tilt of its direction. It moves along axis +
+    tilt x axis: with EC0Y, y moves by (-EC0Y y, y, 0). Of a rotary axis, two errors of its position
+    (EX0C, EY0C) and two of its direction (EA0C, EB0C): constants.
     """
 
     name: str = eqx.field(static=True)
     axis: str = eqx.field(static=True)
     sigma: float
-    """Prior standard deviation, rad."""
+    """Prior standard deviation, m or rad."""
     column: tuple[tuple[str, float], ...] = eqx.field(static=True)
-    """Error translation per radian and metre of travel: ((port, factor), ...)."""
+    """Error translation per radian and metre of travel, or what is constant: ((port, factor),
+    ...)."""
+    constant: bool = eqx.field(static=True, default=False)
+    """Whether it is one of a rotary axis, which does not grow with the position."""
     law: Univariate | None = None
-    """Distribution of which the standardised form is that of the tilt; normal without."""
+    """Distribution of which the standardised form is that of the error; normal without."""
+
+    @property
+    def unit(self) -> str:
+        """``"um"`` for positions, ``"urad"`` for directions."""
+        return "um" if self.name[1] in TRANSLATIONS else "urad"
 
     @classmethod
     def of(
@@ -55,12 +65,14 @@ class LocationError(Record):
         """From an ISO name such as ``"EC0Y"``."""
         axis = name[3:]
         joint = chain.joint(axis)
+        if joint.turns:
+            return cls(name, axis, sigma, ((f"E{name[1]}{axis}", 1.0),), constant=True, law=law)
         about = np.eye(3)["ABC".index(name[1])]
         tilt = joint.sign * np.cross(about, joint.direction)
         column = tuple(
             (f"E{c}{axis}", float(v)) for c, v in zip("XYZ", tilt, strict=True) if v != 0.0
         )
-        return cls(name, axis, sigma, column, law)
+        return cls(name, axis, sigma, column, law=law)
 
 
 class GeometricErrors(Effect):
@@ -82,7 +94,7 @@ class GeometricErrors(Effect):
             for m in self.motions
             for label, sigma in zip(m.basis.labels, m.basis.sigma, strict=True)
         ) + tuple(
-            Parameter(e.name, "urad", sigma=float(e.sigma) / 1e-6, law=e.law)
+            Parameter(e.name, e.unit, sigma=float(e.sigma) / 1e-6, law=e.law)
             for e in self.locations
         )
 
@@ -94,7 +106,8 @@ class GeometricErrors(Effect):
                 columns[m.name, f"{m.name}.{label}"] = values
         for e in self.locations:
             for port, factor in e.column:
-                columns[port, e.name] = factor * plan.x(e.axis)
+                x = plan.x(e.axis)
+                columns[port, e.name] = factor * (namespace(x).ones_like(x) if e.constant else x)
         return columns
 
 
@@ -146,6 +159,8 @@ class GeometricOrder(Effect):
             if not isinstance(effect, GeometricErrors):
                 continue
             for m in effect.motions:
+                if setup.chain.joint(m.axis).around:
+                    continue  # what comes round is no polynomial, and all its harmonics are told
                 low, high = setup.chain.joint(m.axis).travel
                 if not (np.isfinite(low) and np.isfinite(high)):
                     x = np.asarray(setup.plan.x(m.axis))

@@ -26,7 +26,7 @@ from .base import (
     TableInstrument,
     register,
 )
-from .conditions import linear_plan, linear_plan_table
+from .conditions import ROTARY, linear_plan, linear_plan_table
 from .frame import displaced, pose_parameters
 
 _FOUND_M = 1e-12
@@ -35,6 +35,10 @@ _LEAST_APART_MM = 0.1
 """Balls that are closer are one, or in another unit."""
 _LINE = 1e-5
 """Breadth over length of balls on one line: what a certificate rounds."""
+_PROBE_M = 1e-3
+"""Moves that tell which way rotary axes have turned the others; the tool follows in proportion."""
+_FOLDS = 5
+"""Into which settings of rotary axes are divided."""
 _LEAST_SPAN = 0.01
 """Between the supports, of the artefact's length: on one support it would tip over."""
 _DERIVED = (
@@ -70,24 +74,36 @@ class BallArraySettings(InstrumentSettings):
 
 
 class ArtefactPoses(Effect):
-    """Pose of the artefact in every set-up against its start: six flat parameters per pose."""
+    """Pose of the artefact in every set-up against its start: six flat parameters per pose, three
+    where only one of its balls is measured.
+    """
 
     name = "artefact_pose"
     summary = "pose of the artefact in each set-up"
     kind = "nuisance"
     where = "instrument"
     poses: tuple[int, ...] = ()
+    placed: tuple[int, ...] = ()
+    """Poses with one ball, of which nothing tells how the artefact is turned."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(p for pose in self.poses for p in pose_parameters(f"{pose}."))
+        return tuple(
+            p
+            for pose in self.poses
+            for p, c in zip(pose_parameters(f"{pose}."), COMPONENTS, strict=True)
+            if c in self._free(pose)
+        )
+
+    def _free(self, pose: int) -> tuple[str, ...]:
+        return _XYZ if pose in self.placed else COMPONENTS
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         index = plan.groups["pose"]
         return {
             (f"target.{c}", f"{pose}.{c}"): (index == pose) * 1.0
             for pose in self.poses
-            for c in COMPONENTS
+            for c in self._free(pose)
         }
 
 
@@ -123,13 +139,17 @@ class BallArray(TableInstrument):
 
     The ball centre is t + R (b + d): artefact pose (R, t), calibrated centre b, its error d. The
     reading is implicit (the axis positions found); a fit takes the explicit residual, whose
-    derivative with respect to the positions is the identity to 1e-4, so that probing noise enters
-    it unchanged. Only simulation solves for the positions.
+    derivative with respect to the positions is a rotation to 1e-4, so that probing noise, alike in
+    all directions, enters it unchanged. Only simulation solves for the positions.
+
+    On a machine with rotary axes the artefact, which may be a single ball, stays where it is while
+    they turn: a pose is how it is clamped.
     """
 
     kind = "ball_array"
     Settings = BallArraySettings
     derived = _DERIVED
+    rotary = True
 
     centres: np.ndarray
     """Calibrated ball centres (balls, 3), m, by ball number."""
@@ -141,6 +161,8 @@ class BallArray(TableInstrument):
     pose_numbers: np.ndarray
     pose_rotation: np.ndarray
     pose_origin: np.ndarray
+    single: tuple[int, ...] = ()
+    """Poses of which one ball was measured."""
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -154,9 +176,11 @@ class BallArray(TableInstrument):
     def columns(
         cls, settings: BallArraySettings, axes: Sequence[str], readings: bool
     ) -> list[Column]:
+        # A ball that turns with a rotary axis is found again and again in one pose.
+        once = () if {*axes} & {*ROTARY} else ("pose",)
         return [
             Column(name="pose", low=0, integer=True),
-            Column(name="ball", low=0, integer=True, unique_with=("pose",)),
+            Column(name="ball", low=0, integer=True, unique_with=once),
         ]
 
     @classmethod
@@ -177,7 +201,9 @@ class BallArray(TableInstrument):
         _check_poses(poses, table["pose"])
         centres_mm = np.column_stack([artefact[f"{c}_mm"] for c in "xyz"])
         _check_apart(settings.artefact, artefact["ball"], centres_mm)
-        _check_lines(poses, table, settings.artefact, artefact["ball"], centres_mm)
+        single = () if chain.linear else _single(poses, table)
+        several = [pose for pose in poses if pose not in single]
+        _check_lines(several, table, settings.artefact, artefact["ball"], centres_mm)
         return cls(
             centres=centres_mm * 1e-3,
             numbers=artefact["ball"].astype(int),
@@ -187,19 +213,24 @@ class BallArray(TableInstrument):
             pose_numbers=poses,
             pose_rotation=np.tile(np.eye(3), (len(poses), 1, 1)),
             pose_origin=np.zeros((len(poses), 3)),
+            single=single,
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
         plan = linear_plan(chain, table)
-        return self.start(chain, plan, np.zeros((plan.rows, 3))).with_geometry(plan)
+        turn = None if chain.linear else chain.turn(np.asarray(plan.position))
+        return self.start(chain, plan, np.zeros((plan.rows, 3))).with_geometry(plan, turn)
 
-    def with_geometry(self, plan: Plan) -> Plan:
+    def with_geometry(self, plan: Plan, turn: np.ndarray | None = None) -> Plan:
         """A plan with what follows from the artefact and its poses: the direction of gravity, the
-        tilt of the beam, and every ball's place in the artefact's frame.
+        tilt of the beam, and every ball's place in the artefact's frame. `turn` (n, 3, 3) takes the
+        bed's frame to that of the workpiece, where they differ.
         """
         index = np.searchsorted(self.pose_numbers, plan.groups["pose"])
         beam, along = self.beam()
-        down = -self.pose_rotation[index][:, 2, :]  # gravity in the artefact's frame
+        poses = self.pose_rotation[index]
+        # Gravity in the artefact's frame.
+        down = -poses[:, 2, :] if turn is None else -np.einsum("nij,ni->nj", poses, turn[:, :, 2])
         derived = {f"gravity_{c}": down[:, i] for i, c in enumerate("xyz")}
         derived["tilt"] = np.arcsin(np.clip(-down @ beam, -1.0, 1.0))
         derived["along_beam"] = along[self._ball_rows(plan)]
@@ -225,22 +256,24 @@ class BallArray(TableInstrument):
         centre, r0, t0 = row
         turn, origin = displaced(r0, t0, ports["target"])
         ball = origin + turn @ (Vector.of(centre) + Vector.of(ports["ball"]))
-        return (tool - ball + Vector.of(ports["read"])).parts
+        # What a probe reads wrongly, it does in the frame of the tool.
+        return (tool - ball + rotation @ Vector.of(ports["read"])).parts
 
     def record(
         self, plan: Plan, ideal: Callable[[Plan], np.ndarray], noise: np.ndarray
     ) -> tuple[Plan, np.ndarray]:
         """The axis positions q at which the tool point sits in the ball, with probing noise.
 
-        Fixed point of q <- q - (tcp(q) - ball), from the nominal q: d tcp/d q is the identity to
-        1e-4, so that every step gains four digits; effects act at the position found. Raises
-        `StudyError` where the tool does not follow its axes closely enough for that.
+        Fixed point of q <- q - T (tcp(q) - ball), from the nominal q: d tcp/d q is the inverse of T
+        to 1e-4, so that every step gains four digits; effects act at the position found. T is unity
+        but where rotary axes have turned. Raises `StudyError` where the tool does not follow its
+        axes closely enough for that.
         """
-        order = [plan.axes.index(axis) for axis in "XYZ"]
-        position = np.array(plan.position)
+        order = [plan.axes.index(axis) for axis in _XYZ]
+        position, to_axes = np.array(plan.position), _to_axes(plan, ideal)
         for _ in range(_STEPS):
             off = ideal(plan.with_position(position))
-            position[:, order] -= off
+            position[:, order] -= np.einsum("nij,nj->ni", to_axes, off)
             if np.abs(off).max() < _FOUND_M:
                 break
         else:
@@ -259,12 +292,15 @@ class BallArray(TableInstrument):
         return np.ones((plan.rows, 3))
 
     def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> Self:
-        nominal = np.asarray(plan.position)[:, _order(chain)] + np.asarray(chain.tool_offset)
+        nominal = chain.tool_point(np.asarray(plan.position))
         balls = self.centres[self._ball_rows(plan)]
         rotations, origins = [], []
         for pose in self.pose_numbers:
             rows = np.asarray(plan.groups["pose"]) == pose
-            r, t = best_rigid(balls[rows], nominal[rows])
+            if pose in self.single:
+                r, t = np.eye(3), (nominal[rows] - balls[rows]).mean(0)
+            else:
+                r, t = best_rigid(balls[rows], nominal[rows])
             rotations.append(r)
             origins.append(t)
         return dataclasses.replace(
@@ -273,7 +309,7 @@ class BallArray(TableInstrument):
 
     def effects(self, plan: Plan) -> tuple[Effect, ...]:
         effects: tuple[Effect, ...] = (
-            ArtefactPoses(poses=tuple(int(p) for p in self.pose_numbers)),
+            ArtefactPoses(poses=tuple(int(p) for p in self.pose_numbers), placed=self.single),
         )
         if self.position_sigma > 0:
             balls = tuple(int(b) for b in self.numbers)
@@ -281,8 +317,15 @@ class BallArray(TableInstrument):
         return effects
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
-        # Whole poses, since a pose's own six unknowns tie its balls together.
-        return np.searchsorted(self.pose_numbers, np.asarray(plan.groups["pose"])), False
+        # Whole poses, since a pose's own six unknowns tie its balls together. Where the artefact
+        # stays while rotary axes turn it, whole settings of these, one after the other.
+        pose = np.searchsorted(self.pose_numbers, np.asarray(plan.groups["pose"]))
+        turning = [np.asarray(plan.x(axis)) for axis in plan.axes if axis in ROTARY]
+        if not turning or len(self.pose_numbers) >= _FOLDS:
+            return pose, False
+        changes = np.any([np.diff(x) != 0.0 for x in (*turning, pose)], axis=0)
+        setting = np.r_[0, np.cumsum(changes)]
+        return setting * _FOLDS // (setting[-1] + 1), False
 
     @property
     def artefact(self) -> Artefact:
@@ -305,8 +348,23 @@ class BallArray(TableInstrument):
         return order[np.searchsorted(self.numbers[order], np.asarray(plan.groups["ball"]))]
 
 
-def _order(chain: Chain) -> list[int]:
-    return [chain.axes.index(axis) for axis in "XYZ"]
+def _to_axes(plan: Plan, ideal: Callable[[Plan], np.ndarray]) -> np.ndarray:
+    """T (n, 3, 3) with dq = T d tcp for the axes X, Y and Z: unity where nothing turns."""
+    if not {*plan.axes} & {*ROTARY}:
+        return np.broadcast_to(np.eye(3), (plan.rows, 3, 3))
+    position, slopes = np.asarray(plan.position), []
+    for axis in _XYZ:
+        step = _PROBE_M * (np.array(plan.axes) == axis)
+        ends = (ideal(plan.with_position(position + sign * step)) for sign in (1.0, -1.0))
+        slopes.append((next(ends) - next(ends)) / (2.0 * _PROBE_M))
+    return np.linalg.inv(np.stack(slopes, axis=2))
+
+
+def _single(poses: np.ndarray, table: Mapping[str, np.ndarray]) -> tuple[int, ...]:
+    """The poses in which one ball only was found."""
+    return tuple(
+        int(pose) for pose in poses if len(np.unique(table["ball"][table["pose"] == pose])) == 1
+    )
 
 
 def _check_balls(file: str, calibrated: np.ndarray, found: np.ndarray) -> None:
@@ -349,7 +407,7 @@ def _check_apart(file: str, balls: np.ndarray, centres_mm: np.ndarray) -> None:
 
 
 def _check_lines(
-    poses: np.ndarray,
+    poses: Sequence[int],
     table: Mapping[str, np.ndarray],
     file: str,
     balls: np.ndarray,

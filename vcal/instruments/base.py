@@ -174,6 +174,8 @@ class TableInstrument(Instrument):
     """How many readings make one point, for root mean squares of points."""
     machine: ClassVar[str | None] = None
     """Chain of a study without a ``[machine]``; without one the study has to have it."""
+    rotary: ClassVar[bool] = False
+    """Whether it measures machines that have rotary axes as well."""
     positioned: ClassVar[bool] = False
     """Whether the axis positions are in columns of its own."""
     labels: ClassVar[tuple[str, ...]] = ()

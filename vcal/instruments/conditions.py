@@ -1,8 +1,9 @@
-"""Conditions of machines with linear axes: columns of the data files to a plan, and back.
+"""Conditions of machine tools: columns of the data files to a plan, and back.
 
-A column carries its unit in its name: ``t_s``, ``T_x_degC``, ``since_x_mm``. The axis in it may be
-written in either case (``T_X_degC``). Names that vcal has inside (``t``, ``T_X``, ``a_X``) carry
-none and are no columns; every quantity has one column at most. `misnamed` says what is neither.
+A column carries its unit in its name: ``t_s``, ``T_x_degC``, ``since_x_mm``, ``c_deg``. The axis
+in it may be written in either case (``T_X_degC``). Names that vcal has inside (``t``, ``T_X``,
+``a_X``) carry none and are no columns; every quantity has one column at most. `misnamed` says what
+is neither.
 """
 
 import math
@@ -26,8 +27,20 @@ _COLUMNS = {
     "order": ("pose", 1.0),
 }
 """Column and factor from SI of covariates whose names inside differ from those in the files."""
-_MOTION = {"dir": ("", 1.0), "a": ("_m_s2", 1.0), "v": ("_m_s", 1.0), "since": ("_mm", 1e3)}
-"""Unit at the end of a column of an axis's motion, and its factor from SI."""
+LINEAR, ROTARY = "XYZ", "ABC"
+"""Axes of machine tools."""
+_DEG = math.degrees(1.0)
+_POSITION = {**dict.fromkeys(LINEAR, ("_mm", 1e3)), **dict.fromkeys(ROTARY, ("_deg", _DEG))}
+"""Unit at the end of a column of positions, and its factor from SI."""
+_MOTION = {
+    **{("dir", axis): ("", 1.0) for axis in _POSITION},
+    **{("a", axis): ("_m_s2", 1.0) for axis in LINEAR},
+    **{("v", axis): ("_m_s", 1.0) for axis in LINEAR},
+    **{("a", axis): ("_rad_s2", 1.0) for axis in ROTARY},
+    **{("v", axis): ("_rad_s", 1.0) for axis in ROTARY},
+    **{("since", axis): unit for axis, unit in _POSITION.items()},
+}
+"""The same of a column of an axis's motion."""
 _TEMPERATURE = "_degC"
 _INSIDE = {_COLUMNS[name][0]: name for name in ("t", "order")}
 """Name inside of a column of conditions; the others are of what instruments derive or read."""
@@ -53,10 +66,11 @@ def linear_plan(
     in the plan (`Instrument.warmer`), K.
     """
     axes = chain.axes
-    position = np.column_stack([table[f"{axis.lower()}_mm"] for axis in axes]) * 1e-3
+    columns = [file_column(axis, axes) for axis in axes]
+    position = np.column_stack([table[name] / factor for name, factor in columns])
     covariates: dict[str, np.ndarray] = {}
     groups: dict[str, np.ndarray] = {}
-    used = {f"{axis.lower()}_mm" for axis in axes}
+    used = {name for name, _ in columns}
     for name, values in table.items():
         if name in used or name in readings or name.startswith("tcp_"):
             continue
@@ -80,7 +94,8 @@ def linear_plan_table(
     """
     table: dict[str, np.ndarray] = {k: np.asarray(v) for k, v in plan.groups.items()}
     for axis in plan.axes:
-        table[f"{axis.lower()}_mm"] = np.asarray(plan.x(axis)) * 1e3
+        name, factor = file_column(axis, plan.axes)
+        table[name] = np.asarray(plan.x(axis)) * factor
     for covariate, values in plan.covariates.items():
         if covariate in derived:
             continue
@@ -96,9 +111,9 @@ def inside_name(column: str, axes: tuple[str, ...]) -> str:
 
     Columns of positions and readings, and any further one, keep their names.
     """
-    if match := re.fullmatch(r"(dir|a|v|since)_(\w+?)(_m_s2|_m_s|_mm)?", column):
+    if match := re.fullmatch(r"(dir|a|v|since)_([^_]+)(_\w+)?", column):
         axis = match[2].upper()
-        if axis in axes and (match[3] or "") == _MOTION[match[1]][0]:
+        if axis in axes and (match[3] or "") == _MOTION.get((match[1], axis), ("?", 1.0))[0]:
             return f"{match[1]}_{axis}"
     if match := re.fullmatch(r"T_(\w+)_degC", column):
         name = match[1].upper()
@@ -148,10 +163,11 @@ def file_column(covariate: str, axes: tuple[str, ...]) -> tuple[str, float]:
     if match := re.fullmatch(r"(commanded_|read_|dir_|move_)?J(\d+)", covariate):
         name, factor = _JOINT_COLUMNS[match[1] or "commanded_"]
         return name.format(match[2]), factor
-    if covariate in axes:
-        return f"{covariate.lower()}_mm", 1e3
-    if match := re.fullmatch(r"(dir|a|v|since)_([XYZ])", covariate):
-        unit, factor = _MOTION[match[1]]
+    if covariate in axes and covariate in _POSITION:
+        unit, factor = _POSITION[covariate]
+        return f"{covariate.lower()}{unit}", factor
+    if match := re.fullmatch(r"(dir|a|v|since)_([A-CX-Z])", covariate):
+        unit, factor = _MOTION[match[1], match[2]]
         return f"{match[1]}_{match[2].lower()}{unit}", factor
     # A column such as T_gradient_K_per_m came without a conversion, and goes so.
     if (match := re.fullmatch(r"T_(\w+)", covariate)) and not re.search(r"_K(_|$)", covariate):

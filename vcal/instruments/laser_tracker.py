@@ -49,7 +49,8 @@ class LaserTracker(TableInstrument):
     """Range |v|, azimuth atan2(v_y, v_x), elevation asin(v_z / |v|) with v = R'(p - station).
 
     Noise: range sigma a + b r (added linearly), one angle sigma for both angles. The station's pose
-    (R = Rx Ry Rz of the nominal Euler angles) is a nuisance with six parameters.
+    (R = Rx Ry Rz of the nominal Euler angles) is a nuisance with six parameters. It stands on the
+    table, with the workpiece, and moves and turns with it.
 
     Its errors depend on what it reads, wherever the station was found to be: range and angles of a
     plan are the readings, or those seen from the nominal station where there are none yet.
@@ -58,6 +59,7 @@ class LaserTracker(TableInstrument):
     kind = "laser_tracker"
     Settings = LaserTrackerSettings
     derived = _READ
+    rotary = True
 
     station: np.ndarray
     orientation: np.ndarray
@@ -106,7 +108,7 @@ class LaserTracker(TableInstrument):
         plan = linear_plan(chain, table, _COLUMNS)
         if all(name in table for name in _COLUMNS):
             return _with_read(plan, self.measured(table))
-        nominal = plan.position + np.asarray(chain.tool_offset)
+        nominal = chain.tool_point(np.asarray(plan.position))
         v = (nominal - self.station) @ self.orientation
         r = np.linalg.norm(v, axis=1)
         seen = r, np.arctan2(v[:, 1], v[:, 0]), np.arcsin(v[:, 2] / r)

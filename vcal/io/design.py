@@ -70,6 +70,14 @@ def design_task(
             "errors of the machine",
             "declare some",
         )
+    if not study.chain.linear and not study.chain.arm:
+        raise refusal(
+            file,
+            "key machine.chain",
+            f"{study.chain.text!r}, with rotary axes",
+            "linear axes, or an arm: plans with rotary axes are not designed",
+            "let the axes turn in the plan of your own, and ask `vcal uncertainty` what it tells",
+        )
     subject = Subject(study.chain, study.one.instrument, study.plan, file)
     # Messages of a space tell one mistake, those of pydantic had their turn.
     space = SPACES[kind].of(subject, model, settings)

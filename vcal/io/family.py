@@ -40,6 +40,15 @@ def squareness_errors(chain: Chain) -> tuple[str, ...]:
     return tuple(name for name, pair in _SQUARENESS.items() if set(pair) <= set(chain.axes))
 
 
+def location_errors(chain: Chain) -> tuple[str, ...]:
+    """ISO 230-1 names of all location errors: squareness, then two positions and two directions of
+    every rotary axis (``"EX0C", "EY0C", "EA0C", "EB0C"``).
+    """
+    own = {"A": "YZBC", "B": "XZAC", "C": "XYAB"}
+    turning = [joint.name for joint in chain.joints if joint.turns]
+    return (*squareness_errors(chain), *(f"E{c}0{axis}" for axis in turning for c in own[axis]))
+
+
 def geometric_errors(settings: Any, chain: Chain, folder: Folder, file: str) -> GeometricErrors:
     """The effect that a validated ``[model.geometric]`` declares.
 
@@ -63,17 +72,23 @@ def _smooth(settings: SmoothSettings, chain: Chain) -> GeometricErrors:
     motions = []
     for axis in chain.axes:
         # The eigenfunctions cost most and are the same for all six motions of an axis.
-        unit = Matern(chain.joint(axis).travel.tolist(), 1.0, settings.smoothness)
+        joint = chain.joint(axis)
+        unit = Matern(joint.travel.tolist(), 1.0, settings.smoothness, joint.around)
         for c in "XYZABC":
             basis = eqx.tree_at(lambda b: b.sigma, unit, unit.sigma * sizes[c in "XYZ"])
             motions.append(_motion(f"E{c}{axis}", basis))
-    sigma = settings.squareness_urad * _MICRO
-    locations = tuple(LocationError.of(chain, name, sigma) for name in squareness_errors(chain))
+    place = settings.location_um or settings.translation_um
+    locations = tuple(
+        LocationError.of(
+            chain, name, (place if name[1] in "XYZ" else settings.squareness_urad) * _MICRO
+        )
+        for name in location_errors(chain)
+    )
     return GeometricErrors(motions=tuple(motions), locations=locations)
 
 
 def _fourier(table: Table, chain: Chain) -> GeometricErrors:
-    expected = (*error_motions(chain), *squareness_errors(chain))
+    expected = (*error_motions(chain), *location_errors(chain))
     row_of = _rows_by_component(table, expected, chain.axes)
     for wave in _WAVES:
         i = wave[1]
@@ -100,9 +115,9 @@ def _fourier(table: Table, chain: Chain) -> GeometricErrors:
             _motion(name, Fourier(travel, v["a0"] * _MICRO, v["a1"] * _MICRO, harmonics))
         )
     locations = []
-    for name in squareness_errors(chain):
+    for name in location_errors(chain):
         half_width = float(table["a0"][row_of[name]]) * _MICRO
-        if half_width > 0:  # known to be square otherwise
+        if half_width > 0:  # known to be where it should otherwise
             sigma = half_width / math.sqrt(3.0)
             locations.append(LocationError.of(chain, name, sigma, unit_uniform()))
     return GeometricErrors(motions=tuple(motions), locations=tuple(locations))
@@ -148,7 +163,7 @@ def _missing(table: Table, missing: Sequence[str], count: int) -> StudyError:
         table.name,
         "column component",
         f"{table.rows} rows without {listed(missing)}",
-        f"all {count} error motions and squareness errors of the machine's axes",
+        f"all {count} error motions and location errors of the machine's axes",
         "add the missing rows, with amplitudes of 0 for what is known to be perfect",
     )
 
@@ -158,9 +173,13 @@ def _check_travel(chain: Chain, file: str) -> None:
         if not np.isfinite(joint.travel).all():
             raise refusal(
                 file,
-                f"key machine.travel_mm.{joint.name}",
+                f"key machine.rotary.{joint.name}.travel_deg"
+                if joint.turns
+                else f"key machine.travel_mm.{joint.name}",
                 "nothing",
                 "the lowest and highest position of the axis, over which [model.geometric] is "
                 "declared",
-                f"add it, such as {joint.name} = [0, 1000]",
+                "add it, such as travel_deg = [0, 360]"
+                if joint.turns
+                else f"add it, such as {joint.name} = [0, 1000]",
             )

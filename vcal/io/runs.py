@@ -9,7 +9,7 @@ import numpy as np
 from ..chain import Chain
 from ..instruments import INSTRUMENTS
 from ..instruments.base import Column, InstrumentSettings, TableInstrument
-from ..instruments.conditions import GROUPS, linear_plan, misnamed
+from ..instruments.conditions import GROUPS, LINEAR, ROTARY, file_column, linear_plan, misnamed
 from ..measurement import CheckPoints
 from ..spatial import best_rigid
 from .folder import Folder
@@ -28,7 +28,8 @@ _LEAST_SHARE = 0.002
 _LEAST_WIDTH = 1e-3
 """Of the length of check points, over which they have to go across it."""
 _QUANTITY = re.compile(
-    r"payload_kg|speed_rpm|approach_rad|T_gradient_\w+|v_\w+_m_s|a_\w+_m_s2|since_\w+_mm"
+    r"payload_kg|speed_rpm|approach_rad|T_gradient_\w+|v_\w+_m_s|a_\w+_m_s2|since_\w+_mm|"
+    r"v_[a-c]_rad_s|a_[a-c]_rad_s2|since_[a-c]_deg"
 )
 """Columns that effects ask for; where they are there, they are numbers."""
 _JOINT_COLUMN = re.compile(r"q(\d+)_(?:cmd|read)_deg")
@@ -82,8 +83,8 @@ def check_points(
 ) -> CheckPoints:
     """The independent check points of a study, in a table of that name; raises `StudyError`."""
     own = instrument.columns(settings, chain.axes, readings=False)
-    linear = _is_linear(chain)
-    columns = _positions(chain, own) if linear else list(own)
+    tool = _is_tool(chain)
+    columns = _positions(chain, own) if tool else list(own)
     columns += [Column(name=name, low=-1e6, high=1e6) for name in _TOOL_POINT]
     table = folder.table(name, columns, _condition)
     points = np.column_stack([table[name] for name in _TOOL_POINT]) * 1e-3
@@ -99,46 +100,48 @@ def check_points(
         )
     _check_names(table, chain, _TOOL_POINT)
     _check_conditions(table, chain)
-    if linear:
+    if tool:
         _check_tool_points(table, chain)
     # Check points belong to the machine: what an instrument derives for itself is not in them.
-    if linear:
+    if tool:
         plan = linear_plan(chain, table, warmer=instrument.warmer)
     else:
         plan = instrument.plan(chain, table)
     return CheckPoints(plan, points)
 
 
-def _is_linear(chain: Chain) -> bool:
-    """Whether it was given as a chain of linear axes, whose positions are in ``x_mm``, ..."""
-    return set(chain.axes) <= set("XYZ")
+def _is_tool(chain: Chain) -> bool:
+    """Whether it is a machine tool, with positions in ``x_mm``, ``c_deg``, ..., and not an arm."""
+    return set(chain.axes) <= {*LINEAR, *ROTARY}
 
 
 def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
     """Position columns that the instrument's own columns leave to the machine."""
     names = {column.name for column in own}
-    linear = [f"{axis.lower()}_mm" for axis in chain.axes] if _is_linear(chain) else []
-    return [Column(name=name, low=-1e6, high=1e6) for name in linear if name not in names]
+    places = [file_column(axis, chain.axes)[0] for axis in chain.axes] if _is_tool(chain) else []
+    return [Column(name=name, low=-1e6, high=1e6) for name in places if name not in names]
 
 
 def _check_machine(kind: str, chain: Chain, own: Sequence[Column], file: str, key: str) -> None:
     """An instrument that reads joint angles needs an arm, any other one the axes X, Y and Z."""
-    if len({joint.kind for joint in chain.joints}) > 1:
+    if not _is_tool(chain) and len({joint.kind for joint in chain.joints}) > 1:
         raise refusal(
             file,
             "key machine.joint",
             f"rotary and linear joints in one machine, {chain.text!r}, which no instrument "
             "measures",
-            "rotary joints alone, or a machine.chain with the axes X, Y and Z",
-            "describe the axes of one kind, with the others standing still",
+            "rotary joints alone, or a machine.chain with X, Y, Z and rotary axes A, B, C",
+            "describe a machine tool by its chain and [machine.rotary.C]",
         )
     joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
     if joints:
         fits = all(joint.kind == "revolute" for joint in chain.joints)
         expected = "an arm of revolute [[machine.joint]] rows"
     else:
-        fits = set(chain.axes) == set("XYZ")
+        turning = INSTRUMENTS[kind].rotary
+        fits = {*LINEAR} <= {*chain.axes} <= ({*LINEAR, *ROTARY} if turning else {*LINEAR})
         expected = "a machine.chain with the axes X, Y and Z"
+        expected += ", and rotary axes A, B, C where it has some" if turning else " alone"
     if not fits:
         raise refusal(
             file,
@@ -165,7 +168,7 @@ def _condition(name: str) -> Column | None:
 def _check_names(table: Table, chain: Chain, others: Sequence[str]) -> None:
     """Every quantity has one column, under its name in files; `others` are no conditions."""
     for name in table:
-        if _MOVES.fullmatch(name) and not _is_linear(chain):
+        if _MOVES.fullmatch(name) and not _is_tool(chain):
             raise refusal(
                 table.name,
                 f"header, column {name}",
@@ -198,7 +201,7 @@ def _check_conditions(table: Table, chain: Chain) -> None:
     """Directions are +1 or -1 of an axis there is; positions lie within the travel."""
     for name, values in table.items():
         axis = name.removeprefix("dir_").upper()
-        if name.startswith("dir_") and _is_linear(chain):
+        if name.startswith("dir_") and _is_tool(chain):
             if axis not in chain.axes:
                 raise refusal(
                     table.name,
@@ -220,6 +223,7 @@ def _check_extent(table: Table, chain: Chain) -> None:
     columns = {
         f"{axis.lower()}_mm": j.travel * 1e3
         for axis, j in zip(chain.axes, chain.joints, strict=True)
+        if axis in LINEAR
     }
     if not columns or not all(name in table for name in columns):
         return
@@ -261,8 +265,9 @@ def _check_tool_points(table: Table, chain: Chain) -> None:
     """True tool points are where the axes were commanded to, but for the errors of the machine and
     a rigid motion, which takes in where the tool is.
     """
-    position = np.column_stack([table[f"{joint.name.lower()}_mm"] for joint in chain.joints])
-    commanded = position @ np.stack([np.asarray(j.direction) for j in chain.joints])
+    columns = [file_column(axis, chain.axes) for axis in chain.axes]
+    position = np.column_stack([table[name] / factor for name, factor in columns])
+    commanded = 1e3 * chain.tool_point(position)
     found = np.column_stack([table[name] for name in _TOOL_POINT])
     turn, place = best_rigid(found, commanded)
     off = np.linalg.norm(found @ turn.T + place - commanded, axis=1)
@@ -283,11 +288,13 @@ def _check_travel(table: Table, name: str, chain: Chain) -> None:
     if match := _JOINT_COLUMN.fullmatch(name):
         place, unit = int(match[1]) - 1, math.radians(1.0)
         key = f"machine.joint.{place}"
-    elif name.removesuffix("_mm").upper() in chain.axes and name.endswith("_mm"):
-        place, unit = chain.axes.index(name.removesuffix("_mm").upper()), 1e-3
-        key = f"machine.travel_mm.{chain.axes[place]}"
     else:
-        return
+        columns = {file_column(axis, chain.axes)[0]: axis for axis in chain.axes}
+        axis = columns.get(name)
+        if axis is None:
+            return
+        place, unit = chain.axes.index(axis), 1.0 / file_column(axis, chain.axes)[1]
+        key = f"machine.travel_mm.{axis}" if axis in LINEAR else f"machine.rotary.{axis}.travel_deg"
     if not 0 <= place < len(chain.joints):
         return
     low, high = chain.joints[place].travel / unit

@@ -83,15 +83,37 @@ class JointSettings(Table):
         return self
 
 
+class RotarySettings(Table):
+    """``[machine.rotary.C]``: where a rotary axis of a machine is, and how far it turns."""
+
+    at_mm: tuple[_Length, _Length, _Length]
+    """A point on the axis while all axes are at zero, in the frame of the machine, in which the
+    tool point is then at `tool_offset_mm`."""
+    travel_deg: tuple[_Angle, _Angle] | None = None
+    """Lowest and highest angle; a whole turn or more, where its errors come round with it."""
+
+    @model_validator(mode="after")
+    def _turns(self) -> Self:
+        if self.travel_deg is not None and not self.travel_deg[1] - self.travel_deg[0] >= 1.0:
+            low, high = self.travel_deg
+            raise ValueError(
+                f"found travel_deg = [{low:g}, {high:g}], expected [lowest, highest] in degrees, "
+                "one degree apart at least; exchange or correct them"
+            )
+        return self
+
+
 class MachineSettings(Table):
-    """``[machine]``: a chain of linear axes, or an arm in joint rows."""
+    """``[machine]``: a chain of linear and rotary axes, or an arm in joint rows."""
 
     chain: str | None = None
     """ISO 10791-6 description, such as ``"w X b Y Z t"``."""
     tool_offset_mm: ToolOffset = (0.0, 0.0, 0.0)
     """From the last axis's frame to the tool point."""
     travel_mm: dict[str, tuple[float, float]] = {}
-    """Lowest and highest position per axis."""
+    """Lowest and highest position per linear axis."""
+    rotary: dict[Literal["A", "B", "C"], RotarySettings] = {}
+    """The rotary axes of the chain."""
     joint: tuple[JointSettings, ...] = ()
     base: str | None = None
     """A remark on where the arm's base stands; its pose is always identified."""
@@ -103,8 +125,13 @@ class MachineSettings(Table):
                 "both a chain and joint rows" if self.joint else "neither a chain nor joint rows"
             )
             raise ValueError(
-                f"found {found}, expected either `chain` (linear axes) or [[machine.joint]] rows; "
-                "keep or add one of them"
+                f"found {found}, expected either `chain` (axes of a machine tool) or "
+                "[[machine.joint]] rows; keep or add one of them"
+            )
+        if self.joint and self.rotary:
+            raise ValueError(
+                "found rotary beside joint rows, expected it beside a `chain`; describe the axes "
+                "in the rows, or remove it"
             )
         if self.joint and self.travel_mm:
             raise ValueError(
@@ -116,7 +143,7 @@ class MachineSettings(Table):
 
 
 class FourierSettings(Table):
-    """``[model.geometric]`` of linear axes whose amplitudes stand in a table."""
+    """``[model.geometric]`` of a machine tool whose amplitudes stand in a table."""
 
     family: Literal["fourier"]
     table: FileName
@@ -124,7 +151,7 @@ class FourierSettings(Table):
 
 
 class SmoothSettings(Table):
-    """``[model.geometric]`` of linear axes with smooth error motions of declared size."""
+    """``[model.geometric]`` of a machine tool with smooth error motions of declared size."""
 
     family: Literal["smooth"]
     translation_um: float = Field(gt=0)
@@ -132,7 +159,9 @@ class SmoothSettings(Table):
     rotation_urad: float = Field(gt=0)
     """One-sigma size of each error rotation."""
     squareness_urad: float = Field(gt=0)
-    """One-sigma size of each squareness."""
+    """One-sigma size of each squareness, also of rotary axes to what carries them."""
+    location_um: float | None = Field(default=None, gt=0)
+    """One-sigma size of each error of where a rotary axis is; by default `translation_um`."""
     smoothness: float = Field(default=0.5, ge=0.02, le=10)
     """Correlation length over travel. Guideways bend over about half their length."""
 
@@ -155,6 +184,7 @@ class AnyFamilySettings(Table):
     translation_um: Any = None
     rotation_urad: Any = None
     squareness_urad: Any = None
+    location_um: Any = None
     smoothness: Any = None
 
 

@@ -266,7 +266,7 @@ def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndar
     """
     chain, plan = study.chain, study.plan
     there = [one for one in study.sets if not one.instrument.positioned]
-    if not there or any(joint.kind != "prismatic" for joint in chain.joints):
+    if not there or chain.arm:
         return None
     if len(there) < len(study.sets):
         plan = plan.take(np.flatnonzero(np.any([plan.in_set(one.name) for one in there], axis=0)))
@@ -299,7 +299,7 @@ def _check_travel(study: Study, result: Simulated) -> None:
         bad &= position[:, i] != np.asarray(study.plan.position)[:, i]
         if bad.any():
             row = int(np.argmax(bad))
-            unit, si = ("mm", 1e3) if joint.kind == "prismatic" else ("deg", math.degrees(1.0))
+            unit, si = ("deg", math.degrees(1.0)) if joint.turns else ("mm", 1e3)
             name, place = study.plan.place(row)
             raise refusal(
                 study.files[name],

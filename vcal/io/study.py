@@ -1,6 +1,7 @@
 """A study: everything in one folder, read, checked and built."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -274,8 +275,15 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
             )
         return chain_from_dh(rows, offset)
     travel = {axis: (low * 1e-3, high * 1e-3) for axis, (low, high) in machine.travel_mm.items()}
+    rotary = {}
+    for axis, row in machine.rotary.items():
+        rotary[axis] = [v * 1e-3 for v in row.at_mm]
+        if row.travel_deg is not None:
+            low, high = row.travel_deg
+            travel[axis] = math.radians(low), math.radians(high)
+    _check_rotary(machine, file)
     try:
-        chain = chain_from_string(machine.chain, travel, offset)
+        chain = chain_from_string(machine.chain, travel, offset, rotary)
     except ValueError as error:
         found, _, expected = str(error).rpartition("expected ")
         raise refusal(
@@ -285,13 +293,17 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
             expected,
             "correct the chain",
         ) from error
+    linear = [joint.name for joint in chain.joints if not joint.turns]
     for axis, (low, high) in machine.travel_mm.items():
-        if axis not in chain.axes:
+        if axis not in linear:
             raise refusal(
                 file,
                 f"key machine.travel_mm.{axis}",
-                f"the unknown axis {axis!r}{nearest(axis, chain.axes)}",
-                f"one of {listed(chain.axes)}, the axes of the chain {chain.text!r}",
+                f"the unknown axis {axis!r}{nearest(axis, linear)}"
+                if axis not in chain.axes
+                else f"millimetres of travel of the rotary axis {axis}",
+                f"one of {listed(linear)}, the linear axes of the chain {chain.text!r}"
+                + (f"; travel_deg in [machine.rotary.{axis}]" if axis in chain.axes else ""),
                 "correct or remove the key",
             )
         if not low < high:
@@ -311,6 +323,30 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
                 "correct the unit",
             )
     return chain
+
+
+def _check_rotary(machine: MachineSettings, file: str) -> None:
+    """Every rotary axis of the chain has a place, and every place is one of the chain's axes."""
+    in_chain = [axis for axis in re.findall(r"[A-Z]", machine.chain or "") if axis in "ABC"]
+    for axis in in_chain:
+        if axis not in machine.rotary:
+            raise refusal(
+                file,
+                f"key machine.rotary.{axis}",
+                "nothing",
+                f"where the rotary axis {axis} of the chain is, with all axes at zero",
+                f"add [machine.rotary.{axis}] with at_mm = [x, y, z], a point on the axis, and "
+                "travel_deg = [lowest, highest]",
+            )
+    for axis in machine.rotary:
+        if axis not in in_chain:
+            raise refusal(
+                file,
+                f"key machine.rotary.{axis}",
+                f"a rotary axis that is not in the chain {machine.chain!r}",
+                f"one of {listed(in_chain)}" if in_chain else "no rotary axis",
+                "add it to the chain, or remove the table",
+            )
 
 
 def _data_sets(

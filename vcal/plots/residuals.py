@@ -183,7 +183,7 @@ def _component(fit: Fit, name: str, moved: np.ndarray, direction: str) -> int:
 def _panel(ax: Axes, fit: Fit, name: str, y: np.ndarray, colour: str, i: int) -> None:
     plan = fit.measurement.plan
     column, factor = column_of(name, plan)
-    frame = "" if set(plan.axes) <= set("XYZ") else " of the tool"
+    frame = " of the tool" if fit.model.chain.arm else ""
     x = values_of(name, plan)[fit.used] * factor
     there = np.isfinite(x)  # of the data sets that have it
     _dots(ax, x[there], y[there], colour, many=True)

@@ -145,7 +145,7 @@ def _direction(
 ) -> tuple[np.ndarray, str]:
     response = effect.response(fit.measurement.plan, shape)
     ports = list(dict.fromkeys(port for port, _ in response))
-    frame = "" if set(fit.model.chain.axes) <= set("XYZ") else " of the tool"
+    frame = " of the tool" if fit.model.chain.arm else ""
     if len(ports) == 1:
         column = fit.port_jacobian[:, :, fit.model.layout.index(ports[0])]
         lever = displacements(fit, column)

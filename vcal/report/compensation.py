@@ -126,9 +126,9 @@ def _sorted(names: Iterable[str], axes: Sequence[str]) -> list[str]:
 
 
 def _line(fit: Fit, axis: str, nodes: int) -> np.ndarray:
-    low, high = np.asarray(fit.model.chain.joint(axis).travel, float)
-    prismatic = fit.model.chain.joint(axis).kind == "prismatic"
-    if not (prismatic and math.isfinite(low) and math.isfinite(high)):
+    joint = fit.model.chain.joint(axis)
+    low, high = np.asarray(joint.travel, float)
+    if joint.kind == "revolute" or not (math.isfinite(low) and math.isfinite(high)):
         x = np.asarray(fit.measurement.plan.x(axis), float)
         low, high = x.min(), x.max()
     return np.linspace(low, high, nodes)
@@ -147,7 +147,7 @@ def _table(
     located = _LOCATION.fullmatch(name) is not None
     axis = name[3:] if located else name[2:]
     unit = "um" if name[1] in "XYZ" else "urad"
-    position_unit = "mm" if fit.model.chain.joint(axis).kind == "prismatic" else "deg"
+    position_unit = "deg" if fit.model.chain.joint(axis).turns else "mm"
     si = si_factor(unit)
     u, prior, information = spread.of(block)
     return ErrorMotionTable(

@@ -105,7 +105,8 @@ def page(
         locations=[_location(t) for t in tables if not len(t.position)],
         motions=[_motion(t) for t in tables if len(t.position)],
         information=_information(closure),
-        linear=set(study.chain.axes) <= set("XYZ"),
+        arm=study.chain.arm,
+        rotary=not study.chain.arm and not study.chain.linear,
         noise_scale=text.number(closure.noise_scale, 3),
         noise_uneven=closure.noise_uneven,
         noise_components=[

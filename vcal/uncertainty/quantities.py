@@ -147,8 +147,8 @@ class ErrorMotionErrors(eqx.Module, Quantity):
                 for c in COMPONENTS:
                     positions.append(at)
                     ports.append(6 * a + COMPONENTS.index(c))
-                    linear = chain.joints[a].kind == "prismatic"
-                    place = f"{x:.4g} m" if linear else f"{np.rad2deg(x):.4g} deg"
+                    turns = chain.joints[a].turns
+                    place = f"{np.rad2deg(x):.4g} deg" if turns else f"{x:.4g} m"
                     unit = "um" if c in "XYZ" else "urad"
                     labels.append(f"E{c}{axis} at {place} [{unit}]")
         where = conditions_at(plan, np.asarray(positions))
