@@ -732,11 +732,20 @@ SETUP = {
     ),
     "unknown axis of the chain": (
         replace('"w X b Y Z t"', '"w X b Y V t"'),
-        ("setup.toml, key machine.chain", "axis 'V' is none of the linear axes X, Y, Z", "expected 'w'"),
+        (
+            "setup.toml, key machine.chain",
+            "axis 'V' is none of the linear axes X, Y, Z",
+            "expected 'w'",
+        ),
     ),
     "a rotary axis": (
         replace('"w X b Y Z t"', '"w C X b Y Z t"'),
-        ("key machine.rotary.C", "found nothing", "where the rotary axis C", "add [machine.rotary.C]"),
+        (
+            "key machine.rotary.C",
+            "found nothing",
+            "where the rotary axis C",
+            "add [machine.rotary.C]",
+        ),
     ),
     "two axes": (
         both(replace('"w X b Y Z t"', '"w X b Z t"'), replace("Y = [0, 1000]\n", "")),

@@ -263,7 +263,7 @@ def test_chain_strings(text, tool_side, workpiece_side):
         ("b X Y Z t", "expected 'w'"),
         ("w X b Y Z", "expected 'w'"),
         ("w X b Y X t", "axis 'X' appears twice"),
-        ("w X b C Z t", "rotary axis 'C': found it only in the chain"),
+        ("w X b C Z t", "the rotary axis 'C' only in the chain"),
         ("w X1 b Y Z t", "axis 'X1' is none of the linear axes X, Y, Z"),
         ("xfyz", "expected 'w'"),
     ],

@@ -319,7 +319,7 @@ def chain_from_string(
     for axis in sorted({*places} | {*axes} & {*_ABOUT}):
         if axis not in places or axis not in axes or axis not in _ABOUT:
             raise ValueError(
-                f"rotary axis {axis!r}: found it only in "
+                f"chain {text!r}: found the rotary axis {axis!r} only in "
                 f"{'the chain' if axis not in places else 'what says where rotary axes are'}, "
                 "expected every rotary axis of the chain, and where it is; add or remove it"
             )
