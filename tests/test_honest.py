@@ -512,10 +512,11 @@ def test_what_looking_everywhere_costs_is_paid_once(tracker):
     all that was tried, says so; its evidence does not have to pay for all kinds of effects again.
     """
     measurement = with_noise(tracker, white(tracker, 23), tracker.effect("backlash:Y:size_um=1.4"))
-    closure = closed(tracker, measurement, alpha=0.02)
+    # At the limit 200 draws tell p too roughly: 0.012 here, while 2000 tell 0.007.
+    closure = closed(tracker, measurement, draws=500)
     (found,) = closure.effects
     assert found.effect.key == "backlash Y"
-    assert 0.002 < found.p_value < 0.02
+    assert 0.001 < found.p_value < 0.01
     # Three axes share the odds of a backlash, and the kinds those that anything is missing.
     assert 0.0 < found.log_evidence - np.log(3.0) < np.log(len(closure.screenings[0].kinds))
 
