@@ -296,8 +296,8 @@ def chain_from_string(
     tool offset.
 
     Raises `ValueError` if the string does not start at ``w`` and end at ``t`` with one bed in
-    between, or names an axis twice, or one that is none of X, Y, Z, A, B and C; if `rotary` does
-    not say where one of its rotary axes is, says so of another, or gives no direction.
+    between, or names an axis twice, or one that is none of X, Y, Z, A, B and C; if `rotary_m`
+    does not say where one of its rotary axes is, or says so of another.
     """
     letters = re.findall(r"[A-Za-z]\d*", text)
     if letters and letters[0] != "w" and letters[-1] != "t":
@@ -324,7 +324,6 @@ def chain_from_string(
                 "expected every rotary axis of the chain, and where it is; add or remove it"
             )
     bed = letters.index("b")
-    # Linear axes first, as long as there have been plans of them.
     order = sorted(axes, key=lambda axis: (axis in _ABOUT, axis))
     joints = []
     for axis in order:
