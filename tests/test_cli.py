@@ -23,6 +23,7 @@ import vcal.report
 from vcal.cli import app
 from vcal.cli.session import cache_folder, listen, working
 from vcal.design.spaces import SPACES, settings_of
+from vcal.instruments import INSTRUMENTS
 from vcal.instruments.laser_frame import SegmentSettings
 from vcal.io import load_study, read_table
 from vcal.io.settings import (
@@ -252,11 +253,11 @@ def test_init_of_an_instrument_there_is_not(tmp_path):
 
 def test_every_key_is_explained():
     texts = {kind: (DEMO / "start" / kind / "setup.toml").read_text() for kind in STARTS}
-    assert set(STARTS) == set(vcal.io.study.INSTRUMENTS)
+    assert set(STARTS) == set(INSTRUMENTS)
     for kind, text in texts.items():
-        known = [DataSettings, LoopSettings, vcal.io.study.INSTRUMENTS[kind].Settings]
+        known = [DataSettings, LoopSettings, INSTRUMENTS[kind].Settings]
         known += [settings_of(kind)] if kind in SPACES else []
-        if vcal.io.study.INSTRUMENTS[kind].machine is None:  # else it has no travel to err over
+        if INSTRUMENTS[kind].machine is None:  # else it has no travel to err over
             arm = kind == "reflectors"
             known += [LinkSettings, JointSettings] if arm else [FourierSettings, SmoothSettings]
         for settings in known:

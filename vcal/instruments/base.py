@@ -51,6 +51,8 @@ class InstrumentSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     kind: str
+    kind_file: FileName | None = None
+    """Python file beside the study with the class of that kind, where it is one's own."""
 
 
 class Instrument(Record):
@@ -178,7 +180,7 @@ class TableInstrument(Instrument):
     """Whether the axis positions are in columns of its own."""
     labels: ClassVar[tuple[str, ...]] = ()
     """Columns of text in its data table."""
-    Settings: ClassVar[type[InstrumentSettings]]
+    Settings: ClassVar[type[InstrumentSettings]] = InstrumentSettings
     """Keys of the ``[instrument]`` table, validated."""
 
     # --- edges: from and to files -------------------------------------------------------------

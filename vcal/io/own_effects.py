@@ -18,7 +18,7 @@ from ..units import si_factor
 from .messages import listed
 from .own_code import Attribute, Trial
 
-_ATTRIBUTES: tuple[Attribute, ...] = (
+ATTRIBUTES: tuple[Attribute, ...] = (
     ("summary", lambda v: isinstance(v, str), "a line of text"),
     ("kind", lambda v: v in get_args(Kind), f"one of {listed(map(repr, get_args(Kind)))}"),
     ("where", lambda v: v in ("machine", "instrument"), "'machine' or 'instrument'"),
@@ -50,7 +50,7 @@ def _check(trial: Trial, kind: type[Effect], setup: Setup, plan: Plan) -> None:
     if inspect.isabstract(kind):
         missing = listed(sorted(kind.__abstractmethods__))
         raise trial.refusal("body", f"no {missing}", "parameters and response")
-    trial.check_attributes(kind, _ATTRIBUTES)
+    trial.check_attributes(kind, ATTRIBUTES)
     with trial.calling("candidates", "effects, as in `yield cls()`"):
         made = in_setup(kind, setup)
     for effect in made:

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..chain import Chain
-from ..instruments import INSTRUMENTS
 from ..instruments.base import Column, InstrumentSettings, TableInstrument
 from ..instruments.conditions import GROUPS, linear_plan, misnamed
 from ..measurement import CheckPoints
 from ..spatial import best_rigid
 from .folder import Folder
 from .messages import listed, refusal
+from .own_instruments import columns_of, instrument_class
 from .repeated import check_repeated
 from .table import Table
 
@@ -48,10 +48,9 @@ def run_table(
 
     Raises `StudyError` for what the instrument, the machine or `Folder.table` refuses.
     """
-    kind = INSTRUMENTS[settings.kind]
+    kind = instrument_class(settings, folder)
     header = folder.header(name)
-    plain = kind.columns(settings, chain.axes, readings=False)
-    full = kind.columns(settings, chain.axes, readings=True)
+    plain, full = columns_of(settings, kind, chain.axes)
     reading_names = {c.name for c in full} - {c.name for c in plain}
     measured = not reading_names or any(column in reading_names for column in header)
     _check_machine(settings.kind, chain, plain, file, f"{key}instrument.kind")
