@@ -140,7 +140,8 @@ def run_file(path: Path, what: str) -> ModuleType:
 
 def in_own_words(error: BaseException) -> str:
     """An error of a file of the user's own in one line: its kind, what it says, and where."""
-    text = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
+    what = str(error).strip().partition("\n")[0]
+    text = type(error).__name__ + (f": {what}" if what else "")
     place = own_place(error)
     return text if place is None else f"{text} (line {place[1]})"
 

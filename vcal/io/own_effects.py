@@ -31,7 +31,7 @@ _OF_PARAMETERS = (
     ("mean", int | float, "a number"),
     ("scale", int | float, "a number"),
 )
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]*")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.]*")
 _RESERVED = ("name", "placement", "component", "data_set", "given", "priors")
 """Keys of a [[model.effect]] row, and fields of every effect."""
 
@@ -141,7 +141,7 @@ def _check_parameters(parameters: Any, trial: Trial) -> None:
             raise trial.refusal(
                 "parameters",
                 f"the name {p.name!r}",
-                f"letters, digits, . and _, a letter first, and none of {listed(_RESERVED)}",
+                f"letters, digits, . and _, no . or _ first, and none of {listed(_RESERVED)}",
             )
     names = [p.name for p in parameters]
     if not parameters or len(set(names)) < len(names):
