@@ -249,6 +249,8 @@ def test_init_of_an_instrument_there_is_not(tmp_path):
     message = refused("init", tmp_path / "x", "--instrument", "laser")
     assert "found 'laser' (did you mean 'laser_frame'?), expected one of ball_array" in message
     assert not (tmp_path / "x").exists()
+    told = " ".join(run("init", "--help").stdout.replace("│", " ").split())
+    assert "One of ball_array, laser_frame, laser_tracker, r_test, reflectors." in told
 
 
 def test_every_key_is_explained():
