@@ -187,6 +187,27 @@ def test_studies_stay_apart(tmp_path):
         load_study(one)
 
 
+def test_annotations_that_are_text(small):
+    text = "from __future__ import annotations\n\n" + BAR
+    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    assert load_study(small).instrument.length == 0.15
+
+
+def test_a_class_of_ones_own_after_one_that_is_there(small_tracker_study):
+    """What the instruments of vcal do passes for what is asked of others."""
+    own = "from vcal.instruments.laser_tracker import LaserTracker\n\n\n"
+    own += 'class Mine(LaserTracker):\n    kind = "mine"\n'
+    (small_tracker_study / "mine.py").write_text(own, encoding="utf-8")
+    setup = small_tracker_study / "setup.toml"
+    old = load_study(small_tracker_study)
+    text = setup.read_text(encoding="utf-8")
+    text = text.replace('"laser_tracker"', '"mine"\nkind_file = "mine.py"')
+    setup.write_text(text, encoding="utf-8")
+    new = load_study(small_tracker_study)
+    assert type(new.instrument).__name__ == "Mine"
+    assert (new.measurement.readings == old.measurement.readings).all()
+
+
 def test_a_file_of_effects_and_instruments(small):
     """It is run once, so that both come from one module."""
     study = load_study(small, ['model.effects_file="ball_bar.py"'])

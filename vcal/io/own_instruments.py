@@ -26,6 +26,8 @@ from .own_effects import ATTRIBUTES, check_effect
 
 _INSIDE = f"{__name__.partition('.')[0]}."
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_SAME, _NOTHING = 1e-6, 1e-12
+"""Share of the largest value, and m or rad, within which what is written is what is read."""
 _PORT = re.compile(r"[A-Za-z]\w*\.\w+")
 
 
@@ -389,19 +391,18 @@ def _check_table(
     whole = {**table, **{name: np.asarray(values) for name, values in written.items()}}
     with trial.calling("to_table", f"{expected} by plan and measured"):
         again, found = instrument.plan(chain, whole), instrument.measured(whole)
-    pairs = [(f"the position of {axis}", plan.x(axis), again.x(axis)) for axis in plan.axes] + [
-        (f"the reading {name}", readings[:, k], np.asarray(found)[:, k])
-        for k, name in enumerate(instrument.readings)
-    ]
-    for what, before, after in pairs:
-        before, after = np.asarray(before, float), np.asarray(after, float)
-        off = np.abs(after - before)
-        if not (off <= 1e-6 * np.abs(before).max() + 1e-12).all():
-            row = int(np.argmax(~(off <= 1e-6 * np.abs(before).max() + 1e-12)))
-            told = (
-                f"{what} in row {row + 1} as {after[row]:.7g}, read again, from {before[row]:.7g}"
-            )
-            raise trial.refusal("to_table", told, "the inverse of plan and measured")
+    trial.numbers("measured", found, readings.shape, "readings in SI")
+    off = np.asarray(instrument.difference(jnp.asarray(found), jnp.asarray(readings)))
+    pairs = [(f"the position of {a}", plan.x(a), again.x(a) - plan.x(a)) for a in plan.axes]
+    names = enumerate(instrument.readings)
+    pairs += [(f"the reading {name}", readings[:, k], off[:, k]) for k, name in names]
+    for what, before, apart in pairs:
+        before, apart = np.asarray(before, float), np.asarray(apart, float)
+        limit = _SAME * np.abs(before).max() + _NOTHING
+        if (bad := ~(np.abs(apart) <= limit)).any():
+            row = int(np.argmax(bad))
+            found = f"{what} in row {row + 1}, {before[row]:.7g}, off by {apart[row]:.3g} as read"
+            raise trial.refusal("to_table", found, "the inverse of plan and measured")
 
 
 def _check_record(
