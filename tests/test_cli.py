@@ -23,6 +23,7 @@ import vcal.report
 from vcal.cli import app
 from vcal.cli.session import cache_folder, listen, working
 from vcal.design.spaces import SPACES, settings_of
+from vcal.instruments import INSTRUMENTS
 from vcal.instruments.laser_frame import SegmentSettings
 from vcal.io import load_study, read_table
 from vcal.io.settings import (
@@ -248,15 +249,17 @@ def test_init_of_an_instrument_there_is_not(tmp_path):
     message = refused("init", tmp_path / "x", "--instrument", "laser")
     assert "found 'laser' (did you mean 'laser_frame'?), expected one of ball_array" in message
     assert not (tmp_path / "x").exists()
+    told = " ".join(run("init", "--help").stdout.replace("│", " ").split())
+    assert "One of ball_array, laser_frame, laser_tracker, r_test, reflectors." in told
 
 
 def test_every_key_is_explained():
     texts = {kind: (DEMO / "start" / kind / "setup.toml").read_text() for kind in STARTS}
-    assert set(STARTS) == set(vcal.io.study.INSTRUMENTS)
+    assert set(STARTS) == set(INSTRUMENTS)
     for kind, text in texts.items():
-        known = [DataSettings, LoopSettings, vcal.io.study.INSTRUMENTS[kind].Settings]
+        known = [DataSettings, LoopSettings, INSTRUMENTS[kind].Settings]
         known += [settings_of(kind)] if kind in SPACES else []
-        if vcal.io.study.INSTRUMENTS[kind].machine is None:  # else it has no travel to err over
+        if INSTRUMENTS[kind].machine is None:  # else it has no travel to err over
             arm = kind == "reflectors"
             known += [LinkSettings, JointSettings] if arm else [FourierSettings, SmoothSettings]
         for settings in known:

@@ -8,7 +8,7 @@ import pytest
 import vcal
 from test_r_test import SETUP, circles, write
 from vcal import StudyError
-from vcal.cli.folders import starts
+from vcal.demo import starts
 from vcal.effects.registry import CATALOGUE
 from vcal.io import load_study, write_table
 from vcal.io.simulated import parse_every_with, parse_with, write_simulated

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
+from ..demo import starts
 from .session import INTERRUPTED, guarded, leave, listen, start, tell, working
 
 app = typer.Typer(
@@ -155,7 +156,7 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
 def init(
     folder: Annotated[Path, typer.Argument(help="Folder to write; a new or an empty one.")],
     instrument: Annotated[
-        str, typer.Option(help="laser_tracker, ball_array, laser_frame, r_test or reflectors.")
+        str, typer.Option(metavar="KIND", help=f"One of {', '.join(starts())}.")
     ] = "laser_tracker",
 ) -> None:
     """Write a commented study folder to start from."""

@@ -10,20 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from ..catalogue import nearest
-from ..demo import FOLDER
+from ..demo import STARTS, starts
 from ..effects.base import Effect, Setup
 from ..errors import StudyError
 from ..io import load_study
 from ..io.messages import listed
 from ..io.simulated import publish, require_empty
 from ..plan import Plan
-
-_STARTS = FOLDER / "start"
-
-
-def starts() -> list[str]:
-    """Instruments for which there is a study to start from."""
-    return sorted(entry.name for entry in _STARTS.iterdir() if entry.is_dir())
 
 
 def write_start(instrument: str, out: Path) -> list[str]:
@@ -42,7 +35,7 @@ def write_start(instrument: str, out: Path) -> list[str]:
     work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     try:
         names = []
-        for entry in (_STARTS / instrument).iterdir():
+        for entry in (STARTS / instrument).iterdir():
             shutil.copyfile(entry, work / entry.name)
             names.append(entry.name)
         publish(work, out)
@@ -75,7 +68,7 @@ def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
 
 @functools.cache
 def _setup(instrument: str) -> Setup:
-    study = load_study(_STARTS / instrument)
+    study = load_study(STARTS / instrument)
     return study.model.setup(study.plan)
 
 

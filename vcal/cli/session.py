@@ -17,6 +17,7 @@ import typer
 
 from .. import enable_float64
 from ..errors import StudyError
+from ..io.own_code import told
 
 MISTAKE = 2
 """Exit code where the input cannot be used."""
@@ -30,8 +31,8 @@ _WORTH_KEEPING_S = 0.1
 def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
     """A command that tells a `StudyError` in one message with exit code 2, without a traceback.
 
-    So are files that cannot be read or written. Ctrl-C, where the command does not deal with it
-    itself, gives exit code 130.
+    So are files that cannot be read or written, and what fails in a file of the user's own. Ctrl-C,
+    where the command does not deal with it itself, gives exit code 130.
     """
 
     @functools.wraps(command)
@@ -49,6 +50,12 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
         except KeyboardInterrupt:
             tell("interrupted; nothing was written")
             raise typer.Exit(INTERRUPTED) from None
+        except Exception as error:
+            # Effects and instruments of a user's own were tried once, which not all survive.
+            if (text := told(error)) is None:
+                raise
+            tell(text)
+            raise typer.Exit(MISTAKE) from None
 
     return run
 

@@ -13,7 +13,7 @@ from ..distributions import CATALOGUE as DISTRIBUTIONS
 from ..distributions import Univariate, distribution
 from ..effects.base import Effect, Setup
 from ..effects.data_set import OfDataSet
-from ..effects.registry import CATALOGUE, load_effects
+from ..effects.registry import CATALOGUE
 from ..errors import StudyError
 from ..instruments.conditions import file_name
 from ..model import effect_terms
@@ -42,14 +42,8 @@ def catalogue_with(folder: Folder, effects_file: str | None) -> dict[str, type[E
     if effects_file is None:
         return known
     reserved = set(_names_inside(Effect))
-    path = folder.path(effects_file, "a Python file with effect classes")
-    try:
-        own = load_effects(path)
-    finally:
-        # A file that registers its classes itself must not leave them to the next study.
-        CATALOGUE.clear()
-        CATALOGUE.update(known)
-    for effect in own:
+    module = folder.module(effects_file, CATALOGUE.what)
+    for effect in CATALOGUE.defined_in(module, Effect):
         if not _NAME.fullmatch(effect.name):
             raise refusal(
                 effects_file,

@@ -107,7 +107,7 @@ def check_designed(study: Study, space: PlanSpace, placed: Any) -> None:
 def _family(study: Study, model: Model, name: str) -> Judged:
     path = study.folder / name
     raw, given = read_setup(path)
-    settings = validate(raw, name, given)
+    settings = validate(raw, name, given, Folder(path.parent))
     chain = build_chain(settings.machine, name)
     same = [
         (j.name, j.kind, j.side, *j.travel.tolist(), *j.before.ravel().tolist())

@@ -5,7 +5,9 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 
+from ..catalogue import run_file, unchanged
 from ..instruments.base import Column
 from .messages import refusal
 from .table import Table, read_header, read_table
@@ -45,6 +47,7 @@ class Folder:
     root: Path
     hashes: dict[str, str] = field(default_factory=dict)
     """SHA-256 in hexadecimal by file name as the study names it."""
+    _modules: dict[str, ModuleType] = field(default_factory=dict)
 
     def path(self, name: str, expected: str = "a CSV table with a header line") -> Path:
         """Path of a file that is about to be read; raises `StudyError` if there is none."""
@@ -63,6 +66,18 @@ class Folder:
     def has(self, name: str) -> bool:
         """Whether a file is there."""
         return (self.root / name).is_file()
+
+    def module(self, name: str, what: str) -> ModuleType:
+        """A Python file of the user's own, with classes of `what`s.
+
+        It is run once for a study, however often the study names it. What it registers itself must
+        not be left to the next study, and is forgotten. Raises `StudyError` as `run_file` does.
+        """
+        path = self.path(name, f"a Python file with {what} classes")
+        if name not in self._modules:
+            with unchanged():
+                self._modules[name] = run_file(path, what)
+        return self._modules[name]
 
     def header(self, name: str) -> tuple[str, ...]:
         """Names of a table's columns."""

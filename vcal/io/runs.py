@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..chain import Chain
-from ..instruments import INSTRUMENTS
 from ..instruments.base import Column, InstrumentSettings, TableInstrument
 from ..instruments.conditions import GROUPS, LINEAR, ROTARY, file_column, linear_plan, misnamed
 from ..measurement import CheckPoints
 from ..spatial import best_rigid
 from .folder import Folder
 from .messages import listed, refusal
+from .own_instruments import columns_of, instrument_class
 from .repeated import check_repeated
 from .table import Table
 
@@ -49,13 +49,12 @@ def run_table(
 
     Raises `StudyError` for what the instrument, the machine or `Folder.table` refuses.
     """
-    kind = INSTRUMENTS[settings.kind]
+    kind = instrument_class(settings, folder)
     header = folder.header(name)
-    plain = kind.columns(settings, chain.axes, readings=False)
-    full = kind.columns(settings, chain.axes, readings=True)
+    plain, full = columns_of(settings, kind, chain.axes)
     reading_names = {c.name for c in full} - {c.name for c in plain}
     measured = not reading_names or any(column in reading_names for column in header)
-    _check_machine(settings.kind, chain, plain, file, f"{key}instrument.kind")
+    _check_machine(kind, chain, plain, file, f"{key}instrument.kind")
     places = [] if kind.positioned else _positions(chain, plain)
     columns = [*places, *(full if measured else plain)]
     table = folder.table(name, columns, _condition, labels=kind.labels)
@@ -122,7 +121,9 @@ def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
     return [Column(name=name, low=-1e6, high=1e6) for name in places if name not in names]
 
 
-def _check_machine(kind: str, chain: Chain, own: Sequence[Column], file: str, key: str) -> None:
+def _check_machine(
+    kind: type[TableInstrument], chain: Chain, own: Sequence[Column], file: str, key: str
+) -> None:
     """An instrument that reads joint angles needs an arm, any other one the axes X, Y and Z."""
     if not _is_tool(chain) and len({joint.kind for joint in chain.joints}) > 1:
         raise refusal(
@@ -138,7 +139,7 @@ def _check_machine(kind: str, chain: Chain, own: Sequence[Column], file: str, ke
         fits = all(joint.kind == "revolute" for joint in chain.joints)
         expected = "an arm of revolute [[machine.joint]] rows"
     else:
-        turning = INSTRUMENTS[kind].rotary
+        turning = kind.rotary
         fits = {*LINEAR} <= {*chain.axes} <= ({*LINEAR, *ROTARY} if turning else {*LINEAR})
         expected = "a machine.chain with the axes X, Y and Z"
         expected += ", and rotary axes A, B, C where it has some" if turning else " alone"
@@ -146,7 +147,7 @@ def _check_machine(kind: str, chain: Chain, own: Sequence[Column], file: str, ke
         raise refusal(
             file,
             f"key {key}",
-            f"{kind!r} on a machine with {chain.text!r}",
+            f"{kind.kind!r} on a machine with {chain.text!r}",
             f"{expected} for this instrument",
             "change the instrument or the machine",
         )

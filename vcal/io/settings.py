@@ -15,9 +15,12 @@ from ..design.plan_space import DesignSettings
 from ..design.spaces import settings_of
 from ..errors import StudyError
 from ..instruments import INSTRUMENTS
-from ..instruments.base import FileName, InstrumentSettings
+from ..instruments.base import FileName, InstrumentSettings, TableInstrument
 from ..loop.loop_settings import LoopSettings
+from .folder import Folder
 from .messages import at, explain, listed, refusal, shown, source
+from .own_code import told
+from .own_instruments import own_instruments
 
 Triple = tuple[float, float, float]
 _Offset = Annotated[float, Field(ge=-1e4, le=1e4)]
@@ -316,8 +319,13 @@ def computable(value: float) -> bool:
     return value == 0 or _SMALLEST <= abs(value) <= _LARGEST
 
 
-def validate(raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]) -> AnySettings:
-    """The settings in a raw tree; raises `StudyError` that lists every mistake in it."""
+def validate(
+    raw: Mapping[str, Any], file: str, overrides: Mapping[str, str], folder: Folder
+) -> AnySettings:
+    """The settings in a raw tree; raises `StudyError` that lists every mistake in it.
+
+    Files in `folder` that define a user's own instruments are run for it.
+    """
     for key, value in _numbers(raw):
         if isinstance(value, int):
             if abs(value) > _LARGEST_WHOLE:
@@ -346,22 +354,27 @@ def validate(raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]) ->
                 COMPUTABLE,
                 "correct the value",
             )
-    model = (_several if isinstance(raw.get("data"), list) else _refined)(raw, file, overrides)
+    refined = _several if isinstance(raw.get("data"), list) else _refined
+    model = refined(raw, file, overrides, folder)
     try:
         # As JSON, in which a list is a tuple, so that validation can be strict about the rest:
         # "3", 3.0 and true are not taken for 3.
         return model.model_validate_json(json.dumps(raw, default=str), strict=True)
     except ValidationError as error:
         raise explain(error, file, raw, model, overrides) from error
+    except Exception as error:  # of a validator in a user's own settings
+        if (text := told(error)) is None:
+            raise
+        raise StudyError(text) from error
 
 
 def _refined(
-    raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]
+    raw: Mapping[str, Any], file: str, overrides: Mapping[str, str], folder: Folder
 ) -> type[StudySettings]:
     """The settings class with the named instrument's and family's own keys."""
-    kind = _kind(raw, ("instrument",), file, overrides)
-    instrument = INSTRUMENTS[kind].Settings if kind is not None else InstrumentSettings
-    design = settings_of(kind) if kind is not None else DesignSettings
+    kind = _kind(raw, ("instrument",), file, overrides, folder)
+    instrument = kind.Settings if kind is not None else InstrumentSettings
+    design = settings_of(kind.kind) if kind is not None else DesignSettings
     model = _model(raw)
     return create_model(
         "StudySettings",
@@ -374,7 +387,7 @@ def _refined(
 
 
 def _several(
-    raw: Mapping[str, Any], file: str, overrides: Mapping[str, str]
+    raw: Mapping[str, Any], file: str, overrides: Mapping[str, str], folder: Folder
 ) -> type[SeveralSettings]:
     """The same for several data sets: every row has the keys of its own instrument.
 
@@ -395,8 +408,8 @@ def _several(
     kinds, types = [], []
     for i in range(len(rows)):
         _check_name(rows, i, file, overrides)
-        kind = _kind(raw, ("data", i, "instrument"), file, overrides)
-        instrument: Any = INSTRUMENTS[kind].Settings if kind is not None else InstrumentSettings
+        kind = _kind(raw, ("data", i, "instrument"), file, overrides, folder)
+        instrument: Any = kind.Settings if kind is not None else InstrumentSettings
         kinds.append(kind)
         types.append(
             create_model("DataSetSettings", __base__=DataSetSettings, instrument=(instrument, ...))
@@ -441,24 +454,38 @@ def _kind(
     key: Sequence[str | int],
     file: str,
     overrides: Mapping[str, str],
-) -> str | None:
-    """The kind of the instrument in a table, None where there is none to be read."""
-    kind = at(raw, (*key, "kind"))
-    where = ".".join(str(part) for part in (*key, "kind"))
-    if isinstance(kind, str) and kind not in INSTRUMENTS:
+    folder: Folder,
+) -> type[TableInstrument] | None:
+    """The class of the instrument in a table, None where there is none to be read."""
+    kind, own = at(raw, (*key, "kind")), at(raw, (*key, "kind_file"))
+    table = ".".join(str(part) for part in key)
+    if own is not None and not (isinstance(own, str) and own):
         raise refusal(
-            source(file, where, overrides),
-            f"key {where}",
-            f"the unknown instrument {kind!r}{nearest(kind, INSTRUMENTS)}",
-            f"one of {listed(INSTRUMENTS)}",
-            "correct the kind",
+            source(file, f"{table}.kind_file", overrides),
+            f"key {table}.kind_file",
+            shown(own),
+            "a Python file beside the study file, in quotes",
+            "correct the value",
         )
-    return kind if isinstance(kind, str) else None
+    if not isinstance(kind, str):
+        return None
+    known = INSTRUMENTS if own is None else own_instruments(folder, own)
+    if kind not in known:
+        raise refusal(
+            source(file, f"{table}.kind", overrides),
+            f"key {table}.kind",
+            f"the unknown instrument {kind!r}{nearest(kind, known)}",
+            f"one of {listed(known)}" + ("" if own is None else f", as defined in {own}"),
+            "correct the kind, or name the file of an instrument of your own as kind_file"
+            if own is None
+            else f"correct the kind; without the kind_file, it may be one of {listed(INSTRUMENTS)}",
+        )
+    return known[kind]
 
 
-def _machine(kinds: Sequence[str | None]) -> Any:
+def _machine(kinds: Sequence[type[TableInstrument] | None]) -> Any:
     """The machine where the study has none: what its instruments, if they agree, go by."""
-    usual = {None if kind is None else INSTRUMENTS[kind].machine for kind in kinds}
+    usual = {None if kind is None else kind.machine for kind in kinds}
     chain = usual.pop() if len(usual) == 1 else None
     return ... if chain is None else MachineSettings(chain=chain)
 

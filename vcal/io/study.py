@@ -15,7 +15,6 @@ from ..design import flat_rank
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
 from ..errors import KeyedError, RowError, StudyError
-from ..instruments import INSTRUMENTS
 from ..instruments.base import Instrument, InstrumentSettings, TableInstrument
 from ..instruments.several import DataSet as Member
 from ..instruments.several import several, with_tool
@@ -29,6 +28,14 @@ from .folder import Folder
 from .messages import listed, refusal, source
 from .must_see import check_seen
 from .own_effects import check_own
+from .own_instruments import (
+    calling,
+    check_built,
+    check_instrument,
+    check_plan,
+    check_readings,
+    instrument_class,
+)
 from .runs import check_points, run_table
 from .settings import (
     AnySettings,
@@ -176,9 +183,9 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         path = path / "setup.toml"
     file = path.name
     raw, given = read_setup(path, overrides)
-    settings = validate(raw, file, given)
     folder = Folder(path.parent)
     folder.path(file)
+    settings = validate(raw, file, given, folder)
     catalogue = catalogue_with(folder, settings.model.effects_file)
     _check_wanted(settings.loop.effects or (), catalogue, file, given)
     chain = build_chain(settings.machine, file)
@@ -435,11 +442,18 @@ def _instrument(
     settings: InstrumentSettings, chain: Chain, table: Table, measured: bool, folder: Folder
 ) -> tuple[TableInstrument, Plan, np.ndarray | None]:
     """The instrument of a table, started from its readings, where there are any."""
-    instrument = INSTRUMENTS[settings.kind].build(settings, chain, table, folder.table)
-    plan = instrument.plan(chain, table)
+    kind = instrument_class(settings, folder)
+    with calling(settings, kind, "build", f"an instance of {kind.__name__}"):
+        instrument = kind.build(settings, chain, table, folder.table)
+    check_built(settings, kind, instrument, "build")
+    with calling(settings, kind, "plan", "a vcal.Plan"):
+        plan = instrument.plan(chain, table)
+    check_plan(settings, kind, chain, table, plan)
     readings = None
     if measured:
-        readings = instrument.measured(table)
+        with calling(settings, kind, "measured", "readings in SI from the columns of the table"):
+            readings = instrument.measured(table)
+        check_readings(settings, instrument, plan, readings)
         if (np.ptp(readings, axis=0) == 0.0).all() and readings.any():
             raise refusal(
                 table.name,
@@ -448,7 +462,10 @@ def _instrument(
                 f"the readings of a {settings.kind}, which differ from place to place",
                 "export the readings again",
             )
-        instrument = instrument.start(chain, plan, readings)
+        with calling(settings, kind, "start", "the same instrument"):
+            instrument = instrument.start(chain, plan, readings)
+        check_built(settings, kind, instrument, "start")
+    check_instrument(settings, instrument, chain, table, plan, readings)
     return instrument, plan, readings
 
 

@@ -1,0 +1,531 @@
+"""Instruments of a user's own: the double ball bar beside, and files that cannot be used."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vcal
+from conftest import write_csv
+from designing import run
+from vcal.effects import CATALOGUE
+from vcal.errors import StudyError
+from vcal.instruments import INSTRUMENTS
+from vcal.io import load_study
+
+EXAMPLE = Path(__file__).parent / "own_instrument"
+BAR = (EXAMPLE / "ball_bar.py").read_text(encoding="utf-8")
+PLANES = ((0, 1), (1, 2), (2, 0))
+
+
+def circles(planes=PLANES, points=36):
+    """Columns of circles about one place, once in either direction in every plane."""
+    runs = []
+    for first, second in planes:
+        for sense in (1, -1):
+            at = sense * 2.0 * np.pi * (np.arange(points) + 0.5) / points
+            place, way = np.tile([300.0, 250.0, 225.0], (points, 1)), np.ones((points, 3))
+            place[:, first] += 150.0 * np.cos(at)
+            place[:, second] += 150.0 * np.sin(at)
+            way[:, first] = np.sign(-sense * np.sin(at))
+            way[:, second] = np.sign(sense * np.cos(at))
+            runs.append((np.full(points, len(runs)), place, way))
+    run, place, way = (np.concatenate(part) for part in zip(*runs, strict=True))
+    columns = {"run": run} | {f"{c}_mm": place[:, i] for i, c in enumerate("xyz")}
+    return columns | {f"dir_{c}": way[:, i] for i, c in enumerate("xyz")}
+
+
+def write_bar(folder, columns, text=BAR):
+    folder.mkdir(parents=True)
+    shutil.copy(EXAMPLE / "setup.toml", folder)
+    (folder / "ball_bar.py").write_text(text, encoding="utf-8")
+    write_csv(folder / "data.csv", columns)
+    return folder
+
+
+@pytest.fixture
+def small(tmp_path):
+    """Two circles in one plane, a plan."""
+    return write_bar(tmp_path / "small", circles(PLANES[:1], 12))
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    return write_bar(tmp_path_factory.mktemp("plan") / "bar", circles())
+
+
+# --- what it finds --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("axis", ["Y", None])
+def test_backlash_in_circles(plan, tmp_path, kept_programs, axis):
+    there = ("--with", f"backlash:{axis}:size_um=6") if axis else ()
+    run("simulate", plan, "--out", tmp_path / "data", "--seed", 3, *there)
+    assert (tmp_path / "data" / "ball_bar.py").read_text(encoding="utf-8") == BAR
+    setup = tmp_path / "data" / "setup.toml"
+    run("loop", setup, "--out", tmp_path / "report", "--set", "loop.draws=100")
+    report = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert report["verdict"] == ("named" if axis else "nothing_missing")
+    assert [e["effect"] for e in report["effects"]] == (["backlash"] if axis else [])
+    assert "ball_bar.py" in report["input_files"]
+    if axis:
+        (found,) = report["effects"]
+        (size,) = found["parameters"]
+        assert found["placement"] == axis
+        assert abs(size["value"] - 6.0) < 3.0 * size["standard_uncertainty"] < 1.0
+        before, after = (report["errors"][k]["heldout_rms_um"] for k in ("before", "after"))
+        assert after < 0.5 < before
+
+
+def test_centres_and_length_are_found(plan):
+    """The ball stands elsewhere than commanded, and the bar is longer than it was said to be."""
+    study = load_study(plan)
+    model = study.model
+    keys = [f"{e.key} {e.parameter.name}" for e in model.entries]
+    truth = np.zeros(len(keys))
+    steps = np.array([e.parameter.step for e in model.entries])
+    for key, value in {"bar_centre 0.X": 30e-6, "bar_centre 2.Z": -20e-6}.items():
+        truth[keys.index(key)] = value / steps[keys.index(key)]
+    readings = np.asarray(vcal.predict(model, study.plan, truth))
+    at = study.plan.values("run") == 0
+    across = (np.asarray(study.plan.x("X")) - 0.3) / 0.15
+    assert np.allclose(readings[at, 0], -30e-6 * across[at], atol=1e-8)
+    fit = vcal.identify(model, vcal.Measurement(study.plan, readings, ""))
+    assert np.allclose((fit.theta * steps)[:], truth * steps, atol=1e-9)
+    # Across the plane of a circle, nothing is seen: there is no such parameter.
+    assert "bar_centre 0.Z" not in keys and "bar_centre 2.X" not in keys
+
+
+def test_folds_are_parts_of_every_circle(plan):
+    study = load_study(plan)
+    folds, apart = study.instrument.folds(study.plan)
+    assert apart is False and np.bincount(folds).tolist() == [48, 42, 42, 42, 42]
+
+
+def test_a_row_beside_its_circle(small):
+    with pytest.raises(StudyError) as caught:
+        load_study(small, ["instrument.length_mm=145"])
+    message = str(caught.value)
+    assert message.startswith("data.csv, row ") and "5 mm beside the circle of run 0" in message
+
+
+def test_keys_and_columns_are_checked(small):
+    assert load_study(small, ["instrument.sigma_um=2"]).instrument.sigma == pytest.approx(2e-6)
+    with pytest.raises(StudyError, match="'lenght_mm' .did you mean 'length_mm'"):
+        load_study(small, ["instrument.lenght_mm=150"])
+    with pytest.raises(StudyError, match=r"key instrument.sigma_um: found -1, expected a number g"):
+        load_study(small, ["instrument.sigma_um=-1"])
+    write_csv(small / "data.csv", circles(PLANES[:1], 12) | {"deviation_um": np.full(24, 5000.0)})
+    with pytest.raises(StudyError, match="column deviation_um: found 5000, expected a number fr"):
+        load_study(small)
+
+
+# --- commands -------------------------------------------------------------------------------------
+
+
+def test_commands(small, tmp_path, kept_programs):
+    (small / "code").mkdir()
+    shutil.move(small / "ball_bar.py", small / "code" / "bar.py")
+    moved = ("--set", "instrument.kind_file=code/bar.py")
+    assert "double_ball_bar" in run("check", small, *moved).stdout
+    out = tmp_path / "out"
+    run("simulate", small, "--out", out, *moved)
+    assert (out / "code" / "bar.py").read_text(encoding="utf-8") == BAR
+    assert load_study(out).measurement is not None
+    told = run("design", small, "--out", tmp_path / "design", *moved, code=2).stderr
+    assert "'double_ball_bar', of which the plans have no space to search" in told
+    shutil.move(small / "code" / "bar.py", small.parent / "bar.py")
+    outside = ("--set", "instrument.kind_file=../bar.py")
+    told = run("simulate", small, "--out", tmp_path / "no", *outside, code=2).stderr
+    assert "a file outside the folder of the study" in told
+
+
+@pytest.mark.slow
+def test_uncertainty_before_measuring(small, tmp_path, kept_programs):
+    told = run("uncertainty", small, "--out", tmp_path / "out", "--draws", 200).stdout
+    assert "the rms volumetric error" in told
+
+
+def test_what_fails_later_is_told_in_one_line(small, tmp_path, kept_programs):
+    text = BAR.replace(
+        "return {**linear_plan_table(plan)",
+        "assert np.ptp(readings) < 1e-9\n        return {**linear_plan_table(plan)",
+    )
+    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    told = run("simulate", small, "--out", tmp_path / "out", code=2).stderr
+    assert re.fullmatch(
+        r"vcal: ball_bar.py, to_table: found AssertionError \(line \d+\), expected code that runs; "
+        "mend the class\n",
+        told,
+    )
+    assert not (tmp_path / "out").exists()
+
+
+# --- several --------------------------------------------------------------------------------------
+
+
+def test_studies_stay_apart(tmp_path):
+    """Of one kind in different files; read again and again; what they register is forgotten."""
+    again = "from vcal.instruments.base import register\n" + BAR.replace(
+        "class DoubleBallBar", "@vcal.register\nclass Mine(BarLength):\n    name = 'mine'\n\n\n"
+        "@register\nclass DoubleBallBar",
+    )  # fmt: skip
+    columns = circles(PLANES[:1], 12)
+    one = write_bar(tmp_path / "one", columns)
+    two = write_bar(tmp_path / "two", columns, again.replace('summary = "error', 'summary = "two'))
+    known, effects = dict(INSTRUMENTS), dict(CATALOGUE)
+    for _ in range(2):
+        texts = [load_study(folder).model.effects[-1].summary[:5] for folder in (one, two)]
+        assert texts == ["error", "two o"]
+        assert known == INSTRUMENTS and effects == CATALOGUE
+    with pytest.raises(StudyError, match="unknown instrument 'double_ball_bar'"):
+        write = (one / "setup.toml").read_text().replace('kind_file = "ball_bar.py"', "")
+        (one / "setup.toml").write_text(write)
+        load_study(one)
+
+
+TURNING = (
+    'machine.chain="w C b X Y Z t"',
+    "machine.rotary.C={at_mm=[300, 250, 0], travel_deg=[0, 360]}",
+)
+
+
+def test_rotary_axes_are_for_those_who_say_so(small):
+    write_csv(small / "data.csv", circles(PLANES[:1], 12) | {"c_deg": np.zeros(24)})
+    with pytest.raises(StudyError, match="'double_ball_bar' on a machine with 'w C b X Y Z t'"):
+        load_study(small, TURNING)
+    text = BAR.replace('kind = "double_ball_bar"', 'kind = "double_ball_bar"\n    rotary = True')
+    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    assert load_study(small, TURNING).plan.axes == ("X", "Y", "Z", "C")
+    (small / "ball_bar.py").write_text(text.replace("= True", "= 1"), encoding="utf-8")
+    with pytest.raises(StudyError, match="rotary: found 1, expected True or False"):
+        load_study(small, TURNING)
+
+
+def test_annotations_that_are_text(small):
+    text = "from __future__ import annotations\n\n" + BAR
+    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    assert load_study(small).instrument.length == 0.15
+
+
+def test_a_class_of_ones_own_after_one_that_is_there(small_tracker_study):
+    """What the instruments of vcal do passes for what is asked of others."""
+    own = "from vcal.instruments.laser_tracker import LaserTracker\n\n\n"
+    own += 'class Mine(LaserTracker):\n    kind = "mine"\n'
+    (small_tracker_study / "mine.py").write_text(own, encoding="utf-8")
+    setup = small_tracker_study / "setup.toml"
+    old = load_study(small_tracker_study)
+    text = setup.read_text(encoding="utf-8")
+    text = text.replace('"laser_tracker"', '"mine"\nkind_file = "mine.py"')
+    setup.write_text(text, encoding="utf-8")
+    new = load_study(small_tracker_study)
+    assert type(new.instrument).__name__ == "Mine"
+    assert (new.measurement.readings == old.measurement.readings).all()
+
+
+def test_a_file_of_effects_and_instruments(small):
+    """It is run once, so that both come from one module."""
+    study = load_study(small, ['model.effects_file="ball_bar.py"'])
+    assert type(study.instrument.effects(study.plan)[0]) is study.catalogue["bar_centre"]
+
+
+def test_data_sets_with_files_of_their_own(small):
+    columns = circles(PLANES[:1], 12)
+    write_csv(small / "other.csv", columns | {"x_mm": columns["x_mm"] + 50.0})
+    (small / "other.py").write_text(BAR.replace("dimension = 1", "dimension = 2"))
+    text = (small / "setup.toml").read_text(encoding="utf-8")
+    machine, rest = text.split("[instrument]\n")
+    instrument, model = rest.split("[model.geometric]")
+    model = "[model.geometric]" + model.split("[data]")[0]
+    rows = [
+        f'[[data]]\nname = "{name}"\nfile = "{name}.csv"\n[data.instrument]\n'
+        + instrument.replace("ball_bar.py", file)
+        for name, file in (("data", "ball_bar.py"), ("other", "other.py"))
+    ]
+    (small / "setup.toml").write_text(machine + "\n".join(rows) + model, encoding="utf-8")
+    study = load_study(small)
+    assert study.instrument.dimensions(study.plan).tolist() == [1] * 24 + [2] * 24
+    assert study.instrument.folds(study.plan)[0].max() == 9
+    assert {"ball_bar.py", "other.py"} <= set(study.hashes)
+    with pytest.raises(StudyError, match="no.py, file: found no such file"):
+        load_study(small, ["data.1.instrument.kind_file=no.py"])
+    with pytest.raises(StudyError, match="key data.1.instrument.kind: found the unknown instrumen"):
+        load_study(small, ["data.1.instrument.kind=ball_bar"])
+    (small / "other.py").write_text(BAR.replace("return np.ones((plan", "return np.ones((1 + plan"))
+    with pytest.raises(StudyError, match=r"other.py, class DoubleBallBar, lengths: found shape"):
+        load_study(small)
+
+
+# --- files that cannot be used --------------------------------------------------------------------
+
+HEAD, LAST = 'kind = "double_ball_bar"\n', "        return fold, False\n"
+OBSERVE = 'return [jnp.sqrt(bar.dot(bar)) - self.length + ports["read"][0]]'
+OF_FILE = {
+    "not Python": ("def", "ball_bar.py: cannot be run: SyntaxError: "),
+    "fails": ("import vcal\n1 / 0", "cannot be run: ZeroDivisionError: division by zero (line 2)"),
+    "ends the program": ("import sys\nsys.exit(3)", "cannot be run: SystemExit: 3 (line 2)"),
+    "nothing in it": ("x = 1", "holds no instrument, expected at least one class derived from"),
+    "without a kind": (BAR.replace(HEAD, "pass\n"), "class DoubleBallBar has no 'kind', expected"),
+    "two of a kind": (
+        BAR + "\n\nclass Again(DoubleBallBar):\n    pass\n",
+        "ball_bar.py, class Again, kind: found 'double_ball_bar', which is taken",
+    ),
+}
+WRONG = {
+    "a kind there is": (HEAD, 'kind = "r_test"\n', "kind: found 'r_test', which is taken, expec"),
+    "a kind with a blank": (HEAD, 'kind = "ball bar"\n', "kind: found 'ball bar', expected letter"),
+    "not all methods": ("def noise", "def nois", "body: found no noise, expected all that"),
+    "settings": ("Settings = BallBarSettings", "Settings = 3", "Settings: found 3, expected a cl"),
+    "dimension": ("dimension = 1", "dimension = 0", "dimension: found 0, expected a whole number"),
+    "labels": ("dimension = 1", 'dimension = 1; labels = "a"', "labels: found 'a', expected a t"),
+    "machine": ("dimension = 1", 'dimension = 1; machine = "X"', "machine: found ValueError: chai"),
+    "columns fail": ("1e3 * settings.range_mm", "settings.nosuch", "columns: found AttributeError"),
+    "columns of readings alone": (
+        "return plain + [",
+        "return plain * (not readings) + [",
+        "columns: found run without readings only, expected a list of",
+    ),
+    "texts for columns": (
+        'Column(name="run", low=0, integer=True)',
+        '"run"',
+        "columns: found ['run'], expected a list of vcal.instruments.Column",
+    ),
+    "build fails": ("settings.sigma_um *", "settings.no *", "build: found AttributeError: "),
+    "build makes nothing": (
+        "        return cls(\n",
+        "        return None\n        return cls(\n",
+        "build: found NoneType, expected an instance of DoubleBallBar",
+    ),
+    "a static list": (
+        "runs=runs,",
+        "runs=list(runs),",
+        "build: found the static field runs: unhashable type: 'list', expected",
+    ),
+    "plan fails": ("linear_plan(chain, table, r", "linear_plan(chain, {}, r", "plan: found KeyErr"),
+    "no plan": (
+        "return linear_plan(",
+        "linear_plan(",
+        "plan: found NoneType, expected a vcal.Plan",
+    ),
+    "a shorter plan": (
+        'readings=("deviation_um",))',
+        'readings=("deviation_um",)).take(np.arange(3))',
+        "plan: found one of 3 rows with the axes X, Y, Z, expected a vcal.Plan of 24 rows",
+    ),
+    "readings of one axis": (
+        "float)[:, None] *",
+        "float) *",
+        "measured: found shape (24,), expected readings length, SI, an array of the shape (24, 1)",
+    ),
+    "a text for readings": (
+        '("length",)\n\n    @c',
+        '"length"\n\n    @c',
+        "readings: found 'length'",
+    ),
+    "a port of the tool": (
+        'group("read"',
+        'group("tool"',
+        "ports: found 'tool.length', expected a",
+    ),
+    "a port without a group": ('group("read", ("length",))', '("read",)', "ports: found 'read', e"),
+    "ports apart": (
+        'group("centre", ("X", "Y", "Z")) + group("read", ("length",))',
+        '("centre.X", "read.length", "centre.Y", "centre.Z")',
+        "ports: found 'centre.Y' apart from its group, expected groups in one piece",
+    ),
+    "rows fail": (
+        "np.searchsorted(self.runs,",
+        "np.searchsorted(self.nos,",
+        "rows: found Attribute",
+    ),
+    "few rows": ('plan.groups["run"]))]', 'plan.groups["run"]))][1:]', "rows: found shape (23, 3)"),
+    "two numbers": (
+        OBSERVE,
+        OBSERVE[:-1] + ", 0.0]",
+        "observe: found 2 number(s), expected 1 numb",
+    ),
+    "one number": (OBSERVE, "return jnp.sqrt(bar.dot(bar))", "observe: found TypeError"),
+    "a column": (
+        OBSERVE,
+        "return [jnp.zeros(3)]",
+        "observe: found shape (3,) for length, expected",
+    ),
+    "numpy": (OBSERVE, OBSERVE.replace("jnp", "np"), "observe: found TracerArrayConversionError: "),
+    "float": (OBSERVE, "return [float(tool.x)]", "observe: found ConcretizationTypeError: "),
+    "not finite": (
+        OBSERVE,
+        "return [jnp.log(-1.0 + 0 * tool.x)]",
+        "observe: found nan in row 1, ex",
+    ),
+    "no derivative": (
+        OBSERVE,
+        'return [jnp.sqrt(jnp.square(ports["centre"][0])) + tool.x]',
+        "observe: found no finite derivative of length in row 1",
+    ),
+    "noise of one axis": (
+        "np.full((plan.rows, 1),",
+        "np.full(plan.rows,",
+        "noise: found shape (24,)",
+    ),
+    "no noise": ("self.sigma)", "0.0)", "noise: found 0 for length in row 1, expected standard"),
+    "lengths": ("np.ones((plan.rows, 1))", "None", "lengths: found None, expected metres per unit"),
+    "dimensions": (
+        LAST,
+        LAST + "\n    def dimensions(self, plan):\n        return 1\n",
+        "dimensions: found 1, expected readings that make a point, an array of the shape (24,)",
+    ),
+    "clusters": (
+        LAST,
+        LAST + "\n    def clusters(self, plan):\n        return np.zeros(plan.rows)\n",
+        "clusters: found an array of float64, expected an index for every row",
+    ),
+    "nothing present": (
+        LAST,
+        LAST + "\n    def present(self, plan):\n        return np.zeros((plan.rows, 1), bool)\n",
+        "present: found no reading in row 1, expected True or False for every reading",
+    ),
+    "record": (
+        LAST,
+        LAST + "\n    def record(self, plan, ideal, noise):\n        return ideal(plan)\n",
+        "record: found ndarray, expected a pair: a vcal.Plan of 24 rows",
+    ),
+    "start": (
+        LAST,
+        LAST + "\n    def start(self, chain, plan, readings):\n        return None\n",
+        "start: found NoneType, expected an instance of DoubleBallBar",
+    ),
+    "difference": (
+        LAST,
+        LAST + "\n    def difference(self, measured, predicted):\n        return measured[:, 0]\n",
+        "difference: found shape (24,), expected the shape (24, 1)",
+    ),
+    "reduce": (
+        LAST,
+        LAST + "\n    def reduce(self, values, plan):\n        return values[1:]\n",
+        "reduce: found shape (23, 1), expected as many readings as it was given",
+    ),
+    "folds alone": (LAST, "        return fold\n", "folds: found ndarray, expected a pair"),
+    "folds of runs": (
+        LAST,
+        "        return fold[:2], False\n",
+        "folds: found shape (2,), expected",
+    ),
+    "folds of numbers": (
+        LAST,
+        "        return fold / 2, True\n",
+        "folds: found an array of float64",
+    ),
+    "one fold": (
+        LAST,
+        "        return 0 * fold, False\n",
+        "folds: found no rows beside one of the",
+    ),
+    "nothing to fit": (
+        LAST,
+        "        return fold, True\n",
+        "folds: found no rows beside one of the",
+    ),
+    "no fold": (LAST, "        return 0 * fold - 1, True\n", "folds: found -1 for every row"),
+    "apart per fold": (
+        LAST,
+        "        return fold, np.ones(5, bool)\n",
+        "folds: found bool of shape",
+    ),
+    "no boolean": (
+        LAST,
+        "        return fold, 0\n",
+        "folds: found 0 for what is kept out of every",
+    ),
+    "a list of effects": (
+        "return (BarCentre(seen=tuple(seen)), BarLength(u_um=self.length_u_um))",
+        "return BarCentre(seen=tuple(seen))",
+        "effects: found BarCentre",
+    ),
+    "an effect twice": (
+        "BarCentre(seen=tuple(seen)), ",
+        "BarCentre(seen=tuple(seen)), BarCentre(seen=()), ",
+        "effects: found bar_centre, bar_centre, bar_length, expected a tuple of vcal.Effect, each",
+    ),
+    "written in another unit": (
+        "readings[:, 0] * 1e6",
+        "readings[:, 0] * 1e3",
+        "to_table: found the reading length in row",
+    ),
+    "writes nothing": (
+        "return {**linear_plan_",
+        "{**linear_plan_",
+        "to_table: found NoneType, expe",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OF_FILE)
+def test_a_file_that_cannot_be_used(small, case):
+    text, expected = OF_FILE[case]
+    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    with pytest.raises(StudyError) as caught:
+        load_study(small)
+    assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_class_that_cannot_be_used(small, case):
+    old, new, expected = WRONG[case]
+    assert BAR.count(old) >= 1
+    (small / "ball_bar.py").write_text(BAR.replace(old, new), encoding="utf-8")
+    if case in ("start", "written in another unit", "readings of one axis"):
+        read = np.linspace(-5.0, 5.0, 24)
+        write_csv(small / "data.csv", circles(PLANES[:1], 12) | {"deviation_um": read})
+    with pytest.raises(StudyError) as caught:
+        load_study(small, ["instrument.kind=r_test"] if case == "a kind there is" else [])
+    message = str(caught.value)
+    assert message.startswith("ball_bar.py, class DoubleBallBar, ") and "\n" not in message
+    assert message.endswith("; mend the class")
+    assert expected in message
+
+
+def test_effects_of_an_instrument_are_tried(small):
+    text = BAR.replace('("read.length", "error")', '("read.lenght", "error")')
+    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    expected = "ball_bar.py, class BarLength, response: found the port 'read.lenght', expected one"
+    with pytest.raises(StudyError, match=re.escape(expected)):
+        load_study(small)
+
+
+def test_a_validator_that_fails(small):
+    text = BAR.replace("from pydantic import Field", "from pydantic import Field, model_validator")
+    text = text.replace(
+        "class BarCentre",
+        '    @model_validator(mode="after")\n    def short(self):\n        return self.nosuch\n\n\n'
+        "class BarCentre",
+        1,
+    )
+    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    with pytest.raises(StudyError, match=r"ball_bar.py, short: found AttributeError: .*line \d+"):
+        load_study(small)
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("3", "key instrument.kind_file: found 3, expected a Python file beside the study file"),
+        ("no.py", "no.py, file: found no such file in "),
+        ("setup.toml", "setup.toml: not a Python file, expected a name that ends in .py"),
+    ],
+)
+def test_a_file_there_is_not(small, value, expected):
+    with pytest.raises(StudyError, match=re.escape(expected)):
+        load_study(small, [f"instrument.kind_file={value}"])
+
+
+def test_a_kind_that_the_file_does_not_define(small):
+    with pytest.raises(StudyError) as caught:
+        load_study(small, ["instrument.kind=laser_tracker"])
+    assert (
+        "found the unknown instrument 'laser_tracker', expected one of double_ball_bar, as def"
+        in (str(caught.value))
+    )
+    assert "without the kind_file, it may be one of ball_array" in str(caught.value)
