@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..chain import chain_from_string
 from ..instruments.laser_frame import beam_path
 from ..io import write_table
 from ..spatial import euler_xyz
@@ -150,6 +151,33 @@ def circles(radius: float, accelerations: tuple[float, ...], samples: int, seed:
     return columns | {f"{c}_int_mm": internal[:, i] for i, c in enumerate("xyz")}
 
 
+def turned_spheres(seed: int) -> Columns:
+    """A static R-test on a trunnion table: two spheres, followed while C goes round there and back
+    at four angles of A; eight seconds per position.
+    """
+    rng = np.random.default_rng(seed)
+    spheres = np.array([[160.0, 0.0, -60.0], [-90.0, 130.0, 20.0]])
+    rows = [
+        (run, a, c)
+        for run, tilts in enumerate(((-60, -20, 20, 60), (60, 20, -20, -60)))
+        for a in tilts
+        for c in (*range(0, 360, 30), *range(345, -1, -30))
+    ]
+    run, a, c = (np.array(column) for column in zip(*rows, strict=True))
+    places = {"A": (0.0, 0.0, -0.12), "C": (0.0, 0.0, -0.2)}
+    chain = chain_from_string("w C A b Y X Z t", None, (0.0, 0.0, -0.15), places)
+    angles = np.column_stack([np.zeros((len(rows), 3)), np.deg2rad(a), np.deg2rad(c)])
+    # The tool point is that at rest, and what the linear axes travel as the workpiece sees it.
+    away = 1e-3 * spheres[run] - chain.tool_point(angles)
+    position = np.einsum("nij,ni->nj", chain.turn(angles), away) * 1e3
+    way = lambda angle: np.where(np.diff(angle, prepend=angle[:1] - 1) < 0, -1, 1)  # noqa: E731
+    t = 8.0 * np.arange(len(rows)) + 300.0 * run + rng.uniform(0.0, 1.0, len(rows))
+    columns: Columns = {"run": run, "t_s": t.round(1)}
+    columns |= {f"{k}_mm": position[:, i].round(6) for i, k in enumerate("xyz")}
+    columns |= {"a_deg": a, "c_deg": c, "dir_c": way(c)}
+    return columns
+
+
 def main(folder: Path) -> None:
     """Write all plans below a folder that is laid out like this one."""
     plan, artefact = balls(2)
@@ -161,6 +189,7 @@ def main(folder: Path) -> None:
         "start/reflectors/data.csv": arm(3),
         "start/laser_frame/data.csv": frame((500.0, 400.0, 350.0), 4, 4),
         "start/r_test/data.csv": circles(2.0, (0.5, 1.5, 3.0, 4.5), 40, 5),
+        "start/static_r_test/data.csv": turned_spheres(6),
     }
     for name, columns in tables.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

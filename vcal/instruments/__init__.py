@@ -1,6 +1,6 @@
 """Measuring instruments, one leaf file each; importing the package fills the registry."""
 
-from . import ball_array, laser_frame, laser_tracker, r_test, reflectors
+from . import ball_array, laser_frame, laser_tracker, r_test, reflectors, static_r_test
 from .base import INSTRUMENTS, Column, Instrument, InstrumentSettings, TableInstrument
 from .conditions import linear_plan, linear_plan_table
 
@@ -17,4 +17,5 @@ __all__ = [
     "linear_plan_table",
     "r_test",
     "reflectors",
+    "static_r_test",
 ]

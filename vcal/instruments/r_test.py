@@ -7,13 +7,12 @@ see it (external) is the error of the structure in between. Weikert, Knapp (2004
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from ..arrays import Array
 from ..chain import Chain
@@ -28,13 +27,13 @@ from ..rigid import Rotation, Scalar, Vector
 from .base import (
     LARGEST_NOISE,
     Column,
-    InstrumentSettings,
     Loader,
     Ports,
     TableInstrument,
     register,
 )
 from .conditions import linear_plan, linear_plan_table
+from .nest import COORDINATES, PROBES, Nest, NestSettings, reading_columns
 
 _XYZ = "XYZ"
 PLANES = ("XY", "YZ", "ZX")
@@ -52,47 +51,18 @@ _BESIDE = 0.1
 _DERIVED = tuple(f"{kind}_{axis}" for kind in ("a", "v", "dir", "since") for axis in _XYZ)
 _OWN = ("run", "plane", "sense", "a_set_m_s2", "t_s")
 
-Triple = tuple[float, float, float]
 
-
-class RTestSettings(InstrumentSettings):
+class RTestSettings(NestSettings):
     """Keys of ``[instrument]`` for ``kind = "r_test"``."""
 
     radius_mm: float = Field(gt=0)
     """Of the circles, as commanded."""
-    external_sigma_um: float = Field(gt=0, le=LARGEST_NOISE)
-    """Noise of a coordinate that the probes give."""
     internal_sigma_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
     """Noise of the axes' scales."""
-    external_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
-    """Standard uncertainty of a coordinate at the end of the range, from the device's calibration:
-    sensitivities and directions of the probes. It does not average out over a run.
-    """
-    range_mm: float = Field(default=3.0, gt=0)
-    """The probes measure up to here, in every direction."""
     acceleration: Literal["actual", "nominal"] = "actual"
     """What effects take for acceleration: that of the circle really travelled, or that commanded,
     r omega^2 in the direction of the circle (eqs. (5) and (6) of the publication).
     """
-    probes: tuple[Triple, Triple, Triple] | None = None
-    """Directions from the sphere to the three probes, where the data hold the probes' own readings
-    p1_mm, p2_mm, p3_mm instead of coordinates.
-    """
-    sphere_radius_mm: float = Field(default=11.0, gt=0)
-    tip_radius_mm: float | None = Field(default=None, ge=0)
-    """Radius of the probes' tips; flat ones without it."""
-
-    @model_validator(mode="after")
-    def _independent(self) -> Self:
-        if self.probes is not None:
-            directions = np.array(self.probes, float)
-            lengths = np.linalg.norm(directions, axis=1)
-            if lengths.min() == 0.0 or abs(np.linalg.det(directions / lengths[:, None])) < 0.05:
-                raise ValueError(
-                    f"found the directions {[list(d) for d in self.probes]}, expected three that "
-                    "do not lie in one plane; correct probes"
-                )
-        return self
 
 
 class RunOffsets(Effect):
@@ -121,11 +91,7 @@ class RTest(TableInstrument):
     run, x, y, z of the machine; the middle is that of the nominal tool point.
 
     The axis positions are those read by the machine's scales, so that the tool point differs from
-    them by the errors of the structure. As coordinates the reading is p. As probes it is, with n_k
-    the direction from the sphere to probe k and D the sum of the radii of sphere and tip,
-
-        l_k = n_k . p                                                  (flat tip)
-        l_k = n_k . p + sqrt(D^2 - |p|^2 + (n_k . p)^2) - D            (spherical tip)
+    them by the errors of the structure. `vcal.instruments.nest` says what the probes read of p.
 
     Every run is one circle or more. Positions, accelerations, directions and the distance since the
     last reversal are those of its fundamental (`vcal.circles`); what else the scales read, their
@@ -148,10 +114,7 @@ class RTest(TableInstrument):
     matrix_sigma: float
     """Standard deviation of the elements of `ProbeMatrix`."""
     nominal: bool = eqx.field(static=True)
-    probes: np.ndarray | None
-    """Unit vectors (3, 3), row by row."""
-    distance: float | None
-    """D, m; flat tips without."""
+    nest: Nest
     offset: np.ndarray
     """From the axes' position to the nominal tool point, m."""
 
@@ -161,7 +124,7 @@ class RTest(TableInstrument):
 
     @property
     def readings(self) -> tuple[str, ...]:
-        return ("x_ext", "y_ext", "z_ext") if self.probes is None else ("p1", "p2", "p3")
+        return self.nest.readings
 
     @classmethod
     def columns(cls, settings: RTestSettings, axes: Sequence[str], readings: bool) -> list[Column]:
@@ -172,29 +135,19 @@ class RTest(TableInstrument):
             Column(name="t_s"),
             *(Column(name=f"{axis.lower()}_int_mm", low=-1e6, high=1e6) for axis in axes),
         ]
-        if readings:
-            names = [f"{c}_ext_mm" for c in "xyz"] if settings.probes is None else _PROBES
-            limit = settings.range_mm
-            found += [Column(name=name, low=-limit, high=limit) for name in names]
-        return found
+        return found + reading_columns(settings) * readings
 
     @classmethod
     def build(
         cls, settings: RTestSettings, chain: Chain, table: Mapping[str, np.ndarray], load: Loader
     ) -> "RTest":
-        probes = None
-        if settings.probes is not None:
-            probes = np.array(settings.probes, float)
-            probes /= np.linalg.norm(probes, axis=1, keepdims=True)
-        tip = settings.tip_radius_mm
         return cls(
             radius=settings.radius_mm * 1e-3,
             sigma=math.hypot(settings.external_sigma_um, settings.internal_sigma_um) * 1e-6,
             internal_sigma=settings.internal_sigma_um * 1e-6,
-            matrix_sigma=settings.external_u_um / settings.range_mm * 1e-3,
+            matrix_sigma=settings.matrix_sigma,
             nominal=settings.acceleration == "nominal",
-            probes=probes,
-            distance=None if tip is None else (settings.sphere_radius_mm + tip) * 1e-3,
+            nest=Nest.of(settings),
             offset=np.asarray(chain.tool_offset, float),
         )
 
@@ -202,7 +155,7 @@ class RTest(TableInstrument):
         own = {name: values for name, values in table.items() if name not in ("plane", "t_s")}
         for axis in chain.axes:
             own[f"{axis.lower()}_mm"] = own.pop(f"{axis.lower()}_int_mm")
-        plan = linear_plan(chain, own, (*_COORDINATES, *_PROBES))
+        plan = linear_plan(chain, own, (*COORDINATES, *PROBES))
         t, run = np.asarray(table["t_s"], float), np.asarray(plan.groups["run"])
         _refuse_copies(run, table)
         covariates = dict(plan.covariates) | {"t_run": t}
@@ -243,7 +196,7 @@ class RTest(TableInstrument):
 
     def check_coordinates(self) -> None:
         """Raise `ValueError` where the readings are those of probes."""
-        if self.probes is not None:
+        if not self.nest.coordinates:
             raise ValueError(
                 "[instrument]: found readings of probes, expected coordinates of the sphere; "
                 "identify acceleration_crosstalk, which takes both, or turn the readings into "
@@ -257,15 +210,14 @@ class RTest(TableInstrument):
         return {int(k): fit_circle(t[run == k], position[run == k]) for k in np.unique(run)}
 
     def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
-        names = _COORDINATES if self.probes is None else _PROBES
-        readings = np.column_stack([table[name] for name in names]) * 1e-3
+        readings = self.nest.measured(table)
         t, run = np.asarray(table["t_s"], float), np.asarray(table["run"], int)
         internal = np.column_stack([table[f"{c}_int_mm"] for c in "xyz"]) * 1e-3
         for number in np.unique(run):
             mine = np.flatnonzero(run == number)
             beside = internal[mine] - fit_circle(t[mine], internal[mine]).position(t[mine])
             # A tenth of a micrometre beside the circle: probes see it by their directions.
-            readings[mine] -= beside if self.probes is None else beside @ self.probes.T
+            readings[mine] -= self.nest.along(beside)
         return readings
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
@@ -279,22 +231,13 @@ class RTest(TableInstrument):
             "a_set_m_s2": np.asarray(plan.covariate("a_set_m_s2")),
             "t_s": np.asarray(plan.covariate("t_run")),
         }
-        names = _COORDINATES if self.probes is None else _PROBES
-        read = {name: readings[:, i] * 1e3 for i, name in enumerate(names)}
-        return {**own, **shown, **read}
+        return {**own, **shown, **self.nest.to_table(readings)}
 
     def rows(self, plan: Plan) -> Any:
         return middle_of_runs(plan) + self.offset
 
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
-        seen = tool - Vector.of(row) + Vector.of(ports["sphere"])
-        if self.probes is None:
-            return list(seen.parts)
-        along = [Vector.of(n).dot(seen) for n in self.probes]
-        if self.distance is None:
-            return along
-        square = seen.dot(seen)
-        return [a + jnp.sqrt(self.distance**2 - square + a * a) - self.distance for a in along]
+        return self.nest.read(tool - Vector.of(row) + Vector.of(ports["sphere"]))
 
     def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         return np.full((plan.rows, 3), self.sigma)
@@ -441,7 +384,7 @@ def _refuse_senses(
 
 def _refuse_copies(run: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
     """Raise `RowError` where a run holds the readings of another."""
-    names = [name for name in (*_COORDINATES, *_PROBES) if name in table]
+    names = [name for name in (*COORDINATES, *PROBES) if name in table]
     if not names:
         return
     readings = np.column_stack([np.asarray(table[name], float) for name in names])
@@ -457,10 +400,6 @@ def _refuse_copies(run: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
                 "every reading once, as it counts twice otherwise",
                 "leave one of the runs out",
             )
-
-
-_COORDINATES = ("x_ext_mm", "y_ext_mm", "z_ext_mm")
-_PROBES = ("p1_mm", "p2_mm", "p3_mm")
 
 
 def _plane_numbers(names: np.ndarray) -> np.ndarray:

@@ -220,7 +220,12 @@ def _check_conditions(table: Table, chain: Chain) -> None:
 
 
 def _check_extent(table: Table, chain: Chain) -> None:
-    """Positions in another unit than mm fill a thousandth of the travel."""
+    """Positions in another unit than mm fill a thousandth of the travel; those that follow a point
+    which a rotary axis turns may do so in mm.
+    """
+    turning = (file_column(axis, chain.axes)[0] for axis in chain.axes if axis in ROTARY)
+    if any(np.ptp(table[name]) > 0.0 for name in turning if name in table):
+        return
     columns = {
         f"{axis.lower()}_mm": j.travel * 1e3
         for axis, j in zip(chain.axes, chain.joints, strict=True)

@@ -1,0 +1,267 @@
+"""Static R-test: three probes see a sphere that stays where it is while rotary axes turn and the
+linear axes follow.
+
+Where the machine thinks that it follows exactly, what the probes see is the error of rotary and
+linear axes together. Weikert, Knapp (2004), CIRP Annals 53(1), 429-432; Bringmann, Knapp (2006),
+CIRP Annals 55(1), 531-534; Ibaraki, Oyama, Otsubo (2011), Int. J. Mach. Tools Manuf. 51(3),
+190-200. The kinematic tests of ISO 10791-6 travel the same paths.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import equinox as eqx
+import numpy as np
+from pydantic import Field
+
+from ..arrays import Array
+from ..chain import Chain
+from ..effects.base import Effect, Response
+from ..errors import KeyedError, RowError
+from ..parameters import Parameter
+from ..plan import Plan
+from ..ports import group
+from ..rigid import Rotation, Scalar, Vector
+from .base import LARGEST_NOISE, Column, Loader, Ports, TableInstrument, register
+from .conditions import ROTARY, file_column, linear_plan, linear_plan_table
+from .nest import COORDINATES, PROBES, Nest, NestSettings, reading_columns
+
+_XYZ = ("X", "Y", "Z")
+_ELEMENTS = tuple(i + j for i in _XYZ for j in _XYZ)
+_FEWEST = 4
+"""Rows of a run, of which one tells the place of the sphere."""
+_FOLDS = 5
+"""Parts of a run that are held out."""
+
+
+class StaticRTestSettings(NestSettings):
+    """Keys of ``[instrument]`` for ``kind = "static_r_test"``."""
+
+    nest: Literal["spindle", "table"]
+    """Where the probes are; the sphere is at the other end."""
+    zero_u_um: float = Field(ge=0, le=LARGEST_NOISE)
+    """Standard uncertainty of where the sphere, or the middle of the probes, is in the spindle: of
+    each coordinate against the declared tool offset. A rotary axis is found relative to it.
+    """
+
+
+class TablePlaces(Effect):
+    """Place of what is on the table, in the frame of the workpiece: three flat parameters a run."""
+
+    name = "table_place"
+    summary = "place of the sphere, or of the probes, on the table in each run"
+    kind = "nuisance"
+    where = "instrument"
+    runs: tuple[int, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"{run}.{c}", "um", scale=100.0) for run in self.runs for c in _XYZ)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        index = plan.groups["run"]
+        return {
+            (f"place.{c}", f"{run}.{c}"): (index == run) * 1.0 for run in self.runs for c in _XYZ
+        }
+
+
+class SpindleZero(Effect):
+    """Place of what is in the spindle against the declared tool offset, in the frame of the tool,
+    known with an uncertainty: the same in all runs.
+    """
+
+    name = "spindle_zero"
+    summary = "place of the sphere, or of the probes, in the spindle"
+    where = "instrument"
+    sigma: float = 0.0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(c, "um", sigma=self.sigma / 1e-6) for c in _XYZ)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {(f"zero.{c}", c): np.ones(plan.rows) for c in _XYZ}
+
+
+class NestMatrix(Effect):
+    """Errors of the probes' sensitivities and directions: a displacement p is read as (1 + S) p."""
+
+    name = "nest_matrix"
+    summary = "sensitivities and directions of the probes"
+    where = "instrument"
+    sigma: float = 0.0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"S_{k}", "um/m", sigma=self.sigma / 1e-6) for k in _ELEMENTS)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {(f"matrix.{k}", f"S_{k}"): np.ones(plan.rows) for k in _ELEMENTS}
+
+
+@register
+class StaticRTest(TableInstrument):
+    """Centre of the sphere as the probes see it, p in their frame. With the tool point t and the
+    tool's frame R in that of the workpiece, s the place of what is on the table and z that of what
+    is in the spindle against the declared tool offset,
+
+        p = (1 + S) R' (s - t - R z)        (probes in the spindle)
+        p = (1 + S) (t + R z - s)           (probes on the table, which turn with it)
+
+    s stays the same in a run; it starts at the mean of the run's nominal tool points, which all
+    have to be within the range of the probes. An error of where the whole table is cannot be told
+    from z: rotary axes are found relative to what is in the spindle.
+    """
+
+    kind = "static_r_test"
+    rotary = True
+    Settings = StaticRTestSettings
+
+    sigma: float
+    """Noise of a coordinate, m."""
+    zero_sigma: float
+    matrix_sigma: float
+    in_spindle: bool = eqx.field(static=True)
+    """Whether the probes are there."""
+    nest: Nest
+    runs: tuple[int, ...] = eqx.field(static=True)
+    places: np.ndarray
+    """Nominal s in the order of `runs` (runs, 3), m."""
+
+    @property
+    def ports(self) -> tuple[str, ...]:
+        return group("place", _XYZ) + group("zero", _XYZ) + group("matrix", _ELEMENTS)
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        return self.nest.readings
+
+    @classmethod
+    def columns(
+        cls, settings: StaticRTestSettings, axes: Sequence[str], readings: bool
+    ) -> list[Column]:
+        return [Column(name="run", low=0, integer=True)] + reading_columns(settings) * readings
+
+    @classmethod
+    def build(
+        cls,
+        settings: StaticRTestSettings,
+        chain: Chain,
+        table: Mapping[str, np.ndarray],
+        load: Loader,
+    ) -> "StaticRTest":
+        run = np.asarray(table["run"], int)
+        position = np.asarray(linear_plan(chain, {k: table[k] for k in _places(chain)}).position)
+        points, runs = chain.tool_point(position), np.unique(run)
+        _check_runs(run, runs)
+        _check_turns(chain, run, position)
+        places = np.stack([points[run == k].mean(0) for k in runs])
+        _check_follows(
+            chain, settings.range_mm * 1e-3, run, points, places[np.searchsorted(runs, run)]
+        )
+        return cls(
+            sigma=settings.external_sigma_um * 1e-6,
+            zero_sigma=settings.zero_u_um * 1e-6,
+            matrix_sigma=settings.matrix_sigma,
+            in_spindle=settings.nest == "spindle",
+            nest=Nest.of(settings),
+            runs=tuple(int(k) for k in runs),
+            places=places,
+        )
+
+    def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
+        return linear_plan(chain, table, (*COORDINATES, *PROBES))
+
+    def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
+        return self.nest.measured(table)
+
+    def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
+        return {**linear_plan_table(plan), **self.nest.to_table(readings)}
+
+    def rows(self, plan: Plan) -> Any:
+        return self.places[np.searchsorted(self.runs, np.asarray(plan.groups["run"]))]
+
+    def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
+        above = tool + rotation @ Vector.of(ports["zero"])
+        below = Vector.of(row) + Vector.of(ports["place"])
+        p = rotation.T @ (below - above) if self.in_spindle else above - below
+        s = ports["matrix"]
+        return self.nest.read(p + Vector(*(Vector.of(s[k : k + 3]).dot(p) for k in (0, 3, 6))))
+
+    def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        return np.full((plan.rows, 3), self.sigma)
+
+    def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+        return np.ones((plan.rows, 3))
+
+    def effects(self, plan: Plan) -> tuple[Effect, ...]:
+        found: tuple[Effect, ...] = (TablePlaces(runs=self.runs),)
+        if self.zero_sigma > 0.0:
+            found += (SpindleZero(sigma=self.zero_sigma),)
+        if self.matrix_sigma > 0.0:
+            found += (NestMatrix(sigma=self.matrix_sigma),)
+        return found
+
+    def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
+        # A fifth of every run, one after the other: what is left of it tells where its sphere is.
+        run, fold = np.asarray(plan.groups["run"]), np.zeros(plan.rows, int)
+        for k in np.unique(run):
+            mine = np.flatnonzero(run == k)
+            fold[mine] = np.arange(len(mine)) * _FOLDS // len(mine)
+        return fold, False
+
+
+def _places(chain: Chain) -> list[str]:
+    """Columns of the axis positions."""
+    return [file_column(axis, chain.axes)[0] for axis in chain.axes]
+
+
+def _check_runs(run: np.ndarray, runs: np.ndarray) -> None:
+    for k in runs:
+        rows = np.flatnonzero(run == k)
+        if len(rows) < _FEWEST:
+            raise RowError(
+                int(rows[0]),
+                "column run",
+                f"{len(rows)} row(s) of run {k}",
+                f"at least {_FEWEST}, as a run has a place of its own on the table",
+                "measure more, leave them out, or give them the run to which they belong",
+            )
+
+
+def _check_turns(chain: Chain, run: np.ndarray, position: np.ndarray) -> None:
+    """Raise `StudyError` where no rotary axis turns: nothing but the place is seen then."""
+    turning = [i for i, axis in enumerate(chain.axes) if axis in ROTARY]
+    if not turning:
+        raise KeyedError(
+            "machine.chain",
+            f"{chain.text!r}, without a rotary axis",
+            "one that turns the sphere, as linear axes alone have nothing to follow",
+            'add it, as in "w C b X Y Z t"; circles of linear axes are the r_test',
+        )
+    if not any(np.ptp(position[run == k][:, turning]) > 0.0 for k in np.unique(run)):
+        columns = ", ".join(file_column(chain.axes[i], chain.axes)[0] for i in turning)
+        raise RowError(
+            0,
+            f"column {columns}",
+            "the same in all rows of every run",
+            "rotary axes that turn within a run",
+            "correct the column run, or measure at other angles",
+        )
+
+
+def _check_follows(
+    chain: Chain, reach: float, run: np.ndarray, points: np.ndarray, places: np.ndarray
+) -> None:
+    """Raise `RowError` where the nominal tool point leaves the place of its run."""
+    off = np.linalg.norm(points - places, axis=1)
+    row = int(np.argmax(off))
+    if off[row] > reach:
+        raise RowError(
+            row,
+            "columns " + ", ".join(_places(chain)),
+            f"a tool point {1e3 * off[row]:.4g} mm from the mean of run {run[row]}, in the frame "
+            "of the workpiece",
+            f"axes that follow the sphere, within the {1e3 * reach:g} mm of instrument.range_mm",
+            "correct the positions, their signs, machine.rotary or the run",
+        )
