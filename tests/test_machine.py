@@ -430,6 +430,18 @@ def test_a_machine_of_which_everything_is_known(catalogue):
     assert found.values.shape == (0,) and not found.matrix_u.any()
 
 
+def test_a_loop_that_could_not_have_circled(catalogue):
+    """Amplitudes of a steady state come of any loop, also of one that has none."""
+    machine, controller, loop = catalogue
+    omega, asked = jnp.array([20.0, 40.0]), jnp.array([[1e-3, -1e-3j, 0.0], [0.0, 1e-3, -1e-3j]])
+    internal, error = predicted(loop, omega, asked)
+    u = jnp.full((2, 3), 1e-7)
+    seen = Phasors(machine.axes, omega, asked, internal, error, u, u)
+    wild = dataclasses.replace(controller, position_gain=20.0 * controller.position_gain)
+    with pytest.raises(ValueError, match="what the circles tell .*: found an unstable loop"):
+        identify_machine(task(machine, wild, [], seen), seen)
+
+
 @pytest.mark.parametrize(
     ("noise", "message"),
     [

@@ -26,7 +26,7 @@ from ..trust_region import Found, within_prior
 from .assemble import Structure, assemble
 from .bodies import Machine
 from .circles import Phasors, answers
-from .closed_loop import close
+from .closed_loop import check_stable, close
 from .compliance import compliance
 from .control import Controller
 from .response import harmonics, response
@@ -200,7 +200,9 @@ def identify_machine(given: Task, seen: Phasors) -> Identified:
     """Unknowns and the matrix E that follows, with their covariance.
 
     The result says by its `status` whether the search converged. Raises `ValueError` where it
-    could not begin.
+    could not begin, and where the machine found has an unstable loop: amplitudes of a steady state
+    can be computed, but no circle was ever travelled so. The catalogue's own may be unstable: the
+    search leads away from it.
     """
     found = _solve(given, seen)
     if found.status == Status.NON_FINITE:
@@ -210,6 +212,11 @@ def identify_machine(given: Task, seen: Phasors) -> Identified:
         )
     z, covariance = np.asarray(found.value), np.asarray(found.covariance)
     machine, controller = applied(given.unknowns, given.machine, given.controller, jnp.asarray(z))
+    structure = assemble(machine)
+    try:
+        check_stable(close(structure, controller), structure)
+    except ValueError as error:
+        raise ValueError(f"what the circles tell of the machine, {error}") from error
 
     def matrix(z: Array) -> Array:
         return compliance(assemble(applied(given.unknowns, given.machine, controller, z)[0]))
