@@ -47,7 +47,17 @@ def poses(runs):
             yield from ((run, a, c, -1) for c in range(345, -1, -30))
 
 
-def write(folder, seed, errors, nest="spindle", runs=2, read=np.copy, names=COORDINATES, off=20e-6):
+def write(
+    folder,
+    seed,
+    errors,
+    nest="spindle",
+    runs=2,
+    read=np.copy,
+    names=COORDINATES,
+    off=20e-6,
+    slip=lambda t: 0.0,
+):
     """A study of that machine: readings where the axes follow spheres as commanded. Its errors are
     `errors` of a pose and the way that C went.
     """
@@ -59,7 +69,8 @@ def write(folder, seed, errors, nest="spindle", runs=2, read=np.copy, names=COOR
     for run, a, c, way in poses(runs):
         angles = math.radians(a), math.radians(c)
         q = np.round([*positions(BALLS[1 + run], *angles, still), *angles], 9)
-        p = seen(q, errors(q, way), places[run], zero, nest) + 0.4e-6 * rng.standard_normal(3)
+        place = places[run] + slip(20 * len(rows))
+        p = seen(q, errors(q, way), place, zero, nest) + 0.4e-6 * rng.standard_normal(3)
         rows.append([20 * len(rows), run, *1e3 * q[:3], a, c, way, *1e3 * read(p)])
     save(folder / "data.csv", ["t_s", "run", *POSITIONS, *names], rows)
     rows = []
@@ -128,7 +139,7 @@ def test_probes_of_their_own_tell_the_same(tmp_path):
 # --- what it finds ----------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module", params=["spindle", "table"])
+@pytest.fixture(scope="module", params=["spindle", pytest.param("table", marks=pytest.mark.slow)])
 def studied(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sphere")
     return vcal.load_study(write(folder, 3, machine(40e-6), request.param))
@@ -199,6 +210,27 @@ def test_errors_of_the_probes_are_told_where_they_are_far_from_zero(tmp_path):
     steps = np.array([fit.model.entries[i].parameter.step for i in elements])
     assert steps == pytest.approx(3e-6 / 3e-3)
     assert np.abs((fit.theta[elements] - matrix.ravel() / steps) / u).max() < 3.5 and u.max() < 0.9
+
+
+def test_the_place_of_a_sphere_that_no_reading_saw(studied):
+    first = studied.plan.values("run") == 0
+    readings = np.asarray(studied.measurement.readings)[first]
+    fit = vcal.identify(studied.model, vcal.Measurement(studied.plan.take(first), readings, ""))
+    with pytest.raises(np.linalg.LinAlgError, match=r"table_place 1\.X, table_place 1\.Y, .* 1\.Z"):
+        assert fit.covariance is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nest", ["spindle", "table"])
+def test_a_sphere_that_slips_on_the_table(tmp_path, nest):
+    def slip(t):
+        return np.array([4e-6, -3e-6, 0.0]) * (900 < t < 1920)
+
+    study = vcal.load_study(write(tmp_path, 11, machine(0.0), nest, slip=slip))
+    closure = vcal.close_loop(study.model, study.measurement)
+    assert [f.effect.key for f in closure.effects] == ["jump place"]
+    for (_, value, _, u), true in zip(closure.effects[0].parameters, (4, -3, 0, 910), strict=True):
+        assert abs(value - true) < 3.0 * u
 
 
 # --- what cannot be used ----------------------------------------------------------------------

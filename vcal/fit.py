@@ -75,8 +75,18 @@ class Fit:
 
     @cached_property
     def factor(self) -> tuple[np.ndarray, bool]:
-        """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`."""
-        return cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.precision))
+        """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`.
+
+        Raises `LinAlgError`, with their names, where neither readings nor priors tell parameters.
+        """
+        try:
+            return cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.precision))
+        except np.linalg.LinAlgError as error:
+            free = ", ".join(undetermined(self)[:6])
+            raise np.linalg.LinAlgError(
+                f"found no covariance, expected readings or priors that tell every parameter"
+                f"{free and ', also of '}{free}; measure more, or leave out what is not seen"
+            ) from error
 
     @cached_property
     def covariance(self) -> np.ndarray:

@@ -11,15 +11,19 @@ from ..plan import Plan
 from .base import Effect, Response, Setup, along
 from .registry import register
 
+_STANDS = {"frame": "XYZABC", "target": "XYZABC", "place": "XYZ"}
+"""Ports of what stands on the table: an instrument, an artefact, one sphere."""
+
 
 @register
 class Jump(Effect):
-    """A step at an unknown moment: the tool point, the angle of a joint, or the
-    instrument's frame is displaced after.
+    """A step at an unknown moment: the tool point, the angle of a joint, the instrument's frame, or
+    on a table that turns the artefact or the sphere is displaced after.
 
-    Deviation = (t > t0) times a translation (tool), a rotation about a joint, or a translation and
-    a rotation (frame). The moment is scanned over the gaps between successive rows; it has no
-    derivative. Its uncertainty is that of which gap it is, and of where in it.
+    Deviation = (t > t0) times a translation (tool, sphere), a rotation about a joint, or a
+    translation and a rotation (frame, artefact). The moment is scanned over the gaps between
+    successive rows; it has no derivative. Its uncertainty is that of which gap it is, and of where
+    in it.
     """
 
     name = "jump"
@@ -36,11 +40,11 @@ class Jump(Effect):
 
     @property
     def _usual(self) -> float:
-        return 20.0 if self.placement in ("tool", "frame") else 100.0
+        return 20.0 if self.placement in ("tool", *_STANDS) else 100.0
 
     @property
     def on_instrument(self) -> bool:
-        return self.placement == "frame"
+        return self.placement in _STANDS
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -68,8 +72,10 @@ class Jump(Effect):
         for joint in setup.chain.joints:
             if joint.turns:
                 yield cls(ports=(along(setup.chain, joint.name)[0],), placement=joint.name)
-        if "frame.X" in setup.layout:
-            yield cls(ports=tuple(f"frame.{c}" for c in "XYZABC"), placement="frame")
+        for stand, components in _STANDS.items():
+            # Where nothing turns, what is on the table jumps as the tool does, the other way.
+            if f"{stand}.X" in setup.layout and (stand == "frame" or not setup.chain.linear):
+                yield cls(ports=tuple(f"{stand}.{c}" for c in components), placement=stand)
 
 
 def _size(port: str) -> str:
