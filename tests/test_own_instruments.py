@@ -454,6 +454,11 @@ WRONG = {
         "readings[:, 0] * 1e3",
         "to_table: found the reading length in row",
     ),
+    "writes a condition in another unit": (
+        "linear_plan_table(plan), ",
+        'linear_plan_table(plan), "dir_x": 2 * np.asarray(plan.covariate("dir_X")), ',
+        "to_table: found the dir_X in row 1, -1, off by -1 as read, expected the inverse of plan",
+    ),
     "writes nothing": (
         "return {**linear_plan_",
         "{**linear_plan_",

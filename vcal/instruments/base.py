@@ -290,7 +290,8 @@ class TableInstrument(Instrument):
     @abc.abstractmethod
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
         """The command step: what the axes did, with every covariate that can be derived. Of linear
-        axes `linear_plan` makes it. The axes are those of the chain, in their order.
+        axes `linear_plan` makes it, which has to be told of indices that only this instrument knows
+        (``groups``). The axes are those of the chain, in their order.
         """
 
     @abc.abstractmethod

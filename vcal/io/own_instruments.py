@@ -397,6 +397,9 @@ def _check_table(
     pairs = [(f"the position of {a}", plan.x(a), again.x(a) - plan.x(a)) for a in plan.axes]
     names = enumerate(instrument.readings)
     pairs += [(f"the reading {name}", readings[:, k], off[:, k]) for k, name in names]
+    for old, new in ((plan.covariates, again.covariates), (plan.groups, again.groups)):
+        common = sorted({*old} & {*new} - {*instrument.derived})
+        pairs += [(f"the {name}", old[name], new[name] - old[name]) for name in common]
     for what, before, apart in pairs:
         before, apart = np.asarray(before, float), np.asarray(apart, float)
         limit = _SAME * np.abs(before).max() + _NOTHING
