@@ -80,6 +80,8 @@ def linear_plan(
         if name in GROUPS or name in groups:
             found[name] = np.asarray(values, int)
             continue
+        if values.dtype.kind not in "biuf":
+            continue  # labels
         covariate = inside_name(name, axes)
         factor = 1.0 if covariate == name else file_column(covariate, axes)[1]
         covariates[covariate] = np.asarray(values, float) / factor

@@ -31,11 +31,12 @@ from .own_effects import check_own
 from .own_instruments import (
     calling,
     check_built,
-    check_instrument,
     check_plan,
     check_readings,
+    check_row,
     instrument_class,
 )
+from .own_trial import check_instrument
 from .runs import check_points, run_table
 from .settings import (
     AnySettings,
@@ -429,6 +430,7 @@ def _data_set(
     try:
         instrument, plan, readings = _instrument(settings, chain, table, measured, folder)
     except RowError as error:
+        check_row(settings, instrument_class(settings, folder), error.row, table.rows)
         place = f", {error.place}" if error.place else ""
         where = f"row {error.row + 1} (line {table.lines[error.row]}){place}"
         raise StudyError(f"{table.name}, {where}: {error.what}") from error

@@ -159,7 +159,11 @@ def _direction(
     _, s, vt = np.linalg.svd(moved, full_matrices=False)
     main = vt[0] * np.sign(vt[0][np.argmax(np.abs(vt[0]))])
     if s[0] ** 2 > 0.8 * (s**2).sum():
-        words = f"{way(fit.ways[int(np.argmax(main))])}{frame}" if main.max() > 0.9 else "along its main direction"
+        words = (
+            f"{way(fit.ways[int(np.argmax(main))])}{frame}"
+            if main.max() > 0.9
+            else "along its main direction"
+        )
         return np.broadcast_to(main, moved.shape), words
     length = np.linalg.norm(moved, axis=1, keepdims=True)
     # Rows that the effect does not touch are seen along its main direction.
