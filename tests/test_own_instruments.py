@@ -11,6 +11,7 @@ import pytest
 import vcal
 from conftest import write_csv
 from designing import run
+from vcal.cli.folders import STARTS
 from vcal.effects import CATALOGUE
 from vcal.errors import StudyError
 from vcal.instruments import INSTRUMENTS
@@ -211,17 +212,16 @@ def test_annotations_that_are_text(small):
     assert load_study(small).instrument.length == 0.15
 
 
-def test_a_class_of_ones_own_after_one_that_is_there(small_tracker_study):
+@pytest.mark.parametrize("kind", list(INSTRUMENTS))
+def test_a_class_of_ones_own_after_one_that_is_there(tmp_path, kind):
     """What the instruments of vcal do passes for what is asked of others."""
-    own = "from vcal.instruments.laser_tracker import LaserTracker\n\n\n"
-    own += 'class Mine(LaserTracker):\n    kind = "mine"\n'
-    (small_tracker_study / "mine.py").write_text(own, encoding="utf-8")
-    setup = small_tracker_study / "setup.toml"
-    old = load_study(small_tracker_study)
-    text = setup.read_text(encoding="utf-8")
-    text = text.replace('"laser_tracker"', '"mine"\nkind_file = "mine.py"')
-    setup.write_text(text, encoding="utf-8")
-    new = load_study(small_tracker_study)
+    folder, base = tmp_path / kind, INSTRUMENTS[kind]
+    shutil.copytree(STARTS / kind, folder)
+    own = f"from {base.__module__} import {base.__name__}\n\n\n"
+    own += f'class Mine({base.__name__}):\n    kind = "mine"\n'
+    (folder / "mine.py").write_text(own, encoding="utf-8")
+    old = load_study(folder)
+    new = load_study(folder, ["instrument.kind=mine", "instrument.kind_file=mine.py"])
     assert type(new.instrument).__name__ == "Mine"
     assert (new.measurement.readings == old.measurement.readings).all()
 

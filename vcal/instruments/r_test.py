@@ -181,7 +181,7 @@ class RTest(TableInstrument):
     @classmethod
     def build(
         cls, settings: RTestSettings, chain: Chain, table: Mapping[str, np.ndarray], load: Loader
-    ) -> "RTest":
+    ) -> Self:
         probes = None
         if settings.probes is not None:
             probes = np.array(settings.probes, float)
