@@ -92,7 +92,7 @@ class Fit:
     def angular(self) -> np.ndarray:
         """Rows of which no reading changes where the tool point is displaced (n,): a level's."""
         ports = self.port_jacobian[:, :, self.model.layout.slice("tool")]
-        return ~ports[:, :, :3].any((1, 2))
+        return np.asarray(~ports[:, :, :3].any((1, 2)))
 
     @property
     def ways(self) -> str:

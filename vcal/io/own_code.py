@@ -76,6 +76,9 @@ class Trial:
         if found.shape != tuple(shape):
             given = f"shape {found.shape}" if found.shape else f"{values!r}"
             raise self.refusal(method, given, f"{what}, an array of the shape {tuple(shape)}")
+        if not isinstance(values, np.ndarray | jax.Array):
+            found = f"a {type(values).__name__}"
+            raise self.refusal(method, found, f"{what}, an array of numpy")
         return found
 
 

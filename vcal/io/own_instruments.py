@@ -92,7 +92,8 @@ def _check_defaults(trial: Trial, settings: type[InstrumentSettings]) -> None:
             continue
         default = field.get_default(call_default_factory=True)
         try:
-            TypeAdapter(Annotated[field.annotation, field]).validate_python(default)
+            kind: Any = Annotated[field.annotation, field]  # type: ignore
+            TypeAdapter(kind).validate_python(default)
         except ValidationError as error:
             found = f"the default {default!r} of {name}"
             raise trial.refusal("Settings", found, error.errors()[0]["msg"]) from error

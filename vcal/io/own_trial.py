@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..chain import Chain
+from ..design import flat_rank
 from ..effects.base import Artefact, Effect
 from ..effects.registry import CATALOGUE
 from ..errors import StudyError
@@ -72,8 +73,9 @@ def check_instrument(
     with trial.calling("clusters", f"indices of the shape ({plan.rows},)"):
         clusters = instrument.clusters(plan)
     _indices(trial, "clusters", clusters, plan.rows)
-    _check_folds(trial, instrument, plan)
-    _check_effects(trial, instrument, chain, plan)
+    apart = _check_folds(trial, instrument, plan)
+    effects = _check_effects(trial, instrument, chain, plan)
+    _check_told(trial, Model(chain, instrument, effects), plan, apart)
     unread = readings_of(settings, type(instrument), chain.axes)
     plain = {name: values for name, values in table.items() if name not in unread}
     _check_table(trial, instrument, chain, plain, plan, read)
@@ -215,7 +217,8 @@ def _indices(trial: Trial, method: str, values: Any, rows: int) -> np.ndarray:
     return found
 
 
-def _check_folds(trial: Trial, instrument: TableInstrument, plan: Plan) -> None:
+def _check_folds(trial: Trial, instrument: TableInstrument, plan: Plan) -> np.ndarray:
+    """The rows that no fit ever sees (n,)."""
     expected = "a pair: the fold of every row, and True or False, for all of them or for each"
     found = _asked(trial, "folds", expected, lambda: instrument.folds(plan))
     if not isinstance(found, tuple) or len(found) != 2:
@@ -231,9 +234,25 @@ def _check_folds(trial: Trial, instrument: TableInstrument, plan: Plan) -> None:
     fitted = [~apart & (folds != fold) for fold in rotating] or [~apart]
     if not all(rest.any() for rest in fitted):
         raise trial.refusal("folds", "no rows beside one of them", "at least two folds")
+    return apart
 
 
-def _check_effects(trial: Trial, instrument: TableInstrument, chain: Chain, plan: Plan) -> None:
+def _check_told(trial: Trial, model: Model, plan: Plan, apart: np.ndarray) -> None:
+    """Raises `StudyError` where nothing tells what has no prior once some rows are kept apart, and
+    all rows do: those that tell it have to be fitted.
+    """
+    if not apart.any():
+        return
+    less, all_told = (flat_rank(model, rows) for rows in (plan.take(~apart), plan))
+    if lost := sorted({*less.mixed} - {*all_told.mixed}):
+        names = [f"{model.entries[i].key} {model.entries[i].parameter.name}" for i in lost]
+        found = f"all rows that tell {listed(names)} kept out of every fit"
+        raise trial.refusal("folds", found, "rows that are fitted for what has no prior")
+
+
+def _check_effects(
+    trial: Trial, instrument: TableInstrument, chain: Chain, plan: Plan
+) -> tuple[Effect, ...]:
     expected = "a tuple of vcal.Effect, each with a name of its own"
     with trial.calling("effects", expected):
         effects = instrument.effects(plan)
@@ -258,6 +277,7 @@ def _check_effects(trial: Trial, instrument: TableInstrument, chain: Chain, plan
             found = f"{listed(missing)}, which the plan does not have"
             expected = f"what it has; else {trial.kind}.effects has to leave it out"
             raise own.refusal("needs", found, expected)
+    return effects
 
 
 def _check_table(

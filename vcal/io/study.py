@@ -206,6 +206,14 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
     if settings.model.effects_file is not None:
         own = {name: kind for name, kind in catalogue.items() if name not in CATALOGUE}
         check_own(settings.model.effects_file, own, model.setup(plan), plan)
+    if not model.entries:
+        raise refusal(
+            file,
+            "tables instrument and model",
+            "no parameter: neither errors of the machine, nor an effect, nor one of the instrument",
+            "something that a measurement could tell",
+            "add [model.geometric]",
+        )
     _check_size(model, plan, listed(files.values()), measurement is not None)
     _check_determined(model, plan, listed(files.values()))
     _check_seen(settings, sets, file)
