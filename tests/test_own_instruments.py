@@ -62,7 +62,7 @@ def plan(tmp_path_factory):
 
 
 @pytest.mark.parametrize("axis", ["Y", None])
-def test_backlash_in_circles(plan, tmp_path, kept_programs, axis):
+def test_backlash_in_circles(plan, tmp_path, axis):
     there = ("--with", f"backlash:{axis}:size_um=6") if axis else ()
     run("simulate", plan, "--out", tmp_path / "data", "--seed", 3, *there)
     assert (tmp_path / "data" / "ball_bar.py").read_text(encoding="utf-8") == BAR
@@ -127,7 +127,7 @@ def test_keys_and_columns_are_checked(small):
 # --- commands -------------------------------------------------------------------------------------
 
 
-def test_commands(small, tmp_path, kept_programs):
+def test_commands(small, tmp_path):
     (small / "code").mkdir()
     shutil.move(small / "ball_bar.py", small / "code" / "bar.py")
     moved = ("--set", "instrument.kind_file=code/bar.py")
@@ -145,12 +145,12 @@ def test_commands(small, tmp_path, kept_programs):
 
 
 @pytest.mark.slow
-def test_uncertainty_before_measuring(small, tmp_path, kept_programs):
+def test_uncertainty_before_measuring(small, tmp_path):
     told = run("uncertainty", small, "--out", tmp_path / "out", "--draws", 200).stdout
     assert "the rms volumetric error" in told
 
 
-def test_what_fails_later_is_told_in_one_line(small, tmp_path, kept_programs):
+def test_what_fails_later_is_told_in_one_line(small, tmp_path):
     text = BAR.replace(
         "return {**linear_plan_table(plan)",
         "assert np.ptp(readings) < 1e-9\n        return {**linear_plan_table(plan)",

@@ -15,9 +15,10 @@ from ..effects.base import Artefact, Effect
 from ..effects.registry import CATALOGUE
 from ..errors import StudyError
 from ..instruments.base import InstrumentSettings, TableInstrument
-from ..model import Model, observe_all, observe_row, observe_with_jacobian
+from ..model import Model, observe_all, observe_with_jacobian, split_ports
 from ..plan import Plan
 from ..ports import PortLayout
+from ..rigid import Rotation, Vector
 from .messages import listed
 from .own_code import Trial, read_only, shown
 from .own_effects import ATTRIBUTES, check_effect
@@ -25,6 +26,10 @@ from .own_instruments import INSIDE, check_names, readings_of
 
 _SAME, _NOTHING = 1e-6, 1e-12
 """Share of the largest value, and m or rad, within which what is written is what is read."""
+_PATH = (
+    "{} number(s) in a list, one for each of `readings`, made by jax.numpy with no float() or if "
+    "where the row, the tool or a port comes in"
+)
 _ADDRESS = re.compile(r"0x[0-9a-f]+")
 _LINEAR = 1e-9
 """The same for the reduction of a sum and the sum of reductions."""
@@ -46,36 +51,25 @@ def check_instrument(
     if settings.kind_file is None:
         return
     trial, plan = Trial(settings.kind_file, type(instrument).__name__), read_only(plan)
-    names = check_names(trial, instrument)
+    names, n = check_names(trial, instrument), plan.rows
     _check_figures(trial, instrument)
-    nominal = _check_path(trial, instrument, chain, plan, names)
-    read = nominal if readings is None else np.asarray(readings, float)
+    # First what needs no program to be compiled.
+    rows = _check_traced(trial, instrument, plan, names)
     present = _check_present(trial, instrument, plan, names)
-    shape = plan.rows, len(names)
-    expected = f"standard deviations of the shape {shape}, SI"
-    noise = _asked(trial, "noise", expected, lambda: instrument.noise(plan, read))
-    noise = trial.numbers("noise", noise, shape, "standard deviations of the readings, SI")
-    if (bad := present & (noise <= 0.0)).any():
-        row, k = np.argwhere(bad)[0]
-        found = f"{noise[row, k]:g} for {names[k]} in row {row + 1}"
-        raise trial.refusal("noise", found, "standard deviations above 0, SI")
-    expected = f"metres per unit of the readings, of the shape {shape}"
-    lengths = _asked(trial, "lengths", expected, lambda: instrument.lengths(plan, read))
-    lengths = trial.numbers("lengths", lengths, shape, "metres per unit of the readings")
-    if lengths.min() < 0.0 or not lengths.any():
-        found = f"{lengths.min():g}" + ("" if lengths.any() else " for every reading")
-        raise trial.refusal("lengths", found, "metres per unit of the readings, above 0")
-    with trial.calling("dimensions", f"numbers of the shape ({plan.rows},)"):
+    with trial.calling("dimensions", f"numbers of the shape ({n},)"):
         dimensions = instrument.dimensions(plan)
-    dimensions = trial.numbers("dimensions", dimensions, (plan.rows,), "readings that make a point")
+    dimensions = trial.numbers("dimensions", dimensions, (n,), "readings that make a point")
     if dimensions.min() <= 0.0:
         raise trial.refusal("dimensions", f"{dimensions.min():g}", "numbers above 0")
-    with trial.calling("clusters", f"indices of the shape ({plan.rows},)"):
+    with trial.calling("clusters", f"indices of the shape ({n},)"):
         clusters = instrument.clusters(plan)
-    _indices(trial, "clusters", clusters, plan.rows)
+    _indices(trial, "clusters", clusters, n)
     apart = _check_folds(trial, instrument, plan)
     effects = _check_effects(trial, instrument, chain, plan)
     _check_told(trial, Model(chain, instrument, effects), plan, apart)
+    nominal = _check_path(trial, instrument, chain, plan, rows, names)
+    read = nominal if readings is None else np.asarray(readings, float)
+    _check_sizes(trial, instrument, plan, read, present, names)
     unread = readings_of(settings, type(instrument), chain.axes)
     plain = {name: values for name, values in table.items() if name not in unread}
     _check_table(trial, instrument, chain, plain, plan, read)
@@ -115,10 +109,10 @@ def _check_figures(trial: Trial, instrument: TableInstrument) -> None:
         raise trial.refusal("members", "some", "none: what a study joins are its data sets")
 
 
-def _check_path(
-    trial: Trial, instrument: TableInstrument, chain: Chain, plan: Plan, names: Sequence[str]
-) -> np.ndarray:
-    """The readings of the nominal machine, with finite derivatives by all ports."""
+def _check_traced(
+    trial: Trial, instrument: TableInstrument, plan: Plan, names: Sequence[str]
+) -> Any:
+    """What `rows` gives, of which the path of one row must be traced, twice alike."""
     n, m = plan.rows, len(names)
     expected = f"arrays of numbers whose first axis has the {n} rows of the plan"
     rows = _asked(trial, "rows", expected, lambda: instrument.rows(plan))
@@ -127,21 +121,17 @@ def _check_path(
             raise trial.refusal("rows", f"shape {np.shape(leaf)}", expected)
         if leaf.dtype.kind not in "biufc":
             raise trial.refusal("rows", f"an array of {leaf.dtype}", expected)
-    layout = PortLayout.of(chain.axes, instrument.ports)
-    ports = [*[jnp.asarray(0.0)] * (len(layout) - len(instrument.ports))]
-    ports += [0.0 if i % 2 else jnp.asarray(0.0) for i in range(len(instrument.ports))]
+    ports = [0.0 if i % 2 else jnp.asarray(0.0) for i in range(len(instrument.ports))]
 
-    def one(instrument: TableInstrument, q: Any, row: Any) -> Any:
-        return observe_row(chain, instrument, list(q), row, ports)
+    def one(instrument: TableInstrument, row: Any, turn: Any, tool: Any) -> Any:
+        own = split_ports(instrument, ports)
+        return tuple(instrument.observe(row, Rotation.of(turn), Vector.of(tool), own))
 
-    expected = (
-        f"{m} number(s) in a list, one for each of `readings`, made by jax.numpy with no float() "
-        "or if where the row, the tool or a port comes in"
-    )
+    expected = _PATH.format(m)
     first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], rows)
     with trial.calling("observe", expected):
         path = eqx.filter_make_jaxpr(one)
-        traced = [path(instrument, jnp.asarray(plan.position)[0], first) for _ in range(2)]
+        traced = [path(instrument, first, jnp.eye(3), jnp.zeros(3)) for _ in range(2)]
     made = eqx.combine(*traced[0][1:])
     if len(made) != m:
         raise trial.refusal("observe", f"{len(made)} number(s)", expected)
@@ -154,8 +144,21 @@ def _check_path(
     once, again = (_ADDRESS.sub("", str(closed)) for closed, *_ in traced)
     if once != again:
         _refuse_change(trial, "observe")
-    still = jnp.zeros((n, len(layout)))
-    with trial.calling("observe", expected):
+    return rows
+
+
+def _check_path(
+    trial: Trial,
+    instrument: TableInstrument,
+    chain: Chain,
+    plan: Plan,
+    rows: Any,
+    names: Sequence[str],
+) -> np.ndarray:
+    """The readings of the nominal machine, with finite derivatives by all ports."""
+    n, m = plan.rows, len(names)
+    still = jnp.zeros((n, len(PortLayout.of(chain.axes, instrument.ports))))
+    with trial.calling("observe", _PATH.format(m)):
         values, slopes = observe_with_jacobian(chain, instrument, plan.position, rows, still)
     values, slopes = np.asarray(values), np.asarray(slopes)
     trial.numbers("observe", values, (n, m), "finite readings of the nominal machine")
@@ -174,6 +177,30 @@ def _check_path(
     if apart.shape != (n, m):
         raise trial.refusal("difference", f"shape {apart.shape}", f"the shape {(n, m)}")
     return values
+
+
+def _check_sizes(
+    trial: Trial,
+    instrument: TableInstrument,
+    plan: Plan,
+    read: np.ndarray,
+    present: np.ndarray,
+    names: Sequence[str],
+) -> None:
+    """The noise of the readings, and what they are in lengths."""
+    expected = f"standard deviations of the shape {read.shape}, SI"
+    noise = _asked(trial, "noise", expected, lambda: instrument.noise(plan, read))
+    noise = trial.numbers("noise", noise, read.shape, "standard deviations of the readings, SI")
+    if (bad := present & (noise <= 0.0)).any():
+        row, k = np.argwhere(bad)[0]
+        found = f"{noise[row, k]:g} for {names[k]} in row {row + 1}"
+        raise trial.refusal("noise", found, "standard deviations above 0, SI")
+    expected = f"metres per unit of the readings, of the shape {read.shape}"
+    lengths = _asked(trial, "lengths", expected, lambda: instrument.lengths(plan, read))
+    lengths = trial.numbers("lengths", lengths, read.shape, "metres per unit of the readings")
+    if lengths.min() < 0.0 or not lengths.any():
+        found = f"{lengths.min():g}" + ("" if lengths.any() else " for every reading")
+        raise trial.refusal("lengths", found, "metres per unit of the readings, above 0")
 
 
 def _reduced(
