@@ -190,3 +190,13 @@ def test_a_renamed_column_is_told_to_be_constant(small_tracker_study, capsys):
     shown = capsys.readouterr().out.splitlines()
     (line,) = (line for line in shown if line.strip().startswith("constant"))
     assert "T_X_degC" in line
+
+
+def test_an_index_of_an_instrument_of_ones_own():
+    """A group, by which nothing is multiplied, where the instrument says so; else a quantity."""
+    chain = chain_from_string("w X b Y Z t")
+    table = {f"{c}_mm": np.arange(3.0) for c in "xyz"} | {"station": np.array([0.0, 1.0, 1.0])}
+    assert linear_plan(chain, table).covariate("station").tolist() == [0.0, 1.0, 1.0]
+    plan = linear_plan(chain, table, groups=("station",))
+    assert plan.groups["station"].tolist() == [0, 1, 1] and not plan.covariates
+    assert linear_plan_table(plan)["station"].tolist() == [0, 1, 1]

@@ -25,7 +25,7 @@ from vcal.design.judged import error_motions
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from vcal.effects.random import Repeatability
 from vcal.effects.thermal import WarmUp
-from vcal.instruments.laser_frame import beam_path, laser_frame
+from vcal.instruments.laser_frame import LaserFrame, beam_path
 from vcal.simulate import prepare
 
 TRAVEL = {"X": (0.0, 0.3), "Y": (0.0, 0.2), "Z": (0.0, 0.25)}
@@ -34,7 +34,7 @@ TRAVEL = {"X": (0.0, 0.3), "Y": (0.0, 0.2), "Z": (0.0, 0.25)}
 def setup():
     chain = chain_from_string("w b X Y Z t", TRAVEL)
     segments = beam_path("3d", TRAVEL)
-    instrument = laser_frame(segments, chain, sigma=1e-6, lever=0.01)
+    instrument = LaserFrame.of(segments, chain, sigma=1e-6, lever=0.01)
     position = 1e3 * np.concatenate([s.positions for s in segments])
     table = {f"{c}_mm": position[:, i] for i, c in enumerate("xyz")}
     table["segment"] = np.repeat([s.number for s in segments], [s.points for s in segments])

@@ -13,7 +13,7 @@ from vcal.basis import Legendre
 from vcal.chain import chain_from_string
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from vcal.effects.laser_frame import FrameExpansion, HeadExpansion, PsdLinearity, Refraction
-from vcal.instruments.laser_frame import beam_path, filter_shift, laser_frame, safe_filter_shift
+from vcal.instruments.laser_frame import LaserFrame, beam_path, filter_shift, safe_filter_shift
 from vcal.instruments.psd_map import PsdMap
 from vcal.model import Model, observe_all
 from vcal.plan import Plan
@@ -27,7 +27,7 @@ def machine(path="3d", lever=(0.0, 0.0, 0.0), lever_of_psd=0.0, **options):
     """Chain, instrument and plan of the publication's demonstrator."""
     chain = chain_from_string("w b X Y Z t", TRAVEL, lever)
     segments = beam_path(path, TRAVEL)
-    instrument = laser_frame(segments, chain, sigma=1e-6, lever=lever_of_psd, **options)
+    instrument = LaserFrame.of(segments, chain, sigma=1e-6, lever=lever_of_psd, **options)
     table = {"segment": np.repeat([s.number for s in segments], [s.points for s in segments])}
     position = np.concatenate([s.positions for s in segments])
     table |= {f"{c}_mm": 1e3 * position[:, i] for i, c in enumerate("xyz")}

@@ -310,7 +310,8 @@ def test_an_effect_of_ones_own_reads_what_all_data_sets_have(closed):
     """Not a column of one of them, which is nan in the rows of the others."""
     _, study, closure = closed
     plan = joined({"cold": study.plan, "warm": study.plan}, {"cold": ["T_X"], "warm": ["T_X"]})
-    after = SimpleNamespace(measurement=SimpleNamespace(plan=plan))
+    read = {"ways": closure.after.ways, "angular": closure.after.angular}
+    after = SimpleNamespace(measurement=SimpleNamespace(plan=plan), **read)
 
     def text_of(*names):
         what = Unexplained([*names], [0.5] * len(names), [], "Z", 12.0, 0.5, 1e-9, "a test")

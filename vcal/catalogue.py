@@ -12,6 +12,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, Generic, TypeVar
 
+from pydantic import ValidationError
+
 from .errors import StudyError
 
 C = TypeVar("C", bound=type[Any])
@@ -70,7 +72,8 @@ class Catalogue(dict[str, C], Generic[C]):
     def defined_in(self, module: ModuleType, base: type[T]) -> list[type[T]]:
         """The classes derived from `base` that a file of the user's own defines.
 
-        Raises `StudyError` where there is none, or one without a name.
+        One without a name from which another derives is what they have in common. Raises
+        `StudyError` where there is none, or another one without a name.
         """
         found = [
             value
@@ -85,13 +88,15 @@ class Catalogue(dict[str, C], Generic[C]):
                 f"from {base.__module__}.{base.__qualname__}; add one, or correct the name of the "
                 "file"
             )
-        for kind in found:
+        bases = {base for kind in found for base in kind.__mro__[1:]}
+        named = [kind for kind in found if hasattr(kind, self.attribute) or kind not in bases]
+        for kind in named:
             if not isinstance(getattr(kind, self.attribute, None), str):
                 raise StudyError(
                     f"{module.__file__}: class {kind.__name__} has no {self.attribute!r}, expected "
                     f'text in quotes, as in `{self.attribute} = "mine"`; add it'
                 )
-        return found
+        return named
 
 
 @contextmanager
@@ -140,7 +145,11 @@ def run_file(path: Path, what: str) -> ModuleType:
 
 def in_own_words(error: BaseException) -> str:
     """An error of a file of the user's own in one line: its kind, what it says, and where."""
-    what = str(error).strip().partition("\n")[0]
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        what = f"{'.'.join(map(str, first['loc']))}: {first['msg']} ({error.title})"
+    else:
+        what = str(error).strip().partition("\n")[0]
     text = type(error).__name__ + (f": {what}" if what else "")
     place = own_place(error)
     return text if place is None else f"{text} (line {place[1]})"

@@ -74,6 +74,34 @@ class Fit:
         return bool(seen.min(initial=math.inf) > _UNSEEN)
 
     @cached_property
+    def by_tool(self) -> np.ndarray:
+        """Derivative of the readings by a displacement of the tool point (n, m, 3), in the tool's
+        own frame, not whitened. In the `angular` rows, by the turn of the tool that moves the end
+        of the reading's lever arm (`Instrument.lengths`) as far.
+        """
+        ports = self.port_jacobian[:, :, self.model.layout.slice("tool")]
+        moved, turned = ports[:, :, :3], ports[:, :, 3:]
+        if not self.angular.any():
+            return moved
+        given = self.measurement
+        arms = self.model.instrument.lengths(given.plan, given.readings)[:, :, None]
+        turned = np.divide(turned, arms, out=np.zeros_like(turned), where=arms > 0.0)
+        return np.where(self.angular[:, None, None], turned, moved)
+
+    @cached_property
+    def angular(self) -> np.ndarray:
+        """Rows of which no reading changes where the tool point is displaced (n,): a level's."""
+        ports = self.port_jacobian[:, :, self.model.layout.slice("tool")]
+        return np.asarray(~ports[:, :, :3].any((1, 2)))
+
+    @property
+    def ways(self) -> str:
+        """What the components of `by_tool` are called: X, Y, Z, or the turns A, B, C about them
+        where no row sees the tool point.
+        """
+        return "ABC" if self.angular.all() else "XYZ"
+
+    @cached_property
     def factor(self) -> tuple[np.ndarray, bool]:
         """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`.
 

@@ -190,7 +190,7 @@ class BallArray(TableInstrument):
         chain: Chain,
         table: Mapping[str, np.ndarray],
         load: Loader,
-    ) -> "BallArray":
+    ) -> Self:
         artefact = load(
             settings.artefact,
             [Column(name="ball", low=0, integer=True, unique_with=("ball",))]

@@ -64,7 +64,8 @@ class Instrument(Record):
 
     It is a frozen dataclass and a pytree: fields hold numbers and arrays, and what decides anything
     in `observe` (a name, a flag, a tuple of numbers) is an ``eqx.field(static=True)``, which has to
-    be hashable. Compiled programs take the arrays as arguments.
+    be hashable. Compiled programs take the arrays as arguments. Methods are called as often as need
+    be: they give the same for the same plan, and leave it as it is.
     """
 
     derived: ClassVar[tuple[str, ...]] = ()
@@ -243,7 +244,7 @@ class TableInstrument(Instrument):
         kind_file = "ball_bar.py"
 
     It needs no registration, and what it registers is forgotten. It is tried once when a study is
-    read (`vcal.io.own_instruments`): whatever has another shape than is said here is told with the
+    read (`vcal.io.own_trial`): whatever has another shape than is said here is told with the
     class and the method. ``tests/own_instrument/ball_bar.py`` is one in full.
     """
 
@@ -290,7 +291,8 @@ class TableInstrument(Instrument):
     @abc.abstractmethod
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
         """The command step: what the axes did, with every covariate that can be derived. Of linear
-        axes `linear_plan` makes it. The axes are those of the chain, in their order.
+        axes `linear_plan` makes it, which has to be told of indices that only this instrument knows
+        (``groups``). The axes are those of the chain, in their order.
         """
 
     @abc.abstractmethod

@@ -57,32 +57,37 @@ def linear_plan(
     table: Mapping[str, np.ndarray],
     readings: Collection[str] = (),
     warmer: float = 0.0,
+    groups: Collection[str] = (),
 ) -> Plan:
-    """Plan from ``x_mm``, ``dir_x``, ``t_s``, ``T_x_degC``, ``T_air_degC``, group indices, ...
+    """Plan from ``x_mm``, ``dir_x``, ``t_s``, ``T_x_degC``, ``T_air_degC``, ...
 
-    Temperatures and motions of axes are named after the axis (``"T_X"``, ``"dir_X"``), in SI. Any
-    further numeric column that is not one of the `readings` becomes a covariate under its own name
-    and in its own unit, for effects of the user's own. Temperatures are `warmer` in the table than
-    in the plan (`Instrument.warmer`), K.
+    Temperatures and motions of axes are named after the axis (``"T_X"``, ``"dir_X"``), in SI.
+    Indices of what belongs together, ``point``, ``pose``, ``ball``, ``run``, ``segment`` and those
+    that `groups` names (a station, a set-up), become `Plan.groups`. Any further numeric column that
+    is not one of the `readings` becomes a covariate under its own name and in its own unit, for
+    effects of the user's own. Temperatures are `warmer` in the table than in the plan
+    (`Instrument.warmer`), K.
     """
     axes = chain.axes
     columns = [file_column(axis, axes) for axis in axes]
     position = np.column_stack([table[name] / factor for name, factor in columns])
     covariates: dict[str, np.ndarray] = {}
-    groups: dict[str, np.ndarray] = {}
+    found: dict[str, np.ndarray] = {}
     used = {name for name, _ in columns}
     for name, values in table.items():
         if name in used or name in readings or name.startswith("tcp_"):
             continue
-        if name in GROUPS:
-            groups[name] = np.asarray(values, int)
+        if name in GROUPS or name in groups:
+            found[name] = np.asarray(values, int)
             continue
+        if values.dtype.kind not in "biuf":
+            continue  # labels
         covariate = inside_name(name, axes)
         factor = 1.0 if covariate == name else file_column(covariate, axes)[1]
         covariates[covariate] = np.asarray(values, float) / factor
         if name.endswith(_TEMPERATURE):
             covariates[covariate] = covariates[covariate] - warmer
-    return Plan(axes, position, covariates, groups)
+    return Plan(axes, position, covariates, found)
 
 
 def linear_plan_table(

@@ -7,7 +7,7 @@ machine need be straight. Brecher, Spierling, Fey, Neus (2021), CIRP Annals 70(1
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -207,6 +207,38 @@ class LaserFrame(TableInstrument):
     reference: float = REFERENCE_DEGC
     """Temperature of the reference run, degC."""
 
+    @classmethod
+    def of(
+        cls,
+        segments: Sequence[Segment],
+        chain: Chain,
+        *,
+        sigma: float,
+        lever: float = 0.0,
+        size: float = 0.01,
+        psd_map: PsdMap | None = None,
+        thickness: float = 0.0,
+        index: float = 1.5,
+        reference: float = REFERENCE_DEGC,
+    ) -> Self:
+        """On a machine of linear axes X, Y, Z; lengths in m, the temperature of the reference run
+        in degC.
+        """
+        ends = np.array([end for one in segments for end in (one.start, one.end)])
+        offset = np.asarray(chain.tool_offset, float)
+        return cls(
+            segments=tuple(segments),
+            centre=0.5 * (ends.min(0) + ends.max(0)) + offset,
+            offset=offset,
+            sigma=sigma,
+            lever=lever,
+            size=size,
+            psd_map=psd_map,
+            thickness=thickness,
+            index=index,
+            reference=reference,
+        )
+
     @property
     def warmer(self) -> float:
         return self.reference - REFERENCE_DEGC
@@ -239,11 +271,11 @@ class LaserFrame(TableInstrument):
         chain: Chain,
         table: Mapping[str, np.ndarray],
         load: Loader,
-    ) -> "LaserFrame":
+    ) -> Self:
         segments = _segments(settings, chain)
         _check_numbers(segments, table["segment"])
         psd_map = None if settings.psd_map is None else PsdMap.read(settings.psd_map, load)
-        return laser_frame(
+        return cls.of(
             segments,
             chain,
             sigma=settings.sigma_um * 1e-6,
@@ -376,37 +408,6 @@ class LaserFrame(TableInstrument):
                     "of the diode",
                     "correct the row, or the beam path in [instrument]",
                 )
-
-
-def laser_frame(
-    segments: Sequence[Segment],
-    chain: Chain,
-    *,
-    sigma: float,
-    lever: float = 0.0,
-    size: float = 0.01,
-    psd_map: PsdMap | None = None,
-    thickness: float = 0.0,
-    index: float = 1.5,
-    reference: float = REFERENCE_DEGC,
-) -> LaserFrame:
-    """A laser frame on a machine of linear axes X, Y, Z; lengths in m, the temperature of the
-    reference run in degC.
-    """
-    ends = np.array([end for one in segments for end in (one.start, one.end)])
-    offset = np.asarray(chain.tool_offset, float)
-    return LaserFrame(
-        segments=tuple(segments),
-        centre=0.5 * (ends.min(0) + ends.max(0)) + offset,
-        offset=offset,
-        sigma=sigma,
-        lever=lever,
-        size=size,
-        psd_map=psd_map,
-        thickness=thickness,
-        index=index,
-        reference=reference,
-    )
 
 
 def _displayed(

@@ -1,7 +1,7 @@
 """Laser tracker: range, azimuth and elevation of a reflector at the tool point."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -94,7 +94,7 @@ class LaserTracker(TableInstrument):
         chain: Chain,
         table: Mapping[str, np.ndarray],
         load: Loader,
-    ) -> "LaserTracker":
+    ) -> Self:
         angles = np.deg2rad(np.asarray(settings.euler_xyz_deg, float))
         return cls(
             station=np.asarray(settings.station_mm, float) * 1e-3,

@@ -72,7 +72,7 @@ class Nest(Record):
     """D, m; flat tips without."""
 
     @classmethod
-    def of(cls, settings: NestSettings) -> "Nest":
+    def of(cls, settings: NestSettings) -> Self:
         """The probes that settings name."""
         directions = None
         if settings.probes is not None:

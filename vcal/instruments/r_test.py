@@ -7,7 +7,7 @@ see it (external) is the error of the structure in between. Weikert, Knapp (2004
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import equinox as eqx
 import numpy as np
@@ -140,7 +140,7 @@ class RTest(TableInstrument):
     @classmethod
     def build(
         cls, settings: RTestSettings, chain: Chain, table: Mapping[str, np.ndarray], load: Loader
-    ) -> "RTest":
+    ) -> Self:
         return cls(
             radius=settings.radius_mm * 1e-3,
             sigma=math.hypot(settings.external_sigma_um, settings.internal_sigma_um) * 1e-6,

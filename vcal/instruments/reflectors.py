@@ -161,7 +161,7 @@ class Reflectors(TableInstrument):
         chain: Chain,
         table: Mapping[str, np.ndarray],
         load: Loader,
-    ) -> "Reflectors":
+    ) -> Self:
         drift = _drift(table, settings.base_reflectors)
         return cls(
             count=settings.tool_reflectors,

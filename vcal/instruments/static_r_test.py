@@ -8,7 +8,7 @@ CIRP Annals 55(1), 531-534; Ibaraki, Oyama, Otsubo (2011), Int. J. Mach. Tools M
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import equinox as eqx
 import numpy as np
@@ -149,7 +149,7 @@ class StaticRTest(TableInstrument):
         chain: Chain,
         table: Mapping[str, np.ndarray],
         load: Loader,
-    ) -> "StaticRTest":
+    ) -> Self:
         run = np.asarray(table["run"], int)
         position = np.asarray(linear_plan(chain, {k: table[k] for k in _places(chain)}).position)
         points, runs = chain.tool_point(position), np.unique(run)

@@ -154,8 +154,12 @@ def _line(
     key = ".".join(str(part) for part in loc)
     found, do = shown(at(raw, loc)), "correct the value"
     name = str(loc[-1]) if loc else ""
-    if kind == "value_error":
-        return f"{source(file, key, overrides)}, key {key}: {context['error']}"
+    if kind in ("value_error", "assertion_error"):
+        said = " ".join(str(context["error"]).split())
+        if "expected" not in said:  # by a validator of the user's own
+            said = f"found {found}, expected what its validator allows: {said or 'it says no more'}"
+            said += f"; {do}"
+        return f"{source(file, key, overrides)}, key {key}: {said}"
     if kind == "extra_forbidden":
         known = _known_keys(model, loc[:-1])
         found = f"the unknown key {name!r}{nearest(name, known)}"

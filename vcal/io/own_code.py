@@ -2,15 +2,18 @@
 users read where it fails.
 """
 
+import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 
 from ..catalogue import in_own_words, own_place
 from ..errors import StudyError
+from ..plan import Plan
 from .messages import refusal
 
 _DO = "mend the class"
@@ -29,6 +32,7 @@ class Trial:
 
     def refusal(self, method: str, found: str, expected: str) -> StudyError:
         """The error to raise for what a method gave."""
+        found = " ".join(found.split())  # in one line
         return refusal(self.file, f"class {self.kind}, {method}", found, expected, _DO)
 
     @contextmanager
@@ -52,6 +56,8 @@ class Trial:
     def numbers(self, method: str, values: Any, shape: Sequence[int], what: str) -> np.ndarray:
         """The values as finite numbers of a shape; `what` they are, for messages."""
         found = self.array(method, values, shape, what)
+        if found.dtype.kind == "c":
+            raise self.refusal(method, f"an array of {found.dtype}", what)
         try:
             found = found.astype(float)
         except (TypeError, ValueError) as error:
@@ -70,7 +76,27 @@ class Trial:
         if found.shape != tuple(shape):
             given = f"shape {found.shape}" if found.shape else f"{values!r}"
             raise self.refusal(method, given, f"{what}, an array of the shape {tuple(shape)}")
+        if not isinstance(values, np.ndarray | jax.Array):
+            found = f"a {type(values).__name__}"
+            raise self.refusal(method, found, f"{what}, an array of numpy")
         return found
+
+
+def shown(value: Any) -> str:
+    """What was found where a property was expected."""
+    return "a method without @property" if inspect.ismethod(value) else repr(value)
+
+
+def read_only(plan: Plan) -> Plan:
+    """The same plan, for methods that must leave it as it is: what writes into it fails there."""
+
+    def locked(values: Any) -> Any:
+        if isinstance(values, np.ndarray):
+            values = values.view()
+            values.flags.writeable = False
+        return values
+
+    return jax.tree.map(locked, plan)
 
 
 def told(error: BaseException) -> str | None:

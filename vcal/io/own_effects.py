@@ -16,7 +16,7 @@ from ..parameters import Parameter
 from ..plan import Plan
 from ..units import si_factor
 from .messages import listed
-from .own_code import Attribute, Trial
+from .own_code import Attribute, Trial, read_only
 
 ATTRIBUTES: tuple[Attribute, ...] = (
     ("summary", lambda v: isinstance(v, str), "a line of text"),
@@ -43,7 +43,7 @@ def check_own(file: str, classes: Mapping[str, type[Effect]], setup: Setup, plan
     cannot be used: parameters without unit, ports that do not exist, values that are no numbers.
     """
     for kind in classes.values():
-        _check(Trial(file, kind.__name__), kind, setup, plan)
+        _check(Trial(file, kind.__name__), kind, setup, read_only(plan))
 
 
 def _check(trial: Trial, kind: type[Effect], setup: Setup, plan: Plan) -> None:
@@ -65,7 +65,7 @@ def check_effect(trial: Trial, effect: Effect, setup: Setup, plan: Plan) -> None
     """
     with trial.calling("parameters", "a tuple of vcal.Parameter"):
         parameters = effect.parameters
-    _check_parameters(parameters, trial)
+    _check_parameters(parameters, trial, effect.kind)
     with trial.calling("needs", "a tuple of names"):
         needs = effect.needs
     _check_names("needs", needs, trial)
@@ -128,7 +128,7 @@ def _numbers(values: Any) -> np.ndarray:
         return np.zeros(0)
 
 
-def _check_parameters(parameters: Any, trial: Trial) -> None:
+def _check_parameters(parameters: Any, trial: Trial, kind: Kind) -> None:
     expected = "a tuple of vcal.Parameter, each with a name of its own"
     if not isinstance(parameters, tuple) or not all(isinstance(p, Parameter) for p in parameters):
         raise trial.refusal("parameters", repr(parameters), expected)
@@ -156,6 +156,11 @@ def _check_parameters(parameters: Any, trial: Trial) -> None:
         if not p.sigma >= 0.0 or not math.isfinite(p.mean):
             found = f"{p.name} with mean {p.mean:g} and sigma {p.sigma:g}"
             raise trial.refusal("parameters", found, "a finite mean and a sigma of at least 0")
+        if not 0.0 < p.scale < math.inf:
+            raise trial.refusal("parameters", f"{p.name} with scale {p.scale:g}", "one above 0")
+        if kind == "random" and not p.informed:
+            found = f"{p.name} of a random effect without sigma"
+            raise trial.refusal("parameters", found, "how much it scatters")
 
 
 def _check_column(

@@ -31,11 +31,12 @@ from .own_effects import check_own
 from .own_instruments import (
     calling,
     check_built,
-    check_instrument,
     check_plan,
     check_readings,
+    check_row,
     instrument_class,
 )
+from .own_trial import check_instrument
 from .runs import check_points, run_table
 from .settings import (
     AnySettings,
@@ -205,6 +206,14 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
     if settings.model.effects_file is not None:
         own = {name: kind for name, kind in catalogue.items() if name not in CATALOGUE}
         check_own(settings.model.effects_file, own, model.setup(plan), plan)
+    if not model.entries:
+        raise refusal(
+            file,
+            "tables instrument and model",
+            "no parameter: neither errors of the machine, nor an effect, nor one of the instrument",
+            "something that a measurement could tell",
+            "add [model.geometric]",
+        )
     _check_size(model, plan, listed(files.values()), measurement is not None)
     _check_determined(model, plan, listed(files.values()))
     _check_seen(settings, sets, file)
@@ -429,6 +438,7 @@ def _data_set(
     try:
         instrument, plan, readings = _instrument(settings, chain, table, measured, folder)
     except RowError as error:
+        check_row(settings, instrument_class(settings, folder), error.row, table.rows)
         place = f", {error.place}" if error.place else ""
         where = f"row {error.row + 1} (line {table.lines[error.row]}){place}"
         raise StudyError(f"{table.name}, {where}: {error.what}") from error

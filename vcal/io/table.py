@@ -104,6 +104,7 @@ def read_table(
             if 2 * numbers <= len(cells):
                 continue
         table[name] = _checked(table, column or Column(name=name), cells, name in asked)
+        table[name].flags.writeable = False
     for column in columns:
         if column.unique_with:
             _check_unique(table, column)

@@ -15,7 +15,7 @@ from .empirical import Empirical
 from .heldout import Rms
 from .screening import Screening
 from .stray import Stray
-from .unexplained import Unexplained
+from .unexplained import Unexplained, way
 from .vibration import Vibration
 
 Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
@@ -285,7 +285,7 @@ class Closure:
         axes = self.after.measurement.plan.axes
         columns = [file_column(name, axes)[0] for name in what.depends_on[:2]]
         on = " times ".join(columns if what.joint else columns[:1])
-        along = f" along {what.direction}" if what.direction in "XYZ" else ""
+        along = f" {way(what.direction)}" if what.direction != "mixed" else ""
         described = what.empirical.effect if what.empirical is not None else None
         if isinstance(described, Empirical) and described.unit == "urad":
             along = f" by the rotation {described.port}"

@@ -123,8 +123,7 @@ def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
     whitener = declared_whitener(fit.model, fit.measurement)
     present = fit.model.instrument.present(plan)
     residual = declared_residual(fit)
-    tool = fit.port_jacobian[:, :, fit.model.layout.slice("tool")][:, :, :3]
-    ports = np.einsum("nij,njp->nip", whitener, tool)
+    ports = np.einsum("nij,njp->nip", whitener, fit.by_tool)
 
     def alike(rows: np.ndarray) -> bool:
         columns, data = ports[rows].reshape(-1, 3), residual[rows].ravel()

@@ -54,7 +54,9 @@ class Unexplained:
     """Share of the residual's variance each of them describes alone, corrected for chance."""
     where: list[Interval]
     direction: str
-    """``"X"``, ``"Y"``, ``"Z"`` at the tool point, or ``"mixed"``."""
+    """``"X"``, ``"Y"``, ``"Z"`` at the tool point, or ``"mixed"``; ``"A"``, ``"B"``, ``"C"`` where
+    only angles were read.
+    """
     size_um: float
     share_of_variance: float
     p_value: float
@@ -91,10 +93,10 @@ class Refused:
 def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
     """The displacement of the tool point (n, 3), m, that would give each row's residual.
 
-    Least squares of the residual on the ports of the tool, in the tool's own frame.
+    Least squares of the residual on the ports of the tool, in the tool's own frame. What reads
+    angles alone gives turns about X, Y and Z instead, times its lever arm (`Fit.by_tool`).
     """
-    ports = fit.port_jacobian[:, :, fit.model.layout.slice("tool")][:, :, :3]
-    weights = np.einsum("nij,njp->nip", fit.whitener, ports)
+    weights = np.einsum("nij,njp->nip", fit.whitener, fit.by_tool)
     values = fit.residual if residuals is None else residuals
     whitened = np.einsum("nij,nj...->ni...", fit.whitener, values)
     return np.einsum("npi,ni...->np...", np.linalg.pinv(weights), whitened)
@@ -132,8 +134,7 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         return Dependence([], [], False, 1.0)
     state = Screen(fit, draws, seed)
     used = fit.used
-    ports = fit.port_jacobian[used][:, :, fit.model.layout.slice("tool")][:, :, :3]
-    inverse = np.linalg.pinv(np.einsum("nij,njp->nip", fit.whitener[used], ports))
+    inverse = np.linalg.pinv(np.einsum("nij,njp->nip", fit.whitener[used], fit.by_tool[used]))
     data = np.einsum("npi,ni->np", inverse, state.residual[used])
     null = np.einsum("npi,nid->npd", inverse.astype(np.float32), state.null[used])
     both = np.concatenate([data[:, :, None], null], axis=2)
@@ -142,11 +143,14 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         mine = rows[used]
         if not mine.any():
             continue
-        if fit.chi2_and_dof(rows)[1] < 1.0:
+        scatter = np.sqrt(np.mean(both[mine][:, :, 1:] ** 2))
+        if fit.chi2_and_dof(rows)[1] < 1.0 or scatter == 0.0:
             both[mine] = 0.0  # what its own parameters leave of it is rounding
         else:
-            both[mine] /= np.sqrt(np.mean(both[mine][:, :, 1:] ** 2))
+            both[mine] /= scatter
     total = (both**2).sum((0, 1))
+    if not total[1:].any():
+        return Dependence([], [], False, 1.0)  # nothing that the tool does is seen
     total = np.maximum(total, SILENT * total[1:].mean())
     names, shares = [], []
     known = {name: x[used] for name, x in distinct_covariates(fit.measurement.plan).items()}
@@ -239,13 +243,19 @@ def _by_share(table: np.ndarray) -> list[tuple[int, float]]:
     return [(int(i), float(corrected[i])) for i in np.argsort(-corrected)]
 
 
-def main_direction(vectors: np.ndarray) -> str:
-    """The axis that carries more than 60 % of the squared length, or ``"mixed"``."""
+def main_direction(vectors: np.ndarray, ways: str) -> str:
+    """The one of three ways that carries more than 60 % of the squared length, or ``"mixed"``."""
     squares = (vectors**2).sum(0)
     if squares.sum() == 0:
         return "mixed"
     i = int(np.argmax(squares))
-    return "XYZ"[i] if squares[i] > 0.6 * squares.sum() else "mixed"
+    return ways[i] if squares[i] > 0.6 * squares.sum() else "mixed"
+
+
+def way(letter: str) -> str:
+    """One of `Fit.ways` in words: ``"along X"``, ``"about X"``."""
+    turn = "ABC".find(letter)
+    return f"along {letter}" if turn < 0 else f"about {'XYZ'[turn]}"
 
 
 def described(
@@ -295,7 +305,7 @@ def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> 
         depends_on=depends_on,
         shares=[shares.get(name, 0.0) for name in depends_on],
         where=list(effect.intervals(plan, shape)),
-        direction=main_direction(vectors),
+        direction=main_direction(vectors, fit.ways),
         size_um=float(np.linalg.norm(vectors, axis=1).max() * 1e6),
         share_of_variance=float(min(drop, 1.0)),
         p_value=p_value,
@@ -386,7 +396,7 @@ def _from_dependence(
         depends_on=list(shares),
         shares=list(shares.values()),
         where=[],
-        direction=main_direction(vectors),
+        direction=main_direction(vectors, fit.ways),
         size_um=size * 1e6,
         share_of_variance=excess if spread else best,
         p_value=refused.p_value if quiet and refused is not None else told.p_value,

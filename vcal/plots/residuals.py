@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 from ..fit import Fit
 from ..loop.recorded import correlation, distinct_covariates
-from ..loop.unexplained import Unexplained, bins, displacements
+from ..loop.unexplained import Unexplained, bins, displacements, way
 from .changing import changing
 from .style import (
     AFTER,
@@ -172,8 +172,8 @@ def _panels(
 
 def _component(fit: Fit, name: str, moved: np.ndarray, direction: str) -> int:
     """The component to show: the main one, or the one that the covariate describes best."""
-    if direction in "XYZ":
-        return "XYZ".index(direction)
+    if direction in fit.ways:
+        return fit.ways.index(direction)
     x = values_of(name, fit.measurement.plan)[fit.used]
     there = np.isfinite(x)
     x, moved = x[there], moved[there]
@@ -189,7 +189,7 @@ def _panel(ax: Axes, fit: Fit, name: str, y: np.ndarray, colour: str, i: int) ->
     _dots(ax, x[there], y[there], colour, many=True)
     bound = limit([y])
     ax.set_ylim(-bound, bound)
-    along = f"residual along {'XYZ'[i]}{frame}"
+    along = f"residual {way(fit.ways[i])}{frame}"
     titled(ax, f"{along} against {column}", column_label(column), f"{along}, µm")
 
 

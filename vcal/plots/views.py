@@ -9,7 +9,7 @@ from scipy.linalg import cho_solve
 from ..effects.base import Effect
 from ..fit import Fit
 from ..instruments.conditions import file_column
-from ..loop.unexplained import bins, displacements
+from ..loop.unexplained import bins, displacements, way
 from ..plan import Plan
 from .style import column_label
 
@@ -153,14 +153,17 @@ def _direction(
         direction = lever / np.where(length > 0, length, 1.0)
         mean = direction[used].mean(0)
         if np.abs(mean).max() > 0.99:
-            return direction, f"along {'XYZ'[int(np.argmax(np.abs(mean)))]}{frame}"
+            return direction, f"{way(fit.ways[int(np.argmax(np.abs(mean)))])}{frame}"
         moves = "moves" if effect.where == "machine" else "seems to move"
         return direction, f"in the direction in which the effect {moves} it"
     _, s, vt = np.linalg.svd(moved, full_matrices=False)
     main = vt[0] * np.sign(vt[0][np.argmax(np.abs(vt[0]))])
     if s[0] ** 2 > 0.8 * (s**2).sum():
-        name = "XYZ"[int(np.argmax(main))]
-        words = f"along {name}{frame}" if main.max() > 0.9 else "along its main direction"
+        words = (
+            f"{way(fit.ways[int(np.argmax(main))])}{frame}"
+            if main.max() > 0.9
+            else "along its main direction"
+        )
         return np.broadcast_to(main, moved.shape), words
     length = np.linalg.norm(moved, axis=1, keepdims=True)
     # Rows that the effect does not touch are seen along its main direction.

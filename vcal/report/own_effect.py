@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..fit import Fit
 from ..instruments.conditions import file_name
 from ..loop.closure import Closure
 from ..loop.empirical import Empirical
@@ -74,8 +75,10 @@ def own_effect(closure: Closure) -> str | None:
     names = whole[:2]
     if not names:
         return None
-    ways = what.direction if what.direction in "XYZ" else "XYZ"
-    size = max(2.0 * what.size_um, 1.0)
+    fit = closure.after
+    ways = what.direction if what.direction in fit.ways else fit.ways
+    unit, arm = ("urad", _lever(fit)) if fit.angular.all() else ("um", 1.0)
+    size = max(2.0 * what.size_um / arm, 1.0)
     parameters, lines, terms = [], [], []
     for i, name in enumerate(names, start=1):
         x = values_of(name, plan)
@@ -87,11 +90,11 @@ def own_effect(closure: Closure) -> str | None:
         for c in ways:
             for kind, power in (("slope", f"u{i}"), ("curve", f"u{i} * u{i}")):
                 label = f"{kind}{i}_{c}"
-                parameters.append(f'vcal.Parameter("{label}", "um", sigma={size:.3g})')
+                parameters.append(f'vcal.Parameter("{label}", "{unit}", sigma={size:.3g})')
                 terms.append(f'            ("tool.{c}", "{label}"): {power},')
     if what.joint and len(names) == 2 and names == what.depends_on[:2]:
         for c in ways:
-            parameters.append(f'vcal.Parameter("both_{c}", "um", sigma={size:.3g})')
+            parameters.append(f'vcal.Parameter("both_{c}", "{unit}", sigma={size:.3g})')
             terms.append(f'            ("tool.{c}", "both_{c}"): u1 * u2,')
     return _HEAD.format(
         found=found,
@@ -100,6 +103,12 @@ def own_effect(closure: Closure) -> str | None:
         body="\n".join([*lines, "        return {", *terms, "        }"]),
         placement="",
     )
+
+
+def _lever(fit: Fit) -> float:
+    """Mean lever arm of readings of angles, m."""
+    given = fit.measurement
+    return float(fit.model.instrument.lengths(given.plan, given.readings).mean()) or 1.0
 
 
 def _as_described(found: str, best: Rival, plan: Plan) -> str:

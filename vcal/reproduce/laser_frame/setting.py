@@ -18,7 +18,7 @@ from ...basis import Legendre
 from ...chain import Chain, chain_from_string
 from ...effects.base import Effect, Response
 from ...effects.geometric import ErrorMotion, GeometricErrors, LocationError
-from ...instruments.laser_frame import LaserFrame, Segment, beam_path, laser_frame
+from ...instruments.laser_frame import LaserFrame, Segment, beam_path
 from ...parameters import Parameter
 from ...plan import Plan
 from .budget import PSD_RANGES, Facts, point_u
@@ -126,7 +126,7 @@ def frame_setup(
     if isinstance(layout, str):
         layout = replace(Layout.named(layout), lever=lever_m)
     chain = chain_from_string(CHAIN, TRAVEL)
-    instrument = laser_frame(layout.segments, chain, sigma=sigma_m, lever=layout.lever)
+    instrument = LaserFrame.of(layout.segments, chain, sigma=sigma_m, lever=layout.lever)
     table = {f"{c}_mm": 1e3 * layout.position[:, i] for i, c in enumerate("xyz")}
     counts = [len(s) for s in layout.shares]
     table["segment"] = np.repeat([one.number for one in layout.segments], counts)

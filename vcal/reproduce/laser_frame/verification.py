@@ -18,7 +18,7 @@ from ...chain import chain_from_string
 from ...effects.base import Effect, Response, across
 from ...effects.reversal import LateralReversal
 from ...identify import identify
-from ...instruments.laser_frame import laser_frame
+from ...instruments.laser_frame import LaserFrame
 from ...model import Model
 from ...parameters import Parameter
 from ...plan import Plan
@@ -166,7 +166,7 @@ def _compared(repeats: int, key: jax.Array) -> tuple[Agreement, ...]:
     beside = chain_from_string(CHAIN, TRAVEL, (BESIDE_M, 0.0, 0.0))
     devices = (
         (chain, instrument, u_frame),
-        (beside, laser_frame(layout.segments, beside, sigma=0.0), u_device),
+        (beside, LaserFrame.of(layout.segments, beside, sigma=0.0), u_device),
     )
     simulators = []
     for own_chain, own, u in devices:
