@@ -14,7 +14,9 @@ from scipy.spatial.transform import Rotation
 import vcal
 from vcal.basis import Matern
 from vcal.chain import chain_from_string
+from vcal.effects import CATALOGUE, Setup
 from vcal.errors import StudyError
+from vcal.plots import effect_view
 from vcal.simulate import simulate
 
 CHAIN = "w C A b Y X Z t"
@@ -94,7 +96,7 @@ def positions(ball: np.ndarray, a: float, c: float, errors) -> np.ndarray:
     return x
 
 
-def errors_of(q: Sequence[float], dir_c: float, backlash: float) -> np.ndarray:
+def errors_of(q: Sequence[float], dir_c: float, backlash: float, worm: float = 0.0) -> np.ndarray:
     """What this machine does wrong: nothing of it is a function of vcal's."""
     x, y, _, a, c = q
     e = np.zeros((5, 6))
@@ -102,13 +104,15 @@ def errors_of(q: Sequence[float], dir_c: float, backlash: float) -> np.ndarray:
     e[1, 0] = 15e-6 * y  # squareness
     e[3, 2], e[3, 4] = 12e-6 + 2e-6 * math.sin(a), 10e-6
     e[4, 0], e[4, 1], e[4, 3] = -18e-6 + 2e-6 * math.cos(c), 14e-6 + 1e-6 * math.sin(2 * c), 12e-6
-    e[4, 5] = 4e-6 * math.sin(c) + 0.5 * backlash * dir_c
+    e[4, 5] = 4e-6 * math.sin(c) + 0.5 * backlash * dir_c + worm * math.sin(180.0 * c + 0.7)
     return e
 
 
-def write(folder, backlash: float, seed: int, balls: Sequence[int] = (0, 1, 2, 3)) -> None:
+def write(
+    folder, backlash: float, seed: int, balls: Sequence[int] = (0, 1, 2, 3), worm: float = 0.0
+) -> None:
     """A study of this machine: balls found while the table stands at angles, come to from both
-    sides, and the true tool point at others.
+    sides, and the true tool point at others. A `worm` of 180 teeth is seen at uneven angles.
     """
     rng = np.random.default_rng(seed)
     folder.mkdir(exist_ok=True)
@@ -116,9 +120,10 @@ def write(folder, backlash: float, seed: int, balls: Sequence[int] = (0, 1, 2, 3
     up = [(a, c, 1) for a in (-60, -20, 20, 60) for c in range(0, 360, 60)]
     down = [(a, c, -1) for a in (-40, 0, 40) for c in range(330, -1, -60)]
     rows = []
-    for a, c, way in up + down:
+    for a, even, way in up + down:
+        c = even + (round(rng.uniform(0.0, 29.0), 2) if worm else 0.0)
         for ball in balls:
-            errors = partial(errors_of, dir_c=way, backlash=backlash)
+            errors = partial(errors_of, dir_c=way, backlash=backlash, worm=worm)
             x = positions(BALLS[ball], math.radians(a), math.radians(c), errors)
             x = 1e3 * x + 0.8e-3 * rng.standard_normal(3)
             rows.append([20 * len(rows), 0, ball, *x, a, c, way])
@@ -130,7 +135,7 @@ def write(folder, backlash: float, seed: int, balls: Sequence[int] = (0, 1, 2, 3
     for x, y, z, a, c, side in rng.uniform(size=(60, 6)):
         at = [0.4 * x - 0.2, 0.4 * y - 0.2, 0.3 * z, 2.4 * a - 1.2, 6.2 * c]
         way = 1 if side > 0.5 else -1
-        true = 1e3 * point(at, errors_of(at, way, backlash))
+        true = 1e3 * point(at, errors_of(at, way, backlash, worm))
         rows.append([*np.array(at[:3]) * 1e3, *np.degrees(at[3:]), way, *true])
     _save(folder / "check.csv", "x_mm,y_mm,z_mm,a_deg,c_deg,dir_c,tcp_x_mm,tcp_y_mm,tcp_z_mm", rows)
 
@@ -221,6 +226,33 @@ def test_the_loop_names_the_backlash_of_a_rotary_axis_and_corrects_the_machine(s
     )
     assert after < 0.6 * before and after < 0.12 * none
     assert closure.after.chi2 / closure.after.dof == pytest.approx(1.0, abs=0.15)
+
+
+def test_the_loop_names_the_worm_of_a_rotary_axis(tmp_path):
+    write(tmp_path, backlash=0.0, seed=7, worm=15e-6)
+    study = vcal.load_study(tmp_path)
+    closure = vcal.close_loop(study.model, study.measurement, check=study.check)
+    (found,) = closure.effects
+    assert found.effect.key == "screw_cyclic C"
+    (_, sine, unit, u), (_, cosine, _, _), (_, pitch, degrees, u_pitch) = found.parameters
+    assert (unit, degrees) == ("urad", "deg")
+    assert abs(pitch - 2.0) < 3.0 * u_pitch < 0.01
+    assert abs(math.hypot(sine, cosine) - 15.0) < 3.0 * u < 6.0
+    assert closure.errors["after"].check.value < 0.6 * closure.errors["before"].check.value
+    seen = effect_view(closure.after, found.effect)
+    assert seen.x_label.startswith("C position modulo the pitch of ") and seen.x_label.endswith("°")
+    assert 1.9 < seen.x.max() < 2.01
+
+
+def test_pitches_of_a_worm_end_where_slow_harmonics_begin(studied):
+    it = studied.model
+    setup = Setup(it.chain, it.layout, studied.plan, it.effects)
+    worms = {e.placement: e for e in CATALOGUE["screw_cyclic"].candidates(setup)}
+    assert [*worms] == list(AXES)
+    for axis, longest in (("A", 30.0), ("C", 80.0)):
+        pitches = np.degrees(worms[axis].scan(studied.plan)["pitch"])
+        assert pitches[0] == pytest.approx(longest) and pitches[-2] <= 1.0 < pitches[-3]
+    assert worms["X"].parameters[0].unit == "um" and worms["X"].parameters[2].unit == "mm"
 
 
 def test_nothing_is_missing_where_nothing_is(tmp_path):
