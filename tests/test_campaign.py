@@ -230,7 +230,7 @@ def test_strong_curvature_is_retried_and_told(known):
     pair = virtual_pair(model, model, it.plan)
     assert not pair.batch.shared
     # As if it could be shared after all: every way to identify has to take over from the last.
-    pair = pair._replace(batch=dataclasses.replace(pair.batch, contraction=0.0))
+    pair = pair._replace(batch=dataclasses.replace(pair.batch, contraction=jnp.asarray(0.0)))
     evaluate = _Evaluate(pair, [ParameterErrors().measure(pair)], 0, 1e-3)
     called = [0, 0, 0]
     for i, (function, size) in enumerate(evaluate.ways):

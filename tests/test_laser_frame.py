@@ -336,7 +336,7 @@ def test_mistakes_in_the_data(tmp_path, column, value, said):
             "data.must_see.EXYY: found the unknown error 'EXYY' (did you mean 'EYY'?)",
         ),
         ("{ EYX = 1 }", "data.must_see.EYX: found the degree 1, expected a degree from 2 to 12"),
-        ("{ EC0Y = 2 }", "found the degree 2, expected 0, as a squareness has no degree"),
+        ("{ EC0Y = 2 }", "found the degree 2, expected 0, as a location error has no degree"),
         ("{ EYX = true }", "data.must_see.EYX"),
     ],
 )

@@ -36,7 +36,7 @@ from vcal.plan import Plan, joined
 from vcal.plots.residuals import _means as means
 from vcal.plots.residuals import before_after, unexplained_views
 from vcal.plots.search import search
-from vcal.plots.style import AFTER, BEFORE, DOTS, column_label
+from vcal.plots.style import AFTER, BEFORE, DOTS, column_label, figure, grid, ticks_apart
 from vcal.plots.views import View, effect_view, residual_without
 from vcal.report import check_folder, record, text, write, write_report
 from vcal.report.compensation import effects_csv
@@ -803,6 +803,9 @@ def test_headings_of_the_search_have_room(rounds, name):
     [
         ("a_set_m_s2", "a_set, m/s²"),
         ("a_x_m_s2", "acceleration of X, m/s²"),
+        ("v_c_rad_s", "angular velocity of C, rad/s"),
+        ("since_b_deg", "turn of B since its reversal, °"),
+        ("a_deg", "a, °"),
         ("coolant_l_min", "coolant, l/min"),
         ("oil_pressure_bar", "oil_pressure, bar"),
         ("payload_kg", "payload, kg"),
@@ -822,6 +825,22 @@ def test_headings_of_the_search_have_room(rounds, name):
 )
 def test_columns_as_labels_have_their_unit(column, label):
     assert column_label(column) == label
+
+
+@pytest.mark.parametrize("bounds", [(-500, 500), (-90, 90), (0, 360), (0, 12000), (-0.5, 0.5)])
+def test_labels_of_ticks_do_not_touch(bounds):
+    """On small multiples as narrow as those of five axes or of a robot."""
+    for columns in (3, 5, 6):
+        drawn = figure(9.6, 2.0)
+        margins = {"left": 0.8, "right": 0.2, "top": 0.3, "bottom": 0.5, "wspace": 0.7}
+        ax = grid(drawn, 1, columns, margins)[0, 0]
+        ax.set_xlim(*bounds)
+        ticks_apart(ax, 5)
+        drawn.canvas.draw()
+        labels = [t for t in ax.get_xticklabels() if bounds[0] <= t.get_position()[0] <= bounds[1]]
+        inside = [label.get_window_extent() for label in labels]
+        assert len(inside) >= 2
+        assert all(a.x1 + 2.0 < b.x0 for a, b in itertools.pairwise(inside))
 
 
 @pytest.mark.parametrize("kind", ["scatter", "visible", "sides"])

@@ -264,7 +264,10 @@ def test_what_does_not_fit_is_one_message(small, overrides, said):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda row: {"c_deg": str(-float(row["c_deg"]) + 360.0)}, "their signs, machine.rotary"),
+        (
+            lambda row: {"c_deg": str(-float(row["c_deg"]) + 360.0)},
+            "with the other sign in c_deg: correct that",
+        ),
         (lambda row: dict.fromkeys(POSITIONS[:5], "20"), "the same in all rows"),
         (lambda row: {"run": str(int(row["t_s"]) // 40)}, r"row\(s\) of run 0"),
     ],

@@ -35,8 +35,10 @@ from .port_map import PortMap, port_map
 from .prior import Amplitudes
 from .spatial import require_float64
 
-_SHARED = 0.5
-"""Contraction up to which the shared curvature is tried: 12 steps then gain three digits."""
+_SHARED = 0.8
+"""Contraction up to which the shared curvature is tried: it then gains three digits within
+`_STEPS`."""
+_STEPS = 40
 _MACHINES = 3
 """Machines of the prior whose curvature is compared with the nominal one."""
 _CAREFUL = 10.0
@@ -56,15 +58,19 @@ class _Steps(eqx.Module):
 class SharedCurvature(optx.AbstractLeastSquaresSolver):
     """theta <- theta - H^-1 g(theta): a fixed H, the exact gradient g, as an optimistix solver.
 
-    `y` is the parameter vector. Converged when the Newton decrement, or what the observed
-    contraction leaves of it after the step just taken, is below `tolerance`; diverged when steps
-    grow. `options["decrement"]` is the length of the step that led to the start, if there was one;
-    `options["state"]` goes on from a state.
+    `y` is the parameter vector. Converged when the Newton decrement, or what the contraction leaves
+    of it after the step just taken, is below `tolerance`; diverged when steps grow. The contraction
+    is the observed one, or, if that is worse, the one to be expected: of a long way in which nearly
+    everything gets there at once, the little that does not is not seen. `options["decrement"]` is
+    the length of the step that led to the start, if there was one; `options["state"]` goes on from
+    a state.
     """
 
     inverse: Float[Array, "k k"]
     """H^-1, shared by all problems."""
     tolerance: float
+    expected: Float[Array, ""] = 0.0  # pyright: ignore[reportAssignmentType]
+    """Contraction of steps in the slowest direction."""
     # Names that optimistix asks every solver for; convergence is judged by the decrement alone.
     rtol: float = 0.0
     atol: float = 0.0
@@ -87,7 +93,8 @@ class SharedCurvature(optx.AbstractLeastSquaresSolver):
 
     def terminate(self, fn, y, args, options, state, tags):
         contraction = jnp.where(jnp.isfinite(state.before), state.decrement / state.before, 1.0)
-        left = jnp.minimum(_CAREFUL * contraction, 1.0) * state.decrement
+        slowest = self.expected / (1.0 - jnp.minimum(self.expected, 0.9))
+        left = jnp.maximum(jnp.minimum(_CAREFUL * contraction, 1.0), slowest) * state.decrement
         done = (state.count > 0) & (left < self.tolerance)
         grows = (state.count > 0) & ~(state.decrement <= 10.0 * state.before)
         result = optx.RESULTS.where(
@@ -134,7 +141,7 @@ class Batch(eqx.Module):
     """H^-1: the posterior covariance."""
     gain: Float[Array, "k nm"]
     """H^-1 J' W: the linear estimate from a residual."""
-    contraction: float = eqx.field(static=True)
+    contraction: Float[Array, ""]
     """What a step with the shared curvature leaves of the distance to the solution, at worst and
     close to it: the spectral radius of 1 - H^-1 H(theta), median over machines of the prior.
     """
@@ -142,7 +149,7 @@ class Batch(eqx.Module):
     @property
     def shared(self) -> bool:
         """Whether the draws are near enough to each other to share their curvature."""
-        return self.contraction < _SHARED
+        return float(self.contraction) < _SHARED
 
     def shape_values(self, theta: Float[Array, " k"]) -> dict[int, dict[str, Any]]:
         """Shape parameters (SI) of the effects that have a moving one, by place of the effect."""
@@ -344,12 +351,12 @@ def prepare_batch(
         curvature=jnp.asarray(curvature),
         inverse=jnp.asarray(inverse),
         gain=jnp.asarray(inverse @ weighted.reshape(n * m, size).T),
-        contraction=float(np.median(rates)),
+        contraction=jnp.asarray(np.median(rates)),
     )
 
 
 def identify_one(
-    batch: Batch, readings: Float[Array, "n m"], *, tolerance: float = 1e-3, steps: int = 12
+    batch: Batch, readings: Float[Array, "n m"], *, tolerance: float = 1e-3, steps: int = _STEPS
 ) -> Identified:
     """Identify one draw with the shared curvature: a pure function, to be mapped over readings.
 
@@ -357,7 +364,7 @@ def identify_one(
     gradients says so in `converged`.
     """
     start, length = batch.linear(readings)
-    shared = SharedCurvature(inverse=batch.inverse, tolerance=tolerance)
+    shared = SharedCurvature(batch.inverse, tolerance, batch.contraction)
     return _stepped(batch.residual, shared, start, length, readings, steps)
 
 

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation as Rotations
 
 from .arrays import Array
 from .record import Record
@@ -225,15 +226,34 @@ class Chain(Record):
 
     def tool_point(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3"]:
         """Nominal tool point in the workpiece frame, m."""
-        still = np.zeros((len(self.joints), 6))
-        r, t = jax.vmap(lambda row: self.pose_as_arrays(row, still))(jnp.asarray(q, float))
-        return np.asarray(t + r @ self.tool_offset)
+        rt, pt = self._nominal(self.tool_side, q)
+        rw, pw = self._nominal(self.workpiece_side, q)
+        return np.einsum("nji,nj->ni", rw, pt + rt @ np.asarray(self.tool_offset) - pw)
 
     def turn(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3 3"]:
         """Nominal rotation from the bed's frame to that of the workpiece."""
-        still = np.zeros((len(self.joints), 6))
-        walk = lambda row: self._walk(self.workpiece_side, row, still, ARRAYS)[0].T  # noqa: E731
-        return np.asarray(jax.vmap(walk)(jnp.asarray(q, float)))
+        return np.swapaxes(self._nominal(self.workpiece_side, q)[0], 1, 2)
+
+    def _nominal(
+        self, side: Sequence[int], q: Float[np.ndarray, "n axes"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """`_walk` without errors, all rows at once: R (n, 3, 3) and t (n, 3).
+
+        In numpy: the first call of every operation of jax takes a compilation, a hundred here.
+        """
+        q = np.asarray(q, float)
+        r, t = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+        for i in side:
+            joint = self.joints[i]
+            before, after = np.asarray(joint.before), np.asarray(joint.after)
+            motion = q[:, i, None] * np.asarray(joint.direction) * joint.sign
+            t, r = t + r @ before[:3, 3], r @ before[:3, :3]
+            if joint.turns:
+                r = r @ Rotations.from_rotvec(motion).as_matrix()
+            else:
+                t = t + np.einsum("nij,nj->ni", r, motion)
+            t, r = t + r @ after[:3, 3], r @ after[:3, :3]
+        return r, t
 
     def frames(self, q: Float[Array, " axes"]) -> tuple[Array, Array]:
         """Nominal frame of every joint before its motion, in the bed frame: R (axes, 3, 3) and

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -12,19 +13,52 @@ from ..plan import Plan
 from .base import Effect, Response, Setup, along
 from .registry import register
 
-SHORTEST_PITCH_M = 4e-3
-"""The finest pitch of a positioning screw that is looked for wherever the axis stood."""
-_FINEST_M, _FINEST_SHARE, _PER_PERIOD = 0.25e-3, 0.01, 2.0
-"""Where it stood so closely that finer ones are seen: the finest pitch, also as a share of the
+_FINEST_SHARE, _PER_PERIOD = 0.01, 2.0
+"""Where an axis stood so closely that finer pitches are seen: the finest one as a share of the
 travel, and how many places every period needs."""
+_TEETH = (36, 40, 45, 48, 50, 60, 72, 80, 90, 96, 100, 120, 128, 144, 150, 180, 200, 240, 256, 360)
+"""Teeth of usual worm wheels, and cycles per turn of inductive scales."""
+_SLOWEST = 4.5
+"""Periods per turn of the longest pitch of a rotary axis: slower ones are `gear_harmonic`."""
 
-NOMINAL_LEADS_M = (
-    *(0.5e-3, 1e-3, 2e-3, 2.5e-3),
-    *(4e-3, 5e-3, 6e-3, 8e-3, 10e-3, 12e-3, 16e-3, 20e-3, 25e-3, 32e-3, 40e-3),
-)
-"""Nominal leads of ball screws, ISO 3408-2, and pole pitches of magnetic and inductive scales. A
-plan of nearly equal steps s cannot tell a pitch p from its aliases 1/p +/- 1/s; that real ones have
-these often can."""
+
+class _Pitches(NamedTuple):
+    """Pitches that are looked for, of the linear axes or of the rotary ones; m or rad."""
+
+    unit: str
+    """At the edges."""
+    shortest: float
+    """The finest that is looked for wherever the axis stood."""
+    finest: float
+    """The finest of all, where it stood closely."""
+    longest: float
+    nominal: tuple[float, ...]
+    """What is usual."""
+
+
+_PITCHES = {
+    # Nominal leads of ball screws, ISO 3408-2, and pole pitches of magnetic and inductive scales. A
+    # plan of nearly equal steps s cannot tell a pitch p from its aliases 1/p +/- 1/s; that real
+    # ones have these often can.
+    "um": _Pitches(
+        unit="mm",
+        shortest=4e-3,
+        finest=0.25e-3,
+        longest=math.inf,
+        nominal=(
+            *(0.5e-3, 1e-3, 2e-3, 2.5e-3),
+            *(4e-3, 5e-3, 6e-3, 8e-3, 10e-3, 12e-3, 16e-3, 20e-3, 25e-3, 32e-3, 40e-3),
+        ),
+    ),
+    "urad": _Pitches(
+        unit="deg",
+        shortest=math.radians(1.0),
+        finest=math.radians(0.1),
+        longest=2.0 * math.pi / _SLOWEST,
+        nominal=tuple(2.0 * math.pi / teeth for teeth in _TEETH),
+    ),
+}
+"""By the unit of the error along the axis, or about it."""
 
 
 SIGNAL_PERIODS_M = (2e-6, 4e-6, 10e-6, 20e-6, 40e-6, 100e-6, 200e-6)
@@ -35,27 +69,39 @@ _PERIODS = 500.0
 
 @register
 class ScrewCyclic(Effect):
-    """Error of a screw within one turn: a sin(2 pi x/p) + b cos(2 pi x/p) along the axis.
+    """Error of a screw within one turn: a sin(2 pi x/p) + b cos(2 pi x/p) along the axis; of a worm
+    about a rotary axis, whose wheel has 360/p teeth.
 
     The pitch p is scanned in steps of 1/(4 L) in 1/p, L the travel really covered: wider steps
-    lose the peak between two of them. It goes down to 4 mm, and further where the axis stood at two
-    places of every period or more. Pitches longer than a quarter of the travel belong to the
-    geometry, where that is fitted; where it is not, up to the whole travel is looked for.
+    lose the peak between two of them. It goes down to 4 mm, or 1 degree, and further where the axis
+    stood at two places of every period or more. Pitches longer than a quarter of the travel belong
+    to the geometry, where that is fitted; where it is not, up to the whole travel is looked for.
+    Those of a rotary axis end where `gear_harmonic` begins.
     """
 
     name = "screw_cyclic"
-    summary = "periodic error of a screw, a rack or a scale, pitch unknown"
+    summary = "periodic error of a screw, a rack, a worm or a scale, pitch unknown"
     port: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="um")
+    """``"um"`` along a linear axis, ``"urad"`` about a rotary one."""
     periods: float = eqx.field(static=True, default=4.0, repr=False)
     """Of the longest pitch that is looked for, within the travel."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("sine", "um", sigma=3.0),
-            Parameter("cosine", "um", sigma=3.0),
-            Parameter("pitch", "mm", shape=True, coordinate="reciprocal"),
+            Parameter("sine", self.unit, sigma=self._size),
+            Parameter("cosine", self.unit, sigma=self._size),
+            Parameter("pitch", self._pitches.unit, shape=True, coordinate="reciprocal"),
         )
+
+    @property
+    def _pitches(self) -> _Pitches:
+        return _PITCHES[self.unit]
+
+    @property
+    def _size(self) -> float:
+        return 3.0 if self.unit == "um" else 15.0
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -70,10 +116,12 @@ class ScrewCyclic(Effect):
         places = np.unique(np.asarray(plan.x(self.placement)))
         covered = float(np.ptp(places)) or 1.0
         apart = float(np.diff(places).max(initial=0.0)) or covered
-        shortest = max(_FINEST_M, _FINEST_SHARE * covered, _PER_PERIOD * apart)
-        lowest, highest = self.periods / covered, 1.0 / min(SHORTEST_PITCH_M, shortest)
+        sought = self._pitches
+        shortest = max(sought.finest, _FINEST_SHARE * covered, _PER_PERIOD * apart)
+        lowest = max(self.periods / covered, 1.0 / sought.longest)
+        highest = 1.0 / min(sought.shortest, shortest)
         if highest <= lowest:
-            return {"pitch": np.array([covered / self.periods])}
+            return {"pitch": np.array([1.0 / lowest])}
         # Both ends, and a step beyond the finest: a pitch there is within the scan, not its end.
         steps = math.ceil((highest - lowest) * 4.0 * covered) + 1
         return {"pitch": 1.0 / (lowest + 0.25 / covered * np.arange(steps + 1))}
@@ -81,28 +129,28 @@ class ScrewCyclic(Effect):
     def shape_odds(
         self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
     ) -> float:
-        # Half of the prior on the nominal leads, half even over the scan in 1/pitch.
+        # Half of the prior on the nominal pitches, half even over the scan in 1/pitch.
         ends = 1.0 / self.scan(plan)["pitch"]
         pitch, u = values["pitch"], uncertainties["pitch"]
         # A lead is made to a few parts in ten thousand.
         width = np.hypot(u, 2e-4 * pitch)
         even = 1.0 / (pitch**2 * max(float(np.ptp(ends)), 1e-9))
-        leads = np.asarray(NOMINAL_LEADS_M)
-        peaks = np.exp(-0.5 * ((pitch - leads) / width) ** 2) / (np.sqrt(2.0 * np.pi) * width)
+        nominal = np.asarray(self._pitches.nominal)
+        peaks = np.exp(-0.5 * ((pitch - nominal) / width) ** 2) / (np.sqrt(2.0 * np.pi) * width)
         return 0.5 + 0.5 * float(peaks.mean()) / even
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         for joint in setup.chain.joints:
-            if joint.kind == "prismatic":
-                port, _ = along(setup.chain, joint.name)
+            if joint.kind != "revolute":
+                port, unit = along(setup.chain, joint.name)
                 fitted = any(
                     motion.name == port
                     for effect in setup.declared
                     for motion in getattr(effect, "motions", ())
                 )
                 periods = cls.periods if fitted else 1.0
-                yield cls(port=port, periods=periods, placement=joint.name)
+                yield cls(port=port, unit=unit, periods=periods, placement=joint.name)
 
 
 @register

@@ -27,6 +27,7 @@ from .base import (
     register,
 )
 from .conditions import ROTARY, linear_plan, linear_plan_table
+from .follow import check_follows
 from .frame import displaced, pose_parameters
 
 _FOUND_M = 1e-12
@@ -204,7 +205,7 @@ class BallArray(TableInstrument):
         single = () if chain.linear else _single(poses, table)
         several = [pose for pose in poses if pose not in single]
         _check_lines(several, table, settings.artefact, artefact["ball"], centres_mm)
-        return cls(
+        built = cls(
             centres=centres_mm * 1e-3,
             numbers=artefact["ball"].astype(int),
             probe_sigma=settings.probe_sigma_um * 1e-6,
@@ -215,6 +216,15 @@ class BallArray(TableInstrument):
             pose_origin=np.zeros((len(poses), 3)),
             single=single,
         )
+        plan = linear_plan(chain, table)
+        _check_turned(plan, single)
+        check_follows(
+            chain,
+            plan,
+            lambda nominal: built._placed(plan, nominal)._off(plan, nominal),
+            "columns x_mm, y_mm, z_mm",
+        )
+        return built
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
         plan = linear_plan(chain, table)
@@ -292,7 +302,10 @@ class BallArray(TableInstrument):
         return np.ones((plan.rows, 3))
 
     def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> Self:
-        nominal = chain.tool_point(np.asarray(plan.position))
+        return self._placed(plan, chain.tool_point(np.asarray(plan.position)))
+
+    def _placed(self, plan: Plan, nominal: np.ndarray) -> Self:
+        """The same with its poses where nominal tool points (n, 3) find the balls."""
         balls = self.centres[self._ball_rows(plan)]
         rotations, origins = [], []
         for pose in self.pose_numbers:
@@ -306,6 +319,13 @@ class BallArray(TableInstrument):
         return dataclasses.replace(
             self, pose_rotation=np.stack(rotations), pose_origin=np.stack(origins)
         )
+
+    def _off(self, plan: Plan, nominal: np.ndarray) -> np.ndarray:
+        """Distance (n,) of tool points (n, 3) from the balls in these poses."""
+        pose = np.searchsorted(self.pose_numbers, np.asarray(plan.groups["pose"]))
+        balls = self.centres[self._ball_rows(plan)]
+        found = np.einsum("nij,nj->ni", self.pose_rotation[pose], balls) + self.pose_origin[pose]
+        return np.linalg.norm(nominal - found, axis=1)
 
     def effects(self, plan: Plan) -> tuple[Effect, ...]:
         effects: tuple[Effect, ...] = (
@@ -365,6 +385,21 @@ def _single(poses: np.ndarray, table: Mapping[str, np.ndarray]) -> tuple[int, ..
     return tuple(
         int(pose) for pose in poses if len(np.unique(table["ball"][table["pose"] == pose])) == 1
     )
+
+
+def _check_turned(plan: Plan, single: Sequence[int]) -> None:
+    """Raise `RowError` where one ball alone was measured and nothing turned it."""
+    turning = np.stack([np.asarray(plan.x(axis)) for axis in plan.axes if axis in ROTARY] or [[]])
+    for pose in single:
+        rows = np.flatnonzero(np.asarray(plan.groups["pose"]) == pose)
+        if not np.ptp(turning[:, rows], axis=1).any():
+            raise RowError(
+                int(rows[0]),
+                "column pose",
+                f"one ball in pose {pose}, at one setting of the rotary axes",
+                "several settings of a rotary axis, which move it, or three balls at least",
+                "measure it at other angles, or remove the pose",
+            )
 
 
 def _check_balls(file: str, calibrated: np.ndarray, found: np.ndarray) -> None:

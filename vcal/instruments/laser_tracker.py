@@ -14,7 +14,7 @@ from ..effects.base import Effect
 from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
-from ..spatial import euler_xyz
+from ..spatial import best_rigid, euler_xyz
 from .base import (
     LARGEST_NOISE,
     Column,
@@ -25,6 +25,7 @@ from .base import (
     register,
 )
 from .conditions import linear_plan, linear_plan_table
+from .follow import check_follows
 from .frame import Station, displaced
 
 _Coordinate = Annotated[float, Field(ge=-200e3, le=200e3)]
@@ -96,6 +97,8 @@ class LaserTracker(TableInstrument):
         load: Loader,
     ) -> Self:
         angles = np.deg2rad(np.asarray(settings.euler_xyz_deg, float))
+        if all(name in table for name in _COLUMNS):
+            _check_follows(chain, table)
         return cls(
             station=np.asarray(settings.station_mm, float) * 1e-3,
             orientation=np.asarray(euler_xyz(jnp.asarray(angles))),
@@ -167,6 +170,21 @@ class LaserTracker(TableInstrument):
         t = plan.values("t") if plan.has("t") else np.zeros(plan.rows)
         place = np.argsort(np.argsort(t, kind="stable"), kind="stable")
         return place * 5 // plan.rows, False
+
+
+def _check_follows(chain: Chain, table: Mapping[str, np.ndarray]) -> None:
+    """Raise `RowError` where the reflector was not where the axes take it."""
+    r, azimuth, elevation = (np.asarray(table[name], float) for name in _COLUMNS)
+    level = np.cos(elevation)
+    seen = np.stack(
+        [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1
+    ) * (1e-3 * r[:, None])
+
+    def off(nominal: np.ndarray) -> np.ndarray:
+        turn, place = best_rigid(seen, nominal)
+        return np.linalg.norm(seen @ turn.T + place - nominal, axis=1)
+
+    check_follows(chain, linear_plan(chain, table, _COLUMNS), off, f"columns {', '.join(_COLUMNS)}")
 
 
 def _with_read(plan: Plan, readings: Float[np.ndarray, "n 3"]) -> Plan:

@@ -24,6 +24,7 @@ from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
 from .base import LARGEST_NOISE, Column, Loader, Ports, TableInstrument, register
 from .conditions import ROTARY, file_column, linear_plan, linear_plan_table
+from .follow import cause
 from .nest import COORDINATES, PROBES, Nest, NestSettings, reading_columns
 
 _XYZ = ("X", "Y", "Z")
@@ -152,13 +153,11 @@ class StaticRTest(TableInstrument):
     ) -> Self:
         run = np.asarray(table["run"], int)
         position = np.asarray(linear_plan(chain, {k: table[k] for k in _places(chain)}).position)
-        points, runs = chain.tool_point(position), np.unique(run)
+        runs = np.unique(run)
         _check_runs(run, runs)
         _check_turns(chain, run, position)
-        places = np.stack([points[run == k].mean(0) for k in runs])
-        _check_follows(
-            chain, settings.range_mm * 1e-3, run, points, places[np.searchsorted(runs, run)]
-        )
+        _check_follows(chain, settings.range_mm * 1e-3, run, position)
+        points = chain.tool_point(position)
         return cls(
             sigma=settings.external_sigma_um * 1e-6,
             zero_sigma=settings.zero_u_um * 1e-6,
@@ -166,7 +165,7 @@ class StaticRTest(TableInstrument):
             in_spindle=settings.nest == "spindle",
             nest=Nest.of(settings),
             runs=tuple(int(k) for k in runs),
-            places=places,
+            places=np.stack([points[run == k].mean(0) for k in runs]),
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
@@ -250,18 +249,24 @@ def _check_turns(chain: Chain, run: np.ndarray, position: np.ndarray) -> None:
         )
 
 
-def _check_follows(
-    chain: Chain, reach: float, run: np.ndarray, points: np.ndarray, places: np.ndarray
-) -> None:
+def _check_follows(chain: Chain, reach: float, run: np.ndarray, position: np.ndarray) -> None:
     """Raise `RowError` where the nominal tool point leaves the place of its run."""
-    off = np.linalg.norm(points - places, axis=1)
-    row = int(np.argmax(off))
-    if off[row] > reach:
+
+    def off(points: np.ndarray) -> np.ndarray:
+        found = np.empty(len(run))
+        for k in np.unique(run):
+            found[run == k] = np.linalg.norm(points[run == k] - points[run == k].mean(0), axis=1)
+        return found
+
+    found = off(chain.tool_point(position))
+    row = int(np.argmax(found))
+    if found[row] > reach:
         raise RowError(
             row,
             "columns " + ", ".join(_places(chain)),
-            f"a tool point {1e3 * off[row]:.4g} mm from the mean of run {run[row]}, in the frame "
+            f"a tool point {1e3 * found[row]:.4g} mm from the mean of run {run[row]}, in the frame "
             "of the workpiece",
             f"axes that follow the sphere, within the {1e3 * reach:g} mm of instrument.range_mm",
-            "correct the positions, their signs, machine.rotary or the run",
+            cause(chain, chain.axes, position, off, reach)
+            or "correct the positions, their signs, machine.rotary or the run",
         )

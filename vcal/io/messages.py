@@ -3,13 +3,14 @@
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
 from ..catalogue import closest, nearest
 from ..errors import StudyError
 
+_QUOTED = r"'([^']*)'"
 _MOST_LINES = 5
 """Mistakes of one file that are listed; the rest is counted."""
 
@@ -102,6 +103,9 @@ def _of_one_kind(errors: Sequence[Any], raw: Mapping[str, Any]) -> list[Any]:
     fields: dict[tuple, dict[str | int, list[Any]]] = {}
     for e in errors:
         loc, key = e["loc"], _in_file(raw, e["loc"])
+        if loc[-1:] == ("[key]",):
+            found.append(dict(e) | {"loc": loc[:-1], "type": "wrong_key"})
+            continue
         if e["type"] in ("missing", "extra_forbidden") or len(key) == len(loc):
             found.append(e)
             continue
@@ -180,7 +184,10 @@ def _line(
         expected = f"a number of at most {context['le']:g}"
     elif kind == "literal_error":
         expected = context["expected"]
-        found += nearest(str(at(raw, loc)), re.findall(r"'([^']*)'", expected))
+        found += nearest(str(at(raw, loc)), re.findall(_QUOTED, expected))
+    elif kind == "wrong_key":
+        expected, do = context["expected"], "correct or remove the key"
+        found = f"the unknown key {name!r}{nearest(name, re.findall(_QUOTED, expected))}"
     elif kind == "too_short":
         expected, do = f"at least {context['min_length']}", "add what is missing"
     elif kind == "too_long":
@@ -211,15 +218,17 @@ def _dotted(loc: Sequence[str | int]) -> str:
 
 def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
     """Keys of the table at `loc`."""
+    named = False
     for i, part in enumerate(loc):
-        if isinstance(part, int):
-            continue  # a row of an array of tables: its model was found with the array
+        if isinstance(part, int) or named:
+            named = False
+            continue  # a row of an array of tables, or one of tables by name: found with them
         field = model.model_fields.get(part)
         row = loc[i + 1] if i + 1 < len(loc) else None
         inner = _model_in(field.annotation, row) if field else None
-        if inner is None:
+        if field is None or inner is None:
             return []
-        model = inner
+        model, named = inner, get_origin(field.annotation) is dict
     return list(model.model_fields)
 
 

@@ -17,6 +17,8 @@ from .messages import listed, refusal
 
 _HIGHEST = 12
 _SIZE = 1e-5
+_LINES = dict(zip("XYZABC", ("XA", "YB", "ZC") * 2, strict=True))
+"""Axes along or about the line of a component, which have no location error of it."""
 
 
 def check_seen(
@@ -67,18 +69,19 @@ def check_seen(
 
 def check_wanted(wanted: Mapping[str, int], chain: Chain, file: str, key: str) -> dict[str, int]:
     """Lowest degree of every error there is that is not the artefact's or the station's; zero for
-    squarenesses. Raises `StudyError` for an error or a degree that does not exist.
+    location errors. Raises `StudyError` for an error or a degree that does not exist.
     """
     linear = [joint.name for joint in chain.joints if joint.kind == "prismatic"]
-    squarenesses = [
+    turning = [joint.name for joint in chain.joints if joint.kind == "rotary"]
+    located = [
         f"E{c}0{axis}"
-        for axis in linear
-        for c, own in zip("ABC", "XYZ", strict=True)
-        if axis != own
+        for axis, components in (*((a, "ABC") for a in linear), *((a, "XYZABC") for a in turning))
+        for c in components
+        if axis not in _LINES[c]
     ]
     motions = [f"E{c}{axis}" for axis in chain.axes for c in "XYZABC"]
     straight = {port for axis in linear for port in across(chain, axis)}
-    lowest = {n: 2 if n in straight else 1 for n in motions} | dict.fromkeys(squarenesses, 0)
+    lowest = {n: 2 if n in straight else 1 for n in motions} | dict.fromkeys(located, 0)
     for name, degree in wanted.items():
         _check_key(name, degree, lowest, file, key)
     return lowest
@@ -91,7 +94,8 @@ def _check_key(name: str, degree: int, lowest: Mapping[str, int], file: str, tab
             file,
             key,
             f"the unknown error {name!r}{nearest(name, lowest)}",
-            f"an error motion such as {next(iter(lowest))}, or a squareness of linear axes",
+            f"an error motion such as {next(iter(lowest))}, or a location error such as "
+            f"{next(n for n, low in lowest.items() if not low)}",
             "correct or remove the key",
         )
     low = lowest[name]
@@ -101,7 +105,7 @@ def _check_key(name: str, degree: int, lowest: Mapping[str, int], file: str, tab
             file,
             key,
             f"the degree {degree}",
-            f"a degree from {low} to {high}" if low else "0, as a squareness has no degree",
+            f"a degree from {low} to {high}" if low else "0, as a location error has no degree",
             "correct it",
         )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from .style import AFTER, DOTS, INK, figure, grid, pretty_unit, titled
+from .style import AFTER, DOTS, INK, figure, grid, pretty_unit, ticks_apart, titled
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def error_motions(tables: Sequence[ErrorMotionTable]) -> Figure:
             ax.set_ylim(-bound, bound)
             ax.margins(x=0)
             ax.locator_params(axis="y", nbins=4)
-            ax.locator_params(axis="x", nbins=5)
+            ticks_apart(ax, 5)
             if row < len(mine) - 1:
                 ax.tick_params(labelbottom=False)
         for ax in table[len(mine) :, column]:

@@ -1,5 +1,6 @@
 """What an effect does to the ports it disturbs, against the covariate that betrays it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..effects.base import Effect
+from ..instruments.conditions import ROTARY
 from ..plan import Plan
 from .style import AFTER, FIELD, column_label, figure, grid, plain, pretty_unit, titled
 from .views import column_of, described, values_of
@@ -69,8 +71,9 @@ def _against(effect: Effect, plan: Plan, shape: dict[str, float], y: np.ndarray)
         return np.arange(plan.rows, dtype=float), "row", None, ""
     period = next((shape[n] for n in ("pitch", "period") if n in shape), None)
     if period is not None:
-        x = 1e3 * np.mod(values_of(names[0], plan), period)
-        return x, f"{names[0]} modulo {1e3 * period:.4g} mm, mm", None, ""
+        unit, factor = ("°", math.degrees(1.0)) if names[0] in ROTARY else ("mm", 1e3)
+        x = factor * np.mod(values_of(names[0], plan), period)
+        return x, f"{names[0]} modulo {factor * period:.4g} {unit}, {unit}", None, ""
     first = max(names, key=lambda n: described(values_of(n, plan), y))
     others = [n for n in names if n != first]
     column, factor = column_of(first, plan)

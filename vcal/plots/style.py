@@ -22,6 +22,8 @@ TONE = "#21918c"
 """Colour map of fields, and the middle of it."""
 
 DPI = 110
+_BETWEEN = 0.08
+"""Least space between the labels of two ticks, in inches."""
 
 _UNITS = {
     "um": "µm",
@@ -116,6 +118,21 @@ def width_of(text: str, size: float = 9.0) -> float:
     return float(TextPath((0.0, 0.0), text, size=size).get_extents().width) / 72.0 if text else 0.0
 
 
+def ticks_apart(ax: Axes, most: int) -> None:
+    """Up to `most` steps between the ticks of x, fewer where their labels would touch."""
+    whole = ax.get_figure(root=True)
+    assert whole is not None
+    low, high = sorted(ax.get_xlim())
+    per_inch = (high - low) / (ax.get_position().width * whole.get_size_inches()[0])
+    for steps in range(most, 0, -1):
+        ax.locator_params(axis="x", nbins=steps)
+        ticks = np.array([x for x in ax.get_xticks() if low <= x <= high])
+        labels = ax.xaxis.get_major_formatter().format_ticks(list(ticks))
+        half = np.array([0.5 * width_of(label) for label in labels])
+        if (np.diff(ticks) / per_inch >= half[1:] + half[:-1] + _BETWEEN).all():
+            return
+
+
 def png(drawn: Figure) -> bytes:
     """The figure as a PNG file."""
     buffer = io.BytesIO()
@@ -141,12 +158,18 @@ def column_label(column: str) -> str:
     if match := re.fullmatch(r"dir_(\w+)", column):
         joint = re.fullmatch(r"q(\d+)", match[1])
         return f"direction of travel of {f'joint {joint[1]}' if joint else match[1].upper()}"
-    if match := re.fullmatch(r"(a|v|since)_([xyz])_\w+", column):
+    if match := re.fullmatch(r"(a|v|since)_([a-cx-z])_\w+", column):
         words = {
             "a": "acceleration of {}, m/s²",
             "v": "velocity of {}, m/s",
             "since": "travel of {} since its reversal, mm",
         }
+        if match[2] in "abc":
+            words = {
+                "a": "angular acceleration of {}, rad/s²",
+                "v": "angular velocity of {}, rad/s",
+                "since": "turn of {} since its reversal, °",
+            }
         return words[match[1]].format(match[2].upper())
     if match := re.fullmatch(r"q(\d+)_(cmd|read)_deg", column):
         return f"joint {match[1]}, {'commanded' if match[2] == 'cmd' else 'read back'}, °"

@@ -11,7 +11,7 @@ from ..fit import Fit
 from ..instruments.conditions import file_column
 from ..loop.unexplained import bins, displacements, way
 from ..plan import Plan
-from .style import column_label
+from .style import column_label, pretty_unit
 
 _CLEAR = 0.5
 """Share of an effect's own pattern that a covariate must describe to be its axis in a picture."""
@@ -176,9 +176,10 @@ def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.nda
     plan = fit.measurement.plan
     named = [n for n in effect.betrayed_by if plan.has(n)]
     if "pitch" in shape and effect.placement in plan.axes:
-        pitch = float(shape["pitch"]) * 1e3
-        x = np.mod(values_of(effect.placement, plan)[used] * 1e3, pitch)
-        label = f"{effect.placement} position modulo the pitch of {pitch:.4g} mm, mm"
+        (of,) = (p for p in effect.shapes if p.name == "pitch")
+        pitch, unit = float(shape["pitch"]) / of.si, pretty_unit(of.unit)
+        x = np.mod(values_of(effect.placement, plan)[used] / of.si, pitch)
+        label = f"{effect.placement} position modulo the pitch of {pitch:.4g} {unit}, {unit}"
         return x, label, "scatter", None
     steps = [p.name for p in effect.shapes if not p.smooth]
     if steps and named:

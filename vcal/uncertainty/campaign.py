@@ -11,7 +11,7 @@ import hashlib
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -217,9 +217,7 @@ class _Evaluate:
         ways = [(identify_alone, few), (identify_damped, few)]
         if pair.batch.shared:
             ways.insert(0, (identify_one, self.size))
-        # How good the shared curvature is has been decided here, and differs from design to design.
-        batch = replace(pair.batch, contraction=0.0)
-        self.content = pair.simulator, batch, self.measures
+        self.content = pair.simulator, pair.batch, self.measures
         together = TOGETHER if processor else 0
         self.ways = [
             (self._compiled(way, min(together, size), programs), size) for way, size in ways

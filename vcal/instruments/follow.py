@@ -1,0 +1,74 @@
+"""Whether what was measured follows the axes, by the nominal kinematics of the machine."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..chain import Chain
+from ..errors import RowError
+from ..plan import Plan
+from .conditions import LINEAR, file_column
+
+_MOST_OFF = 0.02
+"""Of the size of the region that was measured: no machine is that far off."""
+_LEAST_M = 1e-3
+"""What is nothing to wonder at, however small the region: where a rotary axis is, is declared as
+well as one knows."""
+
+
+def check_follows(
+    chain: Chain,
+    plan: Plan,
+    off: Callable[[np.ndarray], np.ndarray],
+    columns: str,
+) -> None:
+    """Refuse readings of a machine with rotary axes that are not where its axes take the tool.
+
+    `off` gives the distance (n,), m, of every reading from the nominal tool points (n, 3) of the
+    workpiece, after the rigid motions that are unknown anyway. Half of the readings count: a few
+    that are astray are left out later. Raises `RowError`, which names the columns in
+    another unit, or the one with another sign, where that alone is the cause.
+    """
+    if chain.linear:
+        return
+    position = np.asarray(plan.position)
+    linear = position[:, [axis in LINEAR for axis in plan.axes]]
+    size = np.linalg.norm(linear - linear.mean(0), axis=1).max()
+    allowed = max(_MOST_OFF * size, _LEAST_M)
+    found = off(chain.tool_point(position))
+    if np.median(found) <= allowed:
+        return
+    row = int(np.argmax(found))
+    raise RowError(
+        row,
+        columns,
+        f"readings {1e3 * found[row]:.4g} mm away from where the axes take the tool, in half of "
+        f"the rows more than {1e3 * np.median(found):.4g} mm",
+        f"readings that follow the positions to {1e3 * allowed:.4g} mm",
+        cause(chain, plan.axes, position, off, allowed)
+        or "compare signs, units and order of the columns of positions and readings, at_mm of the "
+        "rotary axes, tool_offset_mm and the chain with the machine",
+    )
+
+
+def cause(
+    chain: Chain,
+    axes: tuple[str, ...],
+    position: np.ndarray,
+    off: Callable[[np.ndarray], np.ndarray],
+    allowed: float,
+) -> str:
+    """The one change of positions with which half of the readings are within `allowed` of where the
+    axes take the tool, as `off` tells; nothing where there is none.
+    """
+    columns = {axis: file_column(axis, axes) for axis in axes}
+    changes = [({axis: -1.0}, "the other sign") for axis in axes]
+    turning = {axis: factor for axis, (_, factor) in columns.items() if axis not in LINEAR}
+    changes += [({axis: f}, "radians turned into degrees") for axis, f in turning.items()]
+    changes.append((turning, "radians turned into degrees"))
+    for factors, words in changes:
+        changed = position * np.array([factors.get(axis, 1.0) for axis in axes])
+        if np.median(off(chain.tool_point(changed))) <= allowed:
+            names = ", ".join(columns[axis][0] for axis in factors)
+            return f"they do with {words} in {names}: correct that"
+    return ""
