@@ -86,10 +86,6 @@ def test_an_arm_is_identified_with_a_curvature_of_its_own(known):
     root = np.linalg.cholesky(np.linalg.inv(fit.jacobian.T @ fit.jacobian + np.diag(fit.precision)))
     away = np.linalg.norm(np.linalg.solve(root, np.asarray(found.theta) - fit.theta))
     assert away < 1e-3
-    # The Jacobian that is put together from terms is the derivative.
-    one = jax.jit(lambda *a: batch.dense_jacobian(*a))(found.theta, made.readings)
-    two = jax.jit(jax.jacfwd(lambda *a: batch.dense_residual(*a)))(found.theta, made.readings)
-    np.testing.assert_allclose(one, two, atol=1e-9 * np.abs(two).max())
 
 
 @pytest.mark.slow
@@ -220,10 +216,10 @@ def test_the_seed_alone_decides(known, tmp_path):
 
 @pytest.mark.campaign
 def test_strong_curvature_is_retried_and_told(known):
-    """Errors eighty times too large: most machines are far from the nominal problem."""
+    """Errors three hundred times too large: most machines are far from the nominal problem."""
     it = known["laser_tracker"]
     geometric = next(e for e in it.model.effects if e.name == "geometric")
-    large = tuple((p.name, 0.0, 80.0 * p.sigma) for p in geometric.parameters)
+    large = tuple((p.name, 0.0, 300.0 * p.sigma) for p in geometric.parameters)
     far = dataclasses.replace(geometric, given=large)
     rest = [e for e in it.model.effects if e is not geometric]
     model = Model(it.chain, it.instrument, (far, *rest))

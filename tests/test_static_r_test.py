@@ -2,6 +2,7 @@
 
 import csv
 import math
+from functools import partial
 
 import jax
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import vcal
 from test_rotary import BALLS, SETUP, TOOL, errors_of, frame, point, positions
+from vcal.batch import identify_alone, identify_one, prepare_batch
 from vcal.errors import StudyError
 from vcal.simulate import simulate
 
@@ -231,6 +233,31 @@ def test_a_sphere_that_slips_on_the_table(tmp_path, nest):
     assert [f.effect.key for f in closure.effects] == ["jump place"]
     for (_, value, _, u), true in zip(closure.effects[0].parameters, (4, -3, 0, 910), strict=True):
         assert abs(value - true) < 3.0 * u
+
+
+def test_curvature_that_differs_in_few_directions(tmp_path):
+    """Errors of the probes are seen where the machine is off: of the linearised nominal problem
+    they are not. A search that shares its curvature says where it has not arrived.
+    """
+    study = vcal.load_study(write(tmp_path, 12, machine(0.0)), ["instrument.external_u_um=3"])
+    batch = prepare_batch(study.model, study.plan)
+    assert not batch.shared
+    made = [simulate(study.model, study.plan, jax.random.key(k)).measurement for k in range(4)]
+    readings = np.stack([np.asarray(m.readings) for m in made])
+    found, shared = (
+        jax.jit(partial(jax.lax.map, partial(way, batch)))(readings)
+        for way in (identify_alone, identify_one)
+    )
+    assert found.converged.all() and found.steps.max() < 5
+    for k, measurement in enumerate(made):
+        fit = vcal.identify(study.model, measurement, whitener=np.asarray(batch.whitener))
+
+        def away(theta, fit=fit):
+            return np.linalg.norm(np.triu(fit.factor[0]) @ (np.asarray(theta) - fit.theta))
+
+        assert not fit.factor[1]
+        assert away(found.theta[k]) < 1e-3
+        assert not shared.converged[k] or away(shared.theta[k]) < 2e-3
 
 
 # --- what cannot be used ----------------------------------------------------------------------

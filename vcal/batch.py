@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+from jax.scipy.sparse.linalg import cg
 from jaxtyping import Bool, Float, Int
 
 from .arrays import Array
@@ -35,10 +36,11 @@ from .port_map import PortMap, port_map
 from .prior import Amplitudes
 from .spatial import require_float64
 
-_SHARED = 0.8
-"""Contraction up to which the shared curvature is tried: it then gains three digits within
-`_STEPS`."""
-_STEPS = 40
+_SHARED = 0.5
+"""Contraction up to which the shared curvature is tried: 12 steps then gain three digits."""
+_INNER, _MOST_INNER = 1e-3, 100
+"""How far every step with a curvature of its own is solved, as a share of its length, and in how
+many iterations at most."""
 _MACHINES = 3
 """Machines of the prior whose curvature is compared with the nominal one."""
 _CAREFUL = 10.0
@@ -69,7 +71,7 @@ class SharedCurvature(optx.AbstractLeastSquaresSolver):
     inverse: Float[Array, "k k"]
     """H^-1, shared by all problems."""
     tolerance: float
-    expected: Float[Array, ""] = 0.0  # pyright: ignore[reportAssignmentType]
+    expected: Float[Array, ""] | float = 0.0
     """Contraction of steps in the slowest direction."""
     # Names that optimistix asks every solver for; convergence is judged by the decrement alone.
     rtol: float = 0.0
@@ -106,6 +108,31 @@ class SharedCurvature(optx.AbstractLeastSquaresSolver):
         return y, aux, {}
 
 
+class OwnCurvature(SharedCurvature):
+    """The same with the curvature at theta itself, H(theta) = J'J + L.
+
+    A step solves (R H(theta) R') w = R g, R' R = H^-1 of the nominal problem, by conjugate
+    gradients: most of R H(theta) R' is the identity, so that some products with J, which is never
+    made, do. |w| counts posterior standard deviations. Exact gradients, so that an unfinished step
+    costs another one and nothing else.
+    """
+
+    root: Float[Array, "k k"] = eqx.field(kw_only=True)
+
+    def step(self, fn, y, args, options, state, tags):
+        del options, tags
+        residual, push, aux = jax.linearize(lambda theta: fn(theta, args), y, has_aux=True)
+        pull = jax.linear_transpose(push, y)
+
+        def product(w: Array) -> Array:
+            return self.root @ pull(push(self.root.T @ w))[0]
+
+        gradient = self.root @ pull(residual)[0]
+        step, _ = cg(product, gradient, tol=_INNER, maxiter=_MOST_INNER)
+        decrement = jnp.sqrt(jnp.maximum(gradient @ step, 0.0))
+        return y - self.root.T @ step, _Steps(decrement, state.decrement, state.count + 1), aux
+
+
 class Batch(eqx.Module):
     """A model on a plan, linearised once, ready to be identified from many measurements.
 
@@ -139,6 +166,8 @@ class Batch(eqx.Module):
     """H = J'J + L."""
     inverse: Float[Array, "k k"]
     """H^-1: the posterior covariance."""
+    root: Float[Array, "k k"]
+    """R, with R' R = H^-1."""
     gain: Float[Array, "k nm"]
     """H^-1 J' W: the linear estimate from a residual."""
     contraction: Float[Array, ""]
@@ -191,21 +220,6 @@ class Batch(eqx.Module):
             return value, jnp.concatenate([self._whitened(off), self.root_precision * tangents[0]])
 
         return residual(theta, readings)
-
-    def dense_jacobian(self, theta: Float[Array, " k"], readings: Float[Array, "n m"]) -> Array:
-        """Derivative of `dense_residual` by theta."""
-        if self.ports.moving:
-            return jax.jacfwd(self.dense_residual)(theta, readings)
-        # Term by term, and then one large product instead of one small one per row.
-        columns = self.ports.columns
-        port = np.repeat([c.port for c in columns], [len(c.parameter) for c in columns])
-        values = jnp.concatenate([c.values for c in columns]).T
-        _, by_port = self._dense(theta, readings)
-        by_term = -(self.whitener @ by_port[:, :, port]) * values[:, None, :]
-        parameter = jnp.concatenate([c.parameter for c in columns])
-        gather = jax.nn.one_hot(parameter, len(theta), dtype=theta.dtype)
-        data = by_term.reshape(-1, len(port)) @ gather
-        return jnp.concatenate([data, jnp.diag(self.root_precision)])
 
     def _dense(self, theta: Array, readings: Array) -> tuple[Array, Array]:
         """The residual, and the derivatives of the reduced readings by the ports (n, m, p)."""
@@ -350,13 +364,14 @@ def prepare_batch(
         jacobian=jnp.asarray(jacobian),
         curvature=jnp.asarray(curvature),
         inverse=jnp.asarray(inverse),
+        root=jnp.asarray(root),
         gain=jnp.asarray(inverse @ weighted.reshape(n * m, size).T),
         contraction=jnp.asarray(np.median(rates)),
     )
 
 
 def identify_one(
-    batch: Batch, readings: Float[Array, "n m"], *, tolerance: float = 1e-3, steps: int = _STEPS
+    batch: Batch, readings: Float[Array, "n m"], *, tolerance: float = 1e-3, steps: int = 12
 ) -> Identified:
     """Identify one draw with the shared curvature: a pure function, to be mapped over readings.
 
@@ -364,7 +379,7 @@ def identify_one(
     gradients says so in `converged`.
     """
     start, length = batch.linear(readings)
-    shared = SharedCurvature(batch.inverse, tolerance, batch.contraction)
+    shared = SharedCurvature(inverse=batch.inverse, tolerance=tolerance, expected=batch.contraction)
     return _stepped(batch.residual, shared, start, length, readings, steps)
 
 
@@ -393,14 +408,22 @@ def _stepped(residual, solver: SharedCurvature, start, length, readings, steps: 
 def identify_alone(
     batch: Batch, readings: Float[Array, "n m"], *, tolerance: float = 1e-3, steps: int = 12
 ) -> Identified:
-    """`identify_one` with the curvature at the draw's own linear solution, for draws that are too
-    far from the nominal problem to share its curvature.
+    """`identify_one` with the draw's own curvature, for draws that are too far from the nominal
+    problem to share its own.
     """
     start, _ = batch.linear(readings)
     start = jnp.where(jnp.isfinite(start), start, 0.0)
-    jacobian = batch.dense_jacobian(start, readings)
-    own = SharedCurvature(inverse=jnp.linalg.inv(jacobian.T @ jacobian), tolerance=tolerance)
-    return _stepped(batch.dense_residual, own, start, jnp.asarray(jnp.inf), readings, steps)
+    own = OwnCurvature(inverse=batch.inverse, tolerance=tolerance, root=batch.root)
+    found = optx.least_squares(
+        batch.dense_residual,
+        own,
+        start,
+        readings,
+        max_steps=steps,
+        throw=False,
+    )
+    good = (found.result == optx.RESULTS.successful) & jnp.all(jnp.isfinite(found.value))
+    return Identified(found.value, good, found.stats["num_steps"])
 
 
 def identify_damped(
