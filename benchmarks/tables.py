@@ -193,6 +193,17 @@ def several(found: dict) -> str:
     return table(["case", "sets", *outcomes, "told not to fit one machine"], rows)
 
 
+def five_axes(found: dict) -> str:
+    outcomes = ["right", "not certain", "ambiguous", "unexplained", "wrong", "nothing"]
+    rows = (
+        [r["instrument"], r["case"], _of(r["good"]),
+         *(str(r["outcomes"].get(o, 0)) for o in outcomes), f"{r['median_s']:.1f}"]
+        for r in found["rows"]
+    )  # fmt: skip
+    head = ["instrument", "in the machine", "as it should be", *outcomes, "loop, s"]
+    return table(head, rows)
+
+
 def within_u(found: dict) -> str:
     rows = [
         [
@@ -368,6 +379,7 @@ TABLES: dict[str, tuple[str, Callable[..., str]]] = {
     "power_outside": ("power", power_outside),
     "power_strays": ("power", power_strays),
     "several": ("several", several),
+    "five_axes": ("five_axes", five_axes),
     "within_u": ("within_u", within_u),
     "practice": ("practice", practice),
     "speed": ("speed", speed),
