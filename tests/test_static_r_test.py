@@ -12,7 +12,9 @@ from scipy.spatial.transform import Rotation
 import vcal
 from test_rotary import BALLS, SETUP, TOOL, errors_of, frame, point, positions
 from vcal.batch import identify_alone, identify_one, prepare_batch
+from vcal.chain import chain_from_string
 from vcal.errors import StudyError
+from vcal.model import Model
 from vcal.simulate import simulate
 
 PROBES = np.array([[0.8, 0.0, 0.6], [-0.4, 0.69, 0.6], [-0.4, -0.69, 0.6]])
@@ -345,3 +347,18 @@ def test_probes_turn_with_a_head(tmp_path):
     assert fit.chi2 / fit.dof == pytest.approx(1.0, abs=0.3)
     truth = {"EY0A": 9.0, "EZ0A": -6.0}
     assert located(fit, truth) == pytest.approx(truth, abs=8.0)
+
+
+def test_a_spindle_in_a_head_that_warms_up_turns_with_it(studied):
+    """No error motion of an axis does; where no head turns it, the last axis has the same."""
+    warm = vcal.CATALOGUE["warm_up"]
+    head = chain_from_string("w C b X Y Z B t", None, TOOL, {"B": (0, 0, 0.1), "C": (0, 0, -0.2)})
+    for it, expected in ((head, {"tool.X", "tool.Y", "tool.Z"}), (studied.model.chain, set())):
+        setup = Model(it, studied.instrument).setup(studied.plan)
+        found = {e.port for e in warm.candidates(setup) if e.placement == "tool"}
+        assert found == expected
+    effect = warm(port="tool.Z", unit="um", placement="tool")
+    assert [p.name for p in effect.parameters] == ["size_tool_Z", "tau"]
+    response = effect.response(studied.plan, {"tau": 600.0})
+    t = np.asarray(studied.plan.covariate("t"))
+    np.testing.assert_allclose(response["tool.Z", "size_tool_Z"], 1.0 - np.exp(-t / 600.0))

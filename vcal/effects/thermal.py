@@ -1,11 +1,12 @@
 """Effects of temperature: growth of scales, thermal offsets and tilts, warming up."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import equinox as eqx
 import numpy as np
 
 from ..arrays import Array, namespace
+from ..chain import Chain
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup, across, along
@@ -144,9 +145,26 @@ class SquarenessTemperature(Effect):
                     yield cls(port=port, placement=joint.name)
 
 
+def _warming(chain: Chain) -> Iterator[tuple[str, str, str]]:
+    """Ports where a machine may change with time, their unit and place: the error motions of every
+    axis; of a spindle in a head that turns its displacements as well, which turn with it.
+    """
+    for axis in chain.axes:
+        for c in "XYZABC":
+            yield f"E{c}{axis}", "um" if c in "XYZ" else "urad", axis
+    if any(chain.joints[i].kind == "rotary" for i in chain.tool_side):
+        for c in "XYZ":
+            yield f"tool.{c}", "um", "tool"
+
+
+def _plain(port: str) -> str:
+    return port.replace(".", "_")
+
+
 @register
 class WarmUp(Effect):
-    """An axis that warms up: A (1 - exp(-t / tau)) on one of its error motions, t from `start`.
+    """An axis, or the spindle in a head, that warms up: A (1 - exp(-t / tau)) on one of its error
+    motions, t from `start`.
 
     tau is scanned in equal steps of its logarithm, from a twentieth of the run to the run: what
     takes longer is a drift in all it shows.
@@ -163,7 +181,7 @@ class WarmUp(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter(f"size_{self.port}", self.unit, sigma=20.0),
+            Parameter(f"size_{_plain(self.port)}", self.unit, sigma=20.0),
             Parameter("tau", "h", shape=True, coordinate="log"),
         )
 
@@ -173,7 +191,7 @@ class WarmUp(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         elapsed = (plan.covariate("t") - self.start) / shape["tau"]
-        return {(self.port, f"size_{self.port}"): 1.0 - namespace(elapsed).exp(-elapsed)}
+        return {(self.port, f"size_{_plain(self.port)}"): 1.0 - namespace(elapsed).exp(-elapsed)}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         span = float(np.ptp(np.asarray(plan.covariate("t")))) or 1.0
@@ -181,19 +199,15 @@ class WarmUp(Effect):
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        for axis in setup.chain.axes:
-            for c in "XYZABC":
-                yield cls(
-                    port=f"E{c}{axis}",
-                    unit="um" if c in "XYZ" else "urad",
-                    start=first_time(setup),
-                    placement=axis,
-                )
+        for port, unit, placement in _warming(setup.chain):
+            yield cls(port=port, unit=unit, start=first_time(setup), placement=placement)
 
 
 @register
 class Drift(Effect):
-    """A joint that drifts in proportion to time: A t on one error motion, t from `start`."""
+    """A joint, or the spindle in a head, that drifts in proportion to time: A t on one of its error
+    motions, t from `start`.
+    """
 
     name = "drift"
     summary = "linear drift of a joint with time"
@@ -205,22 +219,16 @@ class Drift(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter(f"rate_{self.port}", f"{self.unit}/h", sigma=20.0),)
+        return (Parameter(f"rate_{_plain(self.port)}", f"{self.unit}/h", sigma=20.0),)
 
     @property
     def needs(self) -> tuple[str, ...]:
         return ("t",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {(self.port, f"rate_{self.port}"): plan.covariate("t") - self.start}
+        return {(self.port, f"rate_{_plain(self.port)}"): plan.covariate("t") - self.start}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        for axis in setup.chain.axes:
-            for c in "XYZABC":
-                yield cls(
-                    port=f"E{c}{axis}",
-                    unit="um" if c in "XYZ" else "urad",
-                    start=first_time(setup),
-                    placement=axis,
-                )
+        for port, unit, placement in _warming(setup.chain):
+            yield cls(port=port, unit=unit, start=first_time(setup), placement=placement)
