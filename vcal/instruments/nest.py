@@ -3,13 +3,17 @@
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Self
+from typing import ClassVar, Self
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field, model_validator
 
+from ..arrays import Array
+from ..effects.base import Effect, Response
+from ..parameters import Parameter
+from ..plan import Plan
 from ..record import Record
 from ..rigid import Scalar, Vector
 from .base import LARGEST_NOISE, Column, InstrumentSettings
@@ -120,6 +124,27 @@ class Nest(Record):
     def to_table(self, readings: Float[np.ndarray, "n 3"]) -> dict[str, np.ndarray]:
         """Columns of readings."""
         return {name: readings[:, i] * 1e3 for i, name in enumerate(self.columns)}
+
+
+class PlaceOfRuns(Effect):
+    """A place that is another one in every run: three flat parameters, on the ports of a group."""
+
+    kind = "nuisance"
+    where = "instrument"
+    group: ClassVar[str]
+    runs: tuple[int, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"{run}.{c}", "um", scale=100.0) for run in self.runs for c in "XYZ")
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        index = plan.groups["run"]
+        return {
+            (f"{self.group}.{c}", f"{run}.{c}"): (index == run) * 1.0
+            for run in self.runs
+            for c in "XYZ"
+        }
 
 
 def reading_columns(settings: NestSettings) -> list[Column]:

@@ -14,13 +14,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import Field
 
-from ..arrays import Array
 from ..chain import Chain
 from ..circles import Circle, fit_circle
-from ..effects.base import Effect, Response
+from ..effects.base import Effect
 from ..effects.r_test import ProbeMatrix, middle_of_runs
 from ..errors import RowError
-from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
@@ -33,7 +31,7 @@ from .base import (
     register,
 )
 from .conditions import linear_plan, linear_plan_table
-from .nest import COORDINATES, PROBES, Nest, NestSettings, reading_columns
+from .nest import COORDINATES, PROBES, Nest, NestSettings, PlaceOfRuns, reading_columns
 
 _XYZ = "XYZ"
 PLANES = ("XY", "YZ", "ZX")
@@ -65,24 +63,12 @@ class RTestSettings(NestSettings):
     """
 
 
-class RunOffsets(Effect):
+class RunOffsets(PlaceOfRuns):
     """Place of the sphere between the probes in every run: three flat parameters per run."""
 
     name = "run_offset"
     summary = "place of the sphere in each run"
-    kind = "nuisance"
-    where = "instrument"
-    runs: tuple[int, ...] = ()
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"{run}.{c}", "um", scale=100.0) for run in self.runs for c in _XYZ)
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        index = plan.groups["run"]
-        return {
-            (f"sphere.{c}", f"{run}.{c}"): (index == run) * 1.0 for run in self.runs for c in _XYZ
-        }
+    group = "sphere"
 
 
 @register

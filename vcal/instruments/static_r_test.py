@@ -25,7 +25,7 @@ from ..rigid import Rotation, Scalar, Vector
 from .base import LARGEST_NOISE, Column, Loader, Ports, TableInstrument, register
 from .conditions import ROTARY, file_column, linear_plan, linear_plan_table
 from .follow import cause
-from .nest import COORDINATES, PROBES, Nest, NestSettings, reading_columns
+from .nest import COORDINATES, PROBES, Nest, NestSettings, PlaceOfRuns, reading_columns
 
 _XYZ = ("X", "Y", "Z")
 _ELEMENTS = tuple(i + j for i in _XYZ for j in _XYZ)
@@ -46,24 +46,12 @@ class StaticRTestSettings(NestSettings):
     """
 
 
-class TablePlaces(Effect):
+class TablePlaces(PlaceOfRuns):
     """Place of what is on the table, in the frame of the workpiece: three flat parameters a run."""
 
     name = "table_place"
     summary = "place of the sphere, or of the probes, on the table in each run"
-    kind = "nuisance"
-    where = "instrument"
-    runs: tuple[int, ...] = ()
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(f"{run}.{c}", "um", scale=100.0) for run in self.runs for c in _XYZ)
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        index = plan.groups["run"]
-        return {
-            (f"place.{c}", f"{run}.{c}"): (index == run) * 1.0 for run in self.runs for c in _XYZ
-        }
+    group = "place"
 
 
 class SpindleZero(Effect):
