@@ -1,5 +1,7 @@
 """Small valid study folders, written from code: nominal readings and a little noise."""
 
+import ctypes
+import gc
 import os
 import subprocess
 import sys
@@ -79,13 +81,22 @@ def programs(pytestconfig) -> dict[str, str]:
 
 @pytest.fixture(autouse=True, scope="module")
 def _room_for_programs():
-    """Forget compiled programs before the process has as many mappings as Linux allows (65530):
-    the compiler would end it.
+    """Forget compiled programs before they fill the memory of a small machine, and before the
+    process has as many mappings as Linux allows (65530): the compiler would end it.
+
+    Without `malloc_trim` the C library keeps for itself what is freed.
     """
     yield
-    maps = Path("/proc/self/maps")
-    if maps.is_file() and maps.read_bytes().count(b"\n") > 30_000:
+    pages, maps = Path("/proc/self/statm"), Path("/proc/self/maps")
+    if not pages.is_file():
+        return
+    held = int(pages.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    if held > 1.5e9 or maps.read_bytes().count(b"\n") > 30_000:
         jax.clear_caches()
+        gc.collect()
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # not every C library has it
+        if trim is not None:
+            trim(0)
 
 
 MACHINE = """\

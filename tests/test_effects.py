@@ -284,6 +284,27 @@ def test_spindle_growth_against_an_integration(touched):
     np.testing.assert_allclose(again, np.asarray(grown)[50:90:7], atol=2e-4)
 
 
+def test_what_warms_up_had_not_begun_before(touched):
+    """Check points may be older than the data: exp(-t / tau) would be anything there."""
+    effect = next(iter(CATALOGUE["warm_up"].candidates(touched.setup)))
+    start, tau = effect.start, 180.0
+    times = start + np.array([-7200.0, -1.0, 0.0, tau, 7200.0])
+    plan = Plan(touched.plan.axes, np.asarray(touched.plan.position)[:5], {"t": times})
+    (response,) = effect.response(plan, {"tau": np.asarray(tau)}).values()
+    np.testing.assert_allclose(response, [0.0, 0.0, 0.0, 1.0 - np.exp(-1.0), 1.0], atol=1e-12)
+
+
+def test_the_beam_points_from_the_lowest_number_to_the_highest(touched):
+    """Supports are shares of its length from there, whatever the order of the balls."""
+    device = touched.model.instrument
+    back = dataclasses.replace(device, centres=device.centres[::-1], numbers=device.numbers[::-1])
+    (direction, along), (turned, there) = device.beam(), back.beam()
+    np.testing.assert_allclose(direction, turned, atol=1e-12)
+    np.testing.assert_allclose(along, there[::-1], atol=1e-12)
+    ends = device.centres[[np.argmin(device.numbers), np.argmax(device.numbers)]]
+    assert np.diff(ends @ direction)[0] > 0.0
+
+
 def test_three_lobes(touched):
     (effect,) = CATALOGUE["probe_lobing"].candidates(touched.setup)
     phi = np.asarray(touched.plan.covariate("approach_rad"))

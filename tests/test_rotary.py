@@ -281,11 +281,31 @@ def test_simulated_balls_are_where_the_matrices_find_them(studied):
 
 def test_one_ball_on_the_table_is_enough(tmp_path):
     write(tmp_path, backlash=0.0, seed=6, balls=(1,))
+    header, *rows = (tmp_path / "artefact.csv").read_text().splitlines()
+    (only,) = (row for row in rows if row.startswith("1,"))
+    (tmp_path / "artefact.csv").write_text(f"{header}\n{only}\n", encoding="utf-8")
     study = vcal.load_study(tmp_path)
     pose = [e.parameter.name for e in study.model.entries if e.key == "artefact_pose"]
     assert pose == ["0.X", "0.Y", "0.Z"]
     fit = vcal.identify(study.model, study.measurement)
     assert fit.chi2 / fit.dof == pytest.approx(1.0, abs=0.3)
+    # Nothing of it bends or expands, and nothing is divided by its length.
+    assert study.one.instrument.artefact is None
+    assert np.isfinite(study.plan.covariate("along_beam")).all()
+
+
+def test_settings_stay_together_whatever_the_order_of_the_rows(studied):
+    """What is held out has no reading of its setting among those that are fitted."""
+    plan, instrument = studied.plan, studied.one.instrument
+    folds, _ = instrument.folds(plan)
+    mixed = np.random.default_rng(0).permutation(plan.rows)
+    for rows in (np.arange(plan.rows), mixed):
+        found, _ = instrument.folds(plan.take(rows))
+        turning = np.asarray(plan.position)[rows][:, [plan.axes.index(a) for a in "AC"]]
+        _, setting = np.unique(turning, axis=0, return_inverse=True)
+        for k in np.unique(setting):
+            assert len(np.unique(found[setting.ravel() == k])) == 1
+    assert len(np.unique(folds)) == 5
 
 
 @pytest.mark.parametrize(

@@ -139,5 +139,5 @@ class ArtefactExpansion(Effect):
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        if "ball.X" in setup.layout:
+        if setup.artefact is not None:
             yield cls()

@@ -20,7 +20,9 @@ def _half_sign(plan: Plan, axis: str) -> Array:
 class Backlash(Effect):
     """Reversal value along the axis: b/2 sgn(direction of approach), ISO 230-2:2014, 3.10.
 
-    In the joint's own frame, signed: a positive b is a lead. For an axis that turns it is an angle.
+    In the joint's own frame, signed: a positive b is a lead of an axis that carries the tool, and a
+    lag of one that carries the workpiece, which moves against its command. For an axis that turns
+    it is an angle.
     """
 
     name = "backlash"

@@ -27,7 +27,8 @@ class SpindleGrowth(Effect):
     """A spindle that warms up with its speed and grows along the tool axis (ISO 230-3).
 
     First order: tau g' = A n / n_max - g, cold at the first reading; the speed n counts from every
-    row to the next. A is the growth at the highest speed in the long run. Without a recorded speed
+    row to the next. A is the displacement towards +Z at the highest speed in the long run: of a
+    spindle that points down, and grows out of its housing, it is negative. Without a recorded speed
     nothing tells it from the `warm_up` of the axis that carries the spindle.
     """
 

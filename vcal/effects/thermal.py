@@ -33,7 +33,12 @@ def _excess(plan: Plan, axis: str) -> Array:
 
 @register
 class ScaleGrowth(Effect):
-    """A scale that expands: alpha (T_axis - 20 degC) x along the axis, in the joint's frame."""
+    """A scale that expands: alpha (T_axis - 20 degC) x along the axis, in the joint's frame.
+
+    alpha is positive for a scale that expands on an axis that carries the tool. An axis that
+    carries the workpiece moves against its command, and so does what its scale is wrong by: alpha
+    is then minus the expansion.
+    """
 
     name = "scale_growth"
     summary = "thermal expansion of an axis's scale or screw"
@@ -164,7 +169,7 @@ def _plain(port: str) -> str:
 @register
 class WarmUp(Effect):
     """An axis, or the spindle in a head, that warms up: A (1 - exp(-t / tau)) on one of its error
-    motions, t from `start`.
+    motions, t from `start`; nothing before.
 
     tau is scanned in equal steps of its logarithm, from a twentieth of the run to the run: what
     takes longer is a drift in all it shows.
@@ -190,7 +195,9 @@ class WarmUp(Effect):
         return ("t",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        elapsed = (plan.covariate("t") - self.start) / shape["tau"]
+        since = plan.covariate("t") - self.start
+        # Check points may be older than the data: what had not begun is nothing, and not exp(t).
+        elapsed = namespace(since).maximum(since, 0.0) / shape["tau"]
         return {(self.port, f"size_{_plain(self.port)}"): 1.0 - namespace(elapsed).exp(-elapsed)}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:

@@ -338,27 +338,35 @@ class BallArray(TableInstrument):
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
         # Whole poses, since a pose's own six unknowns tie its balls together. Where the artefact
-        # stays while rotary axes turn it, whole settings of these, one after the other.
+        # stays while rotary axes turn it, whole settings of these, whatever the order of the rows.
         pose = np.searchsorted(self.pose_numbers, np.asarray(plan.groups["pose"]))
         turning = [np.asarray(plan.x(axis)) for axis in plan.axes if axis in ROTARY]
         if not turning or len(self.pose_numbers) >= _FOLDS:
             return pose, False
-        changes = np.any([np.diff(x) != 0.0 for x in (*turning, pose)], axis=0)
-        setting = np.r_[0, np.cumsum(changes)]
-        return setting * _FOLDS // (setting[-1] + 1), False
+        _, first, setting = np.unique(
+            np.column_stack([pose, *turning]), axis=0, return_index=True, return_inverse=True
+        )
+        place = np.argsort(np.argsort(first))[setting.ravel()]
+        return place * _FOLDS // len(first), False
 
     @property
-    def artefact(self) -> Artefact:
-        """Supports and direction of the beam, for the effects of the artefact."""
+    def artefact(self) -> Artefact | None:
+        """Supports and direction of the beam, for the effects of the artefact; None of one ball."""
+        if len(self.numbers) < 2:
+            return None
         x, y, z = (float(v) for v in self.beam()[0])
         return Artefact(self.supports, (x, y, z))
 
     def beam(self) -> tuple[np.ndarray, np.ndarray]:
-        """Direction of the artefact's long axis, and each ball's place along it as a share."""
+        """Direction of the artefact's long axis, from the ball of the lowest number to that of the
+        highest, and each ball's place along it as a share. One ball has the place 0.
+        """
         arm = self._from_centroid()
         direction = np.linalg.svd(arm)[2][0]
         along = arm @ direction
-        return direction, (along - along.min()) / np.ptp(along)
+        if along[np.argmin(self.numbers)] > along[np.argmax(self.numbers)]:
+            direction, along = -direction, -along
+        return direction, (along - along.min()) / (np.ptp(along) or 1.0)
 
     def _from_centroid(self) -> np.ndarray:
         return self.centres - self.centres.mean(0)
