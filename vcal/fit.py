@@ -204,25 +204,40 @@ class Fit:
         the shape parameters: uniform over their scan, so one over its number of steps, and the
         share of the normal distribution that lies within it. Flat directions enter as a unit of
         their scale, the same in every model that is compared.
-        `noise_scale` multiplies the declared noise.
+        `noise_scale` multiplies the declared noise; the minimum is then elsewhere (`step_at`).
         """
         s2 = noise_scale**2
         proper = self.precision > 0
         h = self.jacobian.T @ self.jacobian / s2 + np.diag(self.precision)
         log_h = np.linalg.slogdet(h)[1]
-        prior = self.theta[proper] ** 2 @ self.precision[proper]
+        step = self.step_at(noise_scale)
+        theta = self.theta + step
+        prior = theta[proper] ** 2 @ self.precision[proper]
+        left = self.whitened - self.jacobian @ step
         noise = np.linalg.slogdet(self.whitener[self.used])[1].sum()
         # What a row lacks to the widest one has a place of its own in W, which says nothing.
         diagonal = np.einsum("nii->ni", self.whitener)
         noise -= np.log(diagonal[self.used[:, None] & ~self.counted]).sum()
         readings = self.counted.sum()
         return float(
-            -0.5 * (self.chi2 / s2 + prior + log_h)
+            -0.5 * (float(left @ left) / s2 + prior + log_h)
             + 0.5 * np.log(self.precision[proper]).sum()
             + noise
             - readings * math.log(noise_scale)
             + sum(self.log_scan(i, h) for i in range(len(self.model.effects)))
         )
+
+    def step_at(self, noise_scale: float) -> np.ndarray:
+        """From theta to where the cost of the linearised problem is least if the noise is
+        `noise_scale` times that of the fit, H^-1 (J'r / s^2 - L theta); shape parameters stay.
+        """
+        step, k = np.zeros(len(self.theta)), len(self.model.entries)
+        if noise_scale != 1.0:
+            jacobian, precision = self.jacobian[:, :k] / noise_scale, self.precision[:k]
+            h = jacobian.T @ jacobian + np.diag(precision)
+            uphill = jacobian.T @ self.whitened / noise_scale - precision * self.theta[:k]
+            step[:k] = np.linalg.solve(h, uphill)
+        return step
 
     def log_scan(self, place: int, h: np.ndarray) -> float:
         """What the shape parameters of the effect at `place` add to the log evidence with the

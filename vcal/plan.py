@@ -147,6 +147,18 @@ class Plan(Record):
             return {"": np.ones(self.rows, bool)}
         return {name: self.in_set(name) for name in self.sets}
 
+    def in_time(self, rows: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+        """These rows, data set by data set, as they were taken, however the file is sorted; in the
+        order of the file where time was not recorded.
+        """
+        ordered = []
+        for name, inside in self.parts.items():
+            mine, time = rows[inside[rows]], of_set(name, "t") if name else "t"
+            if self.has(time):
+                mine = mine[np.argsort(self.values(time)[mine], kind="stable")]
+            ordered.append(mine)
+        return np.concatenate(ordered)
+
     def place(self, row: int) -> tuple[str, int]:
         """The data set of a row and its number in it, from 0; no name where there is only one."""
         for name, inside in self.parts.items():

@@ -61,11 +61,10 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
             continue
         j = jacobian[rows].reshape(-1, jacobian.shape[2])
         r = whitened[rows].reshape(-1)
-        inside = j.T @ j
-        # What the other folds say about a parameter is nothing: it belongs to this fold alone.
-        own = (precision == 0) & (np.diag(total - inside) <= 1e-9 * np.diag(total))
-        common = ~own
-        h = (total - inside)[np.ix_(common, common)] + np.diag(precision[common])
+        basis, own = _own(j, total, precision)
+        j, common = j @ basis, ~own
+        rest = basis.T @ total @ basis - j.T @ j
+        h = rest[np.ix_(common, common)] + np.diag(precision[common])
         # Stationarity of the whole fit: the gradient of the rest is minus that of the fold. The
         # fold's own parameters leave the rest untouched.
         delta = -cho_solve(cho_factor(h), j[:, common].T @ r)
@@ -76,6 +75,25 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
         unwhiten = np.linalg.inv(fit.whitener[rows])
         found[rows] = np.einsum("nij,nj->ni", unwhiten, predicted.reshape(len(rows), m))
     return found
+
+
+def _own(
+    inside: np.ndarray, total: np.ndarray, precision: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Combinations (k, k) of the parameters, of those without a prior in place of these, and which
+    of them only this fold tells (k,): of its Jacobian `inside` (r, k) and the information of all.
+    """
+    flat = precision == 0
+    basis, own = np.eye(len(total)), np.zeros(len(total), bool)
+    if flat.any():
+        block = np.ix_(flat, flat)
+        diagonal = np.diag(total)[flat]
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+        rest = total[block] - inside[:, flat].T @ inside[:, flat]
+        values, vectors = np.linalg.eigh(rest * scale[:, None] * scale)
+        basis[block] = scale[:, None] * vectors
+        own[flat] = values <= 1e-9
+    return basis, own
 
 
 def _precision(fit: Fit) -> np.ndarray:
@@ -208,24 +226,23 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
     total = np.einsum("nmk,nml->kl", jacobian, jacobian, optimize=True)
     precision = _precision(fit)
     # The fit is the best one at its own noise, not at `noise` times that.
-    uphill = np.einsum("nmk,nm->k", jacobian, whitened) - fit.precision * fit.theta
-    uphill[len(fit.model.entries) :] = 0.0
-    whitened = whitened - jacobian @ np.linalg.solve(total + np.diag(precision), uphill)
+    whitened = whitened - jacobian @ fit.step_at(noise)
     found: list[float] = []
     where: list[int] = []
     for fold in np.unique(folds[folds >= 0]):
         rows = np.flatnonzero((folds == fold) & fit.used)
         if not len(rows):
             continue
-        inside = jacobian[rows].reshape(-1, jacobian.shape[2])
-        own = (precision == 0) & (np.diag(total - inside.T @ inside) <= 1e-9 * np.diag(total))
-        common = ~own
-        known = (total - inside.T @ inside)[np.ix_(common, common)] + np.diag(precision[common])
+        basis, own = _own(jacobian[rows].reshape(-1, jacobian.shape[2]), total, precision)
+        turned, common = jacobian[rows] @ basis, ~own
+        inside = turned.reshape(-1, jacobian.shape[2])
+        rest = basis.T @ total @ basis - inside.T @ inside
+        known = rest[np.ix_(common, common)] + np.diag(precision[common])
         size = len(rows) if own.any() else max(_BLOCK, -(-len(rows) // _BLOCKS))
         ahead = inside[:, common].T @ whitened[rows].reshape(-1)
         for start in range(0, len(rows), size):
             part = rows[start : start + size]
-            j = jacobian[part].reshape(-1, jacobian.shape[2])
+            j = turned[start : start + size].reshape(-1, jacobian.shape[2])
             r = whitened[part].reshape(-1)
             lower = np.linalg.cholesky(known)
             left = solve_triangular(lower, j[:, common].T, lower=True)

@@ -18,8 +18,8 @@ class LoopSettings(BaseModel):
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
     effects: tuple[str, ...] | None = Field(default=None, min_length=1)
     """Identifiers of the effects to try; all of the catalogue by default."""
-    draws: int = Field(default=500, ge=1, le=1_000_000)
-    """Null draws behind a significance."""
+    draws: int = Field(default=500, ge=25, le=1_000_000)
+    """Null draws behind a significance: fewer do not tell how rare the rarest of them is."""
     max_effects: int = Field(default=6, ge=0)
     """Effects after which the loop stops."""
     learn: bool = False

@@ -106,5 +106,6 @@ def _seen(fit: Fit, entries: slice, noise_scale: float, k: int) -> tuple[np.ndar
         precision = precision - left.T @ cho_solve((np.linalg.cholesky(scaled), True), left)
     values, vectors = np.linalg.eigh(precision - np.diag(fit.precision[mine]))
     values = np.maximum(values, 0.0)
-    scores = vectors.T @ (precision @ fit.theta[mine])
+    theta = fit.theta[mine] + fit.step_at(noise_scale)[mine]
+    scores = vectors.T @ (precision @ theta)
     return values, scores

@@ -108,9 +108,7 @@ class _Sequence:
             if name.rpartition(":")[2] in _BREAKS
         ]
         if plan.has("t"):
-            # As they were taken, however the file is sorted.
-            sets = plan.values(DATA_SET)[used] if plan.has(DATA_SET) else np.zeros(len(used))
-            used = used[np.lexsort((plan.values("t")[used], sets))]
+            used = plan.in_time(used)
         elif broken:
             # Those of one run or pose one after the other, in the order of the file.
             used = used[np.lexsort([index[used] for index in broken])]

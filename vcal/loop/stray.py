@@ -166,7 +166,7 @@ def _together(plan: Plan, taken: np.ndarray) -> Iterator[tuple[str, np.ndarray]]
     on, with what they have in common; nothing where it is the data set.
     """
     for inside in plan.parts.values():
-        rows = np.flatnonzero(taken & inside)
+        rows = plan.in_time(np.flatnonzero(taken & inside))
         yield "", rows
         for group, index in plan.groups.items():
             changes = np.flatnonzero(np.diff(np.asarray(index)[rows])) + 1

@@ -16,6 +16,8 @@ _A_PART = 0.1
 _EVERYWHERE = 0.3
 """Least part of that share in the runs of every pace: what belongs to the circle has another
 frequency on each."""
+_AT_ONCE = 1_000_000
+"""Products of frequencies and readings that are looked at together."""
 _FINE = 4.0
 """Frequencies that are tried within the width of a peak, one over the length of the longest run."""
 
@@ -71,7 +73,11 @@ def vibration(fit: Fit) -> Vibration | None:
     silent = scatter.sum(0) <= SILENT
 
     def taken(hz: np.ndarray) -> np.ndarray:
-        return np.array([_taken(t[mine], residual[mine], hz) for mine in rows])
+        """By runs, frequencies and readings; not all frequencies of long runs at a time."""
+        parts = np.array_split(hz, -(-len(hz) * max(map(len, rows)) // _AT_ONCE))
+        return np.array(
+            [np.concatenate([_taken(t[m], residual[m], part) for part in parts]) for m in rows]
+        )
 
     whole = np.where(silent, np.inf, scatter.sum(0))
     at, reading = np.unravel_index(int(np.argmax(taken(hz).sum(0) / whole)), (len(hz), len(whole)))

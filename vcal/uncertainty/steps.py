@@ -84,7 +84,9 @@ class Steps:
         """Verdict on the draws so far, whose standard uncertainty is `u`."""
         delta = np.array([numerical_tolerance(float(value), digits) for value in u])
         precision = self.precision()
-        settled = all(bool(np.all(2.0 * s <= delta)) for s in precision)
+        # An output that is finite in no draw has no interval that more draws would tell.
+        told = self.count > 0
+        settled = self.steps > 1 and all(bool(np.all((2.0 * s <= delta)[told])) for s in precision)
         return Adaptive(settled, digits, self.steps, delta, precision)
 
     def arrays(self) -> dict[str, np.ndarray]:
