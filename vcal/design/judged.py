@@ -50,7 +50,7 @@ def grid_points(chain: Chain, plan: Plan, grid: tuple[int, int, int]) -> Plan:
 
 
 def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
-    """Every error motion and squareness that the effects of the machine leave open, at positions
+    """Every error motion and location error that the effects of the machine leave open, at positions
     along its axis with the others in the middle of their travel.
     """
     chain, layout = model.chain, model.layout
@@ -82,8 +82,9 @@ def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
     for i, entry in enumerate(model.entries):
         if entry.key == "geometric" and "." not in entry.parameter.name:
             row = np.zeros((1, len(names)))
-            row[0, i] = entry.parameter.step
-            found.append(ErrorMotion(entry.parameter.name, "urad", np.zeros(0), row, (i,)))
+            p = entry.parameter
+            row[0, i] = p.step
+            found.append(ErrorMotion(p.name, p.unit, np.zeros(0), row, (i,)))
     return tuple(found)
 
 

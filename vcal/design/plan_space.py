@@ -91,6 +91,8 @@ class PlanSpace(abc.ABC):
     """Keys of the ``[design]`` table, validated."""
     group: ClassVar[str]
     """What one group is called: ``"pose"``, ``"point"``."""
+    rotary: ClassVar[bool] = False
+    """Whether it places the axes A, B and C of a machine tool too."""
 
     # --- where it begins ------------------------------------------------------------------------
     @classmethod

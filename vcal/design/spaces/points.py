@@ -80,6 +80,18 @@ class PointSpace(PlanSpace):
     def standing(self, station: Float[Array, " s"]) -> TableInstrument:
         """The instrument at some place; may be traced."""
 
+    @property
+    def chosen(self) -> tuple[int, ...]:
+        """Columns of the positions that a point chooses; all by default, the others follow."""
+        return tuple(range(len(self.chain.axes)))
+
+    def reached(
+        self, position: Float[Array, "n axes"], station: Float[Array, " s"]
+    ) -> Float[Array, "n axes"]:
+        """Positions with the columns that follow from those that were chosen; may be traced."""
+        del station
+        return position
+
     @classmethod
     def stands(cls, subject: Subject, settings: Any) -> tuple[np.ndarray, np.ndarray]:
         """Where the instrument stands, and bounds of where it may stand."""
@@ -149,8 +161,8 @@ class PointSpace(PlanSpace):
     def start(self) -> Float[np.ndarray, " d"]:
         parts = []
         if self.settings.points:
-            low, high = self._travel().T
-            parts.append(((self.position - low) / (high - low)).ravel())
+            low, high = self._chosen_travel().T
+            parts.append(((self.position[:, self.chosen] - low) / (high - low)).ravel())
         if len(self.room):
             parts.append((self.place - self.room[:, 0]) / np.ptp(self.room, axis=1))
         parts.append(0.5 * (self._ends(0) + self._ends(1)))
@@ -173,9 +185,10 @@ class PointSpace(PlanSpace):
         position, station = jnp.asarray(self.position), jnp.asarray(self.place)
         used = 0
         if self.settings.points:
-            low, high = self._travel().T
-            used = self.position.size
-            position = low + (high - low) * z[:used].reshape(self.position.shape)
+            low, high = self._chosen_travel().T
+            used = n * len(self.chosen)
+            shares = z[:used].reshape(n, -1)
+            position = position.at[:, np.array(self.chosen)].set(low + (high - low) * shares)
         if len(self.room):
             shares = z[used : used + len(self.room)]
             station = self.room[:, 0] + np.ptp(self.room, axis=1) * shares
@@ -183,7 +196,7 @@ class PointSpace(PlanSpace):
         covariates = dict(self.known)
         for varied, values in zip(self.varied, z[used:].reshape(-1, n), strict=True):
             covariates[varied.name] = values
-        return Placed(position, covariates, station)
+        return Placed(self.reached(position, station), covariates, station)
 
     def excess(self, placed: Placed) -> Float[Array, ""]:
         return jnp.zeros(())
@@ -239,13 +252,17 @@ class PointSpace(PlanSpace):
     def _travel(self) -> np.ndarray:
         return np.stack([joint.travel for joint in self.chain.joints])
 
+    def _chosen_travel(self) -> np.ndarray:
+        return self._travel()[np.array(self.chosen)]
+
     def _ends(self, which: int) -> np.ndarray:
         ends = [(v.low, v.high)[which] for v in self.varied]
         return np.repeat(np.array(ends, float), len(self.numbering))
 
     @property
     def _placed_numbers(self) -> int:
-        return self.settings.points * self.position.size + len(self.room)
+        points = len(self.numbering) * len(self.chosen)
+        return self.settings.points * points + len(self.room)
 
 
 class TrackerDesign(PointsDesign):
