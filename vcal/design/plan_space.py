@@ -93,6 +93,8 @@ class PlanSpace(abc.ABC):
     """What one group is called: ``"pose"``, ``"point"``."""
     rotary: ClassVar[bool] = False
     """Whether it places the axes A, B and C of a machine tool too."""
+    lacking: ClassVar[str] = "room for all of them; start from a plan that lies further inside"
+    """What was expected, and what to do, where nothing fits the travel."""
 
     # --- where it begins ------------------------------------------------------------------------
     @classmethod

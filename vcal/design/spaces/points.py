@@ -241,8 +241,10 @@ class PointSpace(PlanSpace):
         return Plan(plan.axes, np.asarray(plan.position), covariates, plan.groups)
 
     def seconds(self, placed: Placed) -> float:
-        s = self.settings
-        way = path_m(np.asarray(placed.position)) * s.seconds_per_metre
+        s, position = self.settings, np.asarray(placed.position)
+        # Turning takes no time of its own, but where nothing else moves: an arm.
+        linear = [i for i, joint in enumerate(self.chain.joints) if not joint.turns]
+        way = path_m(position[:, linear] if linear else position) * s.seconds_per_metre
         return float(len(self.numbering) * s.seconds_per_point + way)
 
     def _plan(self, placed: Placed) -> Plan:

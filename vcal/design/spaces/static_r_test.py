@@ -69,6 +69,10 @@ class StaticRTestSpace(PointSpace):
     kind = "static_r_test"
     Settings = StaticRTestDesign
     rotary = True
+    lacking = (
+        "linear axes that get to the sphere; bring its places nearer to the rotary axes, by the plan "
+        "or by design.place_low_mm and design.place_high_mm"
+    )
 
     # --- where it begins ------------------------------------------------------------------------
     @classmethod
