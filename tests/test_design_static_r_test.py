@@ -10,8 +10,10 @@ from conftest import write_csv
 from designing import design, run, strict, task_of
 from test_rotary import AXES, point, positions
 from test_static_r_test import HEAD, INSTRUMENT, seen, still
+from vcal.chain import chain_from_string
 from vcal.design.following import follow
 from vcal.design.optimise import Compiled, optimise
+from vcal.instruments.follow import carried_apart, followed
 from vcal.uncertainty import ErrorMotionErrors, ParameterErrors, linearised
 from vcal.uncertainty.campaign import virtual_pair
 
@@ -79,6 +81,30 @@ def test_the_plan_as_it_is_is_where_the_search_starts(tmp_path):
     np.testing.assert_allclose(points[1], points[0], atol=1e-12)
     assert np.ptp(after[:, 3] - before[:, 3]) > 0.1
     assert (np.abs(after[:, 3]) <= np.pi / 2).all() and (after[:, 4] >= 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "apart"),
+    [
+        ("w C A b Y X Z t", ""),
+        ("w b X Y Z C A t", ""),
+        ("w C X b Y Z B t", ""),
+        ("w b C X Y Z t", ""),
+        ("w C X A b Y Z t", "A"),
+        ("w b X B Y Z t", "B"),
+    ],
+)
+def test_linear_axes_of_any_machine_follow_a_point(text, apart):
+    at = {axis: (0.01, -0.02, 0.1 * i) for i, axis in enumerate("ABC") if axis in text}
+    it = chain_from_string(text, None, (0.02, 0.01, -0.15), at)
+    assert carried_apart(it) == apart
+    if apart:
+        return
+    q, to = np.random.default_rng(5).uniform(-1.0, 1.0, (2, 4, len(it.axes)))
+    found = np.asarray(followed(it, q, to[:, :3]))
+    np.testing.assert_allclose(it.tool_point(found), to[:, :3], atol=1e-14)
+    turning = [axis in "ABC" for axis in it.axes]
+    np.testing.assert_array_equal(found[:, turning], q[:, turning])
 
 
 def test_spheres_move_and_the_axes_with_them(turned):
@@ -254,3 +280,40 @@ def test_further_points_add_to_the_data(turned):
     told = 2.0 * sigma * np.sqrt(expected[LOCATIONS.index("EB0C"), LOCATIONS.index("EB0C")])
     assert done.best.value.largest[i] == pytest.approx(told, rel=1e-4)
     assert done.best.value.criterion < done.before.criterion
+
+
+# --- mistakes ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["design.places=true"], ["key design", "place_low_mm and place_high_mm; add both"]),
+        (
+            [*ROOM[:2], "design.place_high_mm=[150,-200,40]"],
+            ["place_high_mm -200 in y", "exchange or correct them"],
+        ),
+        (["design.station=true"], ["design.station", "unknown"]),
+        (['design.errors=["EX0B"]'], ["key design.errors.0", "did you mean 'EX0C'"]),
+        (["design.must_see={EX0B=0}"], ["key design.must_see.EX0B"]),
+        (
+            ["machine.chain='w C X A b Y Z t'", "instrument.range_mm=900"],
+            ["key design.points: found the rotary axis A between linear axes"],
+        ),
+    ],
+)
+def test_what_cannot_be_designed_is_one_message(turned, tmp_path, options, said):
+    sets = [part for text in options for part in ("--set", text)]
+    message = design(turned, tmp_path / "out", *sets, code=2).stderr
+    assert all(part in message for part in said), message
+    assert "Traceback" not in message and not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_spheres_that_the_linear_axes_do_not_reach(turned, tmp_path):
+    far = ("design.places=true", "design.place_low_mm=[900,900,900]",
+           "design.place_high_mm=[950,950,950]")  # fmt: skip
+    sets = [part for text in far for part in ("--set", text)]
+    message = design(turned, tmp_path / "out", *sets, code=2).stderr
+    assert "found no points within the travel from 2 starts" in message
+    assert "design.place_low_mm" in message and "artefact" not in message

@@ -36,7 +36,9 @@ class DesignSettings(BaseModel):
     that are declared by default.
     """
     grid: tuple[_Count, _Count, _Count] = (12, 8, 8)
-    """Points along X, Y and Z at which the volumetric error is judged."""
+    """Points along X, Y and Z at which the volumetric error is judged; machines with other axes are
+    judged at random positions.
+    """
     starts: int = Field(default=8, ge=1, le=10_000)
     """Starts of the search: the plan as it is, and others scattered around it."""
     steps: int = Field(default=200, ge=1, le=1_000_000)

@@ -20,8 +20,8 @@ from ..plots.style import AFTER, BEFORE, png
 from .picture import Picture
 
 ANGLES = (
-    "Where the rotary axes stand in every row, over their travel; with one rotary axis, in the order "
-    "of the rows."
+    "Where the rotary axes stand in every row, over their travel; with one rotary axis, in the "
+    "order of the rows."
 )
 
 

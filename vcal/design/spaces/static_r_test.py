@@ -63,30 +63,22 @@ class StaticRTestSpace(PointSpace):
 
     The linear axes follow what is on the table (`followed`), by which a row stays as far from the
     place of its run as it is in the plan. They may need more travel than there is: `excess` says by
-    how much, and `penalty` keeps a search away from that.
+    how much, and `penalty` keeps a search away from that. Directions of travel and other conditions
+    of a row stay.
     """
 
     kind = "static_r_test"
     Settings = StaticRTestDesign
     rotary = True
     lacking = (
-        "linear axes that get to the sphere; bring its places nearer to the rotary axes, by the plan "
-        "or by design.place_low_mm and design.place_high_mm"
+        "linear axes that get to the sphere; bring its places nearer to the rotary axes, by the "
+        "plan or by design.place_low_mm and design.place_high_mm"
     )
 
     # --- where it begins ------------------------------------------------------------------------
     @classmethod
     def of(cls, subject: Subject, model: Model, settings: StaticRTestDesign) -> Self:
         chain = subject.chain
-        linear = [joint.name for joint in chain.joints if not joint.turns]
-        if len(linear) < 3:
-            raise subject.refusal(
-                "points",
-                f"a machine with the linear {'axis' if len(linear) == 1 else 'axes'} "
-                f"{', '.join(linear) or 'none'}",
-                "X, Y and Z, as they follow the sphere",
-                "judge plans of your own with `vcal uncertainty`",
-            )
         if axis := carried_apart(chain):
             raise subject.refusal(
                 "points",
