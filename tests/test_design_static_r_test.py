@@ -1,5 +1,7 @@
 """Plans of a static R-test made better, against plain numpy matrices and what is known on paper."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +25,7 @@ SPHERES = np.array([[160.0, 0.0, -60.0], [-90.0, 130.0, 20.0]]) * 1e-3
 LOCATIONS = ("EC0Y", "EB0Z", "EA0Z", "EY0A", "EZ0A", "EB0A", "EC0A", "EX0C", "EY0C", "EA0C", "EB0C")
 SIZE = {"X": 15.0, "Y": 15.0, "Z": 15.0, "A": 20.0, "B": 20.0, "C": 20.0}
 """Half width of what is believed of a location error, um or urad."""
+RUN = np.repeat([0, 1], 6)
 SIGMA, ZERO = 0.4e-6, 2e-6
 FOURIER = 'family = "fourier"\ntable = "errors.csv"\n'
 ROOM = ("design.places=true", "design.place_low_mm=[-150,-150,-80]",
@@ -36,19 +39,18 @@ def plan_of(folder, rows, nest="spindle", head=HEAD, open_=LOCATIONS, travel=Non
     folder.mkdir(exist_ok=True)
     text = head + INSTRUMENT.format(nest=nest) + FOURIER
     (folder / "setup.toml").write_text(text, encoding="utf-8")
-    columns = {name: [] for name in ("run", "x_mm", "y_mm", "z_mm", "a_deg", "c_deg")}
+    table = []
     for run_, a, c, off in rows:
-        angles = np.deg2rad([a, c])
-        x = 1e3 * positions(SPHERES[run_] + off, *angles, still)
-        for name, value in zip(columns, (run_, *x, a, c), strict=True):
-            columns[name].append(value)
-    write_csv(folder / "data.csv", columns)
+        x = positions(SPHERES[run_] + off, math.radians(a), math.radians(c), still)
+        table.append([run_, *1e3 * x, a, c])
+    names = ("run", "x_mm", "y_mm", "z_mm", "a_deg", "c_deg")
+    write_csv(folder / "data.csv", dict(zip(names, np.transpose(table), strict=True)))
     motions = [f"E{c}{axis}" for axis in AXES for c in "XYZABC"]
-    family = {"component": [*motions, *LOCATIONS]}
-    family["a0"] = [SIZE[n[1]] * (n in open_) for n in family["component"]]
-    for key in ("a1", "n1", "b1", "c1", "n2", "b2", "c2"):
-        family[key] = [0.0] * len(family["a0"])
-    write_csv(folder / "errors.csv", family)
+    components = [*motions, *LOCATIONS]
+    zero = [0.0] * len(components)
+    family = {"component": components, "a0": [SIZE[n[1]] * (n in open_) for n in components]}
+    others = dict.fromkeys(("a1", "n1", "b1", "c1", "n2", "b2", "c2"), zero)
+    write_csv(folder / "errors.csv", family | others)
     return folder
 
 
@@ -114,7 +116,7 @@ def test_spheres_move_and_the_axes_with_them(turned):
     placed = space.placed(jnp.asarray(space.scattered(jax.random.key(3))))
     places = np.asarray(placed.station).reshape(2, 3)
     assert np.abs(places - SPHERES).max() > 0.01
-    for q, run_ in zip(np.asarray(placed.position), space.index["run"], strict=True):
+    for q, run_ in zip(np.asarray(placed.position), RUN, strict=True):
         np.testing.assert_allclose(point(q, np.zeros((5, 6))), places[run_], atol=1e-12)
     # What stands out of the travel is told as such.
     far = placed._replace(position=placed.position.at[4, 0].set(0.3125))
@@ -168,7 +170,7 @@ def test_the_covariance_by_plain_numpy(tmp_path, nest):
         (found,) = compiled.covariances(placed, jnp.ones(len(space.groups)))
         position = np.asarray(placed.position)
         places = np.asarray(placed.station).reshape(2, 3)
-        expected = expected_covariance(position, space.index["run"], places, nest)
+        expected = expected_covariance(position, RUN, places, nest)
         scale = np.sqrt(np.diag(expected))
         size = np.outer(scale, scale)
         np.testing.assert_allclose(found / size, expected / size, atol=1e-5)
@@ -273,7 +275,7 @@ def test_further_points_add_to_the_data(turned):
     position = np.concatenate([study.plan.position, further.position])
     for q in np.asarray(further.position):
         np.testing.assert_allclose(point(q, np.zeros((5, 6))), SPHERES[1], atol=1e-9)
-    run_ = np.r_[study.plan.groups["run"], further.groups["run"]]
+    run_ = np.r_[RUN, [1] * 3]
     expected = expected_covariance(position, run_, SPHERES, "spindle")
     i = [m.name for m in task.families[0].motions].index("EB0C")
     sigma = SIZE["B"] / np.sqrt(3.0)

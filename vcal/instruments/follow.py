@@ -44,7 +44,7 @@ def followed(
             rotation, t = chain.pose_as_arrays(q, still)
             return t + rotation @ chain.tool_offset
 
-        rest = q.at[np.array(linear)].set(0.0)
+        rest = jnp.asarray(q).at[np.array(linear)].set(0.0)
         start = tool(rest)
         moved = jax.vmap(lambda unit: tool(rest + unit) - start)(units)
         return rest + units.T @ (moved @ (at - start))
