@@ -18,13 +18,15 @@ from ...chain import Chain
 from ...instruments.base import TableInstrument
 from ...instruments.laser_tracker import LaserTracker
 from ...instruments.reflectors import Reflectors, moves
-from ...model import Model
+from ...model import Model, tool_points
 from ...plan import Plan
 from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m, register
 from ..posterior import whitened
 
 _SHARE = 0.15
 """How far a start is scattered, as a share of the travel."""
+_ANGLES = 13
+"""Of a rotary axis, at which the work space is looked at."""
 
 
 class PointsDesign(DesignSettings):
@@ -299,7 +301,8 @@ class TrackerDesign(PointsDesign):
 @register
 @dataclass(frozen=True)
 class TrackerSpace(PointSpace):
-    """A laser tracker: points within the travel, and the place of the station.
+    """A laser tracker: points within the travel, also of rotary axes, and the place of the station,
+    which turns with the table where that turns.
 
     A tracker does not come nearer to a point than its data may say, a millimetre; how it is turned
     stays, as no uncertainty depends on it.
@@ -307,14 +310,16 @@ class TrackerSpace(PointSpace):
 
     kind = "laser_tracker"
     Settings = TrackerDesign
+    rotary = True
 
     @classmethod
     def follows(cls, chain: Chain) -> tuple[str, ...]:
         return ("range", "azimuth", "elevation")
 
     def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
-        order = np.array([self.chain.axes.index(axis) for axis in "XYZ"])
-        point = jnp.asarray(placed.position)[:, order] + jnp.asarray(self.chain.tool_offset)
+        position = jnp.asarray(placed.position)
+        still = jnp.zeros((len(position), 6 * len(self.chain.joints) + 6))
+        point = tool_points(self.chain, position, still)
         v = (point - placed.station) @ self.device.orientation
         r = jnp.sqrt((v**2).sum(1))
         return {
@@ -334,9 +339,8 @@ class TrackerSpace(PointSpace):
         if not settings.station or low is None or high is None:
             return place, np.zeros((0, 2))
         room = np.column_stack([low, high]) * 1e-3
-        offset = np.asarray(subject.chain.tool_offset)
-        travel = np.stack([subject.chain.joint(axis).travel for axis in "XYZ"]) + offset[:, None]
-        if ((room[:, 0] < travel[:, 1]) & (room[:, 1] > travel[:, 0])).all():
+        low, high = work_space(subject.chain)
+        if ((room[:, 0] < high) & (room[:, 1] > low)).all():
             raise subject.refusal(
                 "station_low_mm",
                 "a room for the station that reaches into the work space",
@@ -384,6 +388,16 @@ class ReflectorSpace(PointSpace):
     def standing(self, station: Float[Array, " s"]) -> Reflectors:
         del station
         return self.device
+
+
+def work_space(chain: Chain) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Lowest and highest coordinates of the nominal tool point in the frame of the workpiece, m, at
+    the ends of the travel of linear axes and at some angles of the others.
+    """
+    ends = [np.linspace(*joint.travel, _ANGLES if joint.turns else 2) for joint in chain.joints]
+    every = np.stack(np.meshgrid(*ends, indexing="ij"), -1).reshape(-1, len(ends))
+    reached = chain.tool_point(every)
+    return reached.min(0), reached.max(0)
 
 
 def _numbers(index: Mapping[str, np.ndarray], name: str, rows: int) -> tuple[int, ...]:
