@@ -1,4 +1,4 @@
-"""Instruments whose rows are points that may be placed freely."""
+"""What instruments have in common whose rows are points that may be placed freely."""
 
 import abc
 import dataclasses
@@ -6,27 +6,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from ...arrays import Array
 from ...chain import Chain
 from ...instruments.base import TableInstrument
-from ...instruments.laser_tracker import LaserTracker
-from ...instruments.reflectors import Reflectors, moves
-from ...model import Model, tool_points
+from ...model import Model
 from ...plan import Plan
-from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m, register
+from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m
 from ..posterior import whitened
 
 _SHARE = 0.15
 """How far a start is scattered, as a share of the travel."""
-_ANGLES = 13
-"""Of a rotary axis, at which the work space is looked at."""
 
 
 class PointsDesign(DesignSettings):
@@ -269,135 +264,23 @@ class PointSpace(PlanSpace):
         return self.settings.points * points + len(self.room)
 
 
-class TrackerDesign(PointsDesign):
-    """Keys of ``[design]`` for ``kind = "laser_tracker"``."""
-
-    station: bool = False
-    """Whether the tracker may stand elsewhere, within the bounds below."""
-    station_low_mm: tuple[float, float, float] | None = None
-    """Lowest place of the station in the workpiece frame."""
-    station_high_mm: tuple[float, float, float] | None = None
-    """Highest place of the station."""
-
-    @model_validator(mode="after")
-    def _bounded(self) -> Self:
-        if not self.station:
-            return self
-        low, high = self.station_low_mm, self.station_high_mm
-        if low is None or high is None:
+def check_bounds(
+    key: str, name: str, low: Sequence[float] | None, high: Sequence[float] | None
+) -> None:
+    """Raise `ValueError` where bounds of a place, mm, are missing or the wrong way round; `key`
+    asks for them, `name` is what they are called by.
+    """
+    if low is None or high is None:
+        raise ValueError(
+            f"found {key} = true without bounds, expected {name}_low_mm and {name}_high_mm; "
+            "add both"
+        )
+    for c, a, b in zip("xyz", low, high, strict=True):
+        if not a < b:
             raise ValueError(
-                "found station = true without bounds, expected station_low_mm and station_high_mm; "
-                "add both"
+                f"found {name}_low_mm {a:g} and {name}_high_mm {b:g} in {c}, expected the first "
+                "below the second; exchange or correct them"
             )
-        for c, a, b in zip("xyz", low, high, strict=True):
-            if not a < b:
-                raise ValueError(
-                    f"found station_low_mm {a:g} and station_high_mm {b:g} in {c}, expected the "
-                    "first below the second; exchange or correct them"
-                )
-        return self
-
-
-@register
-@dataclass(frozen=True)
-class TrackerSpace(PointSpace):
-    """A laser tracker: points within the travel, also of rotary axes, and the place of the station,
-    which turns with the table where that turns.
-
-    A tracker does not come nearer to a point than its data may say, a millimetre; how it is turned
-    stays, as no uncertainty depends on it.
-    """
-
-    kind = "laser_tracker"
-    Settings = TrackerDesign
-    rotary = True
-
-    @classmethod
-    def follows(cls, chain: Chain) -> tuple[str, ...]:
-        return ("range", "azimuth", "elevation")
-
-    def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
-        position = jnp.asarray(placed.position)
-        still = jnp.zeros((len(position), 6 * len(self.chain.joints) + 6))
-        point = tool_points(self.chain, position, still)
-        v = (point - placed.station) @ self.device.orientation
-        r = jnp.sqrt((v**2).sum(1))
-        return {
-            "range": r,
-            "azimuth": jnp.arctan2(v[:, 1], v[:, 0]),
-            "elevation": jnp.arcsin(v[:, 2] / r),
-        }
-
-    def standing(self, station: Float[Array, " s"]) -> LaserTracker:
-        return eqx.tree_at(lambda i: i.station, self.device, station)
-
-    @classmethod
-    def stands(cls, subject: Subject, settings: TrackerDesign) -> tuple[np.ndarray, np.ndarray]:
-        assert isinstance(subject.instrument, LaserTracker)
-        place = np.asarray(subject.instrument.station)
-        low, high = settings.station_low_mm, settings.station_high_mm
-        if not settings.station or low is None or high is None:
-            return place, np.zeros((0, 2))
-        room = np.column_stack([low, high]) * 1e-3
-        low, high = work_space(subject.chain)
-        if ((room[:, 0] < high) & (room[:, 1] > low)).all():
-            raise subject.refusal(
-                "station_low_mm",
-                "a room for the station that reaches into the work space",
-                "one beside it, where no point of the tool gets",
-                "move one of its bounds",
-            )
-        return place, room
-
-    def station(self, placed: Placed) -> Float[np.ndarray, "3"]:
-        return np.asarray(placed.station) - np.asarray(self.chain.tool_offset)
-
-    def changed(self, placed: Placed) -> Mapping[str, Any]:
-        if not len(self.room):
-            return {}
-        return {"station_mm": [round(1e3 * float(v), 6) for v in np.asarray(placed.station)]}
-
-
-@register
-@dataclass(frozen=True)
-class ReflectorSpace(PointSpace):
-    """Reflectors on an arm: joint angles within their bounds, as commanded or as read back.
-
-    Directions and sizes of the moves into a pose follow from the order of the poses.
-    """
-
-    kind = "reflectors"
-    Settings = PointsDesign
-    group = "pose"
-
-    @classmethod
-    def follows(cls, chain: Chain) -> tuple[str, ...]:
-        own = ("commanded", "read", "dir", "move")
-        return ("order", *(f"{name}_{axis}" for name in own for axis in chain.axes))
-
-    def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
-        angle = jnp.asarray(placed.position)
-        pose = np.asarray(self.index["pose"])
-        move, direction = moves(angle, pose)
-        found: dict[str, Array] = {"order": jnp.asarray(pose, float)}
-        for i, axis in enumerate(self.chain.axes):
-            found[f"commanded_{axis}"] = found[f"read_{axis}"] = angle[:, i]
-            found[f"dir_{axis}"], found[f"move_{axis}"] = direction[:, i], move[:, i]
-        return found
-
-    def standing(self, station: Float[Array, " s"]) -> Reflectors:
-        del station
-        return self.device
-
-
-def work_space(chain: Chain) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Lowest and highest coordinates of the nominal tool point in the frame of the workpiece, m, at
-    the ends of the travel of linear axes and at some angles of the others.
-    """
-    ends = [np.linspace(*joint.travel, _ANGLES if joint.turns else 2) for joint in chain.joints]
-    every = np.stack(np.meshgrid(*ends, indexing="ij"), -1).reshape(-1, len(ends))
-    reached = chain.tool_point(every)
-    return reached.min(0), reached.max(0)
 
 
 def _numbers(index: Mapping[str, np.ndarray], name: str, rows: int) -> tuple[int, ...]:

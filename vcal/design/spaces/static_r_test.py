@@ -17,7 +17,7 @@ from ...instruments.follow import carried_apart, followed
 from ...instruments.static_r_test import StaticRTest
 from ...model import Model
 from ..plan_space import Subject, Varied, register
-from .points import Placed, PointsDesign, PointSpace
+from .points import Placed, PointsDesign, PointSpace, check_bounds
 
 _CLEAR = 0.01
 """Share of a linear axis's travel that a search leaves clear at its ends."""
@@ -39,20 +39,8 @@ class StaticRTestDesign(PointsDesign):
 
     @model_validator(mode="after")
     def _bounded(self) -> Self:
-        if not self.places:
-            return self
-        low, high = self.place_low_mm, self.place_high_mm
-        if low is None or high is None:
-            raise ValueError(
-                "found places = true without bounds, expected place_low_mm and place_high_mm; "
-                "add both"
-            )
-        for c, a, b in zip("xyz", low, high, strict=True):
-            if not a < b:
-                raise ValueError(
-                    f"found place_low_mm {a:g} and place_high_mm {b:g} in {c}, expected the first "
-                    "below the second; exchange or correct them"
-                )
+        if self.places:
+            check_bounds("places", "place", self.place_low_mm, self.place_high_mm)
         return self
 
 
