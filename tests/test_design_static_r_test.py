@@ -13,6 +13,7 @@ from designing import design, run, strict, task_of
 from test_rotary import AXES, point, positions
 from test_static_r_test import HEAD, INSTRUMENT, seen, still
 from vcal.chain import chain_from_string
+from vcal.design import covariance
 from vcal.design.following import follow
 from vcal.design.optimise import Compiled, optimise
 from vcal.instruments.follow import carried_apart, followed
@@ -266,6 +267,7 @@ def test_the_uncertainty_foretold_is_that_of_the_plan_written(designed):
         assert found[name] == pytest.approx(2.0 * largest, rel=1e-5), name
 
 
+@pytest.mark.slow
 def test_further_points_add_to_the_data(turned):
     """As one plan of all rows tells it, by the matrices."""
     study, task = task_of(turned)
@@ -282,6 +284,41 @@ def test_further_points_add_to_the_data(turned):
     told = 2.0 * sigma * np.sqrt(expected[LOCATIONS.index("EB0C"), LOCATIONS.index("EB0C")])
     assert done.best.value.largest[i] == pytest.approx(told, rel=1e-4)
     assert done.best.value.criterion < done.before.criterion
+
+
+@pytest.mark.slow
+def test_machines_are_found_as_much_better_as_was_foretold(designed, turned):
+    """Thirty machines of plain matrices, measured by the plan as it is and as designed."""
+    rng = np.random.default_rng(7)
+    truths = [{n: 1e-6 * SIZE[n[1]] * rng.uniform(-1.0, 1.0) for n in LOCATIONS} for _ in range(30)]
+    size = np.array([SIZE[n[1]] / np.sqrt(3.0) for n in LOCATIONS]) * 1e-6
+    found, foretold = [], []
+    for folder in (turned, designed[0]):
+        study = vcal.load_study(folder)
+        expected = covariance(study.model, study.plan)[:11, :11]
+        foretold.append(np.sqrt(np.trace(expected) / 11))
+        off = []
+        for truth in truths:
+            zero, noise = ZERO * rng.standard_normal(3), SIGMA * rng.standard_normal((12, 3))
+            places = study.instrument.places + 20e-6 * rng.standard_normal((2, 3))
+            readings = [
+                seen(q, twists_of(q, truth), places[run_], zero, "spindle")
+                for q, run_ in zip(np.asarray(study.plan.position), RUN, strict=True)
+            ]
+            fit = vcal.identify(study.model, vcal.Measurement(study.plan, readings + noise, ""))
+            off.append(np.asarray(fit.theta)[:11] - np.array([truth[n] for n in LOCATIONS]) / size)
+        found.append(np.sqrt(np.mean(np.square(off))))
+    assert found == pytest.approx(foretold, rel=0.15)
+    assert foretold[1] < 0.8 * foretold[0]
+    assert found[1] / found[0] == pytest.approx(foretold[1] / foretold[0], rel=0.15)
+
+
+@pytest.mark.campaign
+def test_the_loop_on_data_of_the_designed_plan(designed, tmp_path):
+    run("uncertainty", designed[0], "--out", tmp_path / "judged", "--draws", "50")
+    run("simulate", designed[0], "--out", tmp_path / "made")
+    run("loop", tmp_path / "made", "--out", tmp_path / "report")
+    assert strict(tmp_path / "report" / "report.json")["verdict"] == "nothing_missing"
 
 
 # --- mistakes ------------------------------------------------------------------------------------
