@@ -21,15 +21,15 @@ _POWER = 24.0
 
 
 class ErrorMotion(NamedTuple):
-    """One error motion or squareness as linear functions of the amplitudes."""
+    """One error motion or location error as linear functions of the amplitudes."""
 
     name: str
     unit: str
     """``"um"`` or ``"urad"``."""
     position: Float[np.ndarray, " n"]
-    """Along its axis, m or rad; empty for a squareness."""
+    """Along its axis, m or rad; empty for a location error, such as a squareness."""
     functionals: Float[np.ndarray, "n k"]
-    """Value at every position (one for a squareness), SI."""
+    """Value at every position (one for a location error), SI."""
     amplitudes: tuple[int, ...]
     """Places of its own coefficients among those of the declared family."""
 

@@ -113,7 +113,7 @@ def follow(
     if not candidates:
         raise StudyError(
             f"--next: found no {space.group} within the travel from {len(chosen)} starts, expected "
-            "room for the artefact; take a smaller one, or more starts (design.starts)"
+            f"{space.lacking}, or take more starts (design.starts)"
         )
     candidates.sort(key=_rank)
     anything = space.placed(jnp.asarray(space.start))

@@ -18,7 +18,9 @@ from .volume import volumetric_gram
 NODES = 21
 """Positions along every axis at which the uncertainty of its error motions is asked for."""
 _SCATTERED = 600
-"""Points at which an arm is judged, for which a grid over all joints is too large."""
+"""Points at which an arm, or a machine with rotary axes, is judged: a grid over all joints is too
+large.
+"""
 
 
 def judge(
@@ -36,8 +38,8 @@ def judge(
 
 
 def grid_points(chain: Chain, plan: Plan, grid: tuple[int, int, int]) -> Plan:
-    """A grid over the travel of X, Y and Z, for an arm points at random, under the conditions of
-    rows of the plan picked at random.
+    """A grid over the travel of X, Y and Z, with other axes points at random, under the conditions
+    of rows of the plan picked at random.
     """
     if set(chain.axes) != set("XYZ"):
         return scattered(chain, plan, jax.random.key(0), _SCATTERED)
@@ -50,8 +52,8 @@ def grid_points(chain: Chain, plan: Plan, grid: tuple[int, int, int]) -> Plan:
 
 
 def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
-    """Every error motion and squareness that the effects of the machine leave open, at positions
-    along its axis with the others in the middle of their travel.
+    """Every error motion and location error that the effects of the machine leave open, at
+    positions along its axis with the others in the middle of their travel.
     """
     chain, layout = model.chain, model.layout
     travel = travels(chain, plan)
@@ -82,8 +84,9 @@ def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
     for i, entry in enumerate(model.entries):
         if entry.key == "geometric" and "." not in entry.parameter.name:
             row = np.zeros((1, len(names)))
-            row[0, i] = entry.parameter.step
-            found.append(ErrorMotion(entry.parameter.name, "urad", np.zeros(0), row, (i,)))
+            p = entry.parameter
+            row[0, i] = p.step
+            found.append(ErrorMotion(p.name, p.unit, np.zeros(0), row, (i,)))
     return tuple(found)
 
 

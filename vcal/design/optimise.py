@@ -133,7 +133,8 @@ def prior_value(task: Task) -> Value | None:
     known = [p for p in priors if p is not None]
     if len(known) < len(priors):
         return None
-    return _value(outer_jit(lambda: _values(task, known))())
+    # As an argument: of constants XLA would make the values itself, slowly.
+    return _value(outer_jit(lambda priors: _values(task, priors))(known))
 
 
 def optimise(
@@ -165,7 +166,7 @@ def optimise(
     if placed and not options:
         raise StudyError(
             f"the search: found no {space.group}s within the travel from {starts} starts, expected "
-            "room for the artefact; take a smaller one, or more starts (design.starts)"
+            f"{space.lacking}, or take more starts (design.starts)"
         )
     after, best = min(options, key=lambda o: o[0].criterion, default=(before, nominal))
     # A plan that no start improves is left as it is.

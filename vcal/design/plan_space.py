@@ -36,7 +36,9 @@ class DesignSettings(BaseModel):
     that are declared by default.
     """
     grid: tuple[_Count, _Count, _Count] = (12, 8, 8)
-    """Points along X, Y and Z at which the volumetric error is judged."""
+    """Points along X, Y and Z at which the volumetric error is judged; machines with other axes are
+    judged at random positions.
+    """
     starts: int = Field(default=8, ge=1, le=10_000)
     """Starts of the search: the plan as it is, and others scattered around it."""
     steps: int = Field(default=200, ge=1, le=1_000_000)
@@ -91,6 +93,10 @@ class PlanSpace(abc.ABC):
     """Keys of the ``[design]`` table, validated."""
     group: ClassVar[str]
     """What one group is called: ``"pose"``, ``"point"``."""
+    rotary: ClassVar[bool] = False
+    """Whether it places the axes A, B and C of a machine tool too."""
+    lacking: ClassVar[str] = "room for all of them; start from a plan that lies further inside"
+    """What was expected, and what to do, where nothing fits the travel."""
 
     # --- where it begins ------------------------------------------------------------------------
     @classmethod

@@ -1,9 +1,15 @@
-"""Whether what was measured follows the axes, by the nominal kinematics of the machine."""
+"""How the axes follow a point of the workpiece, and whether what was measured follows the axes, by
+the nominal kinematics of the machine.
+"""
 
 from collections.abc import Callable
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
+from ..arrays import Array
 from ..chain import Chain
 from ..errors import RowError
 from ..plan import Plan
@@ -14,6 +20,45 @@ _MOST_OFF = 0.02
 _LEAST_M = 1e-3
 """What is nothing to wonder at, however small the region: where a rotary axis is, is declared as
 well as one knows."""
+
+
+def followed(
+    chain: Chain, position: Float[Array, "n axes"], point: Float[Array, "n 3"]
+) -> Float[Array, "n axes"]:
+    """Positions at which the nominal tool point is at `point` (m, in the frame of the workpiece):
+    the linear axes follow, the others stand as in `position` (rad). May be traced.
+
+    With angles that stand, the tool point t is linear in the travel x of the linear axes,
+
+        t(x) = t(0) + M x,        x = M^-1 (point - t(0)).
+
+    The machine needs three linear axes between no two of which another one turns (`carried_apart`):
+    M is then orthogonal.
+    """
+    linear = [i for i, axis in enumerate(chain.axes) if axis in LINEAR]
+    still = jnp.zeros((len(chain.joints), 6))
+    units = jnp.eye(len(chain.axes))[np.array(linear)]
+
+    def one(q: Float[Array, " axes"], at: Float[Array, "3"]) -> Float[Array, " axes"]:
+        def tool(q: Float[Array, " axes"]) -> Float[Array, "3"]:
+            rotation, t = chain.pose_as_arrays(q, still)
+            return t + rotation @ chain.tool_offset
+
+        rest = jnp.asarray(q).at[np.array(linear)].set(0.0)
+        start = tool(rest)
+        moved = jax.vmap(lambda unit: tool(rest + unit) - start)(units)
+        return rest + units.T @ (moved @ (at - start))
+
+    return jax.vmap(one)(jnp.asarray(position), jnp.asarray(point))
+
+
+def carried_apart(chain: Chain) -> str:
+    """The rotary axis that turns one linear axis against another; empty where there is none."""
+    order = [*reversed(chain.workpiece_side), *chain.tool_side]
+    turning = [chain.axes[i] for i in order]
+    places = [k for k, axis in enumerate(turning) if axis in LINEAR]
+    between = turning[min(places, default=0) : max(places, default=0)]
+    return next((axis for axis in between if axis not in LINEAR), "")
 
 
 def check_follows(

@@ -38,6 +38,16 @@ def design_task(
             f"one of {listed(SPACES)}",
             "judge plans of your own with `vcal uncertainty`",
         )
+    if any(joint.kind == "rotary" for joint in study.chain.joints) and not SPACES[kind].rotary:
+        turning = [name for name, space in SPACES.items() if space.rotary]
+        raise refusal(
+            file,
+            "key machine.chain",
+            f"{study.chain.text!r}, with rotary axes",
+            f"linear axes, as plans of the kind {kind!r} in which others turn are not designed, "
+            f"or the kind {listed(turning)}",
+            "let the axes turn in a plan of your own, and ask `vcal uncertainty` what it tells",
+        )
     check_wanted(settings.must_see, study.chain, file, "design.must_see")
     model = judged_model(study, leave_out).with_effects(*found)
     if not model.entries:
@@ -69,14 +79,6 @@ def design_task(
             "'volume' with declared effects none of which moves the tool",
             "errors of the machine",
             "declare some",
-        )
-    if not study.chain.linear and not study.chain.arm:
-        raise refusal(
-            file,
-            "key machine.chain",
-            f"{study.chain.text!r}, with rotary axes",
-            "linear axes, or an arm: plans with rotary axes are not designed",
-            "let the axes turn in the plan of your own, and ask `vcal uncertainty` what it tells",
         )
     subject = Subject(study.chain, study.one.instrument, study.plan, file)
     # Messages of a space tell one mistake, those of pydantic had their turn.

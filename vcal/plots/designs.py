@@ -24,6 +24,15 @@ class Places(NamedTuple):
     colour: str = AFTER
 
 
+class Angles(NamedTuple):
+    """Where the rotary axes of a plan stand, deg, by their names."""
+
+    name: str
+    angle: Mapping[str, Float[np.ndarray, " n"]]
+    travel: Mapping[str, Float[np.ndarray, "2"]]
+    colour: str = AFTER
+
+
 class Uncertain(NamedTuple):
     """The largest expanded uncertainty of one error."""
 
@@ -87,6 +96,28 @@ def places_views(travel: Float[np.ndarray, "3 2"], views: Sequence[Places]) -> F
             ax.text(east, north, up, " instrument", fontsize=8, color=INK)
         ax.text2D(0.04, 0.94, view.name, fontsize=10, color=INK, transform=ax.transAxes)
     drawn.subplots_adjust(left=0.0, right=0.95, top=0.99, bottom=0.05, wspace=0.02)
+    return drawn
+
+
+def angles_views(views: Sequence[Angles]) -> Figure:
+    """Angles of plans, side by side: each rotary axis over the one that turns furthest, a single
+    one over the rows.
+    """
+    travel = views[0].travel
+    first, *others = sorted(travel, key=lambda axis: -float(np.ptp(travel[axis])))
+    drawn = figure(9.6, 0.9 + 2.3 * max(len(others), 1))
+    margins = {"left": 0.75, "right": 0.2, "top": 0.35, "bottom": 0.55, "wspace": 0.8}
+    table = grid(drawn, max(len(others), 1), len(views), margins | {"hspace": 0.6})
+    for column, view in zip(table.T, views, strict=True):
+        for ax, axis in zip(column, others or [first], strict=True):
+            across = np.arange(1, len(view.angle[axis]) + 1) if axis == first else view.angle[first]
+            ax.plot(across, view.angle[axis], ".", color=view.colour, markersize=4)
+            for end in travel[axis]:
+                ax.axhline(end, color=DOTS, lw=0.6)
+            for end in travel[first] if others else ():
+                ax.axvline(end, color=DOTS, lw=0.6)
+            below = "row" if axis == first else f"{first}, deg"
+            titled(ax, view.name if ax is column[0] else "", below, f"{axis}, deg")
     return drawn
 
 

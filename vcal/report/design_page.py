@@ -147,7 +147,7 @@ def _places(done: Designed, shown: Mapping[str, Picture]) -> Section:
             "a data file. The folder is a study of its own: vcal uncertainty on it draws machines, "
             "and the measurement fills it.",
         ),
-        pictures=tuple(shown[name] for name in ("places",) if name in shown),
+        pictures=tuple(shown[name] for name in ("places", "angles") if name in shown),
     )
 
 

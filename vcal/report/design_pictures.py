@@ -7,8 +7,10 @@ import numpy as np
 
 from ..design.optimise import Designed, Task
 from ..plots.designs import (
+    Angles,
     Places,
     Uncertain,
+    angles_views,
     artefact_views,
     places_views,
     uncertainties,
@@ -17,12 +19,17 @@ from ..plots.designs import (
 from ..plots.style import AFTER, BEFORE, png
 from .picture import Picture
 
+ANGLES = (
+    "Where the rotary axes stand in every row, over their travel; with one rotary axis, in the "
+    "order of the rows."
+)
+
 
 def design_pictures(done: Designed) -> Iterator[Picture]:
     """All pictures, in the order of the page."""
     task = done.task
     space = task.space
-    if linear(task):
+    if in_space(task):
         views = [
             view_of(task, done.nominal, "as it is", BEFORE),
             view_of(task, done.best, "designed", AFTER),
@@ -32,6 +39,12 @@ def design_pictures(done: Designed) -> Iterator[Picture]:
             "designed (right); the box is the travel."
         )
         yield Picture("places", "places", caption, png(places_views(travel_of(task), views)))
+    turned = [
+        angles_of(task, done.nominal, "as it is", BEFORE),
+        angles_of(task, done.best, "designed", AFTER),
+    ]
+    if turned[0].travel:
+        yield Picture("angles", "angles", ANGLES, png(angles_views(turned)))
     before, after = space.artefact(done.nominal), space.artefact(done.best)
     if before is not None and after is not None:
         caption = (
@@ -58,9 +71,21 @@ def uncertain(done: Designed) -> list[Uncertain]:
     return [Uncertain(m.name, m.unit, float(p), float(b), float(a)) for m, p, b, a in rows]
 
 
-def linear(task: Task) -> bool:
+def in_space(task: Task) -> bool:
     """Whether the machine has the axes X, Y and Z, whose positions can be drawn."""
-    return set(task.families[0].model.chain.axes) == set("XYZ")
+    return set("XYZ") <= set(task.families[0].model.chain.axes)
+
+
+def angles_of(task: Task, placed: Any, name: str, colour: str) -> Angles:
+    """Where the rotary axes of a machine tool stand in a plan; none on a machine without."""
+    chain, plan = task.families[0].model.chain, task.space.plan(placed)
+    turning = [joint for joint in chain.joints if joint.kind == "rotary"]
+    return Angles(
+        name,
+        {joint.name: np.rad2deg(np.asarray(plan.x(joint.name))) for joint in turning},
+        {joint.name: np.rad2deg(np.asarray(joint.travel)) for joint in turning},
+        colour,
+    )
 
 
 def travel_of(task: Task) -> np.ndarray:

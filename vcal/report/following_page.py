@@ -9,11 +9,11 @@ import numpy as np
 from ..design.following import Candidate, Following
 from ..design.separation import ALPHA, Lambda, Separation
 from ..io.study import Study
-from ..plots.designs import Places, Uncertain, places_views, uncertainties
+from ..plots.designs import Places, Uncertain, angles_views, places_views, uncertainties
 from ..plots.style import AFTER, BEFORE, png
 from . import text
 from .design_page import CONVENTIONS
-from .design_pictures import linear, travel_of, view_of
+from .design_pictures import ANGLES, angles_of, in_space, travel_of, view_of
 from .design_record import DESIGN_SCHEMA, duration, share
 from .picture import Picture
 from .provenance import provenance
@@ -102,13 +102,20 @@ def following_record(
 def following_pictures(done: Following) -> Iterator[Picture]:
     """All pictures, in the order of the page."""
     task = done.task
-    if linear(task):
-        present = done.present
-        old = view_of(task._replace(space=present), present.nominal, "measured so far", BEFORE)
+    present = done.present
+    so_far = task._replace(space=present)
+    if in_space(task):
+        old = view_of(so_far, present.nominal, "measured so far", BEFORE)
         new = view_of(task, done.best.placed, "to be measured next", AFTER)
         caption = "Where the axes stood so far (left), and where they are to stand next (right)."
         views: Sequence[Places] = (old, new)
         yield Picture("places", "places", caption, png(places_views(travel_of(task), views)))
+    turned = [
+        angles_of(so_far, present.nominal, "measured so far", BEFORE),
+        angles_of(task, done.best.placed, "to be measured next", AFTER),
+    ]
+    if turned[0].travel:
+        yield Picture("angles", "angles", ANGLES, png(angles_views(turned)))
     motions = task.families[0].motions
     prior = np.full(len(motions), np.nan) if done.prior is None else done.prior.largest
     rows = [
@@ -149,7 +156,7 @@ def following_page(
                 "Where to measure next",
                 ("plan.csv beside this page holds the rows to be measured, and only those.",),
                 tables=(_conditions(done),) if done.separation is not None else (),
-                pictures=tuple(shown[name] for name in ("places",) if name in shown),
+                pictures=tuple(shown[name] for name in ("places", "angles") if name in shown),
             ),
             Section("What is left of every error", pictures=(shown["uncertainties"],)),
             Section("Frames, signs, units", points=(*CONVENTIONS, *_TESTS)),
@@ -285,6 +292,6 @@ def _valuation(done: Following, rms_um: float) -> float:
 
 def _centre(done: Following, candidate: Candidate) -> list[float] | None:
     plan = done.task.space.plan(candidate.placed)
-    if not linear(done.task):
+    if not in_space(done.task):
         return None
     return [1e3 * float(np.asarray(plan.x(axis)).mean()) for axis in "XYZ"]

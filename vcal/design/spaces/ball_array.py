@@ -91,6 +91,7 @@ class BallArraySpace(PlanSpace):
     kind = "ball_array"
     Settings = BallArrayDesign
     group = "pose"
+    lacking = "room for the artefact; take a smaller one"
 
     chain: Chain
     device: BallArray

@@ -1,4 +1,4 @@
-"""Instruments whose rows are points that may be placed freely."""
+"""What instruments have in common whose rows are points that may be placed freely."""
 
 import abc
 import dataclasses
@@ -6,21 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from ...arrays import Array
 from ...chain import Chain
 from ...instruments.base import TableInstrument
-from ...instruments.laser_tracker import LaserTracker
-from ...instruments.reflectors import Reflectors, moves
 from ...model import Model
 from ...plan import Plan
-from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m, register
+from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m
 from ..posterior import whitened
 
 _SHARE = 0.15
@@ -79,6 +76,18 @@ class PointSpace(PlanSpace):
     @abc.abstractmethod
     def standing(self, station: Float[Array, " s"]) -> TableInstrument:
         """The instrument at some place; may be traced."""
+
+    @property
+    def chosen(self) -> tuple[int, ...]:
+        """Columns of the positions that a point chooses; all by default, the others follow."""
+        return tuple(range(len(self.chain.axes)))
+
+    def reached(
+        self, position: Float[Array, "n axes"], station: Float[Array, " s"]
+    ) -> Float[Array, "n axes"]:
+        """Positions with the columns that follow from those that were chosen; may be traced."""
+        del station
+        return position
 
     @classmethod
     def stands(cls, subject: Subject, settings: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -149,8 +158,8 @@ class PointSpace(PlanSpace):
     def start(self) -> Float[np.ndarray, " d"]:
         parts = []
         if self.settings.points:
-            low, high = self._travel().T
-            parts.append(((self.position - low) / (high - low)).ravel())
+            low, high = self._chosen_travel().T
+            parts.append(((self.position[:, self.chosen] - low) / (high - low)).ravel())
         if len(self.room):
             parts.append((self.place - self.room[:, 0]) / np.ptp(self.room, axis=1))
         parts.append(0.5 * (self._ends(0) + self._ends(1)))
@@ -173,9 +182,10 @@ class PointSpace(PlanSpace):
         position, station = jnp.asarray(self.position), jnp.asarray(self.place)
         used = 0
         if self.settings.points:
-            low, high = self._travel().T
-            used = self.position.size
-            position = low + (high - low) * z[:used].reshape(self.position.shape)
+            low, high = self._chosen_travel().T
+            used = n * len(self.chosen)
+            shares = z[:used].reshape(n, -1)
+            position = position.at[:, np.array(self.chosen)].set(low + (high - low) * shares)
         if len(self.room):
             shares = z[used : used + len(self.room)]
             station = self.room[:, 0] + np.ptp(self.room, axis=1) * shares
@@ -183,7 +193,7 @@ class PointSpace(PlanSpace):
         covariates = dict(self.known)
         for varied, values in zip(self.varied, z[used:].reshape(-1, n), strict=True):
             covariates[varied.name] = values
-        return Placed(position, covariates, station)
+        return Placed(self.reached(position, station), covariates, station)
 
     def excess(self, placed: Placed) -> Float[Array, ""]:
         return jnp.zeros(())
@@ -228,8 +238,10 @@ class PointSpace(PlanSpace):
         return Plan(plan.axes, np.asarray(plan.position), covariates, plan.groups)
 
     def seconds(self, placed: Placed) -> float:
-        s = self.settings
-        way = path_m(np.asarray(placed.position)) * s.seconds_per_metre
+        s, position = self.settings, np.asarray(placed.position)
+        # Turning takes no time of its own, but where nothing else moves: an arm.
+        linear = [i for i, joint in enumerate(self.chain.joints) if not joint.turns]
+        way = path_m(position[:, linear] if linear else position) * s.seconds_per_metre
         return float(len(self.numbering) * s.seconds_per_point + way)
 
     def _plan(self, placed: Placed) -> Plan:
@@ -239,132 +251,36 @@ class PointSpace(PlanSpace):
     def _travel(self) -> np.ndarray:
         return np.stack([joint.travel for joint in self.chain.joints])
 
+    def _chosen_travel(self) -> np.ndarray:
+        return self._travel()[np.array(self.chosen)]
+
     def _ends(self, which: int) -> np.ndarray:
         ends = [(v.low, v.high)[which] for v in self.varied]
         return np.repeat(np.array(ends, float), len(self.numbering))
 
     @property
     def _placed_numbers(self) -> int:
-        return self.settings.points * self.position.size + len(self.room)
+        points = len(self.numbering) * len(self.chosen)
+        return self.settings.points * points + len(self.room)
 
 
-class TrackerDesign(PointsDesign):
-    """Keys of ``[design]`` for ``kind = "laser_tracker"``."""
-
-    station: bool = False
-    """Whether the tracker may stand elsewhere, within the bounds below."""
-    station_low_mm: tuple[float, float, float] | None = None
-    """Lowest place of the station in the workpiece frame."""
-    station_high_mm: tuple[float, float, float] | None = None
-    """Highest place of the station."""
-
-    @model_validator(mode="after")
-    def _bounded(self) -> Self:
-        if not self.station:
-            return self
-        low, high = self.station_low_mm, self.station_high_mm
-        if low is None or high is None:
+def check_bounds(
+    key: str, name: str, low: Sequence[float] | None, high: Sequence[float] | None
+) -> None:
+    """Raise `ValueError` where bounds of a place, mm, are missing or the wrong way round; `key`
+    asks for them, `name` is what they are called by.
+    """
+    if low is None or high is None:
+        raise ValueError(
+            f"found {key} = true without bounds, expected {name}_low_mm and {name}_high_mm; "
+            "add both"
+        )
+    for c, a, b in zip("xyz", low, high, strict=True):
+        if not a < b:
             raise ValueError(
-                "found station = true without bounds, expected station_low_mm and station_high_mm; "
-                "add both"
+                f"found {name}_low_mm {a:g} and {name}_high_mm {b:g} in {c}, expected the first "
+                "below the second; exchange or correct them"
             )
-        for c, a, b in zip("xyz", low, high, strict=True):
-            if not a < b:
-                raise ValueError(
-                    f"found station_low_mm {a:g} and station_high_mm {b:g} in {c}, expected the "
-                    "first below the second; exchange or correct them"
-                )
-        return self
-
-
-@register
-@dataclass(frozen=True)
-class TrackerSpace(PointSpace):
-    """A laser tracker: points within the travel, and the place of the station.
-
-    A tracker does not come nearer to a point than its data may say, a millimetre; how it is turned
-    stays, as no uncertainty depends on it.
-    """
-
-    kind = "laser_tracker"
-    Settings = TrackerDesign
-
-    @classmethod
-    def follows(cls, chain: Chain) -> tuple[str, ...]:
-        return ("range", "azimuth", "elevation")
-
-    def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
-        order = np.array([self.chain.axes.index(axis) for axis in "XYZ"])
-        point = jnp.asarray(placed.position)[:, order] + jnp.asarray(self.chain.tool_offset)
-        v = (point - placed.station) @ self.device.orientation
-        r = jnp.sqrt((v**2).sum(1))
-        return {
-            "range": r,
-            "azimuth": jnp.arctan2(v[:, 1], v[:, 0]),
-            "elevation": jnp.arcsin(v[:, 2] / r),
-        }
-
-    def standing(self, station: Float[Array, " s"]) -> LaserTracker:
-        return eqx.tree_at(lambda i: i.station, self.device, station)
-
-    @classmethod
-    def stands(cls, subject: Subject, settings: TrackerDesign) -> tuple[np.ndarray, np.ndarray]:
-        assert isinstance(subject.instrument, LaserTracker)
-        place = np.asarray(subject.instrument.station)
-        low, high = settings.station_low_mm, settings.station_high_mm
-        if not settings.station or low is None or high is None:
-            return place, np.zeros((0, 2))
-        room = np.column_stack([low, high]) * 1e-3
-        offset = np.asarray(subject.chain.tool_offset)
-        travel = np.stack([subject.chain.joint(axis).travel for axis in "XYZ"]) + offset[:, None]
-        if ((room[:, 0] < travel[:, 1]) & (room[:, 1] > travel[:, 0])).all():
-            raise subject.refusal(
-                "station_low_mm",
-                "a room for the station that reaches into the work space",
-                "one beside it, where no point of the tool gets",
-                "move one of its bounds",
-            )
-        return place, room
-
-    def station(self, placed: Placed) -> Float[np.ndarray, "3"]:
-        return np.asarray(placed.station) - np.asarray(self.chain.tool_offset)
-
-    def changed(self, placed: Placed) -> Mapping[str, Any]:
-        if not len(self.room):
-            return {}
-        return {"station_mm": [round(1e3 * float(v), 6) for v in np.asarray(placed.station)]}
-
-
-@register
-@dataclass(frozen=True)
-class ReflectorSpace(PointSpace):
-    """Reflectors on an arm: joint angles within their bounds, as commanded or as read back.
-
-    Directions and sizes of the moves into a pose follow from the order of the poses.
-    """
-
-    kind = "reflectors"
-    Settings = PointsDesign
-    group = "pose"
-
-    @classmethod
-    def follows(cls, chain: Chain) -> tuple[str, ...]:
-        own = ("commanded", "read", "dir", "move")
-        return ("order", *(f"{name}_{axis}" for name in own for axis in chain.axes))
-
-    def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
-        angle = jnp.asarray(placed.position)
-        pose = np.asarray(self.index["pose"])
-        move, direction = moves(angle, pose)
-        found: dict[str, Array] = {"order": jnp.asarray(pose, float)}
-        for i, axis in enumerate(self.chain.axes):
-            found[f"commanded_{axis}"] = found[f"read_{axis}"] = angle[:, i]
-            found[f"dir_{axis}"], found[f"move_{axis}"] = direction[:, i], move[:, i]
-        return found
-
-    def standing(self, station: Float[Array, " s"]) -> Reflectors:
-        del station
-        return self.device
 
 
 def _numbers(index: Mapping[str, np.ndarray], name: str, rows: int) -> tuple[int, ...]:

@@ -1,0 +1,46 @@
+"""Reflectors on an arm: which poses it takes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...arrays import Array
+from ...chain import Chain
+from ...instruments.reflectors import Reflectors, moves
+from ..plan_space import register
+from .points import Placed, PointsDesign, PointSpace
+
+
+@register
+@dataclass(frozen=True)
+class ReflectorSpace(PointSpace):
+    """Reflectors on an arm: joint angles within their bounds, as commanded or as read back.
+
+    Directions and sizes of the moves into a pose follow from the order of the poses.
+    """
+
+    kind = "reflectors"
+    Settings = PointsDesign
+    group = "pose"
+
+    @classmethod
+    def follows(cls, chain: Chain) -> tuple[str, ...]:
+        own = ("commanded", "read", "dir", "move")
+        return ("order", *(f"{name}_{axis}" for name in own for axis in chain.axes))
+
+    def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
+        angle = jnp.asarray(placed.position)
+        pose = np.asarray(self.index["pose"])
+        move, direction = moves(angle, pose)
+        found: dict[str, Array] = {"order": jnp.asarray(pose, float)}
+        for i, axis in enumerate(self.chain.axes):
+            found[f"commanded_{axis}"] = found[f"read_{axis}"] = angle[:, i]
+            found[f"dir_{axis}"], found[f"move_{axis}"] = direction[:, i], move[:, i]
+        return found
+
+    def standing(self, station: Float[Array, " s"]) -> Reflectors:
+        del station
+        return self.device
