@@ -262,6 +262,10 @@ class TableInstrument(Instrument):
     """
     labels: ClassVar[tuple[str, ...]] = ()
     """Columns of text in its data table."""
+    read_otherwise: ClassVar[tuple[str, ...]] = ()
+    """Columns that it reads with some settings, and not with others: without the readings of its
+    own settings, a table that has one is no plan.
+    """
     Settings: ClassVar[type[InstrumentSettings]] = InstrumentSettings
     """Keys of the ``[instrument]`` table, validated; units stand in their names."""
 

@@ -16,6 +16,7 @@ from .messages import listed, refusal
 from .own_instruments import columns_of, instrument_class
 from .repeated import check_repeated
 from .table import Table
+from .unread import check_unread
 
 _FEWEST_ROWS = 3
 _TOOL_POINT = tuple(f"tcp_{c}_mm" for c in "xyz")
@@ -57,6 +58,10 @@ def run_table(
     _check_machine(kind, chain, plain, file, f"{key}instrument.kind")
     places = [] if kind.positioned else _positions(chain, plain)
     columns = [*places, *(full if measured else plain)]
+    if not measured:
+        known = {*kind.labels, *(c.name for c in columns)}
+        further = [c for c in header if c not in known and not _condition(c)]
+        check_unread(name, kind.kind, further, reading_names, kind.read_otherwise)
     table = folder.table(name, columns, _condition, labels=kind.labels)
     if table.rows < _FEWEST_ROWS:
         raise refusal(
