@@ -143,6 +143,12 @@ REFUSED = {
         {"T_X_degC": np.full(48, 20.0)},
         f"columns T_x_degC and T_X_degC: {TWICE}T_x_degC; remove one",
     ),
+    "positions": ({"X_mm": np.ones(48)}, f"columns x_mm and X_mm: {TWICE}x_mm; remove one"),
+    "readings": (
+        {"Range_mm": np.full(48, 900.0)},
+        f"columns range_mm and Range_mm: {TWICE}range_mm; remove one",
+    ),
+    "an index": ({"Point": np.ones(48)}, f"columns point and Point: {TWICE}point; remove one"),
     "time in minutes": (
         {"t": np.arange(48.0)},
         f"column t: {RESERVED}t_s, expected t_s, or another name for another quantity; rename or",
@@ -277,3 +283,16 @@ def test_a_plan_may_have_further_columns(tmp_path, kind):
     added = [name for name in (*EXTRA, *extra) if name not in old]
     folder = start_with(tmp_path / kind, kind, dict.fromkeys(readings, ""), added)
     assert load_study(folder).measurement is None
+
+
+def test_a_rotary_axis_has_one_column(tmp_path):
+    folder = start_with(tmp_path / "turning", "static_r_test", {}, ("C_deg",))
+    with pytest.raises(StudyError, match=f"header, columns c_deg and C_deg: {TWICE}c_deg; remove"):
+        load_study(folder)
+
+
+def test_check_points_have_every_column_once(small_tracker_study):
+    table = read_table(small_tracker_study / "check.csv", [])
+    write_table(small_tracker_study / "check.csv", {**table, "TCP_x_mm": table["tcp_x_mm"]})
+    with pytest.raises(StudyError, match="check.csv, header, columns tcp_x_mm and TCP_x_mm: found"):
+        load_study(small_tracker_study)

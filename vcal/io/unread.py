@@ -4,7 +4,6 @@ import os
 import re
 from collections.abc import Collection, Sequence
 
-from ..errors import StudyError
 from .messages import listed, refusal
 
 _UNITS = frozenset(
