@@ -205,7 +205,7 @@ def test_a_walk_whose_problem_has_no_solution_is_at_no_corner():
         shapes={0: {"s": np.nan}},
         found=np.zeros(1),
         steps=1,
-        cost=1.0,
+        cost=np.nan,
         amplitudes=lambda count: np.zeros(1),
     )
     p = SimpleNamespace(name="s", moves=True, si=1.0)
