@@ -19,7 +19,15 @@ from ..loop.closure import Closure, FoundEffect
 from ..loop.empirical import EMPIRICAL
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
-from .derived import FEW, declared, in_short, missing_columns, parameters
+from .derived import (
+    FEW,
+    declared,
+    in_short,
+    missing_columns,
+    parameters,
+    untested_beside,
+    untested_in_words,
+)
 from .own_effect import own_effect
 from .picture import Picture
 from .record import plain, versions
@@ -282,6 +290,7 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
             if p >= _WORTH_NAMING
         ],
         "separation": found.separation,
+        "untested": untested_in_words(untested_beside(closure, found)),
     }
 
 

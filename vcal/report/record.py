@@ -18,7 +18,7 @@ from ..loop.heldout import Rms
 from ..loop.unexplained import Unexplained
 from ..plan import Plan
 from ..plots import column_of
-from .derived import Listed, declared, missing_columns, parameters
+from .derived import Listed, declared, missing_columns, parameters, untested_beside
 
 SCHEMA = "vcal-report/1"
 _PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
@@ -120,6 +120,10 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
             for name, placement, probability in found.alternatives
         ],
         "separation": found.separation,
+        "untested": [
+            {"effects": keys, "missing": columns}
+            for columns, keys in untested_beside(closure, found).items()
+        ],
     }
 
 
