@@ -767,6 +767,14 @@ SETUP = {
         replace("Z = [0, 600]", "Z = [0, 0.05]"),
         ("setup.toml, key machine.travel_mm.Z", "found [0, 0.05]", "at least 0.1 mm"),
     ),
+    "a tool in metres": (
+        replace("tool_offset_mm = [0, 0, -150]", "tool_offset_mm = [0, 0, -0.15]"),
+        (
+            "setup.toml, key machine.tool_offset_mm",
+            "found [0.0, 0.0, -0.15], less than a thousandth of the travel",
+            "correct the unit, or write [0, 0, 0] where",
+        ),
+    ),
     "tool in um": (
         replace("tool_offset_mm = [0, 0, -150]", "tool_offset_mm = [0, 0, -150000]"),
         ("setup.toml, key machine.tool_offset_mm.2", "-150000", "at least -10000"),
@@ -927,6 +935,15 @@ def test_study_file(small_tracker_study, case):
 def test_a_list_that_is_wrong_is_told_once(small_tracker_study):
     message = check(small_tracker_study, ("loop.effects.0", "found 3"), ["loop.effects=[3]"])
     assert len(message.splitlines()) == 1
+
+
+@pytest.mark.parametrize("end", [",", ",,,", ",17", ",1,2"])
+def test_columns_without_a_name_are_left_out(small_tracker_study, end):
+    plain = load_study(small_tracker_study).plan
+    blank = "," * end.count(",")
+    lines(lambda f: [f[0] + blank, *(line + end for line in f[1:])])(small_tracker_study)
+    found = load_study(small_tracker_study).plan
+    assert found.covariates.keys() == plain.covariates.keys() and found.rows == plain.rows
 
 
 def test_what_stands_before_the_header_is_left_out(small_tracker_study):
