@@ -542,7 +542,29 @@ def test_ball_tables(small_ball_study, case):
     check(small_ball_study, expected)
 
 
+def other_unit(name: str, factor: float) -> Change:
+    """Columns with that beginning of their names in another unit."""
+
+    def edit(found: list[str]) -> list[str]:
+        head, *rows = [line.split(",") for line in found]
+        at = [i for i, column in enumerate(head) if column.startswith(name)]
+        for row in rows:
+            for i in at:
+                row[i] = f"{float(row[i]) * factor:.12g}"
+        return [",".join(row) for row in (head, *rows)]
+
+    return lines(edit)
+
+
 ARMS = {
+    "reflectors in metres": (
+        other_unit("smr", 1e-3),
+        ("data.csv, row ", "columns smr1_x_mm", "while the arm takes its tool", "correct the unit"),
+    ),
+    "angles in radians": (
+        other_unit("q", 0.017453292519943295),
+        ("data.csv, row ", "columns of the joint angles", "turn the angles into degrees"),
+    ),
     "more reflectors than anyone has": (
         replace("tool_reflectors = 3", "tool_reflectors = 100000000"),
         ("key instrument.tool_reflectors", "found 100000000", "a number of at most 100"),
