@@ -542,7 +542,29 @@ def test_ball_tables(small_ball_study, case):
     check(small_ball_study, expected)
 
 
+def other_unit(name: str, factor: float) -> Change:
+    """Columns with that beginning of their names in another unit."""
+
+    def edit(found: list[str]) -> list[str]:
+        head, *rows = [line.split(",") for line in found]
+        at = [i for i, column in enumerate(head) if column.startswith(name)]
+        for row in rows:
+            for i in at:
+                row[i] = f"{float(row[i]) * factor:.12g}"
+        return [",".join(row) for row in (head, *rows)]
+
+    return lines(edit)
+
+
 ARMS = {
+    "reflectors in metres": (
+        other_unit("smr", 1e-3),
+        ("data.csv, row ", "columns smr1_x_mm", "while the arm takes its tool", "correct the unit"),
+    ),
+    "angles in radians": (
+        other_unit("q", 0.017453292519943295),
+        ("data.csv, row ", "columns of the joint angles", "turn the angles into degrees"),
+    ),
     "more reflectors than anyone has": (
         replace("tool_reflectors = 3", "tool_reflectors = 100000000"),
         ("key instrument.tool_reflectors", "found 100000000", "a number of at most 100"),
@@ -767,6 +789,14 @@ SETUP = {
         replace("Z = [0, 600]", "Z = [0, 0.05]"),
         ("setup.toml, key machine.travel_mm.Z", "found [0, 0.05]", "at least 0.1 mm"),
     ),
+    "a tool in metres": (
+        replace("tool_offset_mm = [0, 0, -150]", "tool_offset_mm = [0, 0, -0.15]"),
+        (
+            "setup.toml, key machine.tool_offset_mm",
+            "found [0.0, 0.0, -0.15], less than a thousandth of the travel",
+            "correct the unit, or write [0, 0, 0] where",
+        ),
+    ),
     "tool in um": (
         replace("tool_offset_mm = [0, 0, -150]", "tool_offset_mm = [0, 0, -150000]"),
         ("setup.toml, key machine.tool_offset_mm.2", "-150000", "at least -10000"),
@@ -927,6 +957,15 @@ def test_study_file(small_tracker_study, case):
 def test_a_list_that_is_wrong_is_told_once(small_tracker_study):
     message = check(small_tracker_study, ("loop.effects.0", "found 3"), ["loop.effects=[3]"])
     assert len(message.splitlines()) == 1
+
+
+@pytest.mark.parametrize("end", [",", ",,,", ",17", ",1,2"])
+def test_columns_without_a_name_are_left_out(small_tracker_study, end):
+    plain = load_study(small_tracker_study).plan
+    blank = "," * end.count(",")
+    lines(lambda f: [f[0] + blank, *(line + end for line in f[1:])])(small_tracker_study)
+    found = load_study(small_tracker_study).plan
+    assert found.covariates.keys() == plain.covariates.keys() and found.rows == plain.rows
 
 
 def test_what_stands_before_the_header_is_left_out(small_tracker_study):

@@ -1,6 +1,7 @@
 """Identification in batches, virtual calibration, and the GUM through the identification."""
 
 import dataclasses
+import re
 
 import equinox as eqx
 import jax
@@ -86,6 +87,21 @@ def test_an_arm_is_identified_with_a_curvature_of_its_own(known):
     root = np.linalg.cholesky(np.linalg.inv(fit.jacobian.T @ fit.jacobian + np.diag(fit.precision)))
     away = np.linalg.norm(np.linalg.solve(root, np.asarray(found.theta) - fit.theta))
     assert away < 1e-3
+
+
+@pytest.mark.parametrize("values", [np.zeros(1), np.float64(0.5), np.zeros((1, 1))])
+def test_one_value_does_not_count_for_all(known, values):
+    """Nor do as many as there would be with shape parameters, which are given in SI."""
+    it = known["laser_tracker"]
+    expected = re.escape(f"theta: found shape {np.shape(values)}, expected ({len(it.theta)},), one")
+    with pytest.raises(ValueError, match=expected):
+        prepare_batch(it.model, it.plan, theta=values)
+    expected = re.escape(f"keep: found shape {np.shape(values)}, expected ({it.plan.rows},), True")
+    with pytest.raises(ValueError, match=expected):
+        prepare_batch(it.model, it.plan, keep=values.astype(bool))
+    readings = np.zeros((it.plan.rows, 3))
+    with pytest.raises(ValueError, match=expected):
+        identify(it.model, Measurement(it.plan, readings), keep=values.astype(bool))
 
 
 @pytest.mark.slow

@@ -1,11 +1,13 @@
 """Columns of conditions: what they are called in files and inside, and what is refused."""
 
+import shutil
+
 import numpy as np
 import pytest
 
 from vcal import StudyError
 from vcal.chain import chain_from_string
-from vcal.cli.folders import example
+from vcal.cli.folders import STARTS, example
 from vcal.cli.show import show_study
 from vcal.effects.registry import CATALOGUE
 from vcal.instruments import INSTRUMENTS
@@ -141,6 +143,12 @@ REFUSED = {
         {"T_X_degC": np.full(48, 20.0)},
         f"columns T_x_degC and T_X_degC: {TWICE}T_x_degC; remove one",
     ),
+    "positions": ({"X_mm": np.ones(48)}, f"columns x_mm and X_mm: {TWICE}x_mm; remove one"),
+    "readings": (
+        {"Range_mm": np.full(48, 900.0)},
+        f"columns range_mm and Range_mm: {TWICE}range_mm; remove one",
+    ),
+    "an index": ({"Point": np.ones(48)}, f"columns point and Point: {TWICE}point; remove one"),
     "time in minutes": (
         {"t": np.arange(48.0)},
         f"column t: {RESERVED}t_s, expected t_s, or another name for another quantity; rename or",
@@ -200,3 +208,91 @@ def test_an_index_of_an_instrument_of_ones_own():
     plan = linear_plan(chain, table, groups=("station",))
     assert plan.groups["station"].tolist() == [0, 1, 1] and not plan.covariates
     assert linear_plan_table(plan)["station"].tolist() == [0, 1, 1]
+
+
+# --- readings that are named otherwise -----------------------------------------------------------
+
+
+def start_with(folder, kind, names, extra=()):
+    """A starting study, its columns renamed (to none: left out), with further ones."""
+    shutil.copytree(STARTS / kind, folder)
+    (folder / "check.csv").unlink(missing_ok=True)
+    table = read_table(folder / "data.csv", [], labels=("plane",) if kind == "r_test" else ())
+    kept = {names.get(name, name): v for name, v in table.items() if names.get(name, name)}
+    rows = 18.0 + np.arange(float(table.rows)) % 7.0
+    write_table(folder / "data.csv", kept | dict.fromkeys(extra, rows))
+    return folder
+
+
+TRACKER = ("range_mm", "azimuth_rad", "elevation_rad")
+FRAME = ("u_um", "v_um")
+SPHERE = ("x_ext_mm", "y_ext_mm", "z_ext_mm")
+POINTS = tuple(f"smr{k}_{c}_mm" for k in (1, 2, 3) for c in "xyz")
+UNREAD = {
+    "another unit": ("laser_frame", FRAME, ("u_mm", "v_mm"), "u_mm", "u_um"),
+    "metres": ("laser_tracker", TRACKER, ("range_m", "", ""), "range_m", "range_mm"),
+    "degrees": ("laser_tracker", TRACKER, ("", "azimuth_deg", ""), "azimuth_deg", "azimuth_rad"),
+    "brackets": ("laser_tracker", TRACKER, ("Range [mm]", "", ""), "Range [mm]", "range_mm"),
+    "capitals": ("r_test", SPHERE, ("X_ext_mm", "", ""), "X_ext_mm", "x_ext_mm"),
+    "no unit": ("static_r_test", SPHERE, ("x_ext", "", ""), "x_ext", "x_ext_mm"),
+    "micro": ("laser_frame", FRAME, ("u_µm", ""), "u_µm", "u_um"),
+    "a letter": ("laser_tracker", TRACKER, ("", "azimut_rad", ""), "azimut_rad", "azimuth_rad"),
+    "letters": ("laser_tracker", TRACKER, ("rnage_mm", "", ""), "rnage_mm", "range_mm"),
+    "reflectors": ("reflectors", POINTS, ("SMR1_X_mm", *8 * ("",)), "SMR1_X_mm", "smr1_x_mm"),
+}
+
+
+@pytest.mark.parametrize("case", UNREAD)
+def test_readings_of_another_name_make_no_plan(tmp_path, case):
+    kind, columns, names, column, meant = UNREAD[case]
+    base = {n: "" for n in read_header(STARTS / kind / "data.csv") if n.startswith("base")}
+    folder = start_with(tmp_path / kind, kind, base | dict(zip(columns, names, strict=True)))
+    with pytest.raises(StudyError) as caught:
+        load_study(folder)
+    message = str(caught.value)
+    assert message.startswith(f"data.csv, header, column {column}: found no column of readings")
+    assert f"named like {meant}, expected" in message
+
+
+@pytest.mark.parametrize("kind", ["r_test", "static_r_test"])
+def test_readings_of_other_settings_make_no_plan(tmp_path, kind):
+    probes = ["instrument.probes=[[0.8, 0.0, 0.6], [-0.4, 0.69, 0.6], [-0.4, -0.69, 0.6]]"]
+    folder = start_with(tmp_path / kind, kind, {})
+    with pytest.raises(StudyError) as caught:
+        load_study(folder, probes)
+    message = str(caught.value)
+    assert message.startswith("data.csv, header, columns x_ext_mm, y_ext_mm, z_ext_mm: found what")
+    assert "expected p1_mm, p2_mm, p3_mm; or no readings, in a plan; correct the set" in message
+    bare = start_with(tmp_path / "plan", kind, dict.fromkeys(SPHERE, ""))
+    assert load_study(bare, probes).measurement is None
+
+
+EXTRA = ("humidity_percent", "T_cabinet_degC", "operator", "counter", "pressure_hPa", "v_m_s")
+PLANS = {
+    "laser_tracker": (TRACKER, ("distance_mm", "az_zone", "station_x_mm")),
+    "laser_frame": (FRAME, ("u_V", "w_um", "path_mm")),
+    "r_test": (SPHERE, ("x_set_mm", "x_exp_mm", "p1_kPa")),
+    "static_r_test": (SPHERE, ("x_set_mm", "tool_number")),
+}
+
+
+@pytest.mark.parametrize("kind", PLANS)
+def test_a_plan_may_have_further_columns(tmp_path, kind):
+    readings, extra = PLANS[kind]
+    old = read_header(STARTS / kind / "data.csv")
+    added = [name for name in (*EXTRA, *extra) if name not in old]
+    folder = start_with(tmp_path / kind, kind, dict.fromkeys(readings, ""), added)
+    assert load_study(folder).measurement is None
+
+
+def test_a_rotary_axis_has_one_column(tmp_path):
+    folder = start_with(tmp_path / "turning", "static_r_test", {}, ("C_deg",))
+    with pytest.raises(StudyError, match=f"header, columns c_deg and C_deg: {TWICE}c_deg; remove"):
+        load_study(folder)
+
+
+def test_check_points_have_every_column_once(small_tracker_study):
+    table = read_table(small_tracker_study / "check.csv", [])
+    write_table(small_tracker_study / "check.csv", {**table, "TCP_x_mm": table["tcp_x_mm"]})
+    with pytest.raises(StudyError, match="check.csv, header, columns tcp_x_mm and TCP_x_mm: found"):
+        load_study(small_tracker_study)

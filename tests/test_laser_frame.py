@@ -15,8 +15,13 @@ from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from vcal.effects.laser_frame import FrameExpansion, HeadExpansion, PsdLinearity, Refraction
 from vcal.instruments.laser_frame import LaserFrame, beam_path, filter_shift, safe_filter_shift
 from vcal.instruments.psd_map import PsdMap
+from vcal.io import read_table
+from vcal.loop.unexplained import Interval, Unexplained
 from vcal.model import Model, observe_all
 from vcal.plan import Plan
+from vcal.plots.views import effect_view
+from vcal.report import record
+from vcal.report.page import page
 
 TRAVEL = {"X": (0.0, 0.184), "Y": (0.0, 0.167), "Z": (0.0, 0.35)}
 THIRTEEN = ("EYX", "EZX", "EXY", "EZY", "EXZ", "EYZ", "EXX", "EYY", "EAX", "EBY")
@@ -357,10 +362,8 @@ def test_the_box_is_that_of_the_files():
     assert 'kind = "laser_frame"' in FRAME
 
 
-def test_temperatures_count_from_that_of_the_reference_run(tmp_path):
-    """A measurement three degrees warmer throughout, its reference run too, is the same."""
-    cold = load_study(write_frame(tmp_path / "cold", growth=1.5))
-    folder = write_frame(tmp_path / "warm", growth=1.5)
+def warmed(folder):
+    """A measurement three degrees warmer throughout, its reference run too."""
     setup = folder / "setup.toml"
     text = setup.read_text()
     setup.write_text(text.replace("sigma_um = 0.5", "sigma_um = 0.5\nreference_degC = 23"))
@@ -372,10 +375,41 @@ def test_temperatures_count_from_that_of_the_reference_run(tmp_path):
         for i in warm:
             row[i] = repr(float(row[i]) + 3.0)
     path.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
+    return [head[i] for i in warm]
+
+
+def test_temperatures_count_from_that_of_the_reference_run(tmp_path):
+    """Three degrees more throughout are the same to the errors, and stay as they are in files."""
+    cold = load_study(write_frame(tmp_path / "cold", growth=1.5))
+    folder = write_frame(tmp_path / "warm", growth=1.5)
+    columns = warmed(folder)
     told = load_study(folder)
     excess = told.plan.covariate("T_head") - cold.plan.covariate("T_head")
     np.testing.assert_allclose(excess, 0.0, atol=1e-9)
     table = told.instrument.to_table(told.plan, told.measurement.readings)
-    for i in warm:
-        given = np.array([float(row[i]) for row in rows])
-        np.testing.assert_allclose(table[head[i]], given, atol=1e-9)
+    given = read_table(folder / "data.csv", [])
+    for name in columns:
+        np.testing.assert_allclose(table[name], given[name], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_reports_show_temperatures_as_the_files_have_them(tmp_path):
+    folder = write_frame(tmp_path / "warm", growth=1.5)
+    warmed(folder)
+    study, given = load_study(folder), read_table(folder / "data.csv", [])["T_head_degC"]
+    tried = [study.catalogue[name] for name in ("head_expansion", "frame_expansion")]
+    closure = close_loop(study.model, study.measurement, effects=tried, draws=60)
+    (one,) = closure.effects
+    assert one.effect.name == "head_expansion"
+    seen = effect_view(closure.after, one.effect)
+    assert "head" in seen.x_label
+    assert (seen.x.min(), seen.x.max()) == pytest.approx((given.min(), given.max()))
+    where = [Interval("T_head", 19.5, 20.0)]
+    what = Unexplained(["T_head"], [0.5], where, "Z", 4.0, 0.5, 1e-4, "so")
+    rest = dataclasses.replace(closure, verdict="unexplained", unexplained=what)
+    assert rest.sentence.endswith("where T_head_degC is 22.5 to 23.")
+    (place,) = record(rest, study)["unexplained"]["where"]
+    assert (place["low"], place["high"]) == (22.5, 23.0)
+    said = page(rest, study, [], [])
+    assert "T_head_degC from 22.50 to 23.00" in said
+    assert "Temperatures count from 23 °C." in said

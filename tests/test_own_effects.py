@@ -183,10 +183,40 @@ def test_files_of_one_name_stay_apart(tmp_path):
     assert sys.modules == before
 
 
-def test_a_file_that_ends_the_program(small_tracker_study):
-    folder = with_own(small_tracker_study, OWN + "\nimport sys\nsys.exit(3)\n")
-    with pytest.raises(StudyError, match=re.escape("own.py: cannot be run: SystemExit: 3")):
+ENDS = {
+    "sys.exit": ("import sys\nsys.exit(3)", "SystemExit: 3"),
+    "exit": ("exit()", "SystemExit: None"),
+    "another end": ("class End(BaseException): pass\nraise End('no')", "End: no"),
+}
+
+
+@pytest.mark.parametrize("way", ENDS)
+def test_a_file_that_ends_the_program(small_tracker_study, way):
+    text, said = ENDS[way]
+    folder = with_own(small_tracker_study, f"{OWN}\n{text}\n")
+    with pytest.raises(StudyError, match=re.escape(f"own.py: cannot be run: {said}")):
         load_study(folder)
+
+
+def test_an_interruption_is_none_of_the_file(small_tracker_study):
+    folder = with_own(small_tracker_study, OWN + "\nraise KeyboardInterrupt\n")
+    with pytest.raises(KeyboardInterrupt):
+        load_study(folder)
+
+
+@pytest.mark.parametrize("method", ["response", "candidates"])
+def test_a_method_that_ends_the_program(small_tracker_study, method):
+    """As it is tried, and as it is looked for a place for it where it is declared."""
+    text = re.sub(rf"(def {method}\(.*\n)", r"\1        exit(0)\n", OWN)
+    assert text != OWN
+    folder = with_own(small_tracker_study, text)
+    told = run("check", folder, code=2).stderr
+    assert "own.py, " in told and f"{method}: found SystemExit: 0 (line " in told
+    if method == "candidates":
+        with open(folder / "setup.toml", "a", encoding="utf-8") as file:
+            file.write('\n[[model.effect]]\nname = "quill_sag"\n')
+        told = run("check", folder, code=2).stderr
+        assert "candidates: found SystemExit: 0 (line " in told
 
 
 def test_a_file_in_the_folder_of_the_report(small_tracker_study, monkeypatch):

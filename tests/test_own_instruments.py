@@ -17,7 +17,11 @@ from vcal.effects import CATALOGUE
 from vcal.errors import StudyError
 from vcal.instruments import INSTRUMENTS
 from vcal.io import load_study
+from vcal.io.own_code import Trial
+from vcal.io.own_trial import check_clusters
 from vcal.io.simulated import parse_with, write_simulated
+from vcal.loop.chance import LEAST_NOISE
+from vcal.loop.state import fitted
 
 EXAMPLE = Path(__file__).parent / "own_instrument"
 BAR = (EXAMPLE / "ball_bar.py").read_text(encoding="utf-8")
@@ -150,6 +154,47 @@ def test_keys_and_columns_are_checked(small):
     write_csv(small / "data.csv", circles(PLANES[:1], 12) | {"deviation_um": np.full(24, 5000.0)})
     with pytest.raises(StudyError, match="column deviation_um: found 5000, expected a number fr"):
         load_study(small)
+
+
+CLUSTERS = {
+    "one row each": "np.arange(plan.rows)",
+    "pairs": "np.arange(plan.rows) // 2",
+    "runs": 'np.asarray(plan.groups["run"])',
+}
+
+
+def clustered(folder, indices, columns):
+    method = f"    def clusters(self, plan):\n        return {indices}\n\n    def folds("
+    return write_bar(folder, columns, BAR.replace("    def folds(", method))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize("indices", CLUSTERS)
+def test_the_noise_of_clusters_is_told_by_enough_rows(tmp_path, indices, noise):
+    """One row says nothing of how it scatters: its noise is the declared one."""
+    study = load_study(clustered(tmp_path / "plan", CLUSTERS[indices], circles()))
+    there = parse_with("backlash:Y:size_um=60", study.catalogue, study.model.setup(study.plan))
+    write_simulated(study, tmp_path / "data", effects=[there], seed=3, noise_factor=noise)
+    study = load_study(tmp_path / "data")
+    state = fitted(study.model, study.measurement, None, 0)
+    used = state.scored.used
+    ratio = (state.scored.whitener / state.fit.whitener)[used]
+    if indices == "runs":
+        assert ratio.min() < 0.5  # of what is missing
+    else:
+        assert (ratio == 1.0).all()
+    model = study.model.with_effects(there)
+    state = fitted(model, study.measurement, None, 0)
+    assert (state.scored.whitener <= 1.01 / LEAST_NOISE * state.fit.whitener).all()
+    assert np.isfinite(state.scored.covariance).all()
+
+
+def test_rows_of_a_cluster_have_the_same_readings():
+    trial, present = Trial("own.py", "Own"), np.array([[True, True], [True, True], [True, False]])
+    check_clusters(trial, np.array([0, 0, 1]), present)
+    check_clusters(trial, np.array([0, 0, -1]), present)
+    with pytest.raises(StudyError, match="clusters: found rows 1 and 3 under one index, 4, with o"):
+        check_clusters(trial, np.array([4, -1, 4]), present)
 
 
 # --- commands -------------------------------------------------------------------------------------

@@ -559,6 +559,33 @@ def test_page_says_what_an_effect_of_ones_own_is(closed):
     assert "<td>local_bump</td><td>empirical: local error (for comparison" in said
 
 
+def test_what_could_not_be_tested_on_the_same_axis_stands_beside_a_name(closed, capsys):
+    """What needs a column that nobody recorded has to look like something else."""
+    _, study, closure = closed
+    wanting = [
+        Untestable(name, place, "so", ((column, ()),))
+        for name, place, column in (
+            ("stribeck_friction", "Y", "v_Y"),
+            ("coulomb_friction", "Y", "v_Y"),
+            ("payload_sag", "Y", "payload_kg"),
+            ("payload_sag", "X", "payload_kg"),
+            ("probe_lobing", "", "approach_rad"),
+        )
+    ]
+    few = dataclasses.replace(closure, untestable=wanting)
+    said = "stribeck_friction Y, coulomb_friction Y (no v_y_m_s); payload_sag Y (no payload_kg)"
+    assert f"</b>, for want of columns: {said}. Where" in page(few, study, [], [])
+    assert "Could not be tested on the same axis" not in page(closure, study, [], [])
+    (effect,) = record(few, study)["effects"]
+    assert effect["untested"] == [
+        {"effects": ["stribeck_friction Y", "coulomb_friction Y"], "missing": "v_y_m_s"},
+        {"effects": ["payload_sag Y"], "missing": "payload_kg"},
+    ]
+    show_closure(few)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert f"could not be tested on the same axis: {said}" in shown
+
+
 def test_effects_that_were_searched_for(closed, written):
     """Without artefact nothing looks for its bending: it was asked for, no more."""
     content = strict(written / "report.json")

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from known import Known
 from vcal import Effect, Measurement, Parameter, identify
+from vcal.fit import shape_step
 from vcal.loop.empirical import Kink
 from vcal.walk import Walk
 
@@ -196,3 +197,24 @@ def test_a_warming_up_longer_than_the_measurement_against_scipy(tracker):
     step = least_squares(lambda d: left - whole @ d, np.zeros(k), method="lm").x
     sigma = np.sqrt(np.diag(np.linalg.inv(whole.T @ whole)))
     np.testing.assert_allclose(step / sigma, 0.0, atol=0.05)
+
+
+def test_a_walk_whose_problem_has_no_solution_is_at_no_corner():
+    """Numbers that are none, as of weights beyond all bounds, are not divided by a step of zero."""
+    place = SimpleNamespace(
+        shapes={0: {"s": np.nan}},
+        found=np.zeros(1),
+        steps=1,
+        cost=np.nan,
+        amplitudes=lambda count: np.zeros(1),
+    )
+    p = SimpleNamespace(name="s", moves=True, si=1.0)
+    effect = SimpleNamespace(shapes=(p,), scan=lambda plan: {"s": np.linspace(0.0, 1.0, 11)})
+    walk = Walk(SimpleNamespace(effects=(effect,)), None, 0, lambda *_: place)  # type: ignore[arg-type]
+    assert not walk.ends(place) and not walk.ends(place)
+
+
+@pytest.mark.parametrize("grid", [[0.2], [0.2, 0.2, 0.2], [0.1, 0.2, 0.2, 0.2]])
+def test_a_scan_that_has_no_step(grid):
+    p = Parameter("s", "m", shape=True)
+    assert shape_step(p, 0.2, {"s": np.array(grid)}) > 0.0

@@ -30,7 +30,7 @@ from .identify import declared_whitener, linearised_terms
 from .instruments.base import Instrument
 from .least_squares import least_squares
 from .measurement import Measurement
-from .model import Model, Shapes, observe_columns, observe_with_jacobian, port_values
+from .model import Model, Shapes, check_keep, observe_columns, observe_with_jacobian, port_values
 from .plan import Plan
 from .port_map import PortMap, port_map
 from .prior import Amplitudes
@@ -271,8 +271,9 @@ def prepare_batch(
     the `shapes` (SI); shape parameters not given are their declared values, or the middle of their
     scan. `keep` (n,) leaves rows out.
 
-    Raises `RuntimeError` in float32, and `ValueError` where data and prior leave a parameter
-    undetermined there: a shape parameter is, as long as its effect has no amplitude.
+    Raises `RuntimeError` in float32, and `ValueError` where theta or keep do not fit, or where data
+    and prior leave a parameter undetermined there: a shape parameter is, as long as its effect has
+    no amplitude.
     """
     require_float64()
     plan = model.motion(plan, shapes)
@@ -286,6 +287,11 @@ def prepare_batch(
     size = len(names)
     begin = np.zeros(size)
     if theta is not None:
+        if np.shape(theta) != (len(model.entries),):
+            raise ValueError(
+                f"theta: found shape {np.shape(theta)}, expected ({len(model.entries)},), one "
+                "value per amplitude of the model; `Model.entries` names them in order"
+            )
         begin[: len(model.entries)] = theta
     terms = linearised_terms(model, plan, at, begin)
 
@@ -304,6 +310,7 @@ def prepare_batch(
     nominal, by_term = linearised(begin)
     whitener = declared_whitener(model, Measurement(plan, nominal))
     if keep is not None:
+        check_keep(plan, keep)
         whitener = whitener * np.asarray(keep, float)[:, None, None]
 
     def whitened(by_term: np.ndarray) -> np.ndarray:

@@ -137,7 +137,7 @@ def run_file(path: Path, what: str) -> ModuleType:
             del sys.modules[spec.name]
         else:
             sys.modules[spec.name] = earlier
-        if not isinstance(error, Exception | SystemExit):
+        if isinstance(error, KeyboardInterrupt):
             raise
         raise StudyError(f"{path}: cannot be run: {in_own_words(error)}; mend the file") from error
     return module

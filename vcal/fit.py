@@ -321,10 +321,11 @@ def entries(model: Model) -> tuple[tuple[str, Parameter], ...]:
 
 def shape_step(parameter: Parameter, value: float, grids: Mapping[str, np.ndarray]) -> float:
     """What the solver counts as one for a shape parameter: one step of its scan there (SI)."""
-    grid = grids[parameter.name]
-    if len(grid) < 2:
-        return max(abs(value), parameter.si) * 0.1
-    return float(np.abs(np.gradient(grid))[np.argmin(np.abs(grid - value))])
+    grid, step = grids[parameter.name], 0.0
+    if len(grid) > 1:
+        step = float(np.abs(np.gradient(grid))[np.argmin(np.abs(grid - value))])
+    # Of one value, or of the same one again, no scan has a step.
+    return step or max(abs(value), parameter.si) * 0.1
 
 
 def _unit_columns(fit: Fit) -> np.ndarray:

@@ -26,6 +26,7 @@ from .model import (
     Model,
     Shapes,
     Terms,
+    check_keep,
     check_theta,
     concatenate,
     effect_terms,
@@ -265,7 +266,7 @@ def identify(
     leaves rows out, `room` is the least number of slots to compile the solver for (smaller and
     larger models then share it). Gauss-Newton first, with damping where that does not
     converge; `Fit.status` says how it ended. Raises `RuntimeError` where JAX runs in float32, and
-    `ValueError` where measurement or theta do not fit the model.
+    `ValueError` where measurement, theta or keep do not fit the model.
     """
     require_float64()
     instrument = model.instrument
@@ -281,6 +282,7 @@ def identify(
     if whitener is None:
         whitener = declared_whitener(model, measurement)
     if keep is not None:
+        check_keep(plan, keep)
         whitener = whitener * np.asarray(keep, float)[:, None, None]
     current = {
         i: {name: float(value) for name, value in shape.items()}

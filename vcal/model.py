@@ -356,6 +356,15 @@ def check_theta(model: Model, theta: Any) -> None:
         )
 
 
+def check_keep(plan: Plan, keep: Any) -> None:
+    """Raises `ValueError` where there is not one value per row: one alone would count for all."""
+    if np.shape(keep) != (plan.rows,):
+        raise ValueError(
+            f"keep: found shape {np.shape(keep)}, expected ({plan.rows},), True or False for each "
+            "row of the plan; give as many"
+        )
+
+
 def predict(
     model: Model, plan: Plan, theta: Float[Array, " k"], shapes: Shapes | None = None
 ) -> Float[Array, "n m"]:

@@ -188,7 +188,7 @@ class Walk(Generic[S]):
             *((it.shapes[i][p.name] - last.shapes[i][p.name]) / step for i, p, step, *_ in units)
         )
         shorter = min(float(np.linalg.norm(step)) for step in steps)
-        if shorter <= apart:
+        if not shorter > apart:  # nor where a problem without a solution has no place
             return False
         # Along a step the linear model gains most at first: twice its whole gain over its length.
         gain = max(self._standing(one).cost - one.cost for one in (it, last))

@@ -50,8 +50,9 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
         except KeyboardInterrupt:
             tell("interrupted; nothing was written")
             raise typer.Exit(INTERRUPTED) from None
-        except Exception as error:
-            # Effects and instruments of a user's own were tried once, which not all survive.
+        except BaseException as error:
+            # Effects and instruments of a user's own were tried once, which not all survive; nor
+            # may one of them end the program.
             if (text := told(error)) is None:
                 raise
             tell(text)

@@ -219,7 +219,9 @@ class Instrument(Record):
         default, where the noise is as declared but for its size, which is looked for anyway.
 
         For rows of many readings of which the machine's own scatter disturbs all alike: the
-        coordinates of reflectors on an arm. Rows of one index have the same readings present.
+        coordinates of reflectors on an arm. Rows of one index have the same readings present. Those
+        of an index with no more rows than readings, or with next to nothing left beyond the
+        parameters, keep the declared noise.
         """
         return np.full(plan.rows, -1)
 
@@ -262,6 +264,10 @@ class TableInstrument(Instrument):
     """
     labels: ClassVar[tuple[str, ...]] = ()
     """Columns of text in its data table."""
+    read_otherwise: ClassVar[tuple[str, ...]] = ()
+    """Columns that it reads with some settings, and not with others: without the readings of its
+    own settings, a table that has one is no plan.
+    """
     Settings: ClassVar[type[InstrumentSettings]] = InstrumentSettings
     """Keys of the ``[instrument]`` table, validated; units stand in their names."""
 

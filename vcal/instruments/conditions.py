@@ -14,6 +14,7 @@ import numpy as np
 
 from ..chain import Chain
 from ..plan import Plan
+from .base import Instrument
 
 GROUPS = ("point", "pose", "ball", "run", "segment")
 
@@ -109,6 +110,18 @@ def linear_plan_table(
         if name.endswith(_TEMPERATURE):
             table[name] = table[name] + warmer
     return table
+
+
+def in_file(
+    name: str, values: np.ndarray | float, plan: Plan, instrument: Instrument
+) -> np.ndarray | float:
+    """Values of a covariate or axis of a plan (SI) as the files of its instrument have them: in the
+    unit of the column, temperatures `Instrument.warmer`.
+    """
+    owner, _, plain = name.partition(":")
+    of = instrument.members.get(owner)
+    column, factor = file_column(name if of is None else plain, plan.axes)
+    return values * factor + ((of or instrument).warmer if column.endswith(_TEMPERATURE) else 0.0)
 
 
 def inside_name(column: str, axes: tuple[str, ...]) -> str:

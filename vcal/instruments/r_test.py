@@ -88,6 +88,7 @@ class RTest(TableInstrument):
     kind = "r_test"
     machine: ClassVar[str | None] = "w b X Y Z t"
     labels: ClassVar[tuple[str, ...]] = ("plane",)
+    read_otherwise = (*COORDINATES, *PROBES)
     positioned: ClassVar[bool] = True
     derived: ClassVar[tuple[str, ...]] = ("t_run", "circle_angle")
     Settings = RTestSettings

@@ -1,6 +1,7 @@
 """Reflectors: several points on the tool (and on the base) in the tracker's frame."""
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Self
@@ -14,7 +15,7 @@ from pydantic import Field
 from ..arrays import Array, namespace
 from ..chain import Chain
 from ..effects.base import Effect, Response
-from ..errors import KeyedError
+from ..errors import KeyedError, RowError
 from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import COMPONENTS, group
@@ -31,6 +32,9 @@ _NOTHING = 1e-9
 """m or rad: less than any tracker sees."""
 _MOST = 100
 """Reflectors on the tool or the base. Every further one adds three columns and three unknowns."""
+
+_OTHER_UNIT, _LARGE_M = 5.0, 0.05
+"""How often as large or small places are in another unit, where they are far apart at all."""
 
 
 class ReflectorsSettings(InstrumentSettings):
@@ -232,6 +236,7 @@ class Reflectors(TableInstrument):
         return np.ones((plan.rows, 3 * self.count))
 
     def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> Self:
+        _check_size(chain, plan, np.asarray(readings)[:, :3])
         rotations, origins = _nominal_poses(chain, np.asarray(plan.position))
         measured = readings.reshape(plan.rows, self.count, 3)
         points = np.zeros((self.count, 3))
@@ -285,6 +290,30 @@ def moves(
     row = np.arange(len(pose))[:, None]
     last = xp.maximum.accumulate(xp.where(known & (move == 0.0), 0, row), axis=0)
     return move[own], xp.sign(xp.take_along_axis(move, last, axis=0))[own]
+
+
+def _check_size(chain: Chain, plan: Plan, seen: np.ndarray) -> None:
+    """Refuse places (n, 3), m, of a reflector that fill far less room than the arm moves its tool
+    in, or far more where the angles are as small as radians are: links may be off by so much that
+    a fit could make another arm of it.
+    """
+    position = np.asarray(plan.position)
+    nominal = _nominal_poses(chain, position)[1]
+    size, expected = (np.sqrt(((p - p.mean(0)) ** 2).sum(1).mean()) for p in (seen, nominal))
+    small = expected > _LARGE_M and size < expected / _OTHER_UNIT
+    radians = np.abs(position).max() <= math.radians(2.0 * math.pi)
+    if not small and not (radians and size > _LARGE_M and size > _OTHER_UNIT * expected):
+        return
+    raise RowError(
+        int(np.argmax(((nominal - nominal.mean(0)) ** 2).sum(1))),
+        "columns smr1_x_mm, smr1_y_mm, smr1_z_mm" if small else "columns of the joint angles",
+        f"places of a reflector within {1e3 * size:.4g} mm (rms about their mean), while the arm "
+        f"takes its tool {1e3 * expected:.4g} mm far",
+        "about the same, in millimetres and degrees",
+        "correct the unit of the reflectors' columns"
+        if small
+        else "turn the angles into degrees, where they are radians",
+    )
 
 
 def _on_a_circle(count: int) -> np.ndarray:

@@ -160,6 +160,12 @@ class Several(Instrument):
     def dimensions(self, plan: Plan) -> np.ndarray:
         return np.concatenate([m.dimensions(part) for m, part, *_ in self._each(plan)])
 
+    @property
+    def warmer(self) -> float:
+        # What the data sets share is written alike only where all of them count from one.
+        all_of_them = {member.warmer for member in self.instruments}
+        return all_of_them.pop() if len(all_of_them) == 1 else 0.0
+
     def clusters(self, plan: Plan) -> np.ndarray:
         return _numbered([m.clusters(part) for m, part, *_ in self._each(plan)])
 

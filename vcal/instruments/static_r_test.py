@@ -104,6 +104,7 @@ class StaticRTest(TableInstrument):
 
     kind = "static_r_test"
     rotary = True
+    read_otherwise = (*COORDINATES, *PROBES)
     Settings = StaticRTestSettings
 
     sigma: float

@@ -38,13 +38,13 @@ class Trial:
     @contextmanager
     def calling(self, method: str, expected: str) -> Iterator[None]:
         """What is raised in this block, other than a `StudyError`, is told as a mistake of the
-        class, in `method`.
+        class, in `method`; so is ``exit()``, which would end vcal without a word, but not Ctrl-C.
         """
         try:
             yield
-        except StudyError:
+        except (StudyError, KeyboardInterrupt):
             raise
-        except Exception as error:
+        except BaseException as error:
             raise self.refusal(method, in_own_words(error), expected) from error
 
     def check_attributes(self, kind: type, attributes: Sequence[Attribute]) -> None:

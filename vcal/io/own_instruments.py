@@ -42,6 +42,7 @@ _ATTRIBUTES: tuple[Attribute, ...] = (
     ("rotary", lambda v: isinstance(v, bool), "True or False"),
     ("positioned", lambda v: isinstance(v, bool), "True or False"),
     ("labels", _texts, 'a tuple of columns, as in ("plane",)'),
+    ("read_otherwise", _texts, 'a tuple of columns, as in ("p1_mm",)'),
     ("derived", _texts, 'a tuple of covariates, as in ("range",)'),
 )
 

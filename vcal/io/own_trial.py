@@ -63,7 +63,7 @@ def check_instrument(
         raise trial.refusal("dimensions", f"{dimensions.min():g}", "numbers above 0")
     with trial.calling("clusters", f"indices of the shape ({n},)"):
         clusters = instrument.clusters(plan)
-    _indices(trial, "clusters", clusters, n)
+    check_clusters(trial, _indices(trial, "clusters", clusters, n), present)
     apart = _check_folds(trial, instrument, plan)
     effects = _check_effects(trial, instrument, chain, plan)
     _check_told(trial, Model(chain, instrument, effects), plan, apart)
@@ -242,6 +242,17 @@ def _indices(trial: Trial, method: str, values: Any, rows: int) -> np.ndarray:
     if found.min() < -1:
         raise trial.refusal(method, f"{found.min()}", expected)
     return found
+
+
+def check_clusters(trial: Trial, clusters: np.ndarray, present: np.ndarray) -> None:
+    """Rows whose covariance is estimated together have the same readings."""
+    for k in np.unique(clusters[clusters >= 0]):
+        mine = np.flatnonzero(clusters == k)
+        other = (present[mine] != present[mine[0]]).any(1)
+        if other.any():
+            found = f"rows {mine[0] + 1} and {mine[int(np.argmax(other))] + 1} under one index, {k}"
+            expected = "the same readings present in all rows of an index"
+            raise trial.refusal("clusters", f"{found}, with other readings present", expected)
 
 
 def _check_folds(trial: Trial, instrument: TableInstrument, plan: Plan) -> np.ndarray:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..chain import Chain
+from ..errors import StudyError
 from ..instruments.base import Column, InstrumentSettings, TableInstrument
 from ..instruments.conditions import GROUPS, LINEAR, ROTARY, file_column, linear_plan, misnamed
 from ..measurement import CheckPoints
@@ -16,6 +17,7 @@ from .messages import listed, refusal
 from .own_instruments import columns_of, instrument_class
 from .repeated import check_repeated
 from .table import Table
+from .unread import check_unread
 
 _FEWEST_ROWS = 3
 _TOOL_POINT = tuple(f"tcp_{c}_mm" for c in "xyz")
@@ -57,6 +59,10 @@ def run_table(
     _check_machine(kind, chain, plain, file, f"{key}instrument.kind")
     places = [] if kind.positioned else _positions(chain, plain)
     columns = [*places, *(full if measured else plain)]
+    if not measured:
+        known = {*kind.labels, *(c.name for c in columns)}
+        further = [c for c in header if c not in known and not _condition(c)]
+        check_unread(name, kind.kind, further, reading_names, kind.read_otherwise)
     table = folder.table(name, columns, _condition, labels=kind.labels)
     if table.rows < _FEWEST_ROWS:
         raise refusal(
@@ -66,6 +72,7 @@ def run_table(
             f"at least {_FEWEST_ROWS} rows",
             "measure more points",
         )
+    _check_spelling(table, [c.name for c in columns])
     _check_names(table, chain, (*kind.labels, *reading_names))
     _check_conditions(table, chain)
     if measured:
@@ -97,6 +104,7 @@ def check_points(
             "at least 3 that are not: alignment alone takes out six numbers",
             "add points beside them, or remove the file",
         )
+    _check_spelling(table, [c.name for c in columns])
     _check_names(table, chain, _TOOL_POINT)
     _check_conditions(table, chain)
     if tool:
@@ -166,6 +174,27 @@ def _condition(name: str) -> Column | None:
     return None
 
 
+def _check_spelling(table: Table, asked: Sequence[str]) -> None:
+    """What the machine or the instrument asks for, or an index, must not stand there a second time
+    in other letters (``c_deg`` and ``C_deg``): it would pass for another quantity.
+    """
+    meant = {name.casefold(): name for name in (*GROUPS, *asked) if name in table}
+    for name in table:
+        column = meant.get(name.casefold(), name)
+        if column != name:
+            raise _twice(table.name, (column, name), column)
+
+
+def _twice(file: str, columns: Sequence[str], meant: str) -> StudyError:
+    return refusal(
+        file,
+        f"header, columns {' and '.join(columns)}",
+        "two columns of one quantity",
+        f"one, {meant}",
+        "remove one of them, or rename it where it is another quantity",
+    )
+
+
 def _check_names(table: Table, chain: Chain, others: Sequence[str]) -> None:
     """Every quantity has one column, under its name in files; `others` are no conditions."""
     for name in table:
@@ -182,13 +211,7 @@ def _check_names(table: Table, chain: Chain, others: Sequence[str]) -> None:
         return
     columns, meant = wrong
     if len(columns) > 1:
-        raise refusal(
-            table.name,
-            f"header, columns {' and '.join(columns)}",
-            "two columns of one quantity",
-            f"one, {meant}",
-            "remove one of them, or rename it where it is another quantity",
-        )
+        raise _twice(table.name, columns, meant)
     raise refusal(
         table.name,
         f"header, column {''.join(columns)}",

@@ -50,6 +50,8 @@ from .table import Table
 
 _SHORTEST_MM, _FARTHEST_MM = 0.1, 1e6
 """A travel of less, or one that goes further, is in another unit."""
+_LEAST_TOOL = 1e-3
+"""Of the shortest travel: a tool that is shorter, but there, is in another unit."""
 
 
 @dataclass(frozen=True)
@@ -338,7 +340,25 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
                 f"at least {_SHORTEST_MM:g} mm of travel, within {_FARTHEST_MM:g} mm",
                 "correct the unit",
             )
+    _check_offset(machine.tool_offset_mm, chain, file, "machine.tool_offset_mm")
     return chain
+
+
+def _check_offset(offset: Sequence[float], chain: Chain, file: str, key: str) -> None:
+    """A tool in metres is a thousandth of its length, and the levers with which it turns are next
+    to nothing: no reading need contradict it.
+    """
+    travels = [np.ptp(j.travel) * 1e3 for j in chain.joints if not j.turns]
+    reach = min((travel for travel in travels if math.isfinite(travel)), default=0.0)
+    if chain.arm or not 0.0 < np.abs(offset).max() < _LEAST_TOOL * reach:
+        return
+    raise refusal(
+        file,
+        f"key {key}",
+        f"{[*offset]}, less than a thousandth of the travel",
+        "millimetres from the last axis's frame to the tool point",
+        "correct the unit, or write [0, 0, 0] where the tool point is in that frame",
+    )
 
 
 def _check_rotary(machine: MachineSettings, file: str) -> None:
@@ -383,6 +403,7 @@ def _data_sets(
             )
         own = chain
         if row.tool_offset_mm is not None:
+            _check_offset(row.tool_offset_mm, chain, file, f"data.{i}.tool_offset_mm")
             offset = np.array(row.tool_offset_mm) * 1e-3
             own = with_tool(chain, offset - np.asarray(chain.tool_offset))
         one = _data_set(row.name, row.file, row.instrument, own, folder, file, f"data.{i}.")

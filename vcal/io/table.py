@@ -75,8 +75,8 @@ def read_table(
     `columns` must be there and are checked against their declarations; `optional` gives the
     declaration of a column that need not be there; `labels` are columns of text. Any further column
     is kept if it is numeric, that is, if more than half of its cells are numbers (then all must
-    be), and is ignored otherwise; so is an optional one that may be `sparse`. `base_name` is what
-    messages call the file.
+    be), and is ignored otherwise; so is an optional one that may be `sparse`, and one without a
+    name. `base_name` is what messages call the file.
 
     Raises `StudyError` for a file that is missing, empty or cut off, a column that is missing or
     there twice, and a cell that is not a finite number, not whole where it must be, outside its
@@ -94,6 +94,8 @@ def read_table(
     if not rows:
         raise refusal(table.name, "row 1", "no row below the header", "data", "add the rows")
     for place, name in enumerate(header):
+        if not name:  # of separators at the ends of lines, or of numbers that nobody could tell
+            continue
         cells = [row[place] for row in rows]
         if name in labels:
             table[name] = np.array([cell.strip() for cell in cells])
@@ -181,11 +183,11 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
             "save the table with one of these separators",
         )
     for column in header:
-        if header.count(column) > 1:
+        if column and header.count(column) > 1:
             places = [str(i + 1) for i, c in enumerate(header) if c == column]
             raise refusal(
                 name,
-                f"header (line {line}), column {column or '(no name)'}",
+                f"header (line {line}), column {column}",
                 f"it {len(places)} times (places {', '.join(places)})",
                 "every name once",
                 "rename or remove one of them",

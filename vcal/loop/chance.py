@@ -11,6 +11,8 @@ SILENT = 0.1
 """Variance, in that of the noise that a fit goes by, that residuals count for at least: by noise
 that was found theirs is one, but by the least noise it may be anything.
 """
+TOLD = 10.0
+"""Least degrees of freedom by which noise is estimated."""
 _RAREST, _ENOUGH = 0.1, 25
 """Share of the null draws, and their least number, that tell of how many trials the rarest is."""
 

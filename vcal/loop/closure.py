@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from ..effects.base import Effect
 from ..fit import Fit
-from ..instruments.conditions import file_column
+from ..instruments.conditions import file_column, in_file
 from ..measurement import CheckPoints
 from .candidates import Untestable
 from .components import Component
@@ -291,8 +291,11 @@ class Closure:
             along = f" by the rotation {described.port}"
         if what.where:
             place = what.where[0]
-            column, factor = file_column(place.covariate, axes)
-            low, high = place.low * factor, place.high * factor
+            column, given = file_column(place.covariate, axes)[0], self.after.measurement.plan
+            low, high = (
+                in_file(place.covariate, v, given, self.after.model.instrument)
+                for v in (place.low, place.high)
+            )
             said = what.words or "an error"
             of = f" with {columns[0]}" if columns[0] != column else ""
             return f"{said}{along}{of} where {column} is {low:.4g} to {high:.4g}"

@@ -18,12 +18,10 @@ from scipy.special import gammaincc
 
 from ..fit import Fit
 from ..identify import absent, declared_covariances, whitener_of
-from .chance import LEAST_NOISE
+from .chance import LEAST_NOISE, TOLD
 
 _ROUNDS = 100
 _SETTLED = 1e-3
-_TOLD = 10.0
-"""Least degrees of freedom by which a component is estimated; others share one factor."""
 _CHANCE = 1e-3
 """Probability by chance below which the factors count as different."""
 
@@ -90,7 +88,7 @@ def components(fit: Fit) -> Components:
     problem = _Problem(fit.residual[used], jacobian, fit.theta, precision, missing[used])
     whole, dof, level = problem.estimate(each.sum(0)[None], np.ones(1, bool))
     factors = np.full(len(each), whole[0])
-    told = problem.seen(each, factors) > _TOLD
+    told = problem.seen(each, factors) > TOLD  # others share one factor
     if told.sum() > 1:
         factors, dof, apart = problem.estimate(each, told, factors)
         p_value = float(gammaincc(0.5 * (told.sum() - 1), max(apart - level, 0.0)))

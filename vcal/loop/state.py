@@ -16,6 +16,7 @@ from ..measurement import Measurement
 from ..model import Model
 from ..robust import identify_robust
 from .begin import shapes_begun
+from .chance import LEAST_NOISE, TOLD
 from .components import Components, components
 from .heldout import folds_of
 from .stray import Stray, displaced, scattered, stray_apart, stray_rows
@@ -208,7 +209,8 @@ def _clustered_whitener(fit: Fit) -> np.ndarray:
     per reading) and f the mean of its diagonal. a is what chance has in how S differs from f, so
     that as many rows decide for S as it takes, and where nothing is shared what is declared stays
     (Ledoit, Wolf, J. Multivariate Anal. 88, 2004, 365). The parameters are shared out evenly over
-    all rows.
+    all rows. Too few rows to tell a covariance have the declared one, and the size of none is below
+    the least noise.
     """
     used, clusters = fit.used, fit.clusters
     found = np.array(declared_whitener(fit.model, fit.measurement))
@@ -219,6 +221,8 @@ def _clustered_whitener(fit: Fit) -> np.ndarray:
             continue
         present = np.flatnonzero(fit.counted[here[0]])
         rows, m = len(here), len(present)
+        if rows <= m or fit.chi2_and_dof(mine)[1] < TOLD:
+            continue
         r = np.einsum("nij,nj->ni", found[np.ix_(here, present, present)],
                       fit.residual[np.ix_(here, present)])  # fmt: skip
         taken = len(fit.theta) * (rows / used.sum())
@@ -228,6 +232,7 @@ def _clustered_whitener(fit: Fit) -> np.ndarray:
         chance = ((np.einsum("ni,nj->nij", r, r) - s) ** 2).sum() / rows**2
         share = min(chance / max(((s - same) ** 2).sum(), 1e-300), 1.0)
         c = (1.0 - share) * s + share * same
+        c += max(LEAST_NOISE**2 - np.trace(c) / m, 0.0) * np.eye(m)
         block = np.ix_(np.flatnonzero(mine), present, present)
         found[block] = np.linalg.cholesky(np.linalg.inv(c)).T @ found[block]
     return found

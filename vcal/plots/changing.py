@@ -8,6 +8,7 @@ import scipy.linalg
 from matplotlib.figure import Figure
 
 from ..fit import Fit
+from ..instruments.conditions import in_file
 from ..loop.empirical import Changing
 from ..loop.rivals import Rival
 from ..loop.unexplained import bins
@@ -122,14 +123,15 @@ def changing(fit: Fit, best: Rival) -> Figure | None:
         return None
     last = len(best.fit.model.effects) - 1
     name = effect.quantities[int(best.fit.shapes[last]["which"])].name
-    column, factor = column_of(name, fit.measurement.plan)
+    plan, instrument = fit.measurement.plan, fit.model.instrument
+    column = column_of(name, plan)[0]
     drawn = figure(6.4, 3.9)
     margins = {"left": 0.75, "right": 0.2, "top": 0.45, "bottom": 0.6}
     ax = grid(drawn, 1, 1, margins)[0, 0]
     ax.axhline(sizes.overall, color=INK, lw=0.9)
-    ax.plot(sizes.at * factor, sizes.line, color=AFTER, lw=1.6)
+    ax.plot(in_file(name, sizes.at, plan, instrument), sizes.line, color=AFTER, lw=1.6)
     ax.errorbar(
-        sizes.quantity * factor, sizes.size, yerr=2.0 * sizes.u,
+        in_file(name, sizes.quantity, plan, instrument), sizes.size, yerr=2.0 * sizes.u,
         fmt="o", ms=5, color=BEFORE, capsize=3, lw=1.2,
     )  # fmt: skip
     unit = pretty_unit(sizes.unit)

@@ -9,6 +9,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
 from ..fit import Fit
+from ..instruments.conditions import in_file
 from ..loop.recorded import correlation, distinct_covariates
 from ..loop.unexplained import Unexplained, bins, displacements, way
 from .changing import changing
@@ -149,8 +150,8 @@ def unexplained(fit: Fit, what: Unexplained) -> Figure:
         for ax, y, colour in zip(row, (moved, left), (BEFORE, AFTER), strict=True):
             _panel(ax, fit, names[0], y[:, i], colour, i)
             for interval in what.where:
-                low, high = (v * column_of(names[0], fit.measurement.plan)[1] for v in
-                             (interval.low, interval.high))  # fmt: skip
+                low, high = (in_file(names[0], v, fit.measurement.plan, fit.model.instrument)
+                             for v in (interval.low, interval.high))  # fmt: skip
                 ax.axvspan(low, high, color=MARK, alpha=0.22, lw=0, zorder=0)
         row[1].set_title("with the empirical description", fontsize=10, color=INK, loc="left")
         row[1].set_ylabel("")
@@ -182,9 +183,9 @@ def _component(fit: Fit, name: str, moved: np.ndarray, direction: str) -> int:
 
 def _panel(ax: Axes, fit: Fit, name: str, y: np.ndarray, colour: str, i: int) -> None:
     plan = fit.measurement.plan
-    column, factor = column_of(name, plan)
+    column = column_of(name, plan)[0]
     frame = " of the tool" if fit.model.chain.arm else ""
-    x = values_of(name, plan)[fit.used] * factor
+    x = np.asarray(in_file(name, values_of(name, plan), plan, fit.model.instrument))[fit.used]
     there = np.isfinite(x)  # of the data sets that have it
     _dots(ax, x[there], y[there], colour, many=True)
     bound = limit([y])

@@ -7,8 +7,9 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
+from ..effects.thermal import REFERENCE_DEGC
 from ..fit import Fit
-from ..instruments.conditions import file_column
+from ..instruments.conditions import file_column, in_file
 from ..loop.unexplained import bins, displacements, way
 from ..plan import Plan
 from .style import column_label, pretty_unit
@@ -173,7 +174,7 @@ def _direction(
 
 
 def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.ndarray):
-    plan = fit.measurement.plan
+    plan, instrument = fit.measurement.plan, fit.model.instrument
     named = [n for n in effect.betrayed_by if plan.has(n)]
     if "pitch" in shape and effect.placement in plan.axes:
         (of,) = (p for p in effect.shapes if p.name == "pitch")
@@ -183,22 +184,25 @@ def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.nda
         return x, label, "scatter", None
     steps = [p.name for p in effect.shapes if not p.smooth]
     if steps and named:
-        column, factor = column_of(named[0], plan)
-        x = values_of(named[0], plan)[used] * factor
-        return x, column_label(column), "step", float(shape[steps[0]]) * factor
+        column, at = column_of(named[0], plan)[0], float(shape[steps[0]])
+        x, at = (in_file(named[0], v, plan, instrument) for v in (values_of(named[0], plan), at))
+        return np.asarray(x)[used], column_label(column), "step", float(at)
     shares = [described(values_of(n, plan)[used], visible) for n in named]
     if shares and max(shares) > _CLEAR:
         name = named[int(np.argmax(shares))]
-        column, factor = column_of(name, plan)
-        x = values_of(name, plan)[used] * factor
+        column = column_of(name, plan)[0]
+        x = np.asarray(in_file(name, values_of(name, plan), plan, instrument))[used]
         kind = "sides" if set(np.unique(x)) <= {-1.0, 0.0, 1.0} else "scatter"
         return x, column_label(column), kind, None
     axes = [n for n in named if n in plan.axes]
     warm = [n for n in named if re.fullmatch(r"T_\w+", n)]
     if axes and warm:
-        x = (values_of(warm[0], plan) - 20.0)[used] * values_of(axes[0], plan)[used]
+        excess = values_of(warm[0], plan) - REFERENCE_DEGC
+        x = excess[used] * values_of(axes[0], plan)[used]
         if described(x, visible) > _CLEAR:
-            return x, f"(temperature of {axes[0]} − 20 °C) × its position, K m", "scatter", None
+            zero = f"{REFERENCE_DEGC + instrument.warmer:g} °C"
+            label = f"(temperature of {axes[0]} − {zero}) × its position, K m"
+            return x, label, "scatter", None
     return visible, "what is visible of it, µm", "visible", None
 
 
@@ -214,7 +218,7 @@ def _tone(
     name = max(table, key=lambda n: described(table[n], visible))
     x = table[name]
     ranks = np.searchsorted(np.unique(x), x) / (len(np.unique(x)) - 1)
-    column, factor = column_of(name, plan)
-    low, high = x.min() * factor, x.max() * factor
+    column, instrument = column_of(name, plan)[0], fit.model.instrument
+    low, high = (in_file(name, v, plan, instrument) for v in (x.min(), x.max()))
     ends = f"{low:.4g} (dark) to {high:.4g} (bright)".replace("-", "−")
     return ranks, f"dots: {column_label(column)}, {ends}"

@@ -96,6 +96,26 @@ def missing_columns(item: Untestable, plan: Plan) -> list[str]:
     return [_column(name, lacking, plan) for name, lacking in item.missing]
 
 
+def untested_beside(closure: Closure, found: FoundEffect) -> dict[str, list[str]]:
+    """What could not be tested on the axis of an effect that was found, by the columns that it
+    lacks: play of an axis whose direction of travel nobody recorded has to look like something
+    else.
+    """
+    plan = closure.after.measurement.plan
+    places = {*found.placement.split("|"), found.effect.placement} & {*plan.axes}
+    beside: dict[str, list[str]] = {}
+    for item in closure.untestable:
+        if item.placement in places and item.missing:
+            columns = ", ".join(missing_columns(item, plan))
+            beside.setdefault(columns, []).append(f"{item.effect} {item.placement}")
+    return {columns: list(dict.fromkeys(keys)) for columns, keys in beside.items()}
+
+
+def untested_in_words(beside: dict[str, list[str]]) -> str:
+    """``"backlash C (no dir_c); thermal_tilt C (no T_c_degC)"``."""
+    return "; ".join(f"{', '.join(keys)} (no {columns})" for columns, keys in beside.items())
+
+
 def _column(name: str, lacking: tuple[str, ...], plan: Plan) -> str:
     column = column_of(name, plan)[0]
     if plan.sets and not lacking:  # all have one, each of its own

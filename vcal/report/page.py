@@ -13,13 +13,23 @@ from scipy.linalg import cho_solve
 from ..effects.base import Effect
 from ..effects.data_set import OfDataSet
 from ..effects.registry import CATALOGUE
+from ..effects.thermal import REFERENCE_DEGC
 from ..fit import HARDLY_TOLD
+from ..instruments.conditions import in_file
 from ..io.study import Study, looked_for
 from ..loop.closure import Closure, FoundEffect
 from ..loop.empirical import EMPIRICAL
 from ..plots import ErrorMotionTable, column_of, minus_log10_p
 from . import text
-from .derived import FEW, declared, in_short, missing_columns, parameters
+from .derived import (
+    FEW,
+    declared,
+    in_short,
+    missing_columns,
+    parameters,
+    untested_beside,
+    untested_in_words,
+)
 from .own_effect import own_effect
 from .picture import Picture
 from .record import plain, versions
@@ -107,6 +117,7 @@ def page(
         information=_information(closure),
         arm=study.chain.arm,
         rotary=not study.chain.arm and not study.chain.linear,
+        counts_from=_counts_from(study),
         noise_scale=text.number(closure.noise_scale, 3),
         noise_uneven=closure.noise_uneven,
         noise_components=[
@@ -282,6 +293,7 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
             if p >= _WORTH_NAMING
         ],
         "separation": found.separation,
+        "untested": untested_in_words(untested_beside(closure, found)),
     }
 
 
@@ -295,8 +307,11 @@ def _unexplained(closure: Closure) -> dict[str, Any] | None:
         depends.setdefault(column_of(name, plan)[0], text.percent(share))
     where = []
     for interval in what.where:
-        column, factor = column_of(interval.covariate, plan)
-        low, high = interval.low * factor, interval.high * factor
+        column = column_of(interval.covariate, plan)[0]
+        low, high = (
+            float(in_file(interval.covariate, v, plan, closure.after.model.instrument))
+            for v in (interval.low, interval.high)
+        )
         where.append(f"{column} from {text.number(low, 4)} to {text.number(high, 4)}")
     return {
         "reason": what.reason,
@@ -372,6 +387,14 @@ def _tried(closure: Closure, summaries: Mapping[str, str]) -> list[dict[str, Any
             line["p"][i] = text.probability(p_value)
             line["significant"][i] = significant
     return sorted(lines.values(), key=lambda line: line["order"])
+
+
+def _counts_from(study: Study) -> str:
+    """From where temperatures count, by data set where that differs."""
+    zeros = {one.name: f"{REFERENCE_DEGC + one.instrument.warmer:g} °C" for one in study.sets}
+    if len({*zeros.values()}) == 1:
+        return next(iter(zeros.values()))
+    return ", ".join(f"{zero} in {name}" for name, zero in zeros.items())
 
 
 def _untestable(closure: Closure, summaries: Mapping[str, str]) -> list[dict[str, str]]:

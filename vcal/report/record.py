@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..fit import Fit
+from ..instruments.conditions import in_file
 from ..io.study import DataSet, Study
 from ..loop.candidates import Untestable
 from ..loop.closure import Closure, Errors, FoundEffect
@@ -18,7 +20,7 @@ from ..loop.heldout import Rms
 from ..loop.unexplained import Unexplained
 from ..plan import Plan
 from ..plots import column_of
-from .derived import Listed, declared, missing_columns, parameters
+from .derived import Listed, declared, missing_columns, parameters, untested_beside
 
 SCHEMA = "vcal-report/1"
 _PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
@@ -49,7 +51,7 @@ def record(
             for e, listed in declared(closure)
         ],
         "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
-        "unexplained": _unexplained(closure.unexplained, plan),
+        "unexplained": _unexplained(closure.unexplained, closure.after),
         "variance": closure.variance,
         "noise_scale": closure.noise_scale,
         "noise_components": [
@@ -120,6 +122,10 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
             for name, placement, probability in found.alternatives
         ],
         "separation": found.separation,
+        "untested": [
+            {"effects": keys, "missing": columns}
+            for columns, keys in untested_beside(closure, found).items()
+        ],
     }
 
 
@@ -165,19 +171,22 @@ def _value(rms: Rms | None) -> float | None:
     return None if rms is None else rms.value
 
 
-def _unexplained(what: Unexplained | None, plan: Plan) -> dict[str, Any] | None:
+def _unexplained(what: Unexplained | None, fit: Fit) -> dict[str, Any] | None:
     if what is None:
         return None
+    plan = fit.measurement.plan
     # Two names inside may stand for one column: joint angles and what was commanded, say.
     shares: dict[str, float] = {}
     for name, share in zip(what.depends_on, what.shares, strict=True):
         shares.setdefault(column_of(name, plan)[0], share)
     where = []
     for interval in what.where:
-        column, factor = column_of(interval.covariate, plan)
-        where.append(
-            {"column": column, "low": interval.low * factor, "high": interval.high * factor}
+        column = column_of(interval.covariate, plan)[0]
+        low, high = (
+            float(in_file(interval.covariate, v, plan, fit.model.instrument))
+            for v in (interval.low, interval.high)
         )
+        where.append({"column": column, "low": low, "high": high})
     return {
         "depends_on": list(shares),
         "shares": list(shares.values()),
