@@ -827,6 +827,38 @@ def test_columns_as_labels_have_their_unit(column, label):
     assert column_label(column) == label
 
 
+@pytest.mark.parametrize(
+    ("unit", "printed"),
+    [
+        ("um/(m K)", "µm/(m K)"),
+        ("um s2/m", "µm s²/m"),
+        ("um s4/m", "µm s⁴/m"),
+        ("um/mm10", "µm/mm¹⁰"),
+        ("m s-1", "m s⁻¹"),
+        ("1/min", "1/min"),
+        ("1", ""),
+    ],
+)
+def test_units_as_they_are_printed(unit, printed):
+    assert plots.pretty_unit(unit) == printed
+
+
+def test_location_errors_alone_are_drawn():
+    """Of a machine whose error motions are all declared to be zero."""
+    one = np.ones(1)
+    values = (np.zeros(0), "mm", 4.0 * one, one, 40.0 * one, 0.9 * one)
+    names = ("EC0Y", "EB0Z")
+    tables = [plots.ErrorMotionTable(name, name[-1], "urad", *values) for name in names]
+    (ax,) = plots.error_motions(tables).axes
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["EC0Y", "EB0Z"]
+
+
+def test_files_of_pictures_have_names_that_can_be_files():
+    """Whatever place a user gave an effect."""
+    assert Picture("effect_1_sag X/Y column", "", "", b"").file == "effect_1_sag_X_Y_column.png"
+    assert Picture("../<b>\n", "", "", b"").file == ".._b_.png"
+
+
 @pytest.mark.parametrize("bounds", [(-500, 500), (-90, 90), (0, 360), (0, 12000), (-0.5, 0.5)])
 def test_labels_of_ticks_do_not_touch(bounds):
     """On small multiples as narrow as those of five axes or of a robot."""

@@ -21,6 +21,7 @@ FIELD = "viridis"
 TONE = "#21918c"
 """Colour map of fields, and the middle of it."""
 
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DPI = 110
 _BETWEEN = 0.08
 """Least space between the labels of two ticks, in inches."""
@@ -145,7 +146,7 @@ def pretty_unit(unit: str) -> str:
     ``"s²"``, ``"1"`` nothing.
     """
     words = re.sub(r"[A-Za-z%]+|^1$", lambda m: _UNITS.get(m[0], m[0]), unit)
-    return re.sub(r"(?<=[a-z])[23]", lambda m: "²³"[int(m[0]) - 2], words)
+    return re.sub(r"(?<=[A-Za-z])-?\d+", lambda m: m[0].translate(SUPERSCRIPTS), words)
 
 
 def column_label(column: str) -> str:
