@@ -875,6 +875,42 @@ def test_labels_of_ticks_do_not_touch(bounds):
         assert all(a.x1 + 2.0 < b.x0 for a, b in itertools.pairwise(inside))
 
 
+@pytest.mark.parametrize("half", [0.025, 0.5, 10.0])
+@pytest.mark.parametrize("picture", ["field", "check_points"])
+def test_labels_have_room_on_machines_of_any_size(half, picture):
+    """From 50 mm to 20 m: within the picture, and none over another or over a panel."""
+    rng = np.random.default_rng(0)
+    if picture == "field":
+        nodes = dict.fromkeys("XYZ", np.linspace(-half, half, 8))
+        errors = rng.normal(size=(3, 8, 8, 3))
+        drawn = plots.field(
+            plots.Field(("X", "Y", "Z"), nodes, errors, errors, errors[..., 0] ** 2)
+        )
+    else:
+        points = SimpleNamespace(tool_point=rng.uniform(-half, half, (50, 3)))
+        names = ("uncompensated", "before", "after")
+        errors = {name: rng.normal(size=(50, 3)) for name in names}
+        drawn = plots.check_points(errors, points)  # type: ignore[arg-type]
+    drawn.canvas.draw()
+    panels = [ax.get_window_extent() for ax in drawn.axes]
+    boxes = []
+    for ax in drawn.axes:
+        for axis in (ax.xaxis, ax.yaxis):
+            shown = [axis.label, *(tick.label1 for tick in axis.get_major_ticks())]
+            low, high = sorted(axis.get_view_interval())
+            at = [low, *axis.get_majorticklocs()]
+            boxes += [
+                label.get_window_extent()
+                for place, label in zip(at, shown, strict=True)
+                if label.get_text() and label.get_visible() and low <= place <= high
+            ]
+    assert len(boxes) > 30
+    for box in boxes:
+        assert box.x0 >= 0.0 and box.x1 <= drawn.bbox.x1
+        assert not any(box.overlaps(panel) for panel in panels)
+    assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+
+
 @pytest.mark.parametrize("kind", ["scatter", "visible", "sides"])
 def test_no_dot_is_behind_the_legend(kind):
     """Whatever corner the readings fill; and it overlaps nothing else."""
