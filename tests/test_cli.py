@@ -521,6 +521,7 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     [
         (("--effects", "backlash,drif"), "unknown effect 'drif' (did you mean 'drift'?)"),
         (("--alpha", 2), "override loop.alpha=2.0"),
+        (("--alpha", 0.02, "--set", "loop.alpha=2"), "override loop.alpha=0.02"),
         (("--draws", 0), "expected a number of at least 1"),
         (("--set", "loop.alfa=0.1"), "the unknown key 'alfa' (did you mean 'alpha'?)"),
         (("--set", "instrument.kind=lasertracker"), "(did you mean 'laser_tracker'?)"),
