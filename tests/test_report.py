@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -323,6 +324,26 @@ def test_an_effect_of_ones_own_reads_what_all_data_sets_have(closed):
     assert 'plan.x("Y")' in text and 'plan.covariate("t")' in text
     assert "nan" not in text and "cold" not in text and "both_Z" not in text
     assert "both_Z" in text_of("Y", "t")
+
+
+def test_an_effect_of_ones_own_with_any_name_of_a_column(closed, tmp_path):
+    """Names are text in Python, and so are words in a docstring."""
+    _, study, closure = closed
+    name = 'spindle "load" % \\N """ ü'
+    load = np.linspace(0.0, 1.0, study.plan.rows)
+    plan = dataclasses.replace(study.plan, covariates={**study.plan.covariates, name: load})
+    read = {"ways": closure.after.ways, "angular": closure.after.angular}
+    after = SimpleNamespace(measurement=SimpleNamespace(plan=plan), **read)
+    what = Unexplained([name], [0.5], [], "Z", 12.0, 0.5, 1e-9, f"it depends on {name}")
+    text = own_effect(dataclasses.replace(closure, after=after, unexplained=what))
+    assert text is not None
+    (tmp_path / "own_effect.py").write_text(text, encoding="utf-8")
+    (cls,) = load_effects(tmp_path / "own_effect.py")
+    assert f"it depends on {name}" in sys.modules[cls.__module__].__doc__
+    (effect,) = cls.candidates(Setup(study.chain, study.model.layout, plan))
+    assert effect.needs == (name,)
+    slope = effect.response(plan, {})["tool.Z", "slope1_Z"]
+    np.testing.assert_allclose(slope, 2.0 * load - 1.0, atol=1e-4)
 
 
 @pytest.mark.campaign
