@@ -1046,6 +1046,10 @@ OVERRIDES = {
         {"loop.alpha": "high"},
         ("(override loop.alpha=high), key loop.alpha", 'found "high"', "expected a number"),
     ),
+    "two values": (
+        ["loop.alpha=2", "loop.alpha=0.02"],
+        ("(override loop.alpha=0.02), key loop.alpha: found 2 as well", "one value for a key"),
+    ),
     "no table": (["name.first=x"], ("override name.first=x", 'found "small"', "expected a table")),
     "no row": (
         ["model.effect.0.size_um=1"],
@@ -1061,6 +1065,11 @@ def test_overrides(small_tracker_study, case):
         load_study(small_tracker_study, overrides)
     for fragment in ("found", "expected", *expected):
         assert fragment in str(caught.value), caught.value
+
+
+def test_override_said_twice(small_tracker_study):
+    study = load_study(small_tracker_study, ["loop.alpha=0.02", "loop.alpha=2e-2"])
+    assert study.options.alpha == 0.02
 
 
 def test_override_without_a_value(small_tracker_study):

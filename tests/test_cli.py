@@ -21,6 +21,7 @@ import vcal.cli.closing
 import vcal.cli.show
 import vcal.report
 from vcal.cli import app
+from vcal.cli.folders import example
 from vcal.cli.session import cache_folder, listen, working
 from vcal.design.spaces import SPACES, settings_of
 from vcal.instruments import INSTRUMENTS
@@ -37,6 +38,8 @@ from vcal.io.settings import (
 )
 from vcal.loop.closure import Errors
 from vcal.loop.heldout import Rms
+from vcal.plots import signatures
+from vcal.report.effect_page import effect_page
 
 DEMO = Path(vcal.__file__).parent / "demo"
 STARTS = (
@@ -121,6 +124,27 @@ def test_pages_of_effects(tmp_path):
     assert "found other files" in refused("effects", "drift", "--out", tmp_path / "mine")
 
 
+def test_commands_on_pages_of_effects_can_be_used():
+    vcal.enable_float64()
+    catalogue = vcal.CATALOGUE
+    pages = {
+        name: html.unescape(effect_page(catalogue[name], example(catalogue[name]))[0])
+        for name in ("ball_error", "repeatability")
+    }
+    assert "--with 'ball_error:ball " in pages["ball_error"]
+    assert "--effects ball_error" in pages["ball_error"]
+    assert "--with repeatability:X:" in pages["repeatability"]
+    assert "vcal loop" not in pages["repeatability"]
+    assert "keeps its prior" in pages["repeatability"]
+
+
+def test_the_port_by_which_the_tool_moves_most_is_shown():
+    """Metres and radians are compared by what they do."""
+    vcal.enable_float64()
+    (sag,) = signatures(*example(vcal.CATALOGUE["payload_sag"]))
+    assert sag.port == "EZY" and sag.unit == "um"
+
+
 @pytest.mark.campaign
 def test_a_page_for_every_effect(tmp_path):
     out = tmp_path / "all"
@@ -130,8 +154,7 @@ def test_a_page_for_every_effect(tmp_path):
         assert f'href="{name}.html"' in index
         page = (out / f"{name}.html").read_text()
         assert effect.summary[1:] in html.unescape(page)
-        told = effect.kind == "systematic" and name not in ("head_temperature", "tool_interface")
-        assert (out / f"{name}.png").is_file() == told, name
+        assert (out / f"{name}.png").is_file(), name
 
 
 def test_effects():
@@ -141,6 +164,10 @@ def test_effects():
     page = run("effects", "thermal_tilt").output
     assert "k (T_axis - 20 degC)" in page and "Disturbs the machine; systematic." in page
     assert "k_EAX_urad_per_K (50)" in page and "depends on: T_x_degC" in page
+    page = run("effects", "jerk_crosstalk").output  # beside another effect only
+    assert "matrix_XX_nm_s3_per_m (0.3)" in page and "v_x_m_s" in page
+    page = run("effects", "tool_interface").output  # to be declared only
+    assert "X_um (0.1)" in page and "depends on: nothing that is recorded" in page
     assert "pattern1_urad (500)" in run("effects", "joint_compliance").output
     assert "unknown effect 'backlsh' (did you mean 'backlash'?)" in refused("effects", "backlsh")
 
@@ -521,6 +548,7 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     [
         (("--effects", "backlash,drif"), "unknown effect 'drif' (did you mean 'drift'?)"),
         (("--alpha", 2), "override loop.alpha=2.0"),
+        (("--alpha", 0.02, "--set", "loop.alpha=2"), "override loop.alpha=0.02"),
         (("--draws", 0), "expected a number of at least 1"),
         (("--set", "loop.alfa=0.1"), "the unknown key 'alfa' (did you mean 'alpha'?)"),
         (("--set", "instrument.kind=lasertracker"), "(did you mean 'laser_tracker'?)"),

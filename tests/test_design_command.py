@@ -368,7 +368,7 @@ BAD = {
 def test_mistakes(few_poses, tmp_path, name):
     options, words = BAD[name]
     out = tmp_path / "deep" / "out"
-    result = design(few_poses, out, *options, code=2)
+    result = design(few_poses, out, *options, code=2, small=())
     assert result.stdout == "" and "Traceback" not in result.output
     for word in words:
         assert word in result.stderr, result.stderr

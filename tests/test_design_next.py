@@ -1,5 +1,7 @@
 """`vcal design --next`: what to measure on top of what there is."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,7 @@ from vcal.design.optimise import Compiled
 from vcal.design.separation import ALPHA, Rival, Separation
 from vcal.io.separate import parse_rivals, rivals_of
 from vcal.loop.closure import FoundEffect
+from vcal.report.following_page import _conditions as conditions
 
 pytestmark = pytest.mark.usefixtures("kept_programs")
 
@@ -85,6 +88,22 @@ def independent_lambda(model, first, second, plan):
     target = np.vstack([C, np.zeros((len(prior), C.shape[1]))])
     left = target - stacked @ np.linalg.lstsq(stacked, target, rcond=None)[0]
     return float((left**2).sum())
+
+
+def test_conditions_are_told_as_columns_of_the_plan(few_points):
+    study, task = task_of(few_points)
+    wanted = parse_rivals(["backlash:Y", "scale_growth:Y"], study)
+    done = SimpleNamespace(
+        task=task,
+        best=SimpleNamespace(placed=task.space.nominal),
+        separation=SimpleNamespace(rivals=wanted.rivals),
+    )
+    rows = conditions(done, study).rows  # type: ignore[arg-type]
+    assert [name for name, *_ in rows] == ["T_y_degC", "dir_y"]
+    warmth = np.asarray(study.plan.covariate("T_Y"))
+    assert [float(cell) for cell in rows[0][1:]] == pytest.approx(
+        [warmth.min(), warmth.max()], rel=1e-3
+    )
 
 
 @pytest.mark.campaign

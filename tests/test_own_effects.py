@@ -87,6 +87,10 @@ WRONG = {
         SHAPE + '\n\n    def scan(self, plan):\n        return {"at": ["a"]}',
         "scan: found no numbers for at",
     ),
+    "a colon in a place": ('="Z")', '="Z:1")', "candidates: found the placement 'Z:1', expected"),
+    "a value for a place": ('="Z")', '="a=b")', "candidates: found the placement 'a=b', expected"),
+    "a place of two lines": ('="Z")', '="a\\nb")', "found the placement 'a\\nb', expected a line"),
+    "a number for a place": ('="Z")', "=3)", "candidates: found the placement 3, expected a line"),
     "no effect": ('yield cls(placement="Z")', "yield 3", "candidates: found 3, expected effects"),
 }
 AT = f"""{SHAPE}

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -323,6 +324,26 @@ def test_an_effect_of_ones_own_reads_what_all_data_sets_have(closed):
     assert 'plan.x("Y")' in text and 'plan.covariate("t")' in text
     assert "nan" not in text and "cold" not in text and "both_Z" not in text
     assert "both_Z" in text_of("Y", "t")
+
+
+def test_an_effect_of_ones_own_with_any_name_of_a_column(closed, tmp_path):
+    """Names are text in Python, and so are words in a docstring."""
+    _, study, closure = closed
+    name = 'spindle "load" % \\N """ ü'
+    load = np.linspace(0.0, 1.0, study.plan.rows)
+    plan = dataclasses.replace(study.plan, covariates={**study.plan.covariates, name: load})
+    read = {"ways": closure.after.ways, "angular": closure.after.angular}
+    after = SimpleNamespace(measurement=SimpleNamespace(plan=plan), **read)
+    what = Unexplained([name], [0.5], [], "Z", 12.0, 0.5, 1e-9, f"it depends on {name}")
+    text = own_effect(dataclasses.replace(closure, after=after, unexplained=what))
+    assert text is not None
+    (tmp_path / "own_effect.py").write_text(text, encoding="utf-8")
+    (cls,) = load_effects(tmp_path / "own_effect.py")
+    assert f"it depends on {name}" in sys.modules[cls.__module__].__doc__
+    (effect,) = cls.candidates(Setup(study.chain, study.model.layout, plan))
+    assert effect.needs == (name,)
+    slope = effect.response(plan, {})["tool.Z", "slope1_Z"]
+    np.testing.assert_allclose(slope, 2.0 * load - 1.0, atol=1e-4)
 
 
 @pytest.mark.campaign
@@ -854,6 +875,38 @@ def test_columns_as_labels_have_their_unit(column, label):
     assert column_label(column) == label
 
 
+@pytest.mark.parametrize(
+    ("unit", "printed"),
+    [
+        ("um/(m K)", "µm/(m K)"),
+        ("um s2/m", "µm s²/m"),
+        ("um s4/m", "µm s⁴/m"),
+        ("um/mm10", "µm/mm¹⁰"),
+        ("m s-1", "m s⁻¹"),
+        ("1/min", "1/min"),
+        ("1", ""),
+    ],
+)
+def test_units_as_they_are_printed(unit, printed):
+    assert plots.pretty_unit(unit) == printed
+
+
+def test_location_errors_alone_are_drawn():
+    """Of a machine whose error motions are all declared to be zero."""
+    one = np.ones(1)
+    values = (np.zeros(0), "mm", 4.0 * one, one, 40.0 * one, 0.9 * one)
+    names = ("EC0Y", "EB0Z")
+    tables = [plots.ErrorMotionTable(name, name[-1], "urad", *values) for name in names]
+    (ax,) = plots.error_motions(tables).axes
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["EC0Y", "EB0Z"]
+
+
+def test_files_of_pictures_have_names_that_can_be_files():
+    """Whatever place a user gave an effect."""
+    assert Picture("effect_1_sag X/Y column", "", "", b"").file == "effect_1_sag_X_Y_column.png"
+    assert Picture("../<b>\n", "", "", b"").file == ".._b_.png"
+
+
 @pytest.mark.parametrize("bounds", [(-500, 500), (-90, 90), (0, 360), (0, 12000), (-0.5, 0.5)])
 def test_labels_of_ticks_do_not_touch(bounds):
     """On small multiples as narrow as those of five axes or of a robot."""
@@ -868,6 +921,42 @@ def test_labels_of_ticks_do_not_touch(bounds):
         inside = [label.get_window_extent() for label in labels]
         assert len(inside) >= 2
         assert all(a.x1 + 2.0 < b.x0 for a, b in itertools.pairwise(inside))
+
+
+@pytest.mark.parametrize("half", [0.025, 0.5, 10.0])
+@pytest.mark.parametrize("picture", ["field", "check_points"])
+def test_labels_have_room_on_machines_of_any_size(half, picture):
+    """From 50 mm to 20 m: within the picture, and none over another or over a panel."""
+    rng = np.random.default_rng(0)
+    if picture == "field":
+        nodes = dict.fromkeys("XYZ", np.linspace(-half, half, 8))
+        errors = rng.normal(size=(3, 8, 8, 3))
+        drawn = plots.field(
+            plots.Field(("X", "Y", "Z"), nodes, errors, errors, errors[..., 0] ** 2)
+        )
+    else:
+        points = SimpleNamespace(tool_point=rng.uniform(-half, half, (50, 3)))
+        names = ("uncompensated", "before", "after")
+        errors = {name: rng.normal(size=(50, 3)) for name in names}
+        drawn = plots.check_points(errors, points)  # type: ignore[arg-type]
+    drawn.canvas.draw()
+    panels = [ax.get_window_extent() for ax in drawn.axes]
+    boxes = []
+    for ax in drawn.axes:
+        for axis in (ax.xaxis, ax.yaxis):
+            shown = [axis.label, *(tick.label1 for tick in axis.get_major_ticks())]
+            low, high = sorted(axis.get_view_interval())
+            at = [low, *axis.get_majorticklocs()]
+            boxes += [
+                label.get_window_extent()
+                for place, label in zip(at, shown, strict=True)
+                if label.get_text() and label.get_visible() and low <= place <= high
+            ]
+    assert len(boxes) > 30
+    for box in boxes:
+        assert box.x0 >= 0.0 and box.x1 <= drawn.bbox.x1
+        assert not any(box.overlaps(panel) for panel in panels)
+    assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
 
 
 @pytest.mark.parametrize("kind", ["scatter", "visible", "sides"])

@@ -138,7 +138,8 @@ def test_gum_and_monte_carlo_agree_on_the_volumetric_error(report):
     assert sum(s["rms"] ** 2 for s in sources.values()) == pytest.approx(rms["gum"] ** 2)
     assert sources["scale_growth Y"]["origin"] == "not fitted"
     assert sources["scale_growth X"]["origin"] == sources["backlash Z"]["origin"] == "fitted"
-    assert {sources[n]["origin"] for n in ("range", "azimuth", "elevation")} == {"noise"}
+    noise = [f"noise of the reading {name}" for name in ("range", "azimuth", "elevation")]
+    assert {sources[name]["origin"] for name in noise} == {"noise"}
     assert found["sources"][0]["source"] == "scale_growth Y"
     assert found["error_motions"][0]["name"] == "EXX"
     left = {m["name"]: m for m in found["error_motions"]}

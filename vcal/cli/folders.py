@@ -11,9 +11,11 @@ import numpy as np
 
 from ..catalogue import nearest
 from ..demo import STARTS, starts
+from ..effects import CATALOGUE
 from ..effects.base import Effect, Setup
 from ..errors import StudyError
 from ..io import load_study
+from ..io.declared import beside
 from ..io.messages import listed
 from ..io.simulated import publish, require_empty
 from ..plan import Plan
@@ -47,23 +49,41 @@ def write_start(instrument: str, out: Path) -> list[str]:
 
 def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
     """An instance of an effect on a bundled study where it has a place and the columns that it
-    needs, if need be with such columns added; None if there is no such place.
+    needs, if need be with such columns added, or beside other effects; None if there is no such
+    place.
 
     Raises `RuntimeError` where JAX runs in float32.
     """
     setups = [_setup(instrument) for instrument in starts()]
     wanting: list[tuple[Effect, Setup]] = []
     for setup in setups:
-        for instance in effect.candidates(setup):
+        for instance in _instances(effect, setup):
             if setup.plan.has(*instance.needs):
                 return instance, setup
             wanting.append((instance, setup))
     for instance, setup in wanting:
         fuller = dataclasses.replace(setup, plan=_with_columns(setup.plan, instance.needs))
-        for found in effect.candidates(fuller):
+        for found in _instances(effect, fuller):
             if fuller.plan.has(*found.needs):
                 return found, fuller
+    for setup in setups:
+        others = (next(iter(_instances(one, setup)), None) for one in CATALOGUE.values())
+        together = beside(setup, *(one for one in others if one is not None))
+        for instance in _instances(effect, together):
+            if setup.plan.has(*instance.needs):
+                return instance, together
     return None
+
+
+def _instances(effect: type[Effect], setup: Setup) -> list[Effect]:
+    """Those with a place there; of a class without candidates the one there is, where its ports
+    are.
+    """
+    if effect.candidates.__func__ is not Effect.candidates.__func__:  # type: ignore[attr-defined]
+        return list(effect.candidates(setup))
+    instance = effect()
+    ports = {port for port, _ in instance.response(setup.plan, {})}
+    return [instance] if ports <= {*setup.layout.names} else []
 
 
 @functools.cache

@@ -32,6 +32,8 @@ _OF_PARAMETERS = (
     ("scale", int | float, "a number"),
 )
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.]*")
+_PLACEMENT = re.compile(r"(?! )[^:=]{0,60}(?<! )")
+"""What can stand between colons in ``--with NAME:PLACEMENT:KEY=VALUE``, and in a row of a table."""
 _RESERVED = ("name", "placement", "component", "data_set", "given", "priors")
 """Keys of a [[model.effect]] row, and fields of every effect."""
 
@@ -66,6 +68,7 @@ def check_effect(trial: Trial, effect: Effect, setup: Setup, plan: Plan) -> None
     with trial.calling("parameters", "a tuple of vcal.Parameter"):
         parameters = effect.parameters
     _check_parameters(parameters, trial, effect.kind)
+    _check_placement(effect.placement, trial)
     with trial.calling("needs", "a tuple of names"):
         needs = effect.needs
     _check_names("needs", needs, trial)
@@ -113,6 +116,13 @@ def _slopes(effect: Effect, plan: Plan, shape: Mapping[str, float]) -> None:
     """The derivative by the shape values, as every fit takes it: they are traced."""
     at = {name: jnp.asarray(value) for name, value in shape.items()}
     jax.jvp(lambda s: dict(effect.response(plan, s)), (at,), (jax.tree.map(jnp.ones_like, at),))
+
+
+def _check_placement(placement: Any, trial: Trial) -> None:
+    good = isinstance(placement, str) and placement.isprintable()
+    if not good or not _PLACEMENT.fullmatch(placement):
+        expected = "a line of at most 60 characters without : and =, and no blank first or last"
+        raise trial.refusal("candidates", f"the placement {placement!r}", expected)
 
 
 def _check_names(method: str, names: Any, trial: Trial) -> None:

@@ -281,7 +281,7 @@ def read_setup(
 
     An override is ``"instrument.joints=read"``, or a key and its value; rows of an array of tables
     count from 0 (``"model.effect.0.size_um=3"``). Raises `StudyError` for a file that is missing
-    or not TOML, and an override that has no ``=`` or no place in the tree.
+    or not TOML, and an override that has no ``=`` or no place in the tree, or contradicts another.
     """
     if not path.is_file():
         raise refusal(
@@ -309,8 +309,17 @@ def read_setup(
         ) from error
     given: dict[str, str] = {}
     for key, value in _pairs(overrides):
-        given[key] = value if isinstance(value, str) else shown(value)
-        _put(raw, key, _toml_value(key, value), given[key])
+        said = value if isinstance(value, str) else shown(value)
+        if _toml_value(key, given.get(key, said)) != _toml_value(key, said):
+            raise refusal(
+                f"{path.name} (override {key}={said})",
+                f"key {key}",
+                f"{given[key]} as well",
+                "one value for a key, by an option or by --set",
+                "leave one of them out",
+            )
+        given[key] = said
+        _put(raw, key, _toml_value(key, value), said)
     return raw, given
 
 

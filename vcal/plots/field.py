@@ -16,12 +16,25 @@ from ..loop.heldout import compensated_points, heldout_residuals, squared_errors
 from ..measurement import CheckPoints
 from ..plan import Plan
 from ..spatial import align_rigid
-from .style import AFTER, BEFORE, FIELD, INK, NOMINAL, figure, grid, plain, titled
+from .mid_planes import PLANES, PlaneRow, colour_bar, mid_planes
+from .style import (
+    AFTER,
+    BEFORE,
+    FIELD,
+    INK,
+    NOMINAL,
+    figure,
+    grid,
+    labels_width,
+    plain,
+    spread,
+    ticks_apart,
+    titled,
+)
 
 _NODES = (8, 13)
 """Fewest and most grid points along an axis."""
 _NOTHING_UM = 1e-9
-_PLANES = (("X", "Y"), ("X", "Z"), ("Y", "Z"))
 
 
 @dataclass(frozen=True)
@@ -53,7 +66,7 @@ def error_field(
     if set(chain.axes) != set("XYZ"):
         return None
     size = check.plan.rows if check is not None else 0
-    nodes = int(np.clip(math.isqrt(size // len(_PLANES)), *_NODES)) if size else _NODES[1]
+    nodes = int(np.clip(math.isqrt(size // len(PLANES)), *_NODES)) if size else _NODES[1]
     plan = after.measurement.plan
     line, middle = {}, {}
     for axis in chain.axes:
@@ -62,7 +75,7 @@ def error_field(
             low, high = np.asarray(plan.x(axis)).min(), np.asarray(plan.x(axis)).max()
         line[axis] = np.linspace(low, high, nodes)
         middle[axis] = 0.5 * (low + high)
-    position = np.concatenate([_plane(chain.axes, line, middle, *pair) for pair in _PLANES])
+    position = np.concatenate([_plane(chain.axes, line, middle, *pair) for pair in PLANES])
     order = [chain.axes.index(axis) for axis in "XYZ"]
     nominal = position[:, order] + np.asarray(chain.tool_offset)
 
@@ -77,7 +90,7 @@ def error_field(
     free = align_rigid(nominal, jacobian)
     variance = ((free @ after.covariance) * free).sum((1, 2))
     variance += of_doubts(doubts, identified, np.zeros_like(nominal)).sum(1)
-    shape = (len(_PLANES), nodes, nodes)
+    shape = (len(PLANES), nodes, nodes)
     if variance.max() == 0.0 and max(np.abs(e).max() for e in errors) < _NOTHING_UM:
         return None
     return Field(
@@ -115,65 +128,17 @@ def _in_blocks(fit: Fit, position: np.ndarray, size: int) -> tuple[np.ndarray, n
 def field(values: Field) -> Figure:
     """Heat maps over three mid-planes: identified error, its uncertainty, what the loop changed."""
     rows = [
-        ("identified error", values.error),
-        ("standard uncertainty", values.u[..., None]),
-        ("changed by closing the loop", values.change),
+        _row("identified error", values.error),
+        PlaneRow("standard uncertainty", list(values.u)),
+        _row("changed by closing the loop", values.change),
     ]
     if np.linalg.norm(values.change, axis=-1).max() <= 1e-3:
         rows = rows[:2]
-    drawn = figure(9.6, 0.75 + 2.45 * len(rows))
-    table = grid(
-        drawn,
-        len(rows),
-        3,
-        {"left": 0.75, "right": 1.1, "top": 0.4, "bottom": 0.55, "wspace": 0.75, "hspace": 0.85},
-    )
-    for i, (name, vectors) in enumerate(rows):
-        size = np.linalg.norm(vectors, axis=-1)
-        top = float(size.max()) or 1.0
-        mesh = None
-        for ax, plane, arrows, colours in zip(table[i], _PLANES, vectors, size, strict=True):
-            x, y = (values.nodes[axis] * 1e3 for axis in plane)
-            mesh = ax.pcolormesh(
-                x, y, colours.T, cmap=FIELD, vmin=0.0, vmax=top, shading="gouraud", rasterized=True
-            )
-            if arrows.shape[-1] == 3:
-                _arrows(ax, x, y, plane, arrows, top)
-            titled(ax, name if ax is table[i][0] else "", f"{plane[0]}, mm", f"{plane[1]}, mm")
-            ax.grid(False)
-        _bar(drawn, mesh, table[i, -1:], "µm")
-    return drawn
+    return mid_planes(values.nodes, rows)
 
 
-def _arrows(ax: Axes, x, y, plane: tuple[str, str], vectors: np.ndarray, top: float) -> None:
-    step = slice(1, None, 2)
-    u, v = (vectors[step, step, "XYZ".index(axis)].T for axis in plane)
-    ax.quiver(
-        x[step],
-        y[step],
-        u,
-        v,
-        color="white",
-        scale=6.0 * top,
-        width=0.007,
-        headwidth=3.5,
-        headlength=4.0,
-        headaxislength=3.5,
-        minlength=0.4,
-        pivot="mid",
-    )
-
-
-def _bar(drawn: Figure, mesh, axes: np.ndarray, label: str) -> Axes:
-    """A colour bar right of axes, as high as the first to the last of them."""
-    top, bottom = axes[0].get_position(), axes[-1].get_position()
-    width = drawn.get_size_inches()[0]
-    place = drawn.add_axes((bottom.x1 + 0.15 / width, bottom.y0, 0.14 / width, top.y1 - bottom.y0))
-    bar = drawn.colorbar(mesh, cax=place)
-    bar.set_label(label, fontsize=9.5, color=INK)
-    place.tick_params(labelsize=9, colors=INK, length=3)
-    bar.outline.set_visible(False)  # type: ignore[operator]
-    return place
+def _row(title: str, vectors: np.ndarray) -> PlaneRow:
+    return PlaneRow(title, list(np.linalg.norm(vectors, axis=-1)), list(vectors))
 
 
 def check_errors(fits: Mapping[str, Fit], check: CheckPoints) -> dict[str, np.ndarray]:
@@ -197,12 +162,10 @@ def check_points(errors: Mapping[str, np.ndarray], check: CheckPoints) -> Figure
     low, high = np.quantile(everything, [0.02, 0.998])
     norm = LogNorm(max(low, high / 300.0), high)
     drawn = figure(9.6, 5.4)
-    table = grid(
-        drawn,
-        2,
-        len(errors),
-        {"left": 0.75, "right": 1.1, "top": 0.45, "bottom": 0.55, "wspace": 0.3, "hspace": 0.6},
-    )
+    margins = {
+        "left": 0.75, "right": 1.1, "top": 0.45, "bottom": 0.55, "wspace": 0.3, "hspace": 0.6,
+    }  # fmt: skip
+    table = grid(drawn, 2, len(errors), margins)
     dots = None
     for column, (name, size) in enumerate(sizes.items()):
         rms = np.sqrt((size**2).mean())
@@ -223,7 +186,15 @@ def check_points(errors: Mapping[str, np.ndarray], check: CheckPoints) -> Figure
                 ax.set_ylabel(f"{'XYZ'[b]}, mm", fontsize=9.5, color=INK)
             else:
                 ax.tick_params(labelleft=False)
-    _plain_ticks(_bar(drawn, dots, table[:, -1], "error, µm"), norm)
+    # Of the ticks of x, the last of a column and the first of the next may touch.
+    room = {
+        "left": max(margins["left"], 0.45 + max(labels_width(ax.yaxis) for ax in table[:, 0])),
+        "wspace": max(margins["wspace"], 0.1 + max(labels_width(ax.xaxis) for ax in table.flat)),
+    }
+    spread(drawn, table, margins | room)
+    for ax in table.flat:
+        ticks_apart(ax, 5)
+    _plain_ticks(colour_bar(drawn, dots, table[:, -1], "error, µm"), norm)
     return drawn
 
 

@@ -41,12 +41,12 @@ class ErrorMotionTable:
 def error_motions(tables: Sequence[ErrorMotionTable]) -> Figure:
     """Small multiples, a column per axis: value, U (k = 2) as a dark band, prior as a light one.
 
-    Errors that are constant (the links of an arm) are drawn as one point each, and so are location
-    errors where nothing else was left open.
+    Errors that are constant (the links of an arm) are drawn as one point each; location errors only
+    where there is nothing else.
     """
-    moving = [t for t in tables if len(t.position)]
+    moving = [t for t in tables if len(t.position)] or list(tables)
     if all(t.constant for t in moving):
-        return _constants(moving or tables)
+        return _constants(moving)
     axes = list(dict.fromkeys(t.axis for t in moving))
     drawn = figure(9.6, 0.9 + 1.55 * 6)
     table = grid(

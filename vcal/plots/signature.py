@@ -1,15 +1,17 @@
 """What an effect does to the ports it disturbs, against the covariate that betrays it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..effects.base import Effect
+from ..effects.base import Effect, Setup
 from ..instruments.conditions import ROTARY
+from ..model import tool_points_with_jacobian
 from ..plan import Plan
+from ..ports import PortLayout
 from .style import AFTER, FIELD, column_label, figure, grid, plain, pretty_unit, titled
 from .views import column_of, described, values_of
 
@@ -36,8 +38,9 @@ class Signature:
     tone_label: str
 
 
-def signatures(effect: Effect, plan: Plan) -> list[Signature]:
-    """One for every amplitude, the port that it moves most, at most six."""
+def signatures(effect: Effect, setup: Setup) -> list[Signature]:
+    """One for every amplitude, at most six: the port by which it moves the tool most."""
+    plan = setup.plan
     shape = {name: float(grid[len(grid) // 2]) for name, grid in effect.scan(plan).items()}
     found = []
     response = effect.response(plan, {k: np.asarray(v) for k, v in shape.items()})
@@ -48,7 +51,7 @@ def signatures(effect: Effect, plan: Plan) -> list[Signature]:
             for (port, name), v in response.items()
             if name == parameter.name
         }
-        port = max(values, key=lambda p: float(np.ptp(values[p])))
+        port = _foremost(values, setup)
         turned = port[1] in "ABC" if port.startswith("E") else port.split(".")[-1] in _TURNED
         unit, factor = ("urad", 1e6) if turned else ("um", 1e6)
         y = factor * values[port]
@@ -59,6 +62,24 @@ def signatures(effect: Effect, plan: Plan) -> list[Signature]:
             Signature(parameter.name, port, x[shown], label, y[shown], unit, tone, tone_label)
         )
     return found
+
+
+def _foremost(values: Mapping[str, np.ndarray], setup: Setup) -> str:
+    """The port whose deviations (n,), SI, move the tool point most over the rows; those that move
+    what the instrument sees count as they are.
+    """
+    if len(values) == 1:
+        return next(iter(values))
+    plan, layout = setup.plan, setup.layout
+    still = np.zeros((plan.rows, len(layout)))
+    levers = np.asarray(tool_points_with_jacobian(setup.chain, plan.position, still)[1])
+
+    def moved(port: str) -> float:
+        tool = port in PortLayout.of(plan.axes, ())
+        lever = levers[:, :, layout.index(port)] if tool else np.ones((plan.rows, 1))
+        return float(np.linalg.norm(np.ptp(values[port][:, None] * lever, axis=0)))
+
+    return max(values, key=moved)
 
 
 _TURNED = ("A", "B", "C", "azimuth", "elevation")

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.textpath import TextPath
@@ -21,6 +22,7 @@ FIELD = "viridis"
 TONE = "#21918c"
 """Colour map of fields, and the middle of it."""
 
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DPI = 110
 _BETWEEN = 0.08
 """Least space between the labels of two ticks, in inches."""
@@ -70,27 +72,38 @@ def grid(
     `margins` are in inches: ``left``, ``right``, ``top``, ``bottom``, and the gaps ``wspace`` and
     ``hspace`` between columns and rows.
     """
+    shares = _shares(drawn, rows, columns, margins)
+    table = drawn.subplots(rows, columns, squeeze=False, sharey=sharey, gridspec_kw=shares)
+    for ax in table.flat:
+        plain(ax)
+    return table
+
+
+def spread(drawn: Figure, table: np.ndarray, margins: Mapping[str, float]) -> None:
+    """Give the axes of a `grid` other margins, once their labels are known."""
+    rows, columns = table.shape
+    shares = _shares(drawn, rows, columns, margins)
+    table[0, 0].get_gridspec().update(**shares)
+    for ax in table.flat:
+        ax.set_position(ax.get_subplotspec().get_position(drawn))
+
+
+def _shares(
+    drawn: Figure, rows: int, columns: int, margins: Mapping[str, float]
+) -> dict[str, float]:
+    """Margins in the units of matplotlib: shares of the figure, and of the axes."""
     width, height = drawn.get_size_inches()
     wspace, hspace = margins.get("wspace", 0.0), margins.get("hspace", 0.0)
     inner_w = (width - margins["left"] - margins["right"] - wspace * (columns - 1)) / columns
     inner_h = (height - margins["top"] - margins["bottom"] - hspace * (rows - 1)) / rows
-    table = drawn.subplots(
-        rows,
-        columns,
-        squeeze=False,
-        sharey=sharey,
-        gridspec_kw={
-            "left": margins["left"] / width,
-            "right": 1.0 - margins["right"] / width,
-            "top": 1.0 - margins["top"] / height,
-            "bottom": margins["bottom"] / height,
-            "wspace": wspace / inner_w,
-            "hspace": hspace / inner_h,
-        },
-    )
-    for ax in table.flat:
-        plain(ax)
-    return table
+    return {
+        "left": margins["left"] / width,
+        "right": 1.0 - margins["right"] / width,
+        "top": 1.0 - margins["top"] / height,
+        "bottom": margins["bottom"] / height,
+        "wspace": wspace / inner_w,
+        "hspace": hspace / inner_h,
+    }
 
 
 def plain(ax: Axes) -> None:
@@ -116,6 +129,14 @@ def titled(ax: Axes, title: str, x: str = "", y: str = "") -> None:
 def width_of(text: str, size: float = 9.0) -> float:
     """How wide a text is, in inches."""
     return float(TextPath((0.0, 0.0), text, size=size).get_extents().width) / 72.0 if text else 0.0
+
+
+def labels_width(axis: Axis) -> float:
+    """How wide the labels of the ticks of an axis are, in inches."""
+    low, high = sorted(axis.get_view_interval())
+    ticks = [x for x in axis.get_majorticklocs() if low <= x <= high]
+    labels = axis.get_major_formatter().format_ticks(ticks)
+    return max((width_of(label) for label in labels), default=0.0)
 
 
 def ticks_apart(ax: Axes, most: int) -> None:
@@ -145,7 +166,7 @@ def pretty_unit(unit: str) -> str:
     ``"s²"``, ``"1"`` nothing.
     """
     words = re.sub(r"[A-Za-z%]+|^1$", lambda m: _UNITS.get(m[0], m[0]), unit)
-    return re.sub(r"(?<=[a-z])[23]", lambda m: "²³"[int(m[0]) - 2], words)
+    return re.sub(r"(?<=[A-Za-z])-?\d+", lambda m: m[0].translate(SUPERSCRIPTS), words)
 
 
 def column_label(column: str) -> str:

@@ -9,6 +9,7 @@ from ..design.optimise import Designed, valuation
 from ..design.seen import Seen
 from ..io.study import Study
 from . import text
+from .conventions import EXPANDED, NAMES
 from .design_pictures import uncertain
 from .design_record import design_notes, design_sentence, duration, share
 from .picture import Picture
@@ -17,14 +18,12 @@ from .sheet import Badge, Section, Table, Tile, sheet
 
 _MOST_GROUPS = 40
 CONVENTIONS = (
-    "Right-handed frames. Error = actual − nominal. Names of ISO 230-1: E, then the component (X, "
-    "Y, Z translations; A, B, C rotations about them), then the axis that moves; squarenesses such "
-    "as EC0Y.",
+    NAMES,
     "Expected rms volumetric error: root of the expected mean square, over a grid in the travel, "
     "of the length of the error of the tool point after compensation by the declared family's own "
     "estimate; after the best rigid alignment, the raw figure beside it. It averages over machines "
     "of the declared family and over the noise; it is linear in the errors.",
-    "U = 2 u. U of an error motion is the largest along its axis.",
+    f"{EXPANDED} U of an error motion is the largest along its axis.",
     "Valuation: the share of the rms volumetric error before any measurement (by the priors alone) "
     "that the plan removes.",
     "Worth of a pose or point: by which share the criterion gets worse without it, all others as "

@@ -3,11 +3,13 @@
 import inspect
 import json
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..effects.base import Effect, Setup
 from ..instruments.conditions import file_name
+from ..io.study import looked_for
 from ..plots import png, signature, signatures
 from .picture import Picture
 from .place import Place
@@ -31,15 +33,15 @@ def effect_page(effect: type[Effect], example: Example | None) -> tuple[str, lis
     if example is not None:
         instance, setup = example
         sections.append(_needs(instance, setup))
-        parts = signatures(instance, setup.plan)
+        parts = signatures(instance, setup)
         caption = (
-            "What one standard deviation of every parameter's prior does to the port that it moves "
-            "most, on a bundled plan; parameters that are looked for stand at the middle of their "
-            "scan."
+            "What one standard deviation of every parameter's prior does to the port by which it "
+            "moves the tool point most, on a bundled plan; parameters that are looked for stand at "
+            "the middle of their scan."
         )
         pictures = [Picture(effect.name, "", caption, png(signature(parts)))]
         sections.append(Section("How it shows", pictures=tuple(pictures)))
-        sections.append(_use(instance))
+        sections.append(_use(instance, looked_for(effect)))
     page = sheet(
         effect.name,
         f"{effect.summary[:1].upper()}{effect.summary[1:]}.",
@@ -79,19 +81,23 @@ def _needs(instance: Effect, setup: Setup) -> Section:
     )
 
 
-def _use(instance: Effect) -> Section:
+def _use(instance: Effect, searched: bool) -> Section:
     place = f":{instance.placement}" if instance.placement else ""
     keys = ",".join(f"{p.label}={p.sigma:g}" for p in instance.amplitudes[:2])
     declared = [f'name = "{instance.name}"']
     declared += [f'placement = "{instance.placement}"'] if instance.placement else []
     declared += [f"{p.label} = {p.sigma:g}" for p in instance.amplitudes[:2]]
+    left_out = "is identified" if instance.kind == "systematic" else "keeps its prior"
+    simulated = shlex.quote(f"{instance.name}{place}:{keys}")
     return Section(
         "In use",
         points=(
             f"In a study, as part of the model: [[model.effect]] with {', '.join(declared)}; "
-            "a parameter that is left out is identified.",
-            f"Simulated: vcal simulate SETUP.toml --out DIR --with {instance.name}{place}:{keys}",
-            f"Looked for alone: vcal loop SETUP.toml --out DIR --effects {instance.name}",
+            f"a parameter that is left out {left_out}.",
+            f"Simulated: vcal simulate SETUP.toml --out DIR --with {simulated}",
+            f"Looked for alone: vcal loop SETUP.toml --out DIR --effects {instance.name}"
+            if searched
+            else "The loop does not look for it: it can be declared in a study.",
         ),
     )
 

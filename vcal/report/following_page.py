@@ -8,6 +8,8 @@ import numpy as np
 
 from ..design.following import Candidate, Following
 from ..design.separation import ALPHA, Lambda, Separation
+from ..instruments.conditions import file_name
+from ..io.designed import plan_table
 from ..io.study import Study
 from ..plots.designs import Places, Uncertain, angles_views, places_views, uncertainties
 from ..plots.style import AFTER, BEFORE, png
@@ -155,7 +157,7 @@ def following_page(
             Section(
                 "Where to measure next",
                 ("plan.csv beside this page holds the rows to be measured, and only those.",),
-                tables=(_conditions(done),) if done.separation is not None else (),
+                tables=(_conditions(done, study),) if done.separation is not None else (),
                 pictures=tuple(shown[name] for name in ("places", "angles") if name in shown),
             ),
             Section("What is left of every error", pictures=(shown["uncertainties"],)),
@@ -248,17 +250,19 @@ def _candidates(done: Following) -> Section:
     return Section("Candidates, best first", (way,), tables=(Table(header, rows, align),))
 
 
-def _conditions(done: Following) -> Table:
-    plan = done.task.space.plan(done.best.placed)
+def _conditions(done: Following, study: Study) -> Table:
+    """Of the columns of plan.csv those on which the rivals depend, positions aside."""
     assert done.separation is not None
-    needs = {n for r in done.separation.rivals for n in r.effect.needs if n in plan.covariates}
-    rows = []
-    for name in sorted(needs):
-        values = np.asarray(plan.covariates[name])
-        rows.append(
-            (name, text.number(float(values.min()), 4), text.number(float(values.max()), 4))
-        )
-    return Table(("condition", "lowest", "highest"), rows, "lrr", note="Row by row in plan.csv.")
+    columns = plan_table(study, done.task.space, done.best.placed)
+    axes = study.chain.axes
+    needs = {n for r in done.separation.rivals for n in r.effect.needs if n not in axes}
+    names = sorted({file_name(n, axes) for n in needs} & columns.keys())
+    rows = [
+        (name, *(text.number(float(end(columns[name])), 4) for end in (np.min, np.max)))
+        for name in names
+    ]
+    note = "Columns of plan.csv, in the units of their names."
+    return Table(("condition", "lowest", "highest"), rows, "lrr", note=note)
 
 
 def _separation(done: Following) -> Mapping[str, Any] | None:

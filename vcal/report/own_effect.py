@@ -1,5 +1,7 @@
 """A file with an effect of the user's own, to start from where none that was tried fits."""
 
+import json
+
 import numpy as np
 
 from ..fit import Fit
@@ -67,7 +69,7 @@ def own_effect(closure: Closure) -> str | None:
     if what is None or not what.depends_on:
         return None
     plan = closure.after.measurement.plan
-    found = f"vcal found: {what.reason}."
+    found = _in_docstring(f"vcal found: {what.reason}.")
     best = what.empirical.effect if what.empirical is not None else None
     if what.empirical is not None and isinstance(best, Empirical) and best.coded:
         return _as_described(found, what.empirical, plan)
@@ -85,7 +87,7 @@ def own_effect(closure: Closure) -> str | None:
         middle, half = 0.5 * float(x.max() + x.min()), 0.5 * float(np.ptp(x)) or 1.0
         lines.append(
             f"        u{i} = ({_read(name, plan)} - {middle:.6g}) / {half:.4g}"
-            f"  # {file_name(name, plan.axes)}, -1 to 1"
+            f"  # {' '.join(file_name(name, plan.axes).split())}, -1 to 1"
         )
         for c in ways:
             for kind, power in (("slope", f"u{i}"), ("curve", f"u{i} * u{i}")):
@@ -99,7 +101,7 @@ def own_effect(closure: Closure) -> str | None:
     return _HEAD.format(
         found=found,
         parameters=",\n            ".join(parameters),
-        needs=", ".join(f'"{name}"' for name in names),
+        needs=", ".join(map(_quoted, names)),
         body="\n".join([*lines, "        return {", *terms, "        }"]),
         placement="",
     )
@@ -128,11 +130,11 @@ def _as_described(found: str, best: Rival, plan: Plan) -> str:
     return _HEAD.format(
         found=found,
         parameters=",\n            ".join(parameters),
-        needs=", ".join(f'"{name}"' for name in needed),
+        needs=", ".join(map(_quoted, needed)),
         body="\n".join(
             [*(f"        {line}" for line in lines), "        return {", *returned, "        }"]
         ),
-        placement=f'placement="{effect.placement}"',
+        placement=f"placement={_quoted(effect.placement)}",
     )
 
 
@@ -141,6 +143,17 @@ def _of_all_rows(name: str, plan: Plan) -> bool:
 
 
 def _read(name: str, plan: Plan) -> str:
+    quoted = _quoted(name)
     if name in plan.axes:
-        return f'plan.x("{name}")'
-    return f'plan.groups["{name}"]' if name in plan.groups else f'plan.covariate("{name}")'
+        return f"plan.x({quoted})"
+    return f"plan.groups[{quoted}]" if name in plan.groups else f"plan.covariate({quoted})"
+
+
+def _quoted(name: str) -> str:
+    """A name of a user's column as Python text: JSON escapes what Python does, in the same way."""
+    return json.dumps(name, ensure_ascii=False)
+
+
+def _in_docstring(words: str) -> str:
+    """Words of any kind where they end no docstring of three quotes, and escape nothing in it."""
+    return words.replace("\\", "\\\\").replace('"', '\\"')

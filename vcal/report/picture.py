@@ -1,6 +1,7 @@
 """One picture of a report."""
 
 import base64
+import re
 from dataclasses import dataclass
 
 
@@ -9,7 +10,7 @@ class Picture:
     """One picture of a report."""
 
     name: str
-    """File name without its ending."""
+    """What it shows; names the file."""
     section: str
     """Where the page of a closure shows it: ``"effect 1"``, or the name of a section."""
     caption: str
@@ -18,8 +19,10 @@ class Picture:
 
     @property
     def file(self) -> str:
-        """Name of the file."""
-        return f"{self.name}.png"
+        """Name of the file, of characters that every file system takes: the places of effects
+        have names that users gave them.
+        """
+        return f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', self.name)}.png"
 
     @property
     def source(self) -> str:

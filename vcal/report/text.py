@@ -4,8 +4,8 @@ import math
 import re
 
 from ..plots import pretty_unit
+from ..plots.style import SUPERSCRIPTS
 
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DASH = "–"
 COVERAGE = 2.0
 """Coverage factor k of the expanded uncertainty U = k u."""
@@ -49,7 +49,7 @@ def with_uncertainty(value: float | None, u: float | None) -> str:
 def scientific(value: float, digits: int = 2) -> str:
     """``"1.1 × 10⁻⁵"``."""
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    return f"{_minus(mantissa)} × 10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    return f"{_minus(mantissa)} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
 
 
 def probability(p: float) -> str:

@@ -8,6 +8,7 @@ from ..io.study import Study
 from ..uncertainty.compare import Comparison
 from ..uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
 from . import text
+from .conventions import EXPANDED, NAMES
 from .picture import Picture
 from .provenance import provenance
 from .record import plain
@@ -20,15 +21,13 @@ _ORIGINS = {
     "not fitted": "in reality, but not fitted",
 }
 _CONVENTIONS = (
-    "Right-handed frames. Error = actual − nominal; a compensation subtracts it. Names of ISO "
-    "230-1: E, then the component (X, Y, Z translations; A, B, C rotations about them), then the "
-    "axis that moves; location errors such as EC0Y. Signs as parameters of the axis's own frame.",
+    NAMES,
     "Volumetric error: length of the three-dimensional error of the tool point, after the best "
     "rigid alignment over all points, because an unknown station or pose leaves six rigid degrees "
     "of freedom invisible. rms: root mean square over the points of one machine.",
     "Points are judged under the conditions (temperatures, times) of rows of the plan picked at "
     "random, and from random directions of travel.",
-    "u is a standard uncertainty, U = k u with k = 2. Intervals are probabilistically symmetric.",
+    f"{EXPANDED} Intervals are probabilistically symmetric.",
     "Distributions are propagated through a simulated measurement and its evaluation, machine by "
     "machine, not through a measurement function of estimates as in JCGM 101. The spread of "
     "(identified − true) is what the procedure will achieve on machines like those declared; it "

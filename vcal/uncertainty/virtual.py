@@ -8,6 +8,7 @@ displacement of the tool point from source s,
     rms^2 = sum over s of d(s)^2 + d(known)^2.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -71,7 +72,9 @@ class Contribution(NamedTuple):
     """What one source adds to the volumetric error after calibration."""
 
     source: str
-    """Key of an effect, or the component of the reading whose noise it is."""
+    """Key of an effect, ``"noise of the reading"`` with the name of that reading, or a random
+    effect and its parameter.
+    """
     origin: Origin
     """Noise; an effect that is fitted, with what the data leave of its prior; or one that is not
     fitted, with all that it does.
@@ -340,16 +343,16 @@ def _contributions(
     known = float((budget.value[rows] ** 2).sum() / points)
     total = float(squares.sum()) + known
     fitted = {e.key for e in pair.fit.effects}
+    scatter = [f"{e.key}: {p.name}" for e in pair.truth.random for p in e.amplitudes]
     found = []
     for name, square in zip(budget.source.labels, squares.tolist(), strict=True):
-        origin: Origin = "not fitted"
-        if name in fitted:
-            origin = "fitted"
-        elif name.startswith(("noise: ", "scatter ")):
-            origin = "noise"
+        source, origin = name, "fitted" if name in fitted else "not fitted"
+        if match := re.fullmatch(r"noise: (.+)", name):
+            source, origin = f"noise of the reading {match[1]}", "noise"
+        elif match := re.fullmatch(r"scatter (\d+)", name):
+            source, origin = scatter[int(match[1]) - 1], "noise"
         if square > 0.0:
-            rms, share = square**0.5, square / total
-            found.append(Contribution(name.removeprefix("noise: "), origin, rms, share))
+            found.append(Contribution(source, origin, square**0.5, square / total))
     return tuple(sorted(found, key=lambda c: -c.share)), known**0.5
 
 
