@@ -309,7 +309,13 @@ def test_keys_that_are_commented_out_can_be_used(tmp_path, instrument):
     run("init", tmp_path / "study", "--instrument", instrument)
     setup = tmp_path / "study" / "setup.toml"
     lines = setup.read_text(encoding="utf-8").splitlines()
-    other = ("# effects_file", "# family", *(["# check"] if instrument == "reflectors" else []))
+    # A table that is not there, a line of text, and probes, whose own readings the table lacks.
+    other = (
+        "# effects_file",
+        "# family",
+        "# probes",
+        *(["# check"] if instrument == "reflectors" else []),
+    )
     if instrument == "laser_frame":  # a table that is not there, and a path beside the named one
         keys = [key for key in SegmentSettings.model_fields if key != "psd"]
         other += (
@@ -532,6 +538,7 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     play, known = SimpleNamespace(key="backlash X"), SimpleNamespace(key="drift X")
     listed = [(play, [("size", 12.98, "um", 0.21)]), (known, [("rate", 1.0, "um/h", 0.0)])]
     monkeypatch.setattr(vcal.cli.show, "declared", lambda *_: listed)
+    monkeypatch.setattr(vcal.cli.show, "untested_beside", lambda *_: {})
     vcal.cli.show.show_closure(closure)
     shown = " ".join(capsys.readouterr().out.split())
     assert "backlash Y: size_um = 12.0 ± 1.2 um (k = 2), p = 0.002, named" in shown
@@ -549,7 +556,7 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
         (("--effects", "backlash,drif"), "unknown effect 'drif' (did you mean 'drift'?)"),
         (("--alpha", 2), "override loop.alpha=2.0"),
         (("--alpha", 0.02, "--set", "loop.alpha=2"), "override loop.alpha=0.02"),
-        (("--draws", 0), "expected a number of at least 1"),
+        (("--draws", 0), "expected a number of at least 25"),
         (("--set", "loop.alfa=0.1"), "the unknown key 'alfa' (did you mean 'alpha'?)"),
         (("--set", "instrument.kind=lasertracker"), "(did you mean 'laser_tracker'?)"),
     ],

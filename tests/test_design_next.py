@@ -48,7 +48,7 @@ def test_the_next_pose_is_better_than_fifty_at_random(few_poses):
 def test_the_next_pose_shares_the_balls(few_poses, tmp_path):
     """Old and new poses in one study, judged by the engine."""
     out = tmp_path / "out"
-    design(few_poses, out, "--next", "--set", "design.more=2", "--set", "loop.draws=1",
+    design(few_poses, out, "--next", "--set", "design.more=2", "--set", "loop.draws=25",
            "--separate", "backlash:X", "--separate", "backlash:Y")  # fmt: skip
     found = strict(out / "result.json")
     header, *rows = (out / "plan.csv").read_text().splitlines()

@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import re
 
+import jax
 import numpy as np
 import pytest
 from scipy.linalg import solve_triangular
@@ -13,6 +14,7 @@ from scipy.stats import f as fisher
 from known import Known
 from oracle import make_case, write_study
 from vcal import CATALOGUE, Measurement, close_loop, load_study
+from vcal.demo import FOLDER
 from vcal.identify import declared_covariances, identify
 from vcal.least_squares import Status
 from vcal.loop.candidates import candidates
@@ -27,6 +29,7 @@ from vcal.loop.serial import _PHI, _SHARE, _Sequence, serial
 from vcal.loop.state import fitted
 from vcal.loop.stray import at_an_end, displaced, scattered, stray_apart, stray_rows
 from vcal.robust import identify_robust
+from vcal.simulate import simulate
 
 FACTORS = np.array([1.0, 0.7, 2.5])
 
@@ -583,3 +586,14 @@ def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch)
     closure = closed(tracker, measurement, effects=tried)
     assert (closure.verdict, closure.effects) == ("unexplained", [])
     assert closure.rejected[0].effect == "backlash"
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_noise_alone_depends_on_nothing_however_large_it_is(seed):
+    """Five times the declared noise: the best of all columns describes one per cent, by chance."""
+    study = load_study(FOLDER / "setup.toml")
+    made = simulate(study.model, study.plan, jax.random.key(seed), noise_factor=5.2)
+    closure = close_loop(study.model, made.measurement, effects=["backlash"], draws=100)
+    assert not closure.effects and closure.unexplained is not None
+    assert closure.unexplained.depends_on == []
+    assert "no covariate orders it" in closure.sentence

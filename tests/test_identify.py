@@ -279,3 +279,29 @@ def test_evidence_against_the_exact_marginal_likelihood(noise, tracker):
     # With another noise than the one fitted with, the estimate is not quite the mode.
     np.testing.assert_allclose(found, exact, atol=1e-3 if noise == 1.0 else 0.02)
     assert exact[0] > 1 > 0 > exact[2]
+
+
+@pytest.mark.parametrize("times", [3.0, 10.0])
+def test_evidence_at_a_noise_is_that_of_a_fit_at_this_noise(tracker, times):
+    """Where the noise is larger than declared the prior holds more, and the minimum is elsewhere:
+    the formula at the old one would be wrong by up to a hundred.
+    """
+    measurement = noisy(tracker, 1, factor=times)
+    declared = declared_whitener(tracker.model, measurement)
+    quiet = identify(tracker.model, measurement)
+    loud = identify(tracker.model, measurement, whitener=declared / times)
+    assert quiet.log_evidence(times) == pytest.approx(loud.log_evidence(), abs=0.05)
+    moved = quiet.theta + quiet.step_at(times)
+    u = np.sqrt(np.diag(loud.covariance))
+    np.testing.assert_allclose(moved / u, loud.theta / u, atol=0.01)
+
+
+def test_what_is_held_out_of_three_rows_is_predicted(tracker):
+    """Without one of them the station is open in combinations of its parameters, not in one."""
+    rows = np.array([0, tracker.plan.rows // 2, tracker.plan.rows - 1])
+    few = noisy(tracker, 2)
+    few = Measurement(few.plan.take(rows), np.asarray(few.readings)[rows])
+    fit = identify(tracker.model, few)
+    folds, _ = tracker.model.instrument.folds(few.plan)
+    found = heldout_residuals(fit)
+    assert np.isfinite(found[folds >= 0]).all()

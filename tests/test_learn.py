@@ -7,6 +7,7 @@ import pytest
 
 import vcal
 from oracle import make_case, write_study
+from vcal.distributions import Normal
 from vcal.learn import learned_sizes, with_sizes
 from vcal.loop.heldout import check_rms
 from vcal.robust import identify_robust
@@ -35,6 +36,45 @@ def test_sizes_declared_ten_times_too_large_are_learned_back(study, fit):
 def test_learning_raises_the_evidence(study, fit):
     learned = vcal.identify(with_sizes(study.model, learned_sizes(fit)), study.measurement)
     assert learned.log_evidence() > fit.log_evidence()
+
+
+def test_what_is_declared_of_one_error_stays(study):
+    prior = vcal.Prior("EC0Y", Normal(30.0, 2.0))
+    effects = study.model.effects
+    (place,) = (i for i, e in enumerate(effects) if e.name == "geometric")
+    known = dataclasses.replace(effects[place], priors=(prior,))
+    model = vcal.Model(
+        study.model.chain, study.model.instrument, (*effects[:place], known, *effects[place + 1 :])
+    )
+    factors = learned_sizes(vcal.identify(model, study.measurement))
+    assert "EC0Y" not in factors and "EB0Z" in factors
+    for sizes in (factors, {"EC0Y": 0.1}):
+        (same,) = (e for e in with_sizes(model, sizes).effects if e.name == "geometric")
+        (p,) = (p for p in same.amplitudes if p.name == "EC0Y")
+        assert (p.mean, p.sigma) == (30.0, pytest.approx(2.0))
+
+
+def test_learned_sizes_are_the_most_likely(fit):
+    """No factor of one error alone, a fifth larger or smaller, is likelier by the marginal
+    likelihood of the linearised fit, with a prior of ln 3 on the logarithm of each; also of those
+    that the data hardly tell.
+    """
+    factors = learned_sizes(fit)
+    names = [p.name.split(".")[0] for _, p in fit.entries]
+    normal = fit.jacobian.T @ fit.jacobian
+    pull = fit.jacobian.T @ (fit.whitened + fit.jacobian @ fit.theta)
+
+    def log_density(logs: dict[str, float]) -> float:
+        f = np.exp([logs.get(name, 0.0) for name in names])
+        h = normal * f[:, None] * f + np.diag(fit.precision)
+        gain = 0.5 * (f * pull) @ np.linalg.solve(h, f * pull) - 0.5 * np.linalg.slogdet(h)[1]
+        return gain - 0.5 * sum(v**2 for v in logs.values()) / np.log(3.0) ** 2
+
+    found = {name: float(np.log(value)) for name, value in factors.items()}
+    best = log_density(found)
+    for name in found:
+        for step in (-0.2, 0.2):
+            assert log_density(found | {name: found[name] + step}) < best + 1e-3
 
 
 def test_robust_loss_ignores_two_gross_readings(study, fit):

@@ -392,6 +392,15 @@ def test_the_seed_alone_decides_and_more_draws_begin_with_the_same():
     assert np.abs(found.mean - small(seed=2).mean).max() > 0.0
 
 
+def test_an_output_that_is_never_finite_holds_nothing_up():
+    def f(x):
+        return {"a": x["x"], "b": jnp.sqrt(-1.0 - x["x"] ** 2)}
+
+    inputs = Inputs({"x": Normal(0.0, 1.0)})
+    found = propagate_distributions(f, inputs, "adaptive", digits=1, most=400_000)
+    assert found.adaptive is not None and found.adaptive.settled and found.draws < 400_000
+
+
 def test_an_adaptive_campaign_meets_its_tolerance():
     inputs = four(lambda s: Normal(0.0, s))
     found = propagate_distributions(total, inputs, "adaptive", digits=1, seed=3)

@@ -303,7 +303,7 @@ def edited(folder, column, change, file="data.csv"):
 def test_what_does_not_vary_is_not_said_to_be_absent(small_tracker_study):
     for axis in "xyz":
         edited(small_tracker_study, f"T_{axis}_degC", lambda cell: "20")
-    study = load_study(small_tracker_study, ['loop.effects=["scale_growth"]', "loop.draws=20"])
+    study = load_study(small_tracker_study, ['loop.effects=["scale_growth"]', "loop.draws=25"])
     closure = close_study(study, study.measurement, lambda text: None)
     assert closure.sentence.startswith("Nothing could be tested")
 
@@ -376,7 +376,7 @@ def test_columns_that_were_exchanged(small_tracker_study):
     exchanged = {"azimuth_rad": "elevation_rad", "elevation_rad": "azimuth_rad"}
     head = ",".join(exchanged.get(name, name) for name in head.split(","))
     path.write_text(f"{head}\n{rows}", encoding="utf-8")
-    study = load_study(small_tracker_study, ["loop.draws=20", 'loop.effects=["backlash"]'])
+    study = load_study(small_tracker_study, ["loop.draws=25", 'loop.effects=["backlash"]'])
     closure = close_study(study, study.measurement, lambda text: None)
     assert any("mm, which no machine is off by" in note for note in closure.notes)
 

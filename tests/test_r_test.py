@@ -467,6 +467,9 @@ def test_a_vibration_is_told_by_its_frequency_in_time(tmp_path):
     assert found.reading == "z_ext" and found.hz == pytest.approx(37.0, abs=0.05)
     assert found.amplitude_um == pytest.approx(0.5, rel=0.1) and found.share > 0.5
     assert closure.verdict == "unexplained" and "a vibration of 37 Hz in every" in closure.sentence
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vcal.loop.vibration._AT_ONCE", 3_000)  # a few frequencies at a time
+        assert vibration(closure.after) == found
 
 
 def test_no_vibration_in_noise_or_in_what_belongs_to_the_circle(study):

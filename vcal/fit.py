@@ -18,6 +18,9 @@ HARDLY_TOLD = 0.05
 _UNSEEN = 1e-8
 """Information (per solver unit squared) that counts as none: a standard deviation of 1e4 units."""
 
+_LEFT = 0.05
+"""Least share of the variance of a reading that counts as left beside the parameters: what is left
+of less tells nothing of what it was."""
 _LOST = 1e-9
 """Singular value, over the largest one, that counts as zero."""
 _PART = 0.1
@@ -121,8 +124,10 @@ class Fit:
         """Posterior covariance H^-1 in solver units.
 
         Where the readings of a row share errors that the noise does not declare
-        (`Instrument.clusters`): H^-1 (sum_i g_i g_i' + L) H^-1 with g_i = J_i'r_i, which needs no
-        model of what they share; other rows have J_i'J_i in place of g_i g_i'.
+        (`Instrument.clusters`): H^-1 (sum_i g_i g_i' + L) H^-1 with g_i = J_i'A_i r_i, which needs
+        no model of what they share; other rows have J_i'J_i in place of g_i g_i'. The fit has taken
+        a part of r_i, which A_i = (1 - J_i H^-1 J_i')^(-1/2) gives back (Bell, McCaffrey, Survey
+        Methodology 28, 2002, 169).
         """
         inverse = cho_solve(self.factor, np.eye(len(self.theta)))
         shared = self.clusters >= 0
@@ -130,7 +135,11 @@ class Fit:
             return inverse
         n, m = self.residual.shape
         jacobian, whitened = self.jacobian.reshape(n, m, -1), self.whitened.reshape(n, m)
-        scores = np.einsum("nik,ni->nk", jacobian, whitened)[shared]
+        mine, left = jacobian[shared], whitened[shared]
+        values, vectors = np.linalg.eigh(np.eye(m) - mine @ inverse @ mine.transpose(0, 2, 1))
+        turned = np.einsum("nij,ni->nj", vectors, left) / np.sqrt(np.maximum(values, _LEFT))
+        left = np.einsum("nij,nj->ni", vectors, turned)
+        scores = np.einsum("nik,ni->nk", mine, left)
         middle = scores.T @ scores + np.diag(self.precision)
         if not shared.all():
             others = jacobian[~shared].reshape(-1, jacobian.shape[2])

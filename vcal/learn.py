@@ -9,7 +9,7 @@ import math
 import equinox as eqx
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from .effects.geometric import GeometricErrors
 from .fit import Fit
@@ -68,8 +68,8 @@ def _factor(n: int, square: float) -> float:
         return n * (square * math.exp(-2.0 * log_f) - 1.0) - log_f / _WIDE**2
 
     # Between no factor, where the prior has its maximum, and the root mean square.
-    ends = sorted((0.0, 0.5 * math.log(square)))
-    return math.exp(brentq(slope, *ends)) if ends[1] > ends[0] else 1.0
+    low, high = sorted((0.0, 0.5 * math.log(square)))
+    return math.exp(root_scalar(slope, bracket=(low, high)).root) if high > low else 1.0
 
 
 def with_sizes(model: Model, factors: dict[str, float]) -> Model:

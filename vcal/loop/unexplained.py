@@ -33,6 +33,9 @@ _SPREAD = 25.0
 """chi2 per degree of freedom, against the declared noise, from which something must be missing even
 if nothing that is recorded tells it; noise that is declared too small is no such thing.
 """
+_BY_CHANCE = 0.01
+"""Probability from which what is this large for another reason depends on no covariate: the best of
+all that were recorded always describes a little."""
 _LAST_LOOK = 0.25
 """Share of alpha that the last look at what remains may spend beside the search."""
 _ROUNDING = 1e-9
@@ -347,6 +350,8 @@ def _from_dependence(
     full: bool = False,
 ) -> Unexplained | None:
     spread = chi2_per_dof > _SPREAD
+    if spread and told.p_value > _BY_CHANCE:
+        told = Dependence([], [], False, told.p_value)
     quiet = told.p_value > _LAST_LOOK * alpha and not spread and correlated is None
     if quiet and refused is None:
         return None
