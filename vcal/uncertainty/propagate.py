@@ -78,7 +78,8 @@ def propagate(
     covariance comes from n observations of all its members together, v_g is itself a sample
     variance and nu_g = n - 1 exactly (Willink 2007, Metrologia 44, 340); a `MultivariateT` of d
     quantities is taken as it stands, with the n - d and the larger scale of JCGM 102, 5.3.2, which
-    errs on the side of a larger u. There is no agreed formula where the members of a group differ: the smallest counts, and a note says so. The second-order
+    errs on the side of a larger u. There is no agreed formula where the members of a group differ:
+    the smallest counts, and a note says so. The second-order
     terms have no degrees of freedom of their own: nu_eff is that of the first-order part, and the
     smallest of all inputs where that part is zero.
 
