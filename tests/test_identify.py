@@ -14,6 +14,7 @@ from vcal.fit import null_directions
 from vcal.identify import declared_whitener
 from vcal.instruments.ball_array import ArtefactPoses
 from vcal.loop.heldout import check_rms, heldout_residuals
+from vcal.simulate import simulate
 
 
 @pytest.fixture(scope="module")
@@ -305,3 +306,19 @@ def test_what_is_held_out_of_three_rows_is_predicted(tracker):
     folds, _ = tracker.model.instrument.folds(few.plan)
     found = heldout_residuals(fit)
     assert np.isfinite(found[folds >= 0]).all()
+
+
+def test_what_the_fit_took_of_shared_errors_is_given_back(small_arm_study):
+    """Where nothing is shared, the covariance by clusters is on average that of the declared noise;
+    the residuals as they are would give a tenth less.
+    """
+    study = load_study(small_arm_study)
+    ratios = []
+    for seed in range(15):
+        fit = identify(
+            study.model, simulate(study.model, study.plan, jax.random.key(seed)).measurement
+        )
+        plain = np.diag(np.linalg.inv(fit.jacobian.T @ fit.jacobian + np.diag(fit.precision)))
+        told = fit.information > 0.9
+        ratios.append((np.diag(fit.covariance) / plain)[told].mean())
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
