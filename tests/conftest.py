@@ -91,7 +91,7 @@ def _room_for_programs():
     if not pages.is_file():
         return
     held = int(pages.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    if held > 1.5e9 or maps.read_bytes().count(b"\n") > 30_000:
+    if held > 2.5e9 or maps.read_bytes().count(b"\n") > 30_000:
         jax.clear_caches()
         gc.collect()
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # not every C library has it

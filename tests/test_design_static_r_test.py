@@ -161,7 +161,7 @@ def expected_covariance(position, run_, places, nest):
     return np.linalg.inv(J.T @ J + prior)[:11, :11]
 
 
-@pytest.mark.parametrize("nest", ["spindle", pytest.param("table", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("nest", ["spindle", pytest.param("table", marks=pytest.mark.campaign)])
 def test_the_covariance_by_plain_numpy(tmp_path, nest):
     study, task = task_of(plan_of(tmp_path, few(2), nest), *ROOM)
     space = task.space
@@ -181,8 +181,8 @@ def test_the_covariance_by_plain_numpy(tmp_path, nest):
     "goal",
     [
         "volume",
-        pytest.param("largest", marks=pytest.mark.slow),
-        pytest.param("determinant", marks=pytest.mark.slow),
+        pytest.param("largest", marks=pytest.mark.campaign),
+        pytest.param("determinant", marks=pytest.mark.campaign),
     ],
 )
 def test_gradient_against_finite_differences(turned, goal):
@@ -201,7 +201,7 @@ def test_gradient_against_finite_differences(turned, goal):
 
 
 @pytest.mark.parametrize(
-    ("turn", "seen_rows"), [(90, 0.5), pytest.param(360, 1.0, marks=pytest.mark.slow)]
+    ("turn", "seen_rows"), [(90, 0.5), pytest.param(360, 1.0, marks=pytest.mark.campaign)]
 )
 def test_where_an_axis_is_by_as_many_rows_on_either_side(tmp_path, turn, seen_rows):
     """On paper. With u = exp(i c), a row at the angle c reads u s + e + noise, e = EX0C + i EY0C,
@@ -267,7 +267,7 @@ def test_the_uncertainty_foretold_is_that_of_the_plan_written(designed):
         assert found[name] == pytest.approx(2.0 * largest, rel=1e-5), name
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_further_points_add_to_the_data(turned):
     """As one plan of all rows tells it, by the matrices."""
     study, task = task_of(turned)
@@ -286,7 +286,7 @@ def test_further_points_add_to_the_data(turned):
     assert done.best.value.criterion < done.before.criterion
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_machines_are_found_as_much_better_as_was_foretold(designed, turned):
     """Thirty machines of plain matrices, measured by the plan as it is and as designed."""
     rng = np.random.default_rng(7)
@@ -348,7 +348,7 @@ def test_what_cannot_be_designed_is_one_message(turned, tmp_path, options, said)
     assert "Traceback" not in message and not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_spheres_that_the_linear_axes_do_not_reach(turned, tmp_path):
     far = ("design.places=true", "design.place_low_mm=[900,900,900]",
            "design.place_high_mm=[950,950,950]")  # fmt: skip
