@@ -63,7 +63,7 @@ def test_points_with_rotary_axes_by_the_whole_covariance(few_points):
     assert float(value(0.0)[1]) == pytest.approx(slope, rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_folder_is_a_study(few_points, tmp_path):
     out = tmp_path / "out"
     design(few_points, out)

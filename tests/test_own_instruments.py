@@ -217,7 +217,7 @@ def test_commands(small, tmp_path):
     assert "a file outside the folder of the study" in told
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_uncertainty_before_measuring(small, tmp_path):
     told = run("uncertainty", small, "--out", tmp_path / "out", "--draws", 200).stdout
     assert "the rms volumetric error" in told

@@ -156,7 +156,7 @@ def test_every_set_has_its_place_once():
     assert {kind.name for kind in OUTSIDE} <= {k.name for e in ENTRIES.values() for k in e.kinds}
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("name", "seed", "sizes"),
     [
@@ -181,7 +181,7 @@ def test_two_effects_that_one_description_fits_better_than_each(name, seed, size
     assert told.count("round 1: screening") == 2
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_one_wrong_name_that_hides_another():
     """A play and a jump: a temperature and a jump at another moment, of which each alone is the
     best beside the other. Only where neither is to be the answer are the true ones found.

@@ -260,7 +260,7 @@ def test_one_element_of_the_matrix_is_the_matrix(tmp_path):
     assert [e.effect.key for e in found.effects] == ["acceleration_crosstalk"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_loop_names_what_a_mode_adds(tmp_path):
     """Against a resonance whose gain is not expanded in the angular velocity."""
     w, zeta = 2 * np.pi * 50.0, 0.05
@@ -372,7 +372,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize(
-    "of", [pytest.param(c, marks=pytest.mark.slow if c == "length" else ()) for c in CHANGES]
+    "of", [pytest.param(c, marks=pytest.mark.campaign if c == "length" else ()) for c in CHANGES]
 )
 def test_quadrant_peaks_that_change_with_the_acceleration(tmp_path, of):
     """What they leave was a cross-talk, probes worse than declared, and more of that."""
