@@ -538,7 +538,6 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     play, known = SimpleNamespace(key="backlash X"), SimpleNamespace(key="drift X")
     listed = [(play, [("size", 12.98, "um", 0.21)]), (known, [("rate", 1.0, "um/h", 0.0)])]
     monkeypatch.setattr(vcal.cli.show, "declared", lambda *_: listed)
-    monkeypatch.setattr(vcal.cli.show, "untested_beside", lambda *_: {})
     vcal.cli.show.show_closure(closure)
     shown = " ".join(capsys.readouterr().out.split())
     assert "backlash Y: size_um = 12.0 ± 1.2 um (k = 2), p = 0.002, named" in shown

@@ -29,8 +29,6 @@ from ..report.derived import (
     in_short,
     missing_columns,
     parameters,
-    untested_beside,
-    untested_in_words,
 )
 from ..report.text import COVERAGE, probability, with_uncertainty
 
@@ -57,8 +55,6 @@ def show_closure(closure: Closure) -> None:
             console.print(Text(f"    not to be told from: {', '.join(found.equivalent)}"))
         if found.separation:
             console.print(Text(f"    to be certain: {found.separation}"))
-        if untested := untested_in_words(untested_beside(closure, found)):
-            console.print(Text(f"    could not be tested on the same axis: {untested}"))
     for effect, listed in declared(closure):
         if any(u > 0.0 for *_, u in listed):
             many = len(listed) > FEW
