@@ -39,7 +39,7 @@ from vcal.plots.residuals import before_after, unexplained_views
 from vcal.plots.search import search
 from vcal.plots.style import AFTER, BEFORE, DOTS, column_label, figure, grid, ticks_apart
 from vcal.plots.views import View, effect_view, residual_without
-from vcal.report import check_folder, record, text, write, write_report
+from vcal.report import check_folder, geometric_tests, record, text, write, write_report
 from vcal.report.compensation import effects_csv
 from vcal.report.derived import in_short, parameters
 from vcal.report.own_effect import own_effect
@@ -117,6 +117,7 @@ KEYS = {
     "effects": list,
     "declared": list,
     "errors": dict,
+    "geometry": list,
     "unexplained": type(None),
     "variance": dict,
     "noise_scale": float,
@@ -651,6 +652,23 @@ def test_compensation_table_is_right(closed, written):
     assert np.abs(value - true).max() < 4.0 * u.max()
     assert ((0 <= share) & (share <= 1)).all()
     assert share.max() > 0.9
+
+
+def test_geometry_is_told_as_tests_of_it_would(closed, written):
+    """Squareness of the tool point's paths in page and record, more certain than the parameter."""
+    tests = geometric_tests(closed[2].after)
+    told = strict(written / "report.json")["geometry"]
+    assert [(t["name"], t["what"]) for t in told] == [(t.name, t.what) for t in tests]
+    assert [t["value"] for t in told] == pytest.approx([t.value for t in tests], rel=1e-6)
+    page = (written / "index.html").read_text(encoding="utf-8")
+    table = page[page.index("As tests of the geometry state it") : page.index("comes on top")]
+    for t in tests:
+        shown, _ = text.rounded(t.value, t.u)
+        assert f'<td>{t.name}</td><td>{t.what}</td><td class="n">{shown}</td>' in table
+    lines = (written / "compensation.csv").read_text(encoding="utf-8").splitlines()
+    (parameter,) = (line.split(",") for line in lines if line.startswith("EC0Y"))
+    (square,) = (t for t in told if t["name"] == "EC(0X)Y")
+    assert square["standard_uncertainty"] < 0.5 * float(parameter[5])
 
 
 def test_effects_table_repeats_the_record(written):

@@ -18,6 +18,7 @@ from vcal.chain import chain_from_string
 from vcal.effects import CATALOGUE, Setup
 from vcal.errors import StudyError
 from vcal.plots import effect_view
+from vcal.report import geometric_tests
 from vcal.simulate import simulate
 
 CHAIN = "w C A b Y X Z t"
@@ -233,6 +234,20 @@ def test_the_loop_names_the_backlash_of_a_rotary_axis_and_corrects_the_machine(s
     )
     assert after < 0.6 * before and after < 0.12 * none
     assert closure.after.chi2 / closure.after.dof == pytest.approx(1.0, abs=0.15)
+    tests = geometric_tests(closure.after)
+    named = {t.name: t for t in tests if "average line" in t.what or "squareness" in t.what}
+    assert set(named) == {
+        *("EC(0X)Y", "EB(0X)Z", "EA(0Y)Z"),
+        *(f"E{c}0A" for c in "YZBC"),
+        *(f"E{c}0C" for c in "XYAB"),
+    }
+    true = {"EX0C": -18.0, "EY0C": 14.0, "EA0C": 12.0, "EB0C": 0.0, "EB0A": 10.0}
+    # Of the lines, X is the only one that is not straight.
+    x = np.linspace(-0.3, 0.3, 41)
+    path = [point([v, 0, 0.075, 0, 0], errors_of([v, 0, 0.075, 0, 0], 0, 0.0)) for v in x]
+    true["EC(0X)Y"] = -15.0 - 1e6 * np.polyfit(x, np.array(path)[:, 1], 1)[0]
+    for name, value in true.items():
+        assert abs(named[name].value - value) < 3.5 * named[name].u < 40.0, name
 
 
 def test_the_loop_names_the_worm_of_a_rotary_axis(tmp_path):

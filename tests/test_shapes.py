@@ -9,9 +9,10 @@ import pytest
 from scipy.optimize import least_squares, minimize_scalar
 
 from known import Known
-from vcal import Effect, Measurement, Parameter, identify
+from vcal import Effect, Measurement, Parameter, Plan, identify
 from vcal.fit import shape_step
 from vcal.loop.empirical import Kink
+from vcal.loop.heldout import compensated_points
 from vcal.walk import Walk
 
 
@@ -120,6 +121,36 @@ def walked(factor: float, start: float, best: float = 0.3) -> tuple[list[float],
             return places, True
         shapes, begin = walk.onward()
     return places, False
+
+
+def test_what_is_foretold_elsewhere_is_as_certain_as_its_shape(tracker):
+    """Derivatives of tool points by the centre and the width of a hump, against differences."""
+    x = np.asarray(tracker.plan.x("X"))
+    travel, at = float(np.ptp(x)), float(np.quantile(np.unique(x), 0.4))
+    true = {"a": 80.0, "centre": at, "width": 0.12 * travel}
+    hump = Hump(given=tuple((name, float(v), 0.0) for name, v in true.items()))
+    place, model = len(tracker.model.effects), tracker.model.with_effects(Hump())
+    begin = {place: {name: true[name] for name in ("centre", "width")}}
+    measurement = Measurement(tracker.plan, tracker.readings(hump))
+    fit = identify(model, measurement, shapes=begin, room=tracker.room)
+    elsewhere = Plan(tracker.plan.axes, np.asarray(tracker.plan.position)[::7] * 0.9)
+    _, derivative = compensated_points(fit, elsewhere)
+    grids = Hump().scan(tracker.plan)
+    for k, p in enumerate(Hump().shapes, start=len(model.entries)):
+        value = fit.shapes[place][p.name]
+        step = shape_step(p, value, grids)
+        ends = [
+            compensated_points(
+                dataclasses.replace(
+                    fit, shapes={**fit.shapes, place: {**fit.shapes[place], p.name: value + h}}
+                ),
+                elsewhere,
+            )[0]
+            for h in (-1e-4 * step, 1e-4 * step)
+        ]
+        slope = (ends[1] - ends[0]) / 2e-4
+        assert np.abs(slope).max() > 1e-6
+        np.testing.assert_allclose(derivative[:, :, k], slope, atol=1e-6 * np.abs(slope).max())
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.6, 2.8, 6.0])

@@ -9,6 +9,7 @@ solver, so that a new effect, or a new shape, is only new data to a compiled sol
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -169,30 +170,56 @@ def linearised_terms(
         if effect.shapes or i not in fixed:
             fixed[i] = effect_terms(effect, model.layout, plan, shapes.get(i, {}), start)
         blocks.append(fixed[i])
-        for p in effect.shapes:
-            if not p.moves:
-                continue
-            at = {name: jnp.asarray(value, float) for name, value in shapes[i].items()}
-            one = {name: jnp.asarray(float(name == p.name)) for name in at}
-            _, slopes = jax.jvp(lambda s, e=effect: dict(e.response(plan, s)), (at,), (one,))
-            step = shape_step(p, float(shapes[i][p.name]), effect.scan(plan))
-            columns: dict[int, np.ndarray] = {}
-            for (port, name), slope in slopes.items():
-                j = [a.name for a in amplitudes].index(name)
-                size = amplitudes[j].mean * amplitudes[j].si + theta[start + j] * amplitudes[j].step
-                place = model.layout.index(port)
-                columns[place] = columns.get(place, 0.0) + np.asarray(slope) * size * step
-            blocks.append(
-                Terms(
-                    np.zeros_like(blocks[0].offset),
-                    np.stack(list(columns.values()), 1),
-                    np.asarray(list(columns)),
-                    np.full(len(columns), k),
-                )  # type: ignore[arg-type]
-            )
-            k += 1
+        slopes = shape_terms(
+            model, i, plan, shapes[i] if effect.shapes else {}, theta[start:], plan, k
+        )
+        blocks += slopes
+        k += len(slopes)
         start += len(amplitudes)
     return concatenate(blocks, plan.rows, len(model.layout))
+
+
+def shape_terms(
+    model: Model,
+    effect: int,
+    plan: Plan,
+    shape: Mapping[str, Any],
+    theta: np.ndarray,
+    scanned: Plan,
+    first: int,
+) -> list[Terms]:
+    """How the ports change with every smooth shape parameter of the effect at that place of the
+    model, per solver unit: its step on the plan that is `scanned`, which is the one identified on.
+
+    `theta` begins with the effect's own amplitudes; `first` is the place of its first shape
+    parameter in the parameter vector.
+    """
+    one, found = model.effects[effect], []
+    moving = [p for p in one.shapes if p.moves]
+    grids = one.scan(scanned) if moving else {}
+    sizes = {
+        a.name: a.mean * a.si + value * a.step
+        for a, value in zip(one.amplitudes, theta, strict=False)
+    }
+    at = {name: jnp.asarray(value, float) for name, value in shape.items()}
+    for p in moving:
+        along = {name: jnp.asarray(float(name == p.name)) for name in at}
+        _, slopes = jax.jvp(lambda s: dict(one.response(plan, s)), (at,), (along,))
+        step = shape_step(p, float(shape[p.name]), grids)
+        columns: dict[int, np.ndarray] = {}
+        for (port, name), slope in slopes.items():
+            place = model.layout.index(port)
+            slope = np.broadcast_to(np.asarray(slope), (plan.rows,))
+            columns[place] = columns.get(place, 0.0) + slope * sizes[name] * step
+        found.append(
+            Terms(
+                np.zeros((plan.rows, len(model.layout))),
+                np.stack(list(columns.values()), 1),
+                np.asarray(list(columns)),
+                np.full(len(columns), first + len(found)),
+            )  # type: ignore[arg-type]
+        )
+    return found
 
 
 def declared_whitener(model: Model, measurement: Measurement) -> np.ndarray:

@@ -8,8 +8,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ..fit import Fit
+from ..identify import shape_terms
 from ..measurement import CheckPoints, Measurement
 from ..model import Model, Terms, concatenate, effect_terms, tool_points_with_jacobian
+from ..plan import Plan
 from ..spatial import align_rigid
 from .doubt import Doubt
 
@@ -139,37 +141,62 @@ def heldout_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
     return rms(squared_errors(fit, np.where(kept, heldout_residuals(fit), np.nan)))
 
 
-def machine_terms(fit: Fit, plan) -> tuple[Terms, np.ndarray]:
-    """Terms, at another plan, of the effects that move the tool point, and which entries of theta
-    they use; effects that lack a covariate there are left out.
+def machine_terms(fit: Fit, plan: Plan) -> tuple[Terms, Terms]:
+    """Terms, at another plan, of the effects that move the tool point, and how their ports change
+    with the shape parameters that were fitted; effects that lack a covariate there are left out.
     """
-    model = fit.model
-    blocks, start, used = [], 0, np.zeros(len(fit.theta), bool)
+    model, theta = fit.model, fit.theta
+    blocks: list[Terms] = []
+    slopes: list[Terms] = []
+    start, shape_start = 0, len(model.entries)
     for i, effect in enumerate(model.effects):
-        count = len(effect.amplitudes)
         shape = fit.shapes.get(i, {})
         if effect.where == "machine" and plan.has(*effect.needs_at(shape)):
             blocks.append(effect_terms(effect, model.layout, plan, shape, start))
-            used[start : start + count] = True
-        start += count
-    return concatenate(blocks, plan.rows, len(model.layout)), used
+            measured = fit.measurement.plan
+            slopes += shape_terms(model, i, plan, shape, theta[start:], measured, shape_start)
+        start += len(effect.amplitudes)
+        shape_start += sum(p.moves for p in effect.shapes)
+    ports = len(model.layout)
+    return concatenate(blocks, plan.rows, ports), concatenate(slopes, plan.rows, ports)
 
 
-def compensated_points(fit: Fit, plan) -> tuple[np.ndarray, np.ndarray]:
+def compensated_points(fit: Fit, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Tool points of the identified machine (n, 3), m, and their derivative (n, 3, k) with respect
-    to the amplitudes in solver units.
+    to the parameters in solver units.
     """
-    terms, _ = machine_terms(fit, plan)
+    terms, slopes = machine_terms(fit, plan)
     size = len(fit.model.layout)
     ports = terms.offset + (terms.values * fit.theta[terms.parameter]) @ np.eye(size)[terms.port]
     points, by_port = (
         np.asarray(v)
         for v in tool_points_with_jacobian(fit.model.chain, np.asarray(plan.position), ports)
     )
-    by_term = by_port[:, :, terms.port] * terms.values[:, None, :]
-    gather = np.zeros((len(terms.parameter), len(fit.theta)))
-    gather[np.arange(len(terms.parameter)), terms.parameter] = 1.0
-    return points, by_term @ gather
+    derivative = np.zeros((*points.shape, len(fit.theta)))
+    for part in (terms, slopes):
+        gather = np.zeros((len(part.parameter), len(fit.theta)))
+        gather[np.arange(len(part.parameter)), part.parameter] = 1.0
+        derivative += (by_port[:, :, part.port] * part.values[:, None, :]) @ gather
+    return points, derivative
+
+
+def compensated_in_blocks(
+    fit: Fit, position: np.ndarray, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """`compensated_points` at axis positions (n, axes), m or rad, in blocks of `size` rows: as many
+    as something has that is compiled already. What does not depend on the positions alone is not in
+    it.
+    """
+    blocks = -(-len(position) // size)
+    padded = np.concatenate([position, np.repeat(position[:1], blocks * size - len(position), 0)])
+    found = [
+        compensated_points(fit, Plan(fit.model.chain.axes, block))
+        for block in np.split(padded, blocks)
+    ]
+    points, jacobian = (
+        np.concatenate(parts)[: len(position)] for parts in zip(*found, strict=True)
+    )
+    return points, jacobian
 
 
 def check_rms(fit: Fit, check: CheckPoints, doubts: Sequence[Doubt] = ()) -> tuple[Rms, Rms]:

@@ -12,9 +12,13 @@ from matplotlib.ticker import LogFormatter
 
 from ..fit import Fit
 from ..loop.doubt import Doubt, of_doubts
-from ..loop.heldout import compensated_points, heldout_residuals, squared_errors
+from ..loop.heldout import (
+    compensated_in_blocks,
+    compensated_points,
+    heldout_residuals,
+    squared_errors,
+)
 from ..measurement import CheckPoints
-from ..plan import Plan
 from ..spatial import align_rigid
 from .mid_planes import PLANES, PlaneRow, colour_bar, mid_planes
 from .style import (
@@ -80,7 +84,7 @@ def error_field(
     nominal = position[:, order] + np.asarray(chain.tool_offset)
 
     def points(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-        return _in_blocks(fit, position, size or len(position))
+        return compensated_in_blocks(fit, position, size or len(position))
 
     def identified(fit: Fit) -> np.ndarray:
         return align_rigid(nominal, points(fit)[0] - nominal)
@@ -109,20 +113,6 @@ def _plane(axes: Sequence[str], line, middle, first: str, second: str) -> np.nda
     block[:, :, axes.index(first)] = line[first][:, None]
     block[:, :, axes.index(second)] = line[second]
     return block.reshape(-1, len(axes))
-
-
-def _in_blocks(fit: Fit, position: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """`compensated_points` at positions, in blocks of `size` rows."""
-    blocks = -(-len(position) // size)
-    padded = np.concatenate([position, np.repeat(position[:1], blocks * size - len(position), 0)])
-    found = [
-        compensated_points(fit, Plan(fit.model.chain.axes, block))
-        for block in np.split(padded, blocks)
-    ]
-    points, jacobian = (
-        np.concatenate(parts)[: len(position)] for parts in zip(*found, strict=True)
-    )
-    return points, jacobian
 
 
 def field(values: Field) -> Figure:

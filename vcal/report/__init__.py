@@ -1,6 +1,7 @@
 """Reports: a page to read, a record for programs, tables, pictures."""
 
 from .compensation import compensation_csv, effects_csv, error_motion_tables
+from .geometry import GeometricTest, geometric_tests
 from .picture import Picture
 from .record import SCHEMA, record
 from .sheet import Badge, Section, Table, Tile, sheet
@@ -13,6 +14,7 @@ __all__ = [
     "SCHEMA",
     "VIRTUAL_SCHEMA",
     "Badge",
+    "GeometricTest",
     "Picture",
     "Section",
     "Table",
@@ -22,6 +24,7 @@ __all__ = [
     "compensation_csv",
     "effects_csv",
     "error_motion_tables",
+    "geometric_tests",
     "record",
     "sentence",
     "sheet",

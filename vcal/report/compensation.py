@@ -34,15 +34,9 @@ def error_motion_tables(
     `doubts` may be others, with which error motions are not the same, that is part of the
     uncertainty.
     """
-    lines = [_line(fit, axis, nodes) for axis in fit.model.chain.axes]
-    functions = _functions(fit, lines)
-    proper = fit.precision > 0
-    spread = _Spread(
-        stated=fit.covariance,
-        # The share of information is that of the plan, whatever the residuals turned out to be.
-        planned=cho_solve(fit.factor, np.eye(len(fit.theta))),
-        prior=np.where(proper, 1.0 / np.where(proper, fit.precision, 1.0), 0.0),
-    )
+    lines = [line_of(fit, axis, nodes) for axis in fit.model.chain.axes]
+    functions = functions_on(fit, lines)
+    spread = Spread.of_fit(fit)
     doubted = _doubted(doubts, lines, {name: len(mean) for name, (_, mean) in functions.items()})
     return [
         _table(name, *functions[name], doubted[name], fit, spread, lines)
@@ -50,7 +44,7 @@ def error_motion_tables(
     ]
 
 
-def _functions(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def functions_on(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """F (nodes, k) of every error motion on these positions of every axis, or (1, k) of a location
     error, and its mean, SI.
     """
@@ -88,7 +82,7 @@ def _doubted(
     """
 
     def of(fit: Fit) -> np.ndarray:
-        functions = _functions(fit, lines)
+        functions = functions_on(fit, lines)
         found = {name: mean + block @ fit.theta for name, (block, mean) in functions.items()}
         # What one of them has and another has not, such as a degree more, is nothing there.
         return np.concatenate([found.get(name, np.zeros(n)) for name, n in sizes.items()])
@@ -101,12 +95,23 @@ def _doubted(
 
 
 @dataclass(frozen=True)
-class _Spread:
+class Spread:
     """Covariances of theta: as stated, as planned, and the diagonal of the prior's."""
 
     stated: np.ndarray
     planned: np.ndarray
     prior: np.ndarray
+
+    @classmethod
+    def of_fit(cls, fit: Fit) -> "Spread":
+        """Those of a fit."""
+        proper = fit.precision > 0
+        return cls(
+            stated=fit.covariance,
+            # The share of information is that of the plan, whatever the residuals turned out to be.
+            planned=cho_solve(fit.factor, np.eye(len(fit.theta))),
+            prior=np.where(proper, 1.0 / np.where(proper, fit.precision, 1.0), 0.0),
+        )
 
     def of(self, block: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Standard uncertainty, prior standard deviation and share of information of F theta."""
@@ -125,7 +130,8 @@ def _sorted(names: Iterable[str], axes: Sequence[str]) -> list[str]:
     return sorted(names, key=lambda name: order.index(name) if name in order else len(order))
 
 
-def _line(fit: Fit, axis: str, nodes: int) -> np.ndarray:
+def line_of(fit: Fit, axis: str, nodes: int) -> np.ndarray:
+    """So many positions of an axis over its travel, or over the range used where it has none."""
     joint = fit.model.chain.joint(axis)
     low, high = np.asarray(joint.travel, float)
     if joint.kind == "revolute" or not (math.isfinite(low) and math.isfinite(high)):
@@ -140,7 +146,7 @@ def _table(
     mean: np.ndarray,
     doubted: np.ndarray,
     fit: Fit,
-    spread: _Spread,
+    spread: Spread,
     lines: Sequence[np.ndarray],
 ) -> ErrorMotionTable:
     axes = fit.model.chain.axes

@@ -30,6 +30,7 @@ from .derived import (
     untested_beside,
     untested_in_words,
 )
+from .geometry import GeometricTest
 from .own_effect import own_effect
 from .picture import Picture
 from .record import plain, versions
@@ -53,6 +54,7 @@ def page(
     study: Study,
     tables: Sequence[ErrorMotionTable],
     drawn: Sequence[Picture],
+    tests: Sequence[GeometricTest] = (),
     *,
     command: str = "",
     seconds: float = math.nan,
@@ -114,6 +116,7 @@ def page(
         ],
         locations=[_location(t) for t in tables if not len(t.position)],
         motions=[_motion(t) for t in tables if len(t.position)],
+        tests=[_test(t) for t in tests],
         information=_information(closure),
         arm=study.chain.arm,
         rotary=not study.chain.arm and not study.chain.linear,
@@ -436,6 +439,11 @@ def _unseen(closure: Closure, summaries: Mapping[str, str]) -> list[dict[str, st
 def _location(table: ErrorMotionTable) -> dict[str, str]:
     row = _parameter(table.name, float(table.value[0]), table.unit, float(table.u[0]))
     return row | {"axis": table.axis, "information": text.percent(float(table.information[0]))}
+
+
+def _test(test: GeometricTest) -> dict[str, str]:
+    row = _parameter(test.name, test.value, test.unit, test.u)
+    return row | {"what": test.what, "information": text.percent(test.information)}
 
 
 def _motion(table: ErrorMotionTable) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,16 +21,23 @@ from ..loop.unexplained import Unexplained
 from ..plan import Plan
 from ..plots import column_of
 from .derived import Listed, declared, missing_columns, parameters, untested_beside
+from .geometry import GeometricTest
 
 SCHEMA = "vcal-report/1"
 _PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
 
 
 def record(
-    closure: Closure, study: Study, *, command: str = "", seconds: float = math.nan
+    closure: Closure,
+    study: Study,
+    tests: Sequence[GeometricTest] = (),
+    *,
+    command: str = "",
+    seconds: float = math.nan,
 ) -> dict[str, Any]:
     """Everything a program wants to know of a closure, as plain values; see `SCHEMA`. Of a study
-    with several data sets also the share of each, as `data_sets`.
+    with several data sets also the share of each, as `data_sets`. `tests` of its geometry are put
+    in as `geometry`.
 
     An effect whose `placement` is a class of several, ``"X|Y"``, has the parameters that it has at
     its `fitted_placement`. What is `unexplained` has a `size_um` and a `share_of_variance`; of what
@@ -51,6 +58,18 @@ def record(
             for e, listed in declared(closure)
         ],
         "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
+        "geometry": [
+            {
+                "name": test.name,
+                "what": test.what,
+                "axis": test.axis,
+                "value": test.value,
+                "unit": test.unit,
+                "standard_uncertainty": test.u,
+                "information_share": test.information,
+            }
+            for test in tests
+        ],
         "unexplained": _unexplained(closure.unexplained, closure.after),
         "variance": closure.variance,
         "noise_scale": closure.noise_scale,

@@ -9,6 +9,7 @@ from ..io.messages import listed, refusal
 from ..io.study import Study
 from ..loop.closure import Closure
 from .compensation import compensation_csv, effects_csv, error_motion_tables
+from .geometry import geometric_tests
 from .own_effect import FILE, own_effect
 from .page import page
 from .pictures import pictures
@@ -63,9 +64,12 @@ def _make(
 ) -> Sequence[str]:
     """All files of the report in the folder `work`; returns their names."""
     tables = error_motion_tables(closure.after, doubts=closure.doubts)
+    size = 0 if closure.check is None else closure.check.plan.rows
+    tests = geometric_tests(closure.after, doubts=closure.doubts, size=size)
     drawn = list(pictures(closure, tables))
+    told = {"command": command, "seconds": seconds}
     texts = {
-        "index.html": page(closure, study, tables, drawn, command=command, seconds=seconds),
+        "index.html": page(closure, study, tables, drawn, tests, **told),
         "compensation.csv": compensation_csv(tables),
         "effects.csv": effects_csv(closure),
     }
@@ -74,7 +78,7 @@ def _make(
         texts[FILE] = template
     # The record comes last: a folder counts as a report by it.
     files = [*(picture.file for picture in drawn), *texts, _PLACE.record]
-    content = record(closure, study, command=command, seconds=seconds) | {"files": files}
+    content = record(closure, study, tests, **told) | {"files": files}
     texts[_PLACE.record] = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     for picture in drawn:
         (work / picture.file).write_bytes(picture.data)
