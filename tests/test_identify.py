@@ -13,7 +13,7 @@ from vcal import Measurement, Model, identify, load_study, predict
 from vcal.fit import null_directions
 from vcal.identify import declared_whitener
 from vcal.instruments.ball_array import ArtefactPoses
-from vcal.loop.heldout import check_rms, heldout_residuals
+from vcal.loop.heldout import check_rms, heldout_residuals, rms
 from vcal.simulate import simulate
 
 
@@ -223,6 +223,22 @@ def test_held_out_residuals_against_a_refit_tracker(tracker):
         size = again.residual[rows] * fit.whitener[rows][:, [0, 1, 2], [0, 1, 2]]
         assert np.linalg.norm(off) < 0.01 * np.linalg.norm(size)
         assert np.linalg.norm(size) > 1.05 * np.linalg.norm(fit.whitened.reshape(-1, 3)[rows])
+
+
+def test_an_rms_is_as_certain_as_what_its_rows_share():
+    """Twenty poses with eight rows each that share most of their error: u of the rms is how much it
+    scatters from one sample to the next.
+    """
+    rng = np.random.default_rng(8)
+    poses = np.repeat(np.arange(20), 8)
+    found, alone = [], []
+    for _ in range(400):
+        error = rng.standard_normal(20)[poses] + 0.3 * rng.standard_normal(160)
+        found.append(rms(1e-12 * error**2, poses))
+        alone.append(rms(1e-12 * error**2).u)
+    scatter = np.std([one.value for one in found])
+    assert np.mean([one.u for one in found]) == pytest.approx(scatter, rel=0.12)
+    assert np.mean(alone) < 0.5 * scatter
 
 
 def test_held_out_residuals_against_a_refit_balls(balls):

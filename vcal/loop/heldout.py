@@ -121,12 +121,22 @@ def squared_errors(fit: Fit, residuals: np.ndarray) -> np.ndarray:
     return squares[told].sum(1) * instrument.dimensions(plan)[told] / readings
 
 
-def rms(squares: np.ndarray) -> Rms:
-    """Root of the mean of squared errors (m^2) with the uncertainty from their scatter, um."""
+def rms(squares: np.ndarray, shared: np.ndarray | None = None) -> Rms:
+    """Root of the mean of squared errors (m^2) with the uncertainty from their scatter, um.
+
+    Errors with the same number in `shared` (n,) have something in common: where there are enough of
+    such groups the scatter is that of the groups' sums, as of a sample of clusters.
+    """
     if not len(squares):
         return Rms(math.nan, math.nan)
     value = math.sqrt(squares.mean())
-    u = squares.std() / math.sqrt(len(squares)) / (2.0 * value) if value > 0 else 0.0
+    scatter = squares.std() / math.sqrt(len(squares))
+    groups = 0 if shared is None else len(np.unique(shared))
+    if groups >= _FEW:
+        _, place = np.unique(shared, return_inverse=True)
+        sums = np.bincount(place, squares - squares.mean())
+        scatter = math.sqrt(groups / (groups - 1) * (sums @ sums)) / len(squares)
+    u = scatter / (2.0 * value) if value > 0 else 0.0
     return Rms(value * 1e6, u * 1e6)
 
 
@@ -136,9 +146,16 @@ def fit_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
 
 
 def heldout_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
-    """3-D rms of the held-out residuals, um; of `rows` (n,) only."""
+    """3-D rms of the held-out residuals, um; of `rows` (n,) only. What is foretold as one, and the
+    rows of one pose or run, share what is wrong with it.
+    """
+    plan = fit.measurement.plan
     kept = np.broadcast_to(rows, fit.used.shape)[:, None]
-    return rms(squared_errors(fit, np.where(kept, heldout_residuals(fit), np.nan)))
+    residual = np.where(kept, heldout_residuals(fit), np.nan)
+    common = [folds_of(fit.model, fit.measurement)[0]]
+    common += [np.asarray(plan.groups[name]) for name in ("pose", "run") if name in plan.groups]
+    _, shared = np.unique(np.column_stack(common), axis=0, return_inverse=True)
+    return rms(squared_errors(fit, residual), shared.ravel()[np.isfinite(residual).all(1)])
 
 
 def machine_terms(fit: Fit, plan: Plan) -> tuple[Terms, Terms]:
