@@ -40,6 +40,8 @@ from .rigid import (
 _DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 _ABOUT = dict(zip("ABC", _DIRECTIONS.values(), strict=True))
 """Nominal directions of rotary axes: A turns about X, B about Y, C about Z (ISO 841)."""
+UPRIGHT = "+Z"
+"""The axis that points against gravity where nothing is said."""
 
 
 class Joint(Record):
@@ -101,6 +103,8 @@ class Chain(Record):
     """From the last joint's frame to the tool point, m."""
     text: str = eqx.field(static=True, default="")
     """The chain as it was declared, for reports."""
+    up: tuple[float, float, float] = eqx.field(static=True, default=(0.0, 0.0, 1.0))
+    """Unit vector against gravity in the frame of the bed, or of an arm's base."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -304,6 +308,7 @@ def chain_from_string(
     travel: Mapping[str, Sequence[float]] | None = None,
     tool_offset_m: Sequence[float] = (0.0, 0.0, 0.0),
     rotary_m: Mapping[str, Sequence[float]] | None = None,
+    up: str = UPRIGHT,
 ) -> Chain:
     """A machine tool from its ISO 10791-6 description, such as ``"w X b Y Z t"`` or, with rotary
     axes A, B or C, ``"w C A b X Y Z t"``.
@@ -313,7 +318,8 @@ def chain_from_string(
     and with ``F`` or ``b`` for the bed (``"XFYZ"``) is understood too. `travel` is in m or rad;
     `rotary_m` gives a point on every rotary axis with all axes at zero, m: its reference point,
     about which it tilts. The frame of the machine is the one in which the tool point is then at the
-    tool offset.
+    tool offset. `up` is the axis that points against gravity, ``"+Y"`` where the spindle is
+    horizontal.
 
     Raises `ValueError` if the string does not start at ``w`` and end at ``t`` with one bed in
     between, or names an axis twice, or one that is none of X, Y, Z, A, B and C; if `rotary_m`
@@ -367,19 +373,33 @@ def chain_from_string(
         tool_side=tuple(order.index(a) for a in letters[bed + 1 : -1]),
         workpiece_side=tuple(order.index(a) for a in reversed(letters[1:bed])),
         tool_offset=np.asarray(tool_offset_m, float),
-        text=" ".join(letters),
+        text=" ".join(letters) + _standing(up),
+        up=_upward(up),
     )
 
 
+def _upward(up: str) -> tuple[float, float, float]:
+    sign = -1.0 if up[0] == "-" else 1.0
+    x, y, z = (0.0 if v == 0.0 else sign * v for v in _DIRECTIONS[up[1]])
+    return x, y, z
+
+
+def _standing(up: str) -> str:
+    return "" if up == UPRIGHT else f", {up} up"
+
+
 def chain_from_dh(
-    rows: Sequence[Mapping[str, float | str]], tool_offset_m: Sequence[float] = (0.0, 0.0, 0.0)
+    rows: Sequence[Mapping[str, float | str]],
+    tool_offset_m: Sequence[float] = (0.0, 0.0, 0.0),
+    up: str = UPRIGHT,
 ) -> Chain:
     """A chain from standard Denavit-Hartenberg rows, base to flange.
 
     Each row: ``type`` (``"revolute"`` or ``"prismatic"``), ``a``, ``d`` (m), ``alpha``, ``theta``
     (rad); the joint variable is added to theta or to d. T = Rz(theta) Tz(d) Tx(a) Rx(alpha). The
     error twist acts behind the joint's motion and before the link. Optional ``low`` and ``high``
-    bound the joint variable. Joints are named J1, J2, ...
+    bound the joint variable. Joints are named J1, J2, ... `up` is the axis of the base that points
+    against gravity, ``"-Z"`` for an arm that hangs.
     """
     joints = []
     for i, row in enumerate(rows):
@@ -406,5 +426,6 @@ def chain_from_dh(
         tool_side=tuple(range(len(joints))),
         workpiece_side=(),
         tool_offset=np.asarray(tool_offset_m, float),
-        text=f"{len(joints)} joints, standard DH",
+        text=f"{len(joints)} joints, standard DH" + _standing(up),
+        up=_upward(up),
     )

@@ -14,7 +14,7 @@ all pairs of balls (`pairs_precision`), which says nothing of its place, and acr
 straight artefact nothing of its shape.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -92,16 +92,19 @@ class Conditions(NamedTuple):
         return cls(tuple(range(m)), tuple(range(n)), {})
 
 
-def derived(poses: ArrayPoses, beam: Float[np.ndarray, "3"]) -> dict[str, Float[Array, "m N"]]:
-    """Covariates that follow from the poses and the artefact: gravity and places of the balls
-    in its frame, and places along the `beam`, the direction of its long axis.
+def derived(
+    poses: ArrayPoses, beam: Float[np.ndarray, "3"], up: Sequence[float]
+) -> dict[str, Float[Array, "m N"]]:
+    """Covariates that follow from the poses and the artefact: gravity, against which `up` is in the
+    frame of the machine, and places of the balls in its frame, and places along the `beam`, the
+    direction of its long axis.
     """
     m, n = poses.rotation.shape[0], poses.balls.shape[0]
-    down = -poses.rotation[:, 2, :]
+    down = -jnp.einsum("i,mij->mj", jnp.asarray(up), poses.rotation)
     arm = poses.balls - poses.balls.mean(0)
     along = arm @ beam
     along = (along - along.min()) / (along.max() - along.min())
-    found = {f"gravity_{c}": down[:, i, None] for i, c in enumerate("xyz")}
+    found: dict[str, Array] = {f"gravity_{c}": down[:, i, None] for i, c in enumerate("xyz")}
     found["tilt"] = jnp.arcsin(jnp.clip(-down @ beam, -1.0, 1.0))[:, None]
     found["along_beam"] = along[None]
     found |= {f"ball_{c}": poses.balls[None, :, i] for i, c in enumerate("xyz")}

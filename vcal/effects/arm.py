@@ -22,15 +22,15 @@ _KEPT = 1e-2
 def gravity_levers(chain: Chain, position: np.ndarray, joint: str) -> np.ndarray:
     """Torque about a joint per unit weight at each later frame's origin: (n, later), in m.
 
-    z_j . ((o_k - o_j) x g) with g the unit vector of gravity, -z of the base, for the origins o_k
-    of the frames after joint j and of the tool flange.
+    z_j . ((o_k - o_j) x g) with g the unit vector of gravity, for the origins o_k of the frames
+    after joint j and of the tool flange.
     """
     j = chain.axes.index(joint)
     rotations, origins, flange = (np.asarray(v) for v in _geometry(chain, position))
     z = rotations[:, j] @ np.asarray(chain.joints[j].direction)
     points = np.concatenate([origins[:, j + 1 :], flange[:, None]], axis=1)
     arms = points - origins[:, j, None]
-    return np.einsum("ni,nki->nk", z, np.cross(arms, np.array([0.0, 0.0, -1.0])))
+    return np.einsum("ni,nki->nk", z, np.cross(arms, -np.array(chain.up)))
 
 
 @eqx.filter_jit

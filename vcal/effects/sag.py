@@ -22,8 +22,7 @@ class PayloadSag(Effect):
 
     With s the overhang as a share of the travel L, m the payload in kg and c the deflection per kg
     at full overhang, the tip falls by c m s^3 (F l^3 / 3 E I) and turns downwards by
-    1.5 c m s^2 / L (F l^2 / 2 E I). The ram is clamped at the low or the high end of the travel;
-    gravity acts along -Z of the workpiece frame.
+    1.5 c m s^2 / L (F l^2 / 2 E I). The ram is clamped at the low or the high end of the travel.
     """
 
     name = "payload_sag"
@@ -32,6 +31,8 @@ class PayloadSag(Effect):
     high: float
     clamped: Literal["low", "high"] = eqx.field(static=True, default="low")
     """End of the travel at which nothing of the ram is out."""
+    up: tuple[float, float, float] = eqx.field(static=True, default=(0.0, 0.0, 1.0))
+    """Unit vector against gravity."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -46,21 +47,31 @@ class PayloadSag(Effect):
         out = plan.x(axis) - self.low if self.clamped == "low" else self.high - plan.x(axis)
         s = namespace(out).clip(out / length, 0.0, 1.0)
         load = plan.covariate("payload_kg")
-        away = 1.0 if self.clamped == "low" else -1.0
-        # A positive rotation about X lifts what is at +Y, one about Y lowers what is at +X.
-        turn, sign = ("A", -away) if axis == "Y" else ("B", away)
-        name = self.parameters[0].name
-        return {
-            (f"EZ{axis}", name): -load * s**3,
-            (f"E{turn}{axis}", name): sign * 1.5 * load * s**2 / length,
-        }
+        away = np.eye(3)["XYZ".index(axis)] * (1.0 if self.clamped == "low" else -1.0)
+        down = -np.array(self.up)
+        name, falls = self.parameters[0].name, {}
+        # Away from where it is clamped the ram turns towards where it falls to.
+        for size, components, way in (
+            (load * s**3, "XYZ", down),
+            (1.5 * load * s**2 / length, "ABC", np.cross(away, down)),
+        ):
+            for component, part in zip(components, way, strict=True):
+                if part:
+                    falls[f"E{component}{axis}", name] = float(part) * size
+        return falls
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         for joint in setup.chain.joints:
-            level = abs(float(np.asarray(joint.direction)[2])) < _LEVEL
+            level = abs(float(np.dot(joint.direction, setup.chain.up))) < _LEVEL
             carries = joint.kind == "prismatic" and joint.side == "tool"
             if carries and level and np.isfinite(joint.travel).all():
                 low, high = (float(v) for v in joint.travel)
                 for clamped in ("low", "high"):
-                    yield cls(low=low, high=high, clamped=clamped, placement=joint.name)
+                    yield cls(
+                        low=low,
+                        high=high,
+                        clamped=clamped,
+                        up=setup.chain.up,
+                        placement=joint.name,
+                    )

@@ -229,18 +229,24 @@ class BallArray(TableInstrument):
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
         plan = linear_plan(chain, table)
         turn = None if chain.linear else chain.turn(np.asarray(plan.position))
-        return self.start(chain, plan, np.zeros((plan.rows, 3))).with_geometry(plan, turn)
+        return self.start(chain, plan, np.zeros((plan.rows, 3))).with_geometry(plan, turn, chain.up)
 
-    def with_geometry(self, plan: Plan, turn: np.ndarray | None = None) -> Plan:
+    def with_geometry(
+        self,
+        plan: Plan,
+        turn: np.ndarray | None = None,
+        up: Sequence[float] = (0.0, 0.0, 1.0),
+    ) -> Plan:
         """A plan with what follows from the artefact and its poses: the direction of gravity, the
         tilt of the beam, and every ball's place in the artefact's frame. `turn` (n, 3, 3) takes the
-        bed's frame to that of the workpiece, where they differ.
+        bed's frame, in which `up` is against gravity, to that of the workpiece, where they differ.
         """
         index = np.searchsorted(self.pose_numbers, plan.groups["pose"])
         beam, along = self.beam()
         poses = self.pose_rotation[index]
         # Gravity in the artefact's frame.
-        down = -poses[:, 2, :] if turn is None else -np.einsum("nij,ni->nj", poses, turn[:, :, 2])
+        upward = np.broadcast_to(up, (plan.rows, 3)) if turn is None else turn @ np.asarray(up)
+        down = -np.einsum("nij,ni->nj", poses, upward)
         derived = {f"gravity_{c}": down[:, i] for i, c in enumerate("xyz")}
         derived["tilt"] = np.arcsin(np.clip(-down @ beam, -1.0, 1.0))
         derived["along_beam"] = along[self._ball_rows(plan)]

@@ -118,6 +118,9 @@ class MachineSettings(Table):
     rotary: dict[Literal["A", "B", "C"], RotarySettings] = {}
     """The rotary axes of the chain."""
     joint: tuple[JointSettings, ...] = ()
+    up: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"] = "+Z"
+    """Which axis points against gravity: "+Y" where the spindle is horizontal, "-Z" for an arm that
+    hangs from the ceiling."""
     base: str | None = None
     """A remark on where the arm's base stands; its pose is always identified."""
 

@@ -291,7 +291,7 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
                     "high": high,
                 }
             )
-        return chain_from_dh(rows, offset)
+        return chain_from_dh(rows, offset, machine.up)
     travel = {axis: (low * 1e-3, high * 1e-3) for axis, (low, high) in machine.travel_mm.items()}
     rotary = {}
     for axis, row in machine.rotary.items():
@@ -301,7 +301,7 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
             travel[axis] = math.radians(low), math.radians(high)
     _check_rotary(machine, file)
     try:
-        chain = chain_from_string(machine.chain, travel, offset, rotary)
+        chain = chain_from_string(machine.chain, travel, offset, rotary, machine.up)
     except ValueError as error:
         found, _, expected = str(error).rpartition("expected ")
         raise refusal(

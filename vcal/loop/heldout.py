@@ -131,11 +131,11 @@ def rms(squares: np.ndarray, shared: np.ndarray | None = None) -> Rms:
         return Rms(math.nan, math.nan)
     value = math.sqrt(squares.mean())
     scatter = squares.std() / math.sqrt(len(squares))
-    groups = 0 if shared is None else len(np.unique(shared))
-    if groups >= _FEW:
-        _, place = np.unique(shared, return_inverse=True)
-        sums = np.bincount(place, squares - squares.mean())
-        scatter = math.sqrt(groups / (groups - 1) * (sums @ sums)) / len(squares)
+    if shared is not None:
+        found, place = np.unique(shared, return_inverse=True)
+        if (groups := len(found)) >= _FEW:
+            sums = np.bincount(place, squares - squares.mean())
+            scatter = math.sqrt(groups / (groups - 1) * (sums @ sums)) / len(squares)
     u = scatter / (2.0 * value) if value > 0 else 0.0
     return Rms(value * 1e6, u * 1e6)
 

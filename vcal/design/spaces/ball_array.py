@@ -255,7 +255,7 @@ class BallArraySpace(PlanSpace):
     def information(
         self, placed: Placed, model: Model, weights: Float[Array, " g"]
     ) -> Float[Array, "k+s k+s"]:
-        covariates = {**placed.covariates, **derived(placed.poses, self.beam)}
+        covariates = {**placed.covariates, **derived(placed.poses, self.beam, self.chain.up)}
         conditions = Conditions(self.groups, self.numbers, covariates)
         seen = probed(model, placed.poses, self.device.probe_sigma, conditions)
         if not self.touched.all():
@@ -291,7 +291,7 @@ class BallArraySpace(PlanSpace):
         poses, balls = np.nonzero(self.touched)
         order = np.argsort(self.row[poses, balls], kind="stable")
         poses, balls = poses[order], balls[order]
-        covariates = {**placed.covariates, **derived(placed.poses, self.beam)}
+        covariates = {**placed.covariates, **derived(placed.poses, self.beam, self.chain.up)}
         return Plan(
             self.chain.axes,
             position[poses, balls],
