@@ -241,7 +241,9 @@ def test_correlated_noise_gets_no_name(tracker):
     assert "follow each other" in beside.unexplained.reason
 
 
-@pytest.mark.parametrize(("seed", "phi"), [(3, 0.9), (5, 0.98)])
+@pytest.mark.parametrize(
+    ("seed", "phi"), [(3, 0.9), pytest.param(5, 0.98, marks=pytest.mark.campaign)]
+)
 def test_noise_that_only_persists_is_told_as_such(tracker, seed, phi):
     """Whatever changes slowly describes some of it: no jump, no temperature, no product of them."""
     closure = closed(tracker, with_noise(tracker, persisting(tracker, seed, phi)))
@@ -348,6 +350,7 @@ def test_one_gross_reading_does_not_take_its_neighbours_along(tmp_path):
     assert [stray.row for stray in stray_rows(fit, lambda: robust)] == [row]
 
 
+@pytest.mark.slow
 def test_one_gross_reading_among_those_that_are_only_foretold(tmp_path):
     arm = Known("reflectors", tmp_path)
     folds, apart = arm.instrument.folds(arm.plan)
@@ -403,7 +406,7 @@ def test_readings_without_any_noise(tracker):
     assert any("scatter at most 0.01 times" in note for note in closure.notes)
 
 
-@pytest.mark.parametrize("size", [0.0, 20.0])
+@pytest.mark.parametrize("size", [0.0, pytest.param(20.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "instrument", ["ball_array", pytest.param("laser_tracker", marks=pytest.mark.slow)]
 )
@@ -588,6 +591,7 @@ def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch)
     assert closure.rejected[0].effect == "backlash"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_noise_alone_depends_on_nothing_however_large_it_is(seed):
     """Five times the declared noise: the best of all columns describes one per cent, by chance."""

@@ -323,7 +323,7 @@ BUMPS = {
 
 @pytest.mark.parametrize(
     "way",
-    [pytest.param(w, marks=pytest.mark.slow if w == "around" else ()) for w in BUMPS],
+    [pytest.param(w, marks=pytest.mark.slow if w != "tool.Z" else ()) for w in BUMPS],
 )
 def test_a_circle_with_bumps_is_told_by_its_angle(tmp_path, way):
     """They were periods of a scale, or quadrant peaks."""
@@ -346,7 +346,11 @@ def test_a_circle_with_bumps_is_told_by_its_angle(tmp_path, way):
 
 @pytest.mark.parametrize(
     ("name", "axis"),
-    [("stribeck_friction", ""), ("coulomb_friction", ""), ("coulomb_friction", "Y")],
+    [
+        pytest.param("stribeck_friction", "", marks=pytest.mark.slow),
+        ("coulomb_friction", ""),
+        pytest.param("coulomb_friction", "Y", marks=pytest.mark.slow),
+    ],
 )
 def test_friction_that_depends_on_the_speed_has_its_name(tmp_path, name, axis):
     """It was a quadrant peak without an end, or plays, lags and friction that falls, of the sign
@@ -371,9 +375,8 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize(
-    "of", [pytest.param(c, marks=pytest.mark.campaign if c == "length" else ()) for c in CHANGES]
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("of", [*CHANGES])
 def test_quadrant_peaks_that_change_with_the_acceleration(tmp_path, of):
     """What they leave was a cross-talk, probes worse than declared, and more of that."""
     parts = []
@@ -455,6 +458,7 @@ def test_a_row_at_a_reversal_is_on_the_side_it_came_from():
         np.testing.assert_allclose(circle.since_reversal(t)[[60, 120], 0], 4e-3, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_vibration_is_told_by_its_frequency_in_time(tmp_path):
     """On every circle it comes round another number of times."""
     table = circles(matrix=np.zeros((3, 3)), samples=120, seed=7)
@@ -517,7 +521,7 @@ def test_a_sphere_that_slips_within_a_run_is_a_jump(tmp_path):
     assert table["t_s"][rows[0] - 1] < values["at"][0] < table["t_s"][rows[0]]
 
 
-@pytest.mark.parametrize("pitch_mm", [0.5, 2.0])
+@pytest.mark.parametrize("pitch_mm", [0.5, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_a_scale_of_a_coarse_pitch_is_told_by_it(tmp_path, pitch_mm):
     """A magnetic scale: no screw has such a pitch, and the whole circle is two of them or eight."""
     table = circles(matrix=np.zeros((3, 3)), samples=120, seed=6)
@@ -531,6 +535,7 @@ def test_a_scale_of_a_coarse_pitch_is_told_by_it(tmp_path, pitch_mm):
     assert abs(values["sine"][0] - 0.5 * np.cos(0.3)) < 3.5 * values["sine"][1]
 
 
+@pytest.mark.slow
 def test_a_drift_in_every_run_is_told_by_its_time(tmp_path):
     """It closes no circle, and looks like a play to who has nothing else."""
     drift = {"effect": "drift", "component": "Z", "um_per_s": 1.5}
@@ -542,6 +547,7 @@ def test_a_drift_in_every_run_is_told_by_its_time(tmp_path):
     assert "in proportion to a quantity along Z (t_run_s)" in closure.sentence
 
 
+@pytest.mark.slow
 def test_more_stray_readings_than_are_left_out_are_told(tmp_path):
     """Of 8 % of the rows one coordinate is off by 20 times the noise."""
     table, rng = circles(samples=120), np.random.default_rng(3)

@@ -224,6 +224,7 @@ def test_location_errors_of_rotary_axes_are_declared_by_their_names(studied):
     assert units["EX0C"] == "um" and units["EA0C"] == "urad"
 
 
+@pytest.mark.slow
 def test_the_loop_names_the_backlash_of_a_rotary_axis_and_corrects_the_machine(studied):
     closure = vcal.close_loop(studied.model, studied.measurement, check=studied.check)
     assert [f.effect.key for f in closure.effects] == ["backlash C"]

@@ -385,6 +385,7 @@ def test_an_effect_of_an_instrument_is_named_for_its_data_set(tmp_path):
     assert " when it was added (in the data set tracker)." in page
 
 
+@pytest.mark.slow
 def test_what_the_machine_may_do_as_well_and_was_not_tested_leaves_a_name_open(tmp_path):
     """Its drift cannot be tested where the clocks overlap, and looks like one of the station."""
     true = [{"effect": "drift", "axis": "X", "component": "Y", "um_per_h": 30}]

@@ -149,6 +149,7 @@ def studied(request, tmp_path_factory):
     return vcal.load_study(write(folder, 3, machine(40e-6), request.param))
 
 
+@pytest.mark.slow
 def test_the_loop_names_the_backlash_of_a_rotary_axis(studied):
     closure = vcal.close_loop(studied.model, studied.measurement, check=studied.check)
     assert [f.effect.key for f in closure.effects] == ["backlash C"]

@@ -68,7 +68,7 @@ def geometric_tests(
     parameters. What depends on direction, temperature or time is not in them. The uncertainty is
     that of the difference between the two positions that make a range; of the effects in `doubts`
     as in `error_motion_tables`. `size` is a number of rows that is compiled already. Empty for an
-    arm, and for a model that says nothing of the machine.
+    arm; without what the model says nothing of.
     """
     chain = fit.model.chain
     if chain.arm:
@@ -111,7 +111,9 @@ def geometric_tests(
     weights = np.array([one.weights for one in asked])
     u, _, information = Spread.of_fit(fit).of(weights @ jacobian)
     found = weights @ values
-    if not u.any() and np.abs(found).max() < _SAME:
+    # What the model says nothing of is no deviation of zero.
+    told = (u > 0.0) | (np.abs(found) > _SAME)
+    if not told.any():
         return []
     doubted = of_doubts(doubts, lambda other: weights @ sampled(other)[0], np.zeros(len(asked)))
     return [
@@ -125,6 +127,7 @@ def geometric_tests(
             information=float(information[k]),
         )
         for k, one in enumerate(asked)
+        if told[k]
     ]
 
 
