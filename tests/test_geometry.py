@@ -11,6 +11,9 @@ from oracle import compose, error_motions
 from vcal import identify
 from vcal.loop.doubt import Doubt
 from vcal.report import geometric_tests
+from vcal.uncertainty import LineErrors
+from vcal.uncertainty.campaign import virtual_pair
+from vcal.uncertainty.linear import linearised
 
 SQUARE = {
     "EC(0X)Y": ("X", "Y", (0, 1)),
@@ -114,3 +117,14 @@ def test_doubts_are_part_of_the_uncertainty(known):
             change = of_other[one.name, one.what] - one.value
             assert more.u**2 - one.u**2 == pytest.approx(0.3 * change**2, rel=1e-6)
         assert more.u >= one.u
+
+
+def test_a_plan_foretells_the_uncertainty_of_squareness(known):
+    """The GUM before measuring against the posterior of a fit of readings of the same plan."""
+    it, fit = known
+    pair = virtual_pair(it.model, it.model, it.plan)
+    budget = linearised(pair, [LineErrors(41).measure(pair)]).budget
+    told = {t.name: t for t in geometric_tests(fit) if t.name in SQUARE or "slope" in t.what}
+    assert len(budget.labels) == len(told) == 6
+    for label, u in zip(budget.labels, budget.u, strict=True):
+        assert u == pytest.approx(told[label.split()[0].removesuffix(" slope")].u, rel=0.01), label

@@ -18,11 +18,13 @@ from typer.testing import CliRunner
 import vcal
 from vcal.cli import app
 from vcal.cli.virtual import parse_draws
+from vcal.model import port_values, tool_points
 from vcal.report import Badge, Picture, Section, Table, Tile, sheet
 from vcal.report.place import Place
 from vcal.report.uncertainty_page import _badge, _volumetric
 from vcal.report.uncertainty_pictures import virtual_pictures
 from vcal.report.uncertainty_record import sentence
+from vcal.uncertainty.quantities import conditions_at
 from vcal.uncertainty.virtual import Scalar, VirtualCalibration, virtual_calibration
 
 SETUP = """\
@@ -125,6 +127,46 @@ def test_numbers_against_linear_algebra(study, report):
     np.testing.assert_allclose(gum, u, rtol=1e-4)
     drawn = np.array([p["monte_carlo"]["u"] for p in found["parameters"]])
     np.testing.assert_allclose(drawn, u, rtol=4.0 / np.sqrt(2 * 9500))
+    # Of lines through the paths of the tool point: what is fitted, and what is not.
+    slopes = line_errors(truth, plan)
+    u = np.sqrt(
+        np.einsum("ki,ij,kj->k", slopes[:, :count], posterior, slopes[:, :count])
+        + ((slopes[:, count:] - slopes[:, :count] @ pulled) ** 2).sum(1)
+    )
+    lines = found["straight_lines"]
+    assert [line["name"] for line in lines] == [
+        *("EC(0X)Y", "EB(0X)Z", "EA(0Y)Z"),
+        *("EXX slope", "EYY slope", "EZZ slope"),
+    ]
+    np.testing.assert_allclose([line["gum"]["u"] for line in lines], u, rtol=1e-3, atol=1e-6)
+    drawn = [line["monte_carlo"]["u"] for line in lines]
+    np.testing.assert_allclose(drawn, u, rtol=4.0 / np.sqrt(2 * 9500), atol=1e-6)
+    before = np.sqrt((slopes**2).sum(1))
+    np.testing.assert_allclose([line["prior"] for line in lines], before, rtol=1e-3, atol=1e-6)
+    page = (report[0] / "index.html").read_text(encoding="utf-8")
+    table = page[page.index("Squareness and scale of the axes") :]
+    assert "EXX slope" in table and "EC(0X)Y" not in table  # of which nothing is declared
+
+
+def line_errors(model, plan) -> np.ndarray:
+    """Squareness, urad, and slopes of positioning, um/m, per amplitude (6, k), by differences."""
+    travel = np.array([joint.travel for joint in model.chain.joints])
+    position = np.tile(travel.mean(1), (3, 9, 1))
+    for k in range(3):
+        position[k, :, k] = np.linspace(*travel[k], 9)
+    where = conditions_at(plan, position.reshape(-1, 3))
+    terms = model.terms(where)
+
+    def told(theta: np.ndarray) -> np.ndarray:
+        ports = port_values(terms, theta, len(model.layout))
+        errors = np.asarray(tool_points(model.chain, where.position, ports))
+        errors = 1e6 * (errors - model.chain.tool_point(where.position)).reshape(3, 9, 3)
+        s = np.array([np.polyfit(position[k, :, k], errors[k], 1)[0] for k in range(3)])
+        square = [-s[1, 0] - s[0, 1], s[2, 0] + s[0, 2], -s[2, 1] - s[1, 2]]
+        return np.array([*square, *np.diag(s)])
+
+    steps = 1e-2 * np.eye(len(model.entries))
+    return np.stack([(told(h) - told(-h)) / 2e-2 for h in steps], 1)
 
 
 def test_gum_and_monte_carlo_agree_on_the_volumetric_error(report):

@@ -1,22 +1,17 @@
 """The geometry as acceptance tests state it: straight motions of the tool point, squareness."""
 
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from ..fit import Fit
 from ..loop.doubt import Doubt, of_doubts
 from ..loop.heldout import compensated_in_blocks
+from ..straight_lines import StraightLines
 from .compensation import NODES, Spread, functions_on, line_of
 
-_SQUARENESS = {("X", "Y"): ("C", 1.0), ("X", "Z"): ("B", -1.0), ("Y", "Z"): ("A", 1.0)}
-"""Between which axes, about which, and the sign of first x second along that."""
-_SQUARE = 1e-6
-"""Cosine of an angle that is meant to be a right one, at most."""
 _SAME = 1e-12
 """m or rad: less than this is no deviation."""
 
@@ -39,14 +34,13 @@ class GeometricTest:
 
 @dataclass(frozen=True)
 class _Asked:
-    """A linear functional of what was sampled: weights (size,), in units of `si`."""
+    """A linear functional of what was sampled: weights (size,), 1e-6 of SI."""
 
     name: str
     what: str
     axis: str
     unit: str
     weights: np.ndarray
-    si: float = 1e-6
 
 
 def geometric_tests(
@@ -73,23 +67,19 @@ def geometric_tests(
     chain = fit.model.chain
     if chain.arm:
         return []
-    lines = {axis: line_of(fit, axis, NODES) for axis in chain.axes}
-    straight = [j.name for j in chain.joints if not j.turns and np.ptp(lines[j.name]) > 0.0]
-    stands = [_stands(lines[j.name], j.turns) for j in chain.joints]
-    position = np.tile(stands, (len(straight), NODES, 1))
-    for k, axis in enumerate(straight):
-        position[k, :, chain.axes.index(axis)] = lines[axis]
-    position = position.reshape(-1, len(stands))
-    nominal = chain.tool_point(position)
-    motions = {name: len(mean) for name, (_, mean) in functions_on(fit, [*lines.values()]).items()}
+    nodes = [line_of(fit, axis, NODES) for axis in chain.axes]
+    lines = StraightLines.of(chain, np.array([(x.min(), x.max()) for x in nodes]), NODES)
+    motions = {name: len(mean) for name, (_, mean) in functions_on(fit, nodes).items()}
 
     def sampled(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         """Errors of the tool point, then every error motion: values (size,), m or rad, and their
         derivative (size, k).
         """
-        points, jacobian = compensated_in_blocks(fit, position, size or len(position))
-        values, rows = [(points - nominal).ravel()], [jacobian.reshape(-1, jacobian.shape[2])]
-        functions = functions_on(fit, [*lines.values()])
+        at = lines.position
+        points, jacobian = compensated_in_blocks(fit, at, size or len(at))
+        values = [(points - lines.nominal.reshape(-1, 3)).ravel()]
+        rows = [jacobian.reshape(-1, jacobian.shape[2])]
+        functions = functions_on(fit, nodes)
         for name, count in motions.items():
             block, mean = functions.get(name, (np.zeros((count, len(fit.theta))), np.zeros(count)))
             values.append(mean + block @ fit.theta)
@@ -97,22 +87,26 @@ def geometric_tests(
         return np.concatenate(values), np.concatenate(rows)
 
     values, jacobian = sampled(fit)
-    moving = [
-        *_paths(straight, lines, nominal.reshape(len(straight), NODES, 3), values),
-        *_angular(straight, motions, nominal.size, values),
-    ]
+    starts = dict(
+        zip(motions, lines.nominal.size + np.cumsum([0, *motions.values()]), strict=False)
+    )
+    moving = [*_paths(lines, values), *_angular(lines, motions, starts, values)]
+    turning = [joint.name for joint in chain.joints if joint.turns]
     asked = [
-        *sorted(moving, key=lambda one: straight.index(one.axis)),
-        *_squareness(straight, lines, nominal.reshape(len(straight), NODES, 3), values),
-        *_average_lines([j.name for j in chain.joints if j.turns], motions, nominal.size, values),
+        *sorted(moving, key=lambda one: lines.axes.index(one.axis)),
+        *(
+            _Asked(name, f"squareness of {b} to {a}", b, "urad", _filled(weights, len(values)))
+            for name, a, b, weights in lines.squareness
+        ),
+        *_average_lines(turning, motions, starts, values),
     ]
     if not asked:
         return []
-    weights = np.array([one.weights for one in asked])
+    weights = 1e6 * np.array([one.weights for one in asked])
     u, _, information = Spread.of_fit(fit).of(weights @ jacobian)
     found = weights @ values
     # What the model says nothing of is no deviation of zero.
-    told = (u > 0.0) | (np.abs(found) > _SAME)
+    told = (u > 0.0) | (np.abs(found) > 1e6 * _SAME)
     if not told.any():
         return []
     doubted = of_doubts(doubts, lambda other: weights @ sampled(other)[0], np.zeros(len(asked)))
@@ -121,8 +115,8 @@ def geometric_tests(
             name=one.name,
             what=one.what,
             axis=one.axis,
-            value=float(found[k] / one.si),
-            u=math.hypot(u[k], math.sqrt(doubted[k])) / one.si,
+            value=float(found[k]),
+            u=math.hypot(u[k], math.sqrt(doubted[k])),
             unit=one.unit,
             information=float(information[k]),
         )
@@ -131,94 +125,43 @@ def geometric_tests(
     ]
 
 
-def _stands(line: np.ndarray, turns: bool) -> float:
-    low, high = line.min(), line.max()
-    return 0.0 if turns and low <= 0.0 <= high else 0.5 * (low + high)
-
-
-def _paths(
-    axes: Sequence[str],
-    lines: dict[str, np.ndarray],
-    nominal: Float[np.ndarray, "a n 3"],
-    values: np.ndarray,
-) -> list[_Asked]:
+def _paths(lines: StraightLines, values: np.ndarray) -> list[_Asked]:
     """Positioning and straightness, of errors that come first in `values`."""
-    errors, found = values[: nominal.size].reshape(nominal.shape), []
-    along = _along(axes, nominal)
-
-    def asked(k: int, component: str, what: str, per_node: np.ndarray, unit: str = "um") -> _Asked:
-        weights = np.zeros(nominal.shape)
-        weights[k] = per_node[:, None] * along[component]
-        name, weights = f"E{component}{axes[k]}", _filled(weights.ravel(), len(values))
-        return _Asked(name, what, axes[k], unit, weights)
-
-    for k, axis in enumerate(axes):
-        slope = _slope(lines[axis])
-        for component, direction in along.items():
-            error = errors[k] @ direction
+    errors, found = values[: lines.nominal.size].reshape(lines.nominal.shape), []
+    for k, axis in enumerate(lines.axes):
+        for component, direction in lines.along.items():
+            error, name = errors[k] @ direction, f"E{component}{axis}"
             if component == axis:
-                found.append(asked(k, component, "positioning, range", _ends(error)))
-                found.append(asked(k, component, "positioning, slope", slope, "um/m"))
-                continue
-            x = lines[axis] - lines[axis].mean()
-            deviates = np.eye(len(x)) - 1.0 / len(x) - np.outer(x, slope)
-            ends = deviates.T @ _ends(deviates @ error)
-            found.append(asked(k, component, "straightness", ends))
+                told = [
+                    ("positioning, range", "um", _ends(error)),
+                    ("positioning, slope", "um/m", lines.slope(axis)),
+                ]
+            else:
+                deviates = lines.deviation(axis)
+                told = [("straightness", "um", deviates.T @ _ends(deviates @ error))]
+            for what, unit, per_node in told:
+                weights = _filled(lines.on(axis, per_node, direction), len(values))
+                found.append(_Asked(name, what, axis, unit, weights))
     return found
-
-
-def _squareness(
-    axes: Sequence[str],
-    lines: dict[str, np.ndarray],
-    nominal: Float[np.ndarray, "a n 3"],
-    values: np.ndarray,
-) -> list[_Asked]:
-    """Between axes that are meant to be square, of errors that come first in `values`."""
-    found, along = [], _along(axes, nominal)
-    for first, second in itertools.combinations(sorted(axes), 2):
-        about, sign = _SQUARENESS[first, second]
-        if abs(along[first] @ along[second]) > _SQUARE:
-            continue
-        turn = sign * np.cross(along[first], along[second])
-        weights = np.zeros(nominal.shape)
-        for axis, way in ((second, 1.0), (first, -1.0)):
-            across = way * np.cross(turn, along[axis])
-            weights[axes.index(axis)] = _slope(lines[axis])[:, None] * across
-        name, weights = f"E{about}(0{first}){second}", _filled(weights.ravel(), len(values))
-        found.append(_Asked(name, f"squareness of {second} to {first}", second, "urad", weights))
-    return found
-
-
-def _along(axes: Sequence[str], nominal: Float[np.ndarray, "a n 3"]) -> dict[str, np.ndarray]:
-    """Nominal directions of axes, of unit length, as seen from the workpiece."""
-    ways = nominal[:, -1] - nominal[:, 0]
-    return dict(zip(axes, ways / np.linalg.norm(ways, axis=1, keepdims=True), strict=True))
-
-
-def _slope(line: np.ndarray) -> np.ndarray:
-    """Weights (n,) of the slope of a least-squares line."""
-    x = line - line.mean()
-    return x / (x @ x)
 
 
 def _angular(
-    axes: Sequence[str], motions: dict[str, int], start: int, values: np.ndarray
+    lines: StraightLines, motions: Mapping[str, int], starts: Mapping[str, int], values: np.ndarray
 ) -> list[_Asked]:
-    """Ranges of the error rotations of linear axes; error motions come from `start` in `values`."""
-    found, at = [], start
-    for name, count in motions.items():
-        if name[1] in "ABC" and name[2:] in axes and count > 1:
-            ends = _filled(_ends(values[at : at + count]), len(values), at)
+    """Ranges of the error rotations of linear axes, so many nodes each from their place on."""
+    found = []
+    for name in sorted(motions):
+        if name[1] in "ABC" and name[2:] in lines.axes and motions[name] > 1:
+            at = starts[name]
+            ends = _filled(_ends(values[at : at + motions[name]]), len(values), at)
             found.append(_Asked(name, "angular error, range", name[2:], "urad", ends))
-        at += count
-    return sorted(found, key=lambda one: one.name)
+    return found
 
 
 def _average_lines(
-    axes: Sequence[str], motions: dict[str, int], start: int, values: np.ndarray
+    axes: Sequence[str], motions: Mapping[str, int], starts: Mapping[str, int], values: np.ndarray
 ) -> list[_Asked]:
     """Where axes of rotation are and how they point, of those whose error motions have a mean."""
-    starts = dict(zip(motions, start + np.cumsum([0, *motions.values()]), strict=False))
     found = []
     for axis in axes:
         for component in "XYZABC":
@@ -228,9 +171,8 @@ def _average_lines(
             count = motions[motion]
             weights = _filled(np.full(count, 1.0 / count), len(values), starts[motion])
             weights[starts[location]] = 1.0
-            translation = component in "XYZ"
-            what = f"{'position' if translation else 'direction'} of the axis average line"
-            unit = "um" if translation else "urad"
+            what, unit = ("position", "um") if component in "XYZ" else ("direction", "urad")
+            what = f"{what} of the axis average line"
             found.append(_Asked(location, what, axis, unit, weights))
     return found
 
@@ -244,6 +186,7 @@ def _ends(error: np.ndarray) -> np.ndarray:
 
 
 def _filled(part: np.ndarray, size: int, start: int = 0) -> np.ndarray:
+    """Weights (size,) of which a part, from `start` on, is not zero."""
     weights = np.zeros(size)
-    weights[start : start + len(part)] = part
+    weights[start : start + part.size] = part.ravel()
     return weights

@@ -20,6 +20,8 @@ _ORIGINS = {
     "fitted": "fitted: what the data leave of its prior",
     "not fitted": "in reality, but not fitted",
 }
+_NOTHING = 1e-9
+"""urad or um/m: rounding."""
 _CONVENTIONS = (
     NAMES,
     "Volumetric error: length of the three-dimensional error of the tool point, after the best "
@@ -51,6 +53,7 @@ def virtual_page(
         _sources(result, shown),
         _parameters(result),
         _motions(result, shown),
+        *_lines(result),
         _unseen(result),
         _draws(result),
         Section("Frames, signs, units", points=_CONVENTIONS),
@@ -229,6 +232,34 @@ def _motions(result: VirtualCalibration, shown: Mapping[str, Picture]) -> Sectio
         ),
         pictures=tuple(shown[name] for name in ("motions",) if name in shown),
     )
+
+
+def _lines(result: VirtualCalibration) -> list[Section]:
+    """None where nothing of them is declared."""
+    c, rows = result.lines, []
+    for i, label in enumerate(c.labels):
+        name, unit = label.rstrip("]").split(" [")
+        if max(result.lines_before[i], *c.u[i]) > _NOTHING:
+            cells = (2 * result.lines_before[i], *(2 * c.u[i]), c.low[i, 1], c.high[i, 1])
+            rows.append((name, *map(text.number, cells), text.unit(unit), c.verdicts[i]))
+    if not rows:
+        return []
+    share = text.percent(result.coverage)
+    header = (
+        "error", "U before", "U, GUM", "U, Monte Carlo", f"{share} from", "to", "", "clause 8",
+    )  # fmt: skip
+    return [
+        Section(
+            "Squareness and scale of the axes",
+            (
+                "Least-squares lines through the tool point's paths, one axis after the other over "
+                "its travel, the others in the middle of theirs (ISO 230-1): what is left of the "
+                "angle between two of them and of the slope of positioning. These depend neither "
+                "on the frame nor on how slopes are shared out between parameters.",
+            ),
+            tables=(Table(header, rows, "lrrrrrll"),),
+        )
+    ]
 
 
 def _unseen(result: VirtualCalibration) -> Section:

@@ -121,11 +121,24 @@ def virtual_record(
         "sources": [c._asdict() for c in result.contributions],
         "parameters": _parameters(result),
         "error_motions": [m._asdict() for m in result.motions],
+        "straight_lines": [
+            {
+                "name": label.rpartition(" [")[0],
+                "unit": label.rpartition(" [")[2].rstrip("]"),
+                "prior": result.lines_before[i],
+                "gum": _way(result.lines, i, 0),
+                "monte_carlo": _way(result.lines, i, 1),
+                "delta": result.lines.delta[i],
+                "verdict": result.lines.verdicts[i],
+            }
+            for i, label in enumerate(result.lines.labels)
+        ],
         "clause_8": {
             name: _counts(c.verdicts)
             for name, c in (
                 ("parameters", result.parameters),
                 ("error_motions", result.motion_comparison),
+                ("straight_lines", result.lines),
             )
         },
         "not_identifiable": {

@@ -11,6 +11,7 @@ from .programs import Programs
 from .propagate import propagate
 from .quantities import (
     ErrorMotionErrors,
+    LineErrors,
     Measure,
     ParameterErrors,
     Quantity,
@@ -41,6 +42,7 @@ __all__ = [
     "Field",
     "FieldResult",
     "Linearised",
+    "LineErrors",
     "Measure",
     "Output",
     "ParameterErrors",

@@ -18,6 +18,7 @@ from ..port_map import PortMap, port_map
 from ..ports import COMPONENTS
 from ..simulate import Simulator
 from ..spatial import rigid_basis
+from ..straight_lines import StraightLines
 from .outputs import Field, Output
 
 _MICRO = 1e-6
@@ -178,6 +179,52 @@ class _ErrorMotionErrors(Measure):
 
 def _at(values, row: int):
     return values[row] if jnp.ndim(values) else values
+
+
+# --- straight motions of the tool point ---
+
+
+class LineErrors(eqx.Module, Quantity):
+    """What is left, after compensation, of the squareness between linear axes and of the slopes of
+    their positioning errors: true less identified, urad and um/m.
+
+    Of the least-squares lines through the tool point's paths over the travel, the other axes in the
+    middle of theirs (`StraightLines`): ``"EC(0X)Y [urad]"``, ``"EXX slope [um/m]"``. Unlike
+    parameters, these depend neither on the frame nor on how slopes are shared out.
+    """
+
+    nodes: int = eqx.field(static=True, default=9)
+
+    def measure(self, pair: Pair) -> Measure:
+        chain, plan = pair.truth.chain, pair.simulator.plan
+        lines = StraightLines.of(chain, travels(chain, plan), self.nodes)
+        asked = [(f"{name} [urad]", weights) for name, *_, weights in lines.squareness]
+        for axis, along in lines.along.items():
+            scale = lines.on(axis, lines.slope(axis), along)
+            asked.append((f"E{axis}{axis} slope [um/m]", scale))
+        weights = np.array([weights.ravel() for _, weights in asked]).reshape(len(asked), -1)
+        maps = pair.maps(conditions_at(plan, lines.position))
+        return _LineErrors(chain, *maps, tuple(label for label, _ in asked), weights)
+
+
+class _LineErrors(Measure):
+    chain: Chain
+    true: PortMap
+    found: PortMap
+    labels: tuple[str, ...] = eqx.field(static=True)
+    weights: np.ndarray
+    """(outputs, 3 n)."""
+
+    @property
+    def outputs(self) -> tuple[Output | Field, ...]:
+        return (Output("straight lines", (len(self.labels),), self.labels),)
+
+    def __call__(self, state: State) -> dict[str, Array]:
+        position = self.true.plan.position
+        real = tool_columns(self.chain, position, self.true(state.true, state.true_shapes))
+        told = tool_columns(self.chain, position, self.found(state.found, state.found_shapes))
+        left = jnp.stack(real, -1) - jnp.stack(told, -1)
+        return {"straight lines": self.weights @ left.reshape(-1) / _MICRO}
 
 
 # --- volumetric errors ---

@@ -34,6 +34,7 @@ from .linear import Linearised, linearised
 from .outputs import Field, Output
 from .quantities import (
     ErrorMotionErrors,
+    LineErrors,
     Measure,
     Pair,
     ParameterErrors,
@@ -124,6 +125,10 @@ class VirtualCalibration:
     """(effect with placement, parameter) for every line of `parameters`."""
     motions: tuple[Motion, ...] = field(repr=False)
     motion_comparison: Comparison = field(repr=False)
+    lines: Comparison = field(repr=False)
+    """Squareness and slopes of positioning errors, `LineErrors`; empty for an arm."""
+    lines_before: Float[np.ndarray, " n"] = field(repr=False)
+    """Standard deviations of the same before any measurement."""
     contributions: tuple[Contribution, ...]
     """Largest first."""
     known: float
@@ -221,6 +226,7 @@ def virtual_calibration(
     points, nodes = judged_points(truth.chain, plan)
     motions = ErrorMotionErrors(int(np.clip(200 // (6 * len(truth.chain.axes)), *_MOTIONS)))
     volumetric = VolumetricErrors(points, quantiles=(coverage,))
+    straight = () if truth.chain.arm else (LineErrors(),)
     step("drawing machines")
     campaign = monte_carlo(
         truth,
@@ -228,7 +234,7 @@ def virtual_calibration(
         plan,
         draws=draws,
         seed=seed,
-        quantities=(ParameterErrors(), motions, volumetric),
+        quantities=(ParameterErrors(), motions, *straight, volumetric),
         noise_factor=noise_factor,
         coverage=coverage,
         digits=digits,
@@ -239,20 +245,27 @@ def virtual_calibration(
     )
     step("propagating uncertainty (GUM)")
     pair = campaign.pair
-    along = motions.measure(pair)
-    linear = linearised(pair, [ParameterErrors().measure(pair), along], coverage)
-    inputs = linearised(pair, [_Uncompensated(along), _Parts(volumetric.measure(pair))], coverage)
+    along = [quantity.measure(pair) for quantity in (motions, *straight)]
+    linear = linearised(pair, [ParameterErrors().measure(pair), *along], coverage)
+    before = [_Uncompensated(one) for one in along]
+    inputs = linearised(pair, [*before, _Parts(volumetric.measure(pair))], coverage)
     contributions, known = _contributions(pair, inputs, points.rows)
     learnt = _Learnt.of(pair)
     compared = compare(linear.budget, campaign.ensemble, digits)
     fitted = len(fit.entries)
-    motion_comparison = _part(compared, slice(fitted, None))
+    rest = fitted + sum(len(o.labels) for o in along[0].outputs if isinstance(o, Output))
+    motion_comparison, lines = (
+        _part(compared, part) for part in (slice(fitted, rest), slice(rest, None))
+    )
+    prior = dict(zip(inputs.budget.labels, inputs.budget.u, strict=True))
     return VirtualCalibration(
         campaign=campaign,
         parameters=_part(compared, slice(fitted)),
         entries=tuple((e.key, e.parameter) for e in fit.entries),
         motions=_motions(truth.chain, plan, motions.nodes, motion_comparison, inputs),
         motion_comparison=motion_comparison,
+        lines=lines,
+        lines_before=np.array([prior[label] for label in lines.labels]),
         contributions=contributions,
         known=known,
         points=points,
