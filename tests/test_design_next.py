@@ -227,7 +227,7 @@ def test_what_the_loop_left_open(few_points):
     assert rivals_of(Ended, study, task) is None
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_loop_comes_first_where_there_are_readings(few_poses, tmp_path):
     out = tmp_path / "out"
     printed = design(

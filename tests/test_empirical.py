@@ -441,7 +441,7 @@ def test_noise_is_not_foretold_better_and_an_effect_is(tracker):
 # --- several effects ------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_effects_that_stood_for_parts_of_another_give_way(tmp_path):
     """A jump beside a scale that grows: whatever is named on the way, at the end these are."""
     effects = [

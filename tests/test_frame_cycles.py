@@ -243,7 +243,7 @@ def test_influences_as_effects_have_the_sizes_of_the_budget():
 # --- second device ---
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_second_device_and_reversals(compared):
     found = compared
     assert len(found.agreements) == 10

@@ -229,7 +229,7 @@ def test_poses_may_stand_among_each_other_where_no_time_is_recorded(tracker):
     assert correlation(tracker, other) == pytest.approx(expected, rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_correlated_noise_gets_no_name(tracker):
     """Half of the noise drifts: nothing is named; what is there is found beside it."""
     noise = white(tracker, 8) + 1.5 * persisting(tracker, 9, 0.9)

@@ -591,7 +591,7 @@ def test_the_loop_names_quadrant_peaks(tmp_path, seed):
 @pytest.mark.parametrize(
     "key, name, true, more",
     [
-        ("servo_lag", "T", 0.02, {"late": 2e-5}),
+        pytest.param("servo_lag", "T", 0.02, {"late": 2e-5}, marks=pytest.mark.campaign),
         ("scale_interpolation X", "sine", 0.2, {"grating": (0.2, 40.0)}),
     ],
 )

@@ -291,7 +291,7 @@ def test_rows_that_are_never_fitted_weigh_as_the_others_do(small_arm_study):
     assert rms_fall(fit, fit, squares=weighted_squares) == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_clustered_readings_keep_their_own_covariance(small_arm_study, tmp_path):
     """Two runs of an arm, with three reflectors and with two: each has its own covariance."""
     folder = tmp_path / "arms"

@@ -143,7 +143,9 @@ def test_probes_of_their_own_tell_the_same(tmp_path):
 # --- what it finds ----------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module", params=["spindle", pytest.param("table", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module", params=["spindle", pytest.param("table", marks=pytest.mark.campaign)]
+)
 def studied(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sphere")
     return vcal.load_study(write(folder, 3, machine(40e-6), request.param))
