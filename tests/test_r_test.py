@@ -1,6 +1,7 @@
 """R-test: circles, the instrument, its effects and evaluations, on data written by plain numpy."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -491,6 +492,27 @@ def test_no_vibration_in_noise_or_in_what_belongs_to_the_circle(study):
     alone = (a_set == a_set[0])[:, None, None] * fit.whitener
     one = dataclasses.replace(fit, residual=swings, whitener=alone)
     assert vibration(one) is None
+
+
+def test_a_vibration_of_one_data_set_is_told_with_its_name(study):
+    """Beside circles without one, of other paces and lengths of their own."""
+    short = study.plan.take(np.flatnonzero(study.plan.values("circle_angle") < 5.0))
+    plans = {"quiet": short, "shaky": study.plan}
+    instrument, plan = several({name: DataSet(study.instrument, p) for name, p in plans.items()})
+    sigma = instrument.noise(plan, np.zeros((plan.rows, 3)))
+    noise = sigma * np.random.default_rng(3).standard_normal(sigma.shape)
+    fit = SimpleNamespace(
+        measurement=SimpleNamespace(plan=plan),
+        model=SimpleNamespace(instrument=instrument),
+        used=np.ones(plan.rows, bool),
+        residual=noise,
+    )
+    assert vibration(fit) is None
+    swing = np.nan_to_num(np.sin(2 * np.pi * 37.0 * plan.values("shaky:t_run")))
+    fit.residual = noise + 1e-6 * swing[:, None] * (np.arange(noise.shape[1]) == 2)
+    found = vibration(fit)
+    assert (found.data_set, found.reading) == ("shaky", "z_ext")
+    assert found.hz == pytest.approx(37.0, abs=0.05) and "in z_ext of shaky" in found.words
 
 
 def timed(table):
