@@ -783,6 +783,14 @@ def test_readings_do_not_hold_the_noise_of_the_positions(study):
          r"row 6 \(line 7\), run 0, column sense: found -1 after 1, expected one setting in a run"),
         (lambda t: t | {"a_set_m_s2": t["a_set_m_s2"] + (np.arange(len(t["run"])) == 5)},
          r"row 6 \(line 7\), run 0, column a_set_m_s2: found 5.5 after 4.5, expected one setting"),
+        (lambda t: {k: v * 1e-3 if k.endswith("ext_mm") else v for k, v in t.items()},
+         r"columns x_ext_mm, y_ext_mm, z_ext_mm: found .* with metres turned into millimetres"),
+        (lambda t: t | {"y_ext_mm": 1e-3 * t["y_ext_mm"]},
+         r"^data.csv, row \d+ \(line \d+\), column y_ext_mm: found y_ext_mm -?0.001.* mm from the "
+         r"mean of run \d, where the axes are -?1.9.*; they do with metres turned into mill"),
+        (lambda t: t | {"z_ext_mm": -t["z_ext_mm"]}, "with the other sign in z_ext_mm: correct"),
+        (lambda t: t | {"x_ext_mm": t["y_ext_mm"], "y_ext_mm": t["x_ext_mm"]},
+         "with the columns in the order y_ext_mm, x_ext_mm, z_ext_mm: correct that"),
     ],
 )  # fmt: skip
 def test_mistakes_in_the_data(tmp_path, change, message):

@@ -299,6 +299,11 @@ def test_what_does_not_fit_is_one_message(small, overrides, said):
         ),
         (lambda row: dict.fromkeys(POSITIONS[:5], "20"), "the same in all rows"),
         (lambda row: {"run": str(int(row["t_s"]) // 40)}, r"row\(s\) of run 0"),
+        (
+            lambda row: {c: str(1e-3 * float(row[c])) for c in row if c.endswith("_ext_mm")},
+            r"^data.csv, columns x_ext_mm, y_ext_mm, z_ext_mm: found readings with a standard "
+            "deviation of .* the noise that is declared .*; correct the unit of the readings, or",
+        ),
     ],
 )
 def test_rows_that_do_not_fit(small, tmp_path, change, said):
