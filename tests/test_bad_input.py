@@ -1050,6 +1050,14 @@ OVERRIDES = {
         ["loop.alpha=2", "loop.alpha=0.02"],
         ("(override loop.alpha=0.02), key loop.alpha: found 2 as well", "one value for a key"),
     ),
+    "a table and a key of it": (
+        ["loop={seed = 1}", "loop.alpha=0.02"],
+        ("(override loop.alpha=0.02), key loop.alpha: found loop={seed = 1} as well", "a whole"),
+    ),
+    "a key and its table": (
+        {"loop.alpha": 0.02, "loop": {"seed": 1}},
+        ('(override loop={"seed": 1}), key loop: found loop.alpha=0.02 as well', "some of its"),
+    ),
     "no table": (["name.first=x"], ("override name.first=x", 'found "small"', "expected a table")),
     "no row": (
         ["model.effect.0.size_um=1"],

@@ -284,7 +284,8 @@ def read_setup(
 
     An override is ``"instrument.joints=read"``, or a key and its value; rows of an array of tables
     count from 0 (``"model.effect.0.size_um=3"``). Raises `StudyError` for a file that is missing
-    or not TOML, and an override that has no ``=`` or no place in the tree, or contradicts another.
+    or not TOML, and an override that has no ``=`` or no place in the tree, or contradicts another,
+    or is of a whole table beside one of a key in it.
     """
     if not path.is_file():
         raise refusal(
@@ -321,6 +322,15 @@ def read_setup(
                 "one value for a key, by an option or by --set",
                 "leave one of them out",
             )
+        for other in given:
+            if other.startswith(f"{key}.") or key.startswith(f"{other}."):
+                raise refusal(
+                    f"{path.name} (override {key}={said})",
+                    f"key {key}",
+                    f"{other}={given[other]} as well",
+                    "a whole table, or some of its keys",
+                    "leave one of them out, or put the key into the table",
+                )
         given[key] = said
         _put(raw, key, _toml_value(key, value), said)
     return raw, given
