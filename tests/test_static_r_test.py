@@ -1,6 +1,7 @@
 """A sphere that stays with the table while rotary axes turn, against plain numpy matrices."""
 
 import csv
+import dataclasses
 import math
 from functools import partial
 
@@ -268,6 +269,17 @@ def test_curvature_that_differs_in_few_directions(tmp_path):
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
     return write(tmp_path_factory.mktemp("small"), 7, machine(0.0), runs=1)
+
+
+def test_folds_are_blocks_in_time_of_every_run(small):
+    """Whatever the order of the rows; in theirs without a time."""
+    it = vcal.load_study(small)
+    fold, apart = it.instrument.folds(it.plan)
+    assert not apart and (np.diff(fold[np.argsort(it.plan.values("t"))]) >= 0).all()
+    order = np.random.default_rng(0).permutation(it.plan.rows)
+    np.testing.assert_array_equal(it.instrument.folds(it.plan.take(order))[0], fold[order])
+    timeless = dataclasses.replace(it.plan.take(order), covariates={})
+    assert (np.diff(it.instrument.folds(timeless)[0]) >= 0).all()
 
 
 @pytest.mark.parametrize(
