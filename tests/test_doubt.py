@@ -90,7 +90,7 @@ def rivals_on(it: Known, *given: Effect) -> tuple[Fit, list[Rival]]:
     fit = identify(it.model, Measurement(it.plan, it.readings(*given)), room=it.room)
     effects = [dataclasses.replace(it.effect(f"backlash:{axis}"), given=()) for axis in "XYZ"]
     state = Screen(fit, 20, 0)
-    peaks = [peak for effect in effects for peak in state.test(effect).peaks(1)]
+    peaks = [peak for effect in effects for peak in state.tests([effect])[0].peaks(1)]
     return fit, refit_all(fit, peaks, {"backlash": 3}, fit.used, it.room)
 
 

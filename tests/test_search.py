@@ -123,9 +123,9 @@ def test_evidence_does_not_depend_on_chunks(tracker, monkeypatch):
     true = tracker.effect("screw_cyclic:X:sine_um=8,cosine_um=4,pitch_mm=10")
     state = Screen(identify(tracker.model, noisy(tracker, 9, true), room=tracker.room), 20, 0)
     effect = dataclasses.replace(true, given=())
-    whole = state.test(effect)
+    whole = state.tests([effect])[0]
     monkeypatch.setattr(screening, "_CHUNK", 7)
-    parts = state.test(effect)
+    parts = state.tests([effect])[0]
     assert whole is not None and parts is not None
     np.testing.assert_allclose(parts.bayes, whole.bayes, rtol=0, atol=1e-9)
     assert parts.drops.null.keys() == whole.drops.null.keys()
@@ -143,7 +143,7 @@ def test_candidates_are_tested_together_as_alone(tracker):
     responses = Responses(fit.measurement.plan, 4_000_000)
     once, again = (Screen(fit, 20, 0, responses).tests(tried) for _ in range(2))
     for effect, first, second in zip(tried, once, again, strict=True):
-        alone = Screen(fit, 20, 0).test(effect)
+        alone = Screen(fit, 20, 0).tests([effect])[0]
         assert alone is not None and first is not None and second is not None
         np.testing.assert_allclose(first.drops.stat, alone.drops.stat, rtol=1e-9)
         np.testing.assert_allclose(first.bayes, alone.bayes, rtol=0, atol=1e-9)
@@ -183,7 +183,7 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     base = identify(tracker.model, measurement, room=tracker.room)
     effect = bare(tracker, "backlash:Y:size_um=1")
     state = Screen(base, 20, 0)
-    (peak,) = state.test(effect).peaks(1)
+    (peak,) = state.tests([effect])[0].peaks(1)
     (rival,) = refit_all(base, [peak], {"backlash": 2}, base.used, tracker.room)
     place = len(rival.fit.model.effects) - 1
     size = rival.fit.values_of(place)[0][2] / effect.amplitudes[0].sigma
@@ -195,7 +195,7 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     expected = rival.log_bayes + np.log(0.5) + rival.leniency
     assert rival.log_weight == pytest.approx(expected)
     small = identify(tracker.model, noisy(tracker, 4, tracker.effect("backlash:Y:size_um=12")))
-    (peak,) = Screen(small, 20, 0).test(effect).peaks(1)
+    (peak,) = Screen(small, 20, 0).tests([effect])[0].peaks(1)
     (rival,) = refit_all(small, [peak], {"backlash": 2}, small.used, tracker.room)
     assert rival.leniency == 0.0
 

@@ -12,7 +12,7 @@ from ..identify import identify
 from .candidates import Untestable, candidates
 from .closure import Rejected, in_words, outdone_by
 from .empirical import EMPIRICAL, Empirical
-from .rivals import Rival, Weighed, likelier, preferred, weigh, widened
+from .rivals import WIDENINGS, WIDER, Rival, Weighed, likelier, preferred, weigh, widened
 from .round import Round
 from .scales import over_scales
 from .scan import Responses
@@ -26,8 +26,6 @@ from .whitened import declared_chi2
 _CONTRADICTED = math.log(5.0)
 """Log odds of an effect that is refused over the next, from which that one is no name either: what
 fits as the one and holds as the other is something else."""
-_WIDENINGS, _WIDER = 4, 4.0
-"""How often, and by how much, the prior of an added effect grows that is larger than expected."""
 _INSTEAD = 1
 """How often several effects may take the place of a description that ended the search."""
 _SUPERFLUOUS = "superfluous after later effects"
@@ -262,12 +260,11 @@ class Search:
         """The state with a wider prior of the last effect, where it is larger than expected: it
         would be taken for smaller than it is, and the rest of it for something else.
         """
-        for _ in range(_WIDENINGS):
+        for _ in range(WIDENINGS):
             last = len(state.model.effects) - 1
             effect = state.model.effects[last]
-            first = sum(len(e.amplitudes) for e in state.model.effects[:last])
-            sizes = state.fit.theta[first : first + len(effect.amplitudes)]
-            grown = widened(effect, _WIDER)
+            sizes = state.fit.theta[state.fit.places_of(last)[0]]
+            grown = widened(effect, WIDER)
             if grown is effect or np.abs(sizes).max() <= 1.0:
                 break
             model = state.model.without(last).with_effects(grown)
@@ -535,7 +532,7 @@ class Search:
             fit = state.remaining
             if serial(fit) is None:
                 break
-            gain = gain_beside(fit, _columns_of(fit, _place(state, item)))
+            gain = gain_beside(fit, np.concatenate(fit.places_of(_place(state, item))))
             if item.trials * math.exp(-min(gain, 700.0)) > self.alpha:
                 less = without(state, _place(state, item), self.room)
                 why = "noise that is correlated in time describes it too"
@@ -554,7 +551,7 @@ class Search:
         if noise is None or noise.p_value > self.alpha:
             return False
         fit = description.fit
-        gain = gain_beside(fit, _columns_of(fit, len(fit.model.effects) - 1))
+        gain = gain_beside(fit, np.concatenate(fit.places_of(len(fit.model.effects) - 1)))
         return self._description_trials * math.exp(-min(gain, 700.0)) > self.alpha
 
     def _drop(self, item: Added, less: Fit, reason: str) -> State:
@@ -575,9 +572,7 @@ def _no_worse(less: Fit, state: State, item: Added) -> bool:
     """Whether the evidence is higher without an added effect."""
     fit, place = state.scored, _place(state, item)
     noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
-    sizes = [len(e.amplitudes) for e in state.model.effects]
-    mine = slice(sum(sizes[:place]), sum(sizes[: place + 1]))
-    with_it = fit.log_evidence(noise) + over_scales(fit, mine, noise)
+    with_it = fit.log_evidence(noise) + over_scales(fit, fit.places_of(place)[0], noise)
     return less.log_evidence(noise) > with_it + item.weighed.best.log_shape
 
 
@@ -597,12 +592,3 @@ def _placed(items: Sequence[Added], fit: Fit) -> list[tuple[int, Rival]]:
 
 def _place(state: State, item: Added) -> int:
     return place_of(item, state.model.effects)
-
-
-def _columns_of(fit: Fit, place: int) -> list[int]:
-    """Entries of theta that belong to the effect at that position."""
-    effects = fit.model.effects
-    start = sum(len(e.amplitudes) for e in effects[:place])
-    found = list(range(start, start + len(effects[place].amplitudes)))
-    moving = [i for i, e in enumerate(effects) for p in e.shapes if p.moves]
-    return found + [len(fit.model.entries) + k for k, i in enumerate(moving) if i == place]
