@@ -13,6 +13,7 @@ from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, Prior, close_loop, identify, predict
 from vcal.distributions import Normal
 from vcal.loop import screen as screening
+from vcal.loop.adding import Added
 from vcal.loop.candidates import candidates
 from vcal.loop.certainty import doubted
 from vcal.loop.close_loop import still_rejected
@@ -23,7 +24,7 @@ from vcal.loop.round import unlikely
 from vcal.loop.scan import Responses
 from vcal.loop.screen import Peak, Screen
 from vcal.loop.screening import screen
-from vcal.loop.search import Added, Search
+from vcal.loop.search import Search
 from vcal.loop.shortlist import shortlist
 from vcal.loop.state import fitted
 from vcal.loop.unexplained import dependence, from_structure
@@ -344,6 +345,19 @@ def test_an_interruption_leaves_what_is_in_the_model(tracker, monkeypatch):
     after = run.prune(state, reached.append)
     assert reached == [after] and [item.effect.key for item in run.added(after)] == ["backlash Y"]
     assert [(r.effect, r.placement) for r in run.rejected] == [("backlash", "X")]
+
+
+def test_an_attempt_that_came_to_nothing_leaves_no_trace():
+    run = Search(None, (), 0.01, 20, 0, 0, lambda text: None)
+    run.rejected = [Rejected("backlash", "X", 0.001, "does not hold")]
+    before = {name: v[:] if isinstance(v, list) else v for name, v in vars(run).items()}
+    kept = run._kept()
+    for name in ("history", "rejected", "screenings", "unseen", "_outdone"):
+        getattr(run, name).append("on the way")
+    run.refused = run.unexplained = run._description = "so"  # type: ignore[assignment]
+    run._description_trials = 7.0
+    run._restore(kept)
+    assert vars(run) == before
 
 
 def test_what_a_later_round_adds_is_not_rejected_too(tracker):
@@ -673,7 +687,7 @@ def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, mo
     """One of an expected size goes first, although another is seven times as likely; where that
     one does not hold, neither does what fits as it does.
     """
-    module = importlib.import_module("vcal.loop.search")
+    module = importlib.import_module("vcal.loop.adding")
     run = searching(tracker)
     state = fitted(tracker.model, noisy(tracker, 3), None, tracker.room)
     large, expected = (
