@@ -613,7 +613,7 @@ ARMS = {
     ),
     "negative size of links": (
         replace("link_rotation_urad = 2000", "link_rotation_urad = -1"),
-        ("setup.toml, key model.geometric.link_rotation_urad", "found -1", "greater than 0"),
+        ("setup.toml, key model.geometric.link_rotation_urad", "found -1", "at least 1e-06"),
     ),
     "sliding joint": (
         both(
@@ -710,7 +710,7 @@ SETUP = {
     ),
     "negative noise": (
         replace("range_sigma_um = 1.3", "range_sigma_um = -1.3"),
-        ("setup.toml, key instrument.range_sigma_um", "found -1.3", "a number greater than 0"),
+        ("setup.toml, key instrument.range_sigma_um", "found -1.3", "a number of at least 1e-05"),
     ),
     "short list": (
         replace("300.0, 700.0]", "300.0]"),
@@ -813,6 +813,14 @@ SETUP = {
         replace("[-900.0", "[-900000.0"),
         ("setup.toml, key instrument.station_mm.0", "found -900000.0", "at least -200000"),
     ),
+    "noise of a thousandth of an atom": (
+        replace("range_sigma_um = 1.3", "range_sigma_um = 1e-12"),
+        ("setup.toml, key instrument.range_sigma_um", "found 1e-12", "at least 1e-05"),
+    ),
+    "noise in metres": (
+        replace("range_sigma_um = 1.3", "range_sigma_um = 1.3e-6"),
+        ("setup.toml, key instrument.range_sigma_um", "found 1.3e-06", "at least 1e-05; correct"),
+    ),
     "tiny": (
         replace("range_sigma_um = 1.3", "range_sigma_um = 1e-300"),
         ("setup.toml, key instrument.range_sigma_um", "1e-300", "from 1e-15 to 1e+15 in size"),
@@ -873,7 +881,17 @@ SETUP = {
             'family = "fourier"\ntable = "errors.csv"',
             'family = "smooth"\ntranslation_um = -1\nrotation_urad = 1\nsquareness_urad = 1',
         ),
-        ("setup.toml, key model.geometric.translation_um", "found -1", "greater than 0"),
+        ("setup.toml, key model.geometric.translation_um", "found -1", "at least 1e-06"),
+    ),
+    "errors in metres": (
+        replace(
+            'family = "fourier"\ntable = "errors.csv"',
+            'family = "smooth"\ntranslation_um = 8\nrotation_urad = 1e-12\nsquareness_urad = 2e6',
+        ),
+        (
+            "setup.toml, key model.geometric.rotation_urad: found 1e-12, expected a number of at",
+            "setup.toml, key model.geometric.squareness_urad: found 2000000.0, expected a number",
+        ),
     ),
     "unknown effect": (
         effect('name = "scale_grwth"\nplacement = "X"'),
@@ -1049,6 +1067,14 @@ OVERRIDES = {
     "two values": (
         ["loop.alpha=2", "loop.alpha=0.02"],
         ("(override loop.alpha=0.02), key loop.alpha: found 2 as well", "one value for a key"),
+    ),
+    "a table and a key of it": (
+        ["loop={seed = 1}", "loop.alpha=0.02"],
+        ("(override loop.alpha=0.02), key loop.alpha: found loop={seed = 1} as well", "a whole"),
+    ),
+    "a key and its table": (
+        {"loop.alpha": 0.02, "loop": {"seed": 1}},
+        ('(override loop={"seed": 1}), key loop: found loop.alpha=0.02 as well', "some of its"),
     ),
     "no table": (["name.first=x"], ("override name.first=x", 'found "small"', "expected a table")),
     "no row": (

@@ -97,8 +97,6 @@ def test_one_value_does_not_count_for_all(known, values):
     with pytest.raises(ValueError, match=expected):
         prepare_batch(it.model, it.plan, theta=values)
     expected = re.escape(f"keep: found shape {np.shape(values)}, expected ({it.plan.rows},), True")
-    with pytest.raises(ValueError, match=expected):
-        prepare_batch(it.model, it.plan, keep=values.astype(bool))
     readings = np.zeros((it.plan.rows, 3))
     with pytest.raises(ValueError, match=expected):
         identify(it.model, Measurement(it.plan, readings), keep=values.astype(bool))

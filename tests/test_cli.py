@@ -109,6 +109,24 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path):
     assert process("loop", "nowhere.toml", cwd=tmp_path).returncode == 2  # no --out
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        *((name, "x") for name in ("loop", "simulate", "uncertainty", "design")),
+        ("demo",),
+        ("reproduce", "acceleration"),
+        ("effects",),
+        ("init",),
+    ],
+)
+def test_a_folder_without_a_name(command, tmp_path, monkeypatch):
+    """It is not the one that the user is in."""
+    monkeypatch.chdir(tmp_path)
+    told = run(*command, *(["--out"] * (command != ("init",))), "", code=2).stderr
+    assert "found '', expected the name of a folder; give one" in re.sub(r"[\s│]+", " ", told)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_pages_of_effects(tmp_path):
     done = run("effects", "reversal_spike", "--out", tmp_path / "one").output
     page = (tmp_path / "one" / "reversal_spike.html").read_text()

@@ -64,6 +64,8 @@ def test_the_error_at_check_points_is_that_of_the_other_name_so_often(study, fit
 def test_error_motions_are_those_of_the_other_name_so_often(fit):
     """u^2 of every node has the sum of p (difference)^2 of every doubt more."""
     plain = error_motion_tables(fit)
+    coarse = {t.name: len(t.value) for t in error_motion_tables(fit, nodes=5)}
+    assert set(coarse) == {t.name for t in plain} and set(coarse.values()) <= {1, 5}
     found = error_motion_tables(fit, doubts=doubts(fit))
     by = [{t.name: t.value for t in error_motion_tables(moved(fit, seed))} for seed in range(4)]
     for before, after in zip(plain, found, strict=True):
@@ -88,7 +90,7 @@ def rivals_on(it: Known, *given: Effect) -> tuple[Fit, list[Rival]]:
     fit = identify(it.model, Measurement(it.plan, it.readings(*given)), room=it.room)
     effects = [dataclasses.replace(it.effect(f"backlash:{axis}"), given=()) for axis in "XYZ"]
     state = Screen(fit, 20, 0)
-    peaks = [peak for effect in effects for peak in state.test(effect).peaks(1)]
+    peaks = [peak for effect in effects for peak in state.tests([effect])[0].peaks(1)]
     return fit, refit_all(fit, peaks, {"backlash": 3}, fit.used, it.room)
 
 

@@ -263,7 +263,7 @@ def test_evidence_of_a_time_constant_at_the_end_of_its_scan(tracker, size):
     assert fit.log_evidence() == pytest.approx(exact, abs=1.0)
     # As a rival, which knows the whole scan.
     base = identify(tracker.model, fit.measurement)
-    peaks = Screen(base, 5, 0).test(effect).peaks(10)
+    peaks = Screen(base, 5, 0).tests([effect])[0].peaks(10)
     best = refit_all(base, peaks, {"warm_up": 1}, base.used)[0]
     amplitude = slice(len(tracker.model.entries), len(tracker.model.entries) + 1)
     noise = max(1.0, best.fit.chi2 / best.fit.dof) ** 0.5
@@ -277,7 +277,7 @@ def test_the_order_of_peaks_has_no_say(tracker):
     effect = tracker.effect("warm_up:Y:component=EZY")
     true = tracker.effect("drift:Y:rate_EZY_um_per_h=80")
     base = identify(tracker.model, measured(tracker, true))
-    peaks = Screen(base, 5, 0).test(effect).peaks(10)
+    peaks = Screen(base, 5, 0).tests([effect])[0].peaks(10)
     assert len(peaks) > 2
     shares = []
     for order in (peaks, peaks[::-1]):

@@ -501,6 +501,19 @@ def test_multivariate_t_is_exact_for_a_linear_function():
     assert budget.interval("y") == pytest.approx((-half, half), rel=1e-9)
 
 
+@pytest.mark.parametrize("nu", [0.7, 1.0, 2.0])
+def test_two_or_three_repeats_have_a_scale(nu):
+    """JCGM 100, 4.2.3: whatever standard deviation JCGM 101 has for them."""
+    alone = Inputs({"x": StudentT(1.0, 2.0, nu), "b": MultivariateT([0.0], [[1e-20]], nu)})
+    budget = propagate(lambda v: 3.0 * v["x"] + v["b"][0], alone, order=2, moments="own")
+    assert budget.u[0] == pytest.approx(6.0) and budget.nu_eff[0] == pytest.approx(nu)
+    half = 6.0 * stats.t.ppf(0.975, nu)
+    assert budget.interval("y") == pytest.approx((3.0 - half, 3.0 + half))
+    pair = {"a": StudentT(0.0, 1.0, nu), "b": Normal(0.0, 1.0)}
+    with pytest.raises(ValueError, match=f"t: found dof = {nu}, expected more than 2"):
+        propagate(total, Inputs(pair, {("a", "b"): 0.5}))
+
+
 def test_uncorrelated_elements_of_one_estimate_are_one_group():
     # Estimated from the same seven observations: their variances are not independent evidence.
     inputs = Inputs({"x": MultivariateT([0.0, 0.0], np.diag([4.0, 9.0]), 6.0)})

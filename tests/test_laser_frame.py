@@ -15,7 +15,7 @@ from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from vcal.effects.laser_frame import FrameExpansion, HeadExpansion, PsdLinearity, Refraction
 from vcal.instruments.laser_frame import LaserFrame, beam_path, filter_shift, safe_filter_shift
 from vcal.instruments.psd_map import PsdMap
-from vcal.io import read_table
+from vcal.io import read_table, write_table
 from vcal.loop.unexplained import Interval, Unexplained
 from vcal.model import Model, observe_all
 from vcal.plan import Plan
@@ -301,6 +301,17 @@ def test_mistakes_in_the_study_file(tmp_path, old, new, said):
     with pytest.raises(StudyError) as error:
         load_study(folder)
     assert said in str(error.value)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e-6])
+def test_readings_in_millimetres_or_metres(tmp_path, factor):
+    """Less than their own noise, whatever the machine does."""
+    folder = write_frame(tmp_path / "study", growth=0.0)
+    table = read_table(folder / "data.csv", [])
+    write_table(folder / "data.csv", dict(table) | {n: factor * table[n] for n in ("u_um", "v_um")})
+    said = "data.csv, columns u_um, v_um: found readings with .* expected 0.5 at least in the unit"
+    with pytest.raises(StudyError, match=said):
+        load_study(folder)
 
 
 @pytest.mark.parametrize(

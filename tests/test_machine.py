@@ -196,6 +196,16 @@ def test_what_springs_hold_however_large_or_small(tmp_path, old, new):
         assert "machine.toml, controller: found" in str(error)
 
 
+def test_a_key_of_a_description_is_replaced(tmp_path):
+    path = tmp_path / "machine.toml"
+    path.write_text(TEXT, encoding="utf-8")
+    plain, other = (load_machine(path, given).machine for given in ([], ["body.0.mass_kg=451"]))
+    masses = [[body.mass for body in one.bodies] for one in (plain, other)]
+    assert masses[1] == [451.0, *masses[0][1:]] != masses[0]
+    with pytest.raises(StudyError, match=r"\(override body.0.mass_kg=x\), key body.0.mass_kg"):
+        load_machine(path, ["body.0.mass_kg=x"])
+
+
 def test_no_such_description(tmp_path):
     with pytest.raises(StudyError, match="no such file"):
         load_machine(tmp_path / "none.toml")

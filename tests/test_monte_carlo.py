@@ -238,6 +238,19 @@ def gauge(v):
     return v["l_s"] - 5e7 + d - v["l_s"] * expansion
 
 
+def test_inputs_without_a_standard_deviation_are_told():
+    """JCGM 101, 6.4.9.5: there are coverage intervals all the same."""
+    done = propagate_distributions(
+        lambda v: 1.0 + v["x"] + v["b"], Inputs({"x": StudentT(0, 3, 1.0), "b": Normal(0, 1e-9)})
+    )
+    low, high = done.interval("y")
+    half = 3.0 * stats.t.ppf(0.975, 1)
+    assert (low, high) == (pytest.approx(1 - half, rel=0.01), pytest.approx(1 + half, rel=0.01))
+    assert "x (dof = 1) has no standard deviation" in done.notes[0]
+    three = Inputs({"x": StudentT(0, 3, 3.0)})
+    assert propagate_distributions(lambda v: v["x"], three, draws=100).notes == ()
+
+
 def test_9_5_gauge_block():
     inputs = Inputs(
         {

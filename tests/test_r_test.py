@@ -1,6 +1,7 @@
 """R-test: circles, the instrument, its effects and evaluations, on data written by plain numpy."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -497,6 +498,27 @@ def test_no_vibration_in_noise_or_in_what_belongs_to_the_circle(study):
     assert vibration(one) is None
 
 
+def test_a_vibration_of_one_data_set_is_told_with_its_name(study):
+    """Beside circles without one, of other paces and lengths of their own."""
+    short = study.plan.take(np.flatnonzero(study.plan.values("circle_angle") < 5.0))
+    plans = {"quiet": short, "shaky": study.plan}
+    instrument, plan = several({name: DataSet(study.instrument, p) for name, p in plans.items()})
+    sigma = instrument.noise(plan, np.zeros((plan.rows, 3)))
+    noise = sigma * np.random.default_rng(3).standard_normal(sigma.shape)
+    fit = SimpleNamespace(
+        measurement=SimpleNamespace(plan=plan),
+        model=SimpleNamespace(instrument=instrument),
+        used=np.ones(plan.rows, bool),
+        residual=noise,
+    )
+    assert vibration(fit) is None
+    swing = np.nan_to_num(np.sin(2 * np.pi * 37.0 * plan.values("shaky:t_run")))
+    fit.residual = noise + 1e-6 * swing[:, None] * (np.arange(noise.shape[1]) == 2)
+    found = vibration(fit)
+    assert (found.data_set, found.reading) == ("shaky", "z_ext")
+    assert found.hz == pytest.approx(37.0, abs=0.05) and "in z_ext of shaky" in found.words
+
+
 def timed(table):
     """The same with times that go on from run to run."""
     runs = np.unique(table["run"])
@@ -767,6 +789,14 @@ def test_readings_do_not_hold_the_noise_of_the_positions(study):
          r"row 6 \(line 7\), run 0, column sense: found -1 after 1, expected one setting in a run"),
         (lambda t: t | {"a_set_m_s2": t["a_set_m_s2"] + (np.arange(len(t["run"])) == 5)},
          r"row 6 \(line 7\), run 0, column a_set_m_s2: found 5.5 after 4.5, expected one setting"),
+        (lambda t: {k: v * 1e-3 if k.endswith("ext_mm") else v for k, v in t.items()},
+         r"columns x_ext_mm, y_ext_mm, z_ext_mm: found .* with metres turned into millimetres"),
+        (lambda t: t | {"y_ext_mm": 1e-3 * t["y_ext_mm"]},
+         r"^data.csv, row \d+ \(line \d+\), column y_ext_mm: found y_ext_mm -?0.001.* mm from the "
+         r"mean of run \d, where the axes are -?1.9.*; they do with metres turned into mill"),
+        (lambda t: t | {"z_ext_mm": -t["z_ext_mm"]}, "with the other sign in z_ext_mm: correct"),
+        (lambda t: t | {"x_ext_mm": t["y_ext_mm"], "y_ext_mm": t["x_ext_mm"]},
+         "with the columns in the order y_ext_mm, x_ext_mm, z_ext_mm: correct that"),
     ],
 )  # fmt: skip
 def test_mistakes_in_the_data(tmp_path, change, message):

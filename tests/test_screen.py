@@ -66,7 +66,7 @@ def test_statistic_is_the_drop_of_the_cost_of_a_refit(kind, text, known):
     measurement = noisy(it, 1, it.effect("backlash:Y:size_um=4"))
     state = screened(it, measurement, draws=5)
     effect = it.effect(text)
-    tested = state.test(effect)
+    tested = state.tests([effect])[0]
     assert tested.drops.rank[0] == len(effect.amplitudes)
     flat = tuple((p.name, 0.0, math.inf) for p in effect.amplitudes)
     model = it.model.with_effects(dataclasses.replace(effect, given=flat))
@@ -102,7 +102,7 @@ def test_what_the_model_spans_is_unseen(known):
 
     state = screened(it, noisy(it, 2), draws=5)
     tool, twin, seen = it.effect("tool_offset"), Twin(), it.effect("backlash:X")
-    assert state.test(twin) is None
+    assert state.tests([twin])[0] is None
     result = screen(state, [tool, twin, seen])
     assert result.unseen == [tool, twin]
     assert [kind.kind for kind in result.kinds] == ["backlash"]
@@ -119,7 +119,7 @@ def test_what_the_data_determine_is_tested(kind, known):
     missed = set()
     for effect in (e for e in tried if not e.shapes):
         information = state.information(state.columns(effect, {}))  # in prior sigmas
-        if np.linalg.eigvalsh(information)[-1] > 4.0 and state.test(effect) is None:
+        if np.linalg.eigvalsh(information)[-1] > 4.0 and state.tests([effect])[0] is None:
             missed.add(effect.key)
     assert missed == set()
 
@@ -243,7 +243,7 @@ def test_pitch_between_the_steps_of_the_scan_is_found(pitch_mm, tmp_path):
     it = Known("laser_tracker", tmp_path, seed=6, plan=scattered)
     true = it.effect(f"screw_cyclic:X:sine_um=5,cosine_um=4,pitch_mm={pitch_mm}")
     state = screened(it, noisy(it, 5, true))
-    tested = state.test(it.effect("screw_cyclic:X"))
+    tested = state.tests([it.effect("screw_cyclic:X")])[0]
     best = tested.peaks(5)[0]
     covered = np.ptp(it.plan.x("X"))
     off = abs(1 / best.shape["pitch"] - 1e3 / pitch_mm) * covered
@@ -263,7 +263,7 @@ def test_a_step_on_the_slope_of_a_peak_counts_for_that_peak(size_um, known):
     it = known["laser_tracker"]
     true = it.effect(f"jump:frame:X_um={size_um},Y_um={size_um / 2},at_s=600")
     state = screened(it, noisy(it, 3, true), draws=5)
-    peaks = state.test(it.effect("jump:frame")).peaks(5)
+    peaks = state.tests([it.effect("jump:frame")])[0].peaks(5)
     assert len(peaks) > 2
     assert all(peak.log_share <= 1e-9 for peak in peaks)
     assert max(peaks, key=lambda p: p.log_bayes) is peaks[0]
@@ -273,7 +273,7 @@ def test_a_step_on_the_slope_of_a_peak_counts_for_that_peak(size_um, known):
 def test_the_peaks_share_the_evidence_of_the_whole_scan(text, known):
     it = known["laser_tracker"]
     state = screened(it, noisy(it, 3, it.effect("jump:tool:X_um=6,at_s=600")), draws=5)
-    tested = state.test(it.effect(text))
+    tested = state.tests([it.effect(text)])[0]
     peaks = tested.peaks(10)
     assert len(peaks) > 1
     together = logsumexp([p.log_bayes for p in peaks])

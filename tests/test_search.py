@@ -13,6 +13,7 @@ from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, Prior, close_loop, identify, predict
 from vcal.distributions import Normal
 from vcal.loop import screen as screening
+from vcal.loop.adding import Added
 from vcal.loop.candidates import candidates
 from vcal.loop.certainty import doubted
 from vcal.loop.close_loop import still_rejected
@@ -23,7 +24,7 @@ from vcal.loop.round import unlikely
 from vcal.loop.scan import Responses
 from vcal.loop.screen import Peak, Screen
 from vcal.loop.screening import screen
-from vcal.loop.search import Added, Search
+from vcal.loop.search import Search
 from vcal.loop.shortlist import shortlist
 from vcal.loop.state import fitted
 from vcal.loop.unexplained import dependence, from_structure
@@ -123,9 +124,9 @@ def test_evidence_does_not_depend_on_chunks(tracker, monkeypatch):
     true = tracker.effect("screw_cyclic:X:sine_um=8,cosine_um=4,pitch_mm=10")
     state = Screen(identify(tracker.model, noisy(tracker, 9, true), room=tracker.room), 20, 0)
     effect = dataclasses.replace(true, given=())
-    whole = state.test(effect)
+    whole = state.tests([effect])[0]
     monkeypatch.setattr(screening, "_CHUNK", 7)
-    parts = state.test(effect)
+    parts = state.tests([effect])[0]
     assert whole is not None and parts is not None
     np.testing.assert_allclose(parts.bayes, whole.bayes, rtol=0, atol=1e-9)
     assert parts.drops.null.keys() == whole.drops.null.keys()
@@ -143,7 +144,7 @@ def test_candidates_are_tested_together_as_alone(tracker):
     responses = Responses(fit.measurement.plan, 4_000_000)
     once, again = (Screen(fit, 20, 0, responses).tests(tried) for _ in range(2))
     for effect, first, second in zip(tried, once, again, strict=True):
-        alone = Screen(fit, 20, 0).test(effect)
+        alone = Screen(fit, 20, 0).tests([effect])[0]
         assert alone is not None and first is not None and second is not None
         np.testing.assert_allclose(first.drops.stat, alone.drops.stat, rtol=1e-9)
         np.testing.assert_allclose(first.bayes, alone.bayes, rtol=0, atol=1e-9)
@@ -183,7 +184,7 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     base = identify(tracker.model, measurement, room=tracker.room)
     effect = bare(tracker, "backlash:Y:size_um=1")
     state = Screen(base, 20, 0)
-    (peak,) = state.test(effect).peaks(1)
+    (peak,) = state.tests([effect])[0].peaks(1)
     (rival,) = refit_all(base, [peak], {"backlash": 2}, base.used, tracker.room)
     place = len(rival.fit.model.effects) - 1
     size = rival.fit.values_of(place)[0][2] / effect.amplitudes[0].sigma
@@ -195,7 +196,7 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     expected = rival.log_bayes + np.log(0.5) + rival.leniency
     assert rival.log_weight == pytest.approx(expected)
     small = identify(tracker.model, noisy(tracker, 4, tracker.effect("backlash:Y:size_um=12")))
-    (peak,) = Screen(small, 20, 0).test(effect).peaks(1)
+    (peak,) = Screen(small, 20, 0).tests([effect])[0].peaks(1)
     (rival,) = refit_all(small, [peak], {"backlash": 2}, small.used, tracker.room)
     assert rival.leniency == 0.0
 
@@ -344,6 +345,19 @@ def test_an_interruption_leaves_what_is_in_the_model(tracker, monkeypatch):
     after = run.prune(state, reached.append)
     assert reached == [after] and [item.effect.key for item in run.added(after)] == ["backlash Y"]
     assert [(r.effect, r.placement) for r in run.rejected] == [("backlash", "X")]
+
+
+def test_an_attempt_that_came_to_nothing_leaves_no_trace():
+    run = Search(None, (), 0.01, 20, 0, 0, lambda text: None)
+    run.rejected = [Rejected("backlash", "X", 0.001, "does not hold")]
+    before = {name: v[:] if isinstance(v, list) else v for name, v in vars(run).items()}
+    kept = run._kept()
+    for name in ("history", "rejected", "screenings", "unseen", "_outdone"):
+        getattr(run, name).append("on the way")
+    run.refused = run.unexplained = run._description = "so"  # type: ignore[assignment]
+    run._description_trials = 7.0
+    run._restore(kept)
+    assert vars(run) == before
 
 
 def test_what_a_later_round_adds_is_not_rejected_too(tracker):
@@ -673,7 +687,7 @@ def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, mo
     """One of an expected size goes first, although another is seven times as likely; where that
     one does not hold, neither does what fits as it does.
     """
-    module = importlib.import_module("vcal.loop.search")
+    module = importlib.import_module("vcal.loop.adding")
     run = searching(tracker)
     state = fitted(tracker.model, noisy(tracker, 3), None, tracker.room)
     large, expected = (

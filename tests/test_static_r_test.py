@@ -1,6 +1,7 @@
 """A sphere that stays with the table while rotary axes turn, against plain numpy matrices."""
 
 import csv
+import dataclasses
 import math
 from functools import partial
 
@@ -273,6 +274,17 @@ def small(tmp_path_factory):
     return write(tmp_path_factory.mktemp("small"), 7, machine(0.0), runs=1)
 
 
+def test_folds_are_blocks_in_time_of_every_run(small):
+    """Whatever the order of the rows; in theirs without a time."""
+    it = vcal.load_study(small)
+    fold, apart = it.instrument.folds(it.plan)
+    assert not apart and (np.diff(fold[np.argsort(it.plan.values("t"))]) >= 0).all()
+    order = np.random.default_rng(0).permutation(it.plan.rows)
+    np.testing.assert_array_equal(it.instrument.folds(it.plan.take(order))[0], fold[order])
+    timeless = dataclasses.replace(it.plan.take(order), covariates={})
+    assert (np.diff(it.instrument.folds(timeless)[0]) >= 0).all()
+
+
 @pytest.mark.parametrize(
     ("overrides", "said"),
     [
@@ -302,6 +314,11 @@ def test_what_does_not_fit_is_one_message(small, overrides, said):
         ),
         (lambda row: dict.fromkeys(POSITIONS[:5], "20"), "the same in all rows"),
         (lambda row: {"run": str(int(row["t_s"]) // 40)}, r"row\(s\) of run 0"),
+        (
+            lambda row: {c: str(1e-3 * float(row[c])) for c in row if c.endswith("_ext_mm")},
+            r"^data.csv, columns x_ext_mm, y_ext_mm, z_ext_mm: found readings with a standard "
+            "deviation of .* the noise that is declared .*; correct the unit of the readings, or",
+        ),
     ],
 )
 def test_rows_that_do_not_fit(small, tmp_path, change, said):

@@ -32,7 +32,7 @@ def rivals_of(it: Known, *present: str):
     readings = it.readings(*map(it.effect, present)) + noise
     base = identify(it.model, Measurement(it.plan, readings), room=it.room)
     state = Screen(base, 20, 0)
-    peaks = [state.test(it.effect(text)).peaks(1)[0] for text in EFFECTS]
+    peaks = [state.tests([it.effect(text)])[0].peaks(1)[0] for text in EFFECTS]
     keep = np.ones(len(it.plan.position), bool)
     rivals = refit_all(base, peaks, {p.effect.name: 3 for p in peaks}, keep, it.room)
     return base, rivals, keep

@@ -30,7 +30,7 @@ from .identify import declared_whitener, linearised_terms
 from .instruments.base import Instrument
 from .least_squares import least_squares
 from .measurement import Measurement
-from .model import Model, Shapes, check_keep, observe_columns, observe_with_jacobian, port_values
+from .model import Model, Shapes, observe_columns, observe_with_jacobian, port_values
 from .plan import Plan
 from .port_map import PortMap, port_map
 from .prior import Amplitudes
@@ -263,16 +263,15 @@ def prepare_batch(
     *,
     shapes: Shapes | None = None,
     theta: Float[np.ndarray, " a"] | None = None,
-    keep: Bool[np.ndarray, " n"] | None = None,
 ) -> Batch:
     """All of a batched identification that is the same for every draw.
 
     The problem is linearised about the amplitudes `theta` (a,) in solver units, nominally zero, and
     the `shapes` (SI); shape parameters not given are their declared values, or the middle of their
-    scan. `keep` (n,) leaves rows out.
+    scan.
 
-    Raises `RuntimeError` in float32, and `ValueError` where theta or keep do not fit, or where data
-    and prior leave a parameter undetermined there: a shape parameter is, as long as its effect has
+    Raises `RuntimeError` in float32, and `ValueError` where theta does not fit, or where data and
+    prior leave a parameter undetermined there: a shape parameter is, as long as its effect has
     no amplitude.
     """
     require_float64()
@@ -309,9 +308,6 @@ def prepare_batch(
 
     nominal, by_term = linearised(begin)
     whitener = declared_whitener(model, Measurement(plan, nominal))
-    if keep is not None:
-        check_keep(plan, keep)
-        whitener = whitener * np.asarray(keep, float)[:, None, None]
 
     def whitened(by_term: np.ndarray) -> np.ndarray:
         """The Jacobian (n m, k)."""

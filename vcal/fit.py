@@ -25,6 +25,10 @@ _LOST = 1e-9
 """Singular value, over the largest one, that counts as zero."""
 _PART = 0.1
 """Part in a direction of unit length from which a parameter is told."""
+_LITTLE = 0.01
+"""Share of the information from the data below which they say next to nothing."""
+_MOST_TOLD = 6
+"""Directions that are told; the rest is counted."""
 
 
 @dataclass(frozen=True)
@@ -356,12 +360,12 @@ def undetermined(fit: Fit) -> list[str]:
     return [name for name, share in zip(names, part, strict=True) if share > _PART]
 
 
-def null_directions(fit: Fit, share: float = 0.01, most: int = 6) -> list[str]:
+def null_directions(fit: Fit) -> list[str]:
     """Combinations of parameters about which the data say next to nothing, in words.
 
-    Directions in which less than `share` of the information comes from the data: right singular
-    vectors of the Jacobian (solver units) with s^2 / (s^2 + 1) below it. Each is told by the
-    parameters that make up nine tenths of it.
+    Directions in which less than a hundredth of the information comes from the data: right singular
+    vectors of the Jacobian (solver units) with s^2 / (s^2 + 1) below it. Six are told, each by the
+    parameters that make up nine tenths of it, and the others counted.
     """
     systematic = np.array([p.informed and not p.known for _, p in fit.entries])
     nuisance = fit.precision == 0
@@ -372,14 +376,14 @@ def null_directions(fit: Fit, share: float = 0.01, most: int = 6) -> list[str]:
     _, s, vt = np.linalg.svd(jacobian, full_matrices=len(jacobian) < jacobian.shape[1])
     s = np.pad(s, (0, len(vt) - len(s)))
     names = [p.name for (_, p), kept in zip(fit.entries, systematic, strict=True) if kept]
-    unseen = [v for v, size in zip(vt, s, strict=True) if size**2 / (size**2 + 1.0) < share]
+    unseen = [v for v, size in zip(vt, s, strict=True) if size**2 / (size**2 + 1.0) < _LITTLE]
     found = []
-    for v in unseen[::-1][:most]:
+    for v in unseen[::-1][:_MOST_TOLD]:
         order = np.argsort(-np.abs(v))
         count = int(np.searchsorted(np.cumsum(v[order] ** 2), 0.9)) + 1
         parts = [f"{v[i]:+.2f} {names[i]}" for i in order[: min(count, 5)]]
         more = f" and {count - 5} more" if count > 5 else ""
         found.append(" ".join(parts) + more)
-    if len(unseen) > most:
-        found.append(f"and {len(unseen) - most} further directions")
+    if len(unseen) > _MOST_TOLD:
+        found.append(f"and {len(unseen) - _MOST_TOLD} further directions")
     return found

@@ -22,6 +22,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+
+def _folder(text: str) -> Path:
+    """The folder that is named; an empty name would be the one that the user is in."""
+    if not text.strip():
+        raise typer.BadParameter(f"found {text!r}, expected the name of a folder; give one")
+    return Path(text)
+
+
 Setup = Annotated[
     Path, typer.Argument(help="Study file (TOML), or a folder with a setup.toml.", metavar="SETUP")
 ]
@@ -33,6 +41,8 @@ ReportFolder = Annotated[
     Path,
     typer.Option(
         "--out",
+        parser=_folder,
+        metavar="PATH",
         help="Folder for the report: a new one, or that of an earlier report, which is replaced "
         "unless something in it was changed.",
     ),
@@ -154,7 +164,12 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
 @app.command()
 @guarded
 def init(
-    folder: Annotated[Path, typer.Argument(help="Folder to write; a new or an empty one.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            parser=_folder, metavar="FOLDER", help="Folder to write; a new or an empty one."
+        ),
+    ],
     instrument: Annotated[
         str, typer.Option(metavar="KIND", help=f"One of {', '.join(starts())}.")
     ] = "laser_tracker",
@@ -172,7 +187,12 @@ def init(
 @guarded
 def simulate(
     setup: Setup,
-    out: Annotated[Path, typer.Option("--out", help="Folder to write; a new or an empty one.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", parser=_folder, metavar="PATH", help="Folder to write; a new or an empty one."
+        ),
+    ],
     with_: Annotated[
         list[str] | None,
         typer.Option(
@@ -273,6 +293,8 @@ def design(
         Path,
         typer.Option(
             "--out",
+            parser=_folder,
+            metavar="PATH",
             help="Folder for the design: a new one, or that of an earlier design, which is "
             "replaced unless something in it was changed.",
         ),
@@ -331,6 +353,8 @@ def reproduce(
         Path | None,
         typer.Option(
             "--out",
+            parser=_folder,
+            metavar="PATH",
             help="Folder for the results: a new one, or that of earlier results, which are "
             "replaced unless something in it was changed.",
         ),
@@ -372,7 +396,12 @@ def effects(
     name: Annotated[str | None, typer.Argument(help="Show this one in full.")] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Write pages with pictures into this folder: of all, or of this one."),
+        typer.Option(
+            "--out",
+            parser=_folder,
+            metavar="PATH",
+            help="Write pages with pictures into this folder: of all, or of this one.",
+        ),
     ] = None,
 ) -> None:
     """List the effects of the catalogue, or explain one."""

@@ -40,6 +40,18 @@ class Distribution(Record):
     """Covariance matrix (d, d) of the elements of one draw; (1, 1) where that is one number."""
 
     @property
+    def stated_covariance(self) -> Float[Array, "d d"]:
+        """Covariance matrix (d, d) as JCGM 100 states it, with the tails of few repeats in `dof`
+        instead (4.2.3, G.3): of Student's t that of the scale, which any `dof` leaves.
+        """
+        return self.covariance
+
+    @property
+    def tail_index(self) -> Float[Array, ""]:
+        """Order below which moments exist."""
+        return jnp.asarray(jnp.inf)
+
+    @property
     @abc.abstractmethod
     def shape(self) -> tuple[int, ...]:
         """Shape of one draw: (), or (d,)."""

@@ -79,6 +79,16 @@ class GaussianCopula(Multivariate):
         return jnp.outer(std, std) * jnp.where(jnp.eye(len(std), dtype=bool), 1.0, found)
 
     @property
+    def stated_covariance(self) -> Float[Array, "d d"]:
+        stated = [jnp.sqrt(margin.stated_covariance[0, 0]) for margin in self.margins]
+        ratio = jnp.stack([s / m.std for s, m in zip(stated, self.margins, strict=True)])
+        return self.covariance * jnp.outer(ratio, ratio)
+
+    @property
+    def tail_index(self) -> Float[Array, ""]:
+        return jnp.min(jnp.stack([margin.tail_index for margin in self.margins]))
+
+    @property
     def independent(self) -> bool:
         r = np.asarray(self.correlation)
         return not np.any(r - np.diag(np.diag(r)))

@@ -1,7 +1,7 @@
 """The inputs of an evaluation of uncertainty: named quantities and their joint distribution."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -111,16 +111,20 @@ class Inputs(Record):
 
     @property
     def covariance(self) -> Float[Array, "k k"]:
-        """Covariance of the flattened inputs (k, k), computed anew at every call."""
-        starts = self._starts
-        matrix = jnp.zeros((self.size, self.size))
-        for start, d in zip(starts, self._distributions, strict=False):
-            n = math.prod(d.shape)
-            matrix = matrix.at[start : start + n, start : start + n].set(d.covariance)
-        for group, copula in zip(self._groups, self._copulas, strict=True):
-            at = np.array([starts[i] for i in group])
-            matrix = matrix.at[np.ix_(at, at)].set(copula.covariance)
-        return matrix
+        """Covariance of the flattened inputs (k, k), computed anew at every call.
+
+        Raises `ValueError` where one has none.
+        """
+        return self._assembled(lambda d: d.covariance)
+
+    @property
+    def stated_covariance(self) -> Float[Array, "k k"]:
+        """The same as JCGM 100 states it (`Distribution.stated_covariance`), with the correlations
+        of `covariance`.
+
+        Raises `ValueError` where an input without a standard deviation is correlated with another.
+        """
+        return self._assembled(lambda d: d.stated_covariance)
 
     @property
     def std(self) -> Float[Array, " k"]:
@@ -191,6 +195,18 @@ class Inputs(Record):
             drawn = copula.sample(jax.random.fold_in(key, group[0]))
             found |= {self.names[i]: drawn[place] for place, i in enumerate(group)}
         return {name: found[name] for name in self.names}
+
+    def _assembled(self, matrix_of: Callable[[Distribution], Array]) -> Float[Array, "k k"]:
+        """A matrix of the flattened inputs from that of every input, and of every copula."""
+        starts = self._starts
+        matrix = jnp.zeros((self.size, self.size))
+        for start, d in zip(starts, self._distributions, strict=False):
+            n = math.prod(d.shape)
+            matrix = matrix.at[start : start + n, start : start + n].set(matrix_of(d))
+        for group, copula in zip(self._groups, self._copulas, strict=True):
+            at = np.array([starts[i] for i in group])
+            matrix = matrix.at[np.ix_(at, at)].set(matrix_of(copula))
+        return matrix
 
     @property
     def _starts(self) -> tuple[int, ...]:

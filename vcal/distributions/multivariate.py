@@ -105,6 +105,14 @@ class MultivariateT(Multivariate):
         return self.scale_matrix * ratio
 
     @property
+    def stated_covariance(self) -> Float[Array, "d d"]:
+        return self.scale_matrix
+
+    @property
+    def tail_index(self) -> Float[Array, ""]:
+        return self.common_dof
+
+    @property
     def independent(self) -> bool:
         return self.dimension == 1
 

@@ -112,6 +112,14 @@ class StudentT(Univariate):
         return jnp.where(proper, self.scale * jnp.sqrt(ratio), jnp.nan)
 
     @property
+    def stated_covariance(self) -> Float[Array, "1 1"]:
+        return jnp.reshape(self.scale**2, (1, 1))
+
+    @property
+    def tail_index(self) -> Float[Array, ""]:
+        return self.dof
+
+    @property
     def symmetric(self) -> bool:
         return True
 

@@ -136,7 +136,7 @@ class PsdLinearity(Effect):
         return (f"psd_{self.placement}_mm",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        # Here in mm, as the parameters are: a by 1e3 and b by 1e9 are their SI units.
+        # The column is in mm; the response is in metres per SI unit of a (m/m) and of b (m/m^3).
         x = plan.covariate(f"psd_{self.placement}_mm") * 1e-3
         port = f"read.{self.placement}"
         return {(port, "a"): x, (port, "b"): x**3}

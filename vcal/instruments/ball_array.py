@@ -18,6 +18,7 @@ from ..rigid import Rotation, Scalar, Vector
 from ..spatial import best_rigid
 from .base import (
     LARGEST_NOISE,
+    SMALLEST_NOISE,
     Column,
     FileName,
     InstrumentSettings,
@@ -58,7 +59,7 @@ class BallArraySettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "ball_array"``."""
 
     artefact: FileName
-    probe_sigma_um: float = Field(gt=0, le=LARGEST_NOISE)
+    probe_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
     ball_position_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
     supports: tuple[float, float] = (0.2203, 0.7797)
 

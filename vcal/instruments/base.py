@@ -32,8 +32,9 @@ class Column(BaseModel):
     """Whether it may be left out, and counts as left out where hardly any cell is a number."""
 
 
-LARGEST_NOISE = 1e5
-"""um or urad: an instrument that is off by a decimetre measures no machine, or in another unit."""
+SMALLEST_NOISE, LARGEST_NOISE = 1e-5, 1e5
+"""um or urad: an instrument that is off by a decimetre measures no machine, or in another unit, and
+so does one that is never off by a tenth of an atom."""
 FileName = Annotated[str, Field(min_length=1)]
 """A file beside the study file."""
 

@@ -2,12 +2,13 @@
 the nominal kinematics of the machine.
 """
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..arrays import Array
 from ..chain import Chain
@@ -20,6 +21,15 @@ _MOST_OFF = 0.02
 _LEAST_M = 1e-3
 """What is nothing to wonder at, however small the region: where a rotary axis is, is declared as
 well as one knows."""
+
+_HALF, _FAR = 0.5, 0.5
+"""Of the way that readings move with the axes: what they may be off, and of the farthest from which
+they count as far."""
+_CHANGES = (
+    (1e3, "metres turned into millimetres"),
+    (1e-3, "micrometres turned into millimetres"),
+    (-1.0, "the other sign"),
+)
 
 
 def followed(
@@ -93,6 +103,62 @@ def check_follows(
         cause(chain, plan.axes, position, off, allowed)
         or "compare signs, units and order of the columns of positions and readings, at_mm of the "
         "rotary axes, tool_offset_mm and the chain with the machine",
+    )
+
+
+def check_moves(
+    readings: Float[np.ndarray, "n m"],
+    expected: Float[np.ndarray, "n m"],
+    run: Int[np.ndarray, " n"],
+    columns: Sequence[str],
+) -> None:
+    """Refuse readings (m) that do not move as the axes make them move, run by run, wherever they
+    begin: a column that is off by more than half of its way, in half of the rows that are far from
+    the middle of their run. No machine is that far off.
+
+    Raises `RowError`, which says that a unit, a sign or the order of the columns is the cause where
+    that alone is.
+    """
+    index = np.unique(run, return_inverse=True)[1]
+
+    def about(values: np.ndarray) -> np.ndarray:
+        sums = np.zeros((index.max() + 1, values.shape[1]))
+        np.add.at(sums, index, values)
+        return values - (sums / np.bincount(index)[:, None])[index]
+
+    seen, moved = about(readings), about(expected)
+    far = np.abs(moved) > _FAR * np.abs(moved).max()
+
+    def follows(values: np.ndarray, i: int) -> bool:
+        rows = far[:, i]
+        off = np.abs(values[rows] - moved[rows, i]) / np.abs(moved[rows, i])
+        return not len(off) or float(np.median(off)) <= _HALF
+
+    wrong = [i for i in range(len(columns)) if not follows(seen[:, i], i)]
+    if not wrong:
+        return
+    named = ", ".join(columns[i] for i in wrong)
+    causes = [
+        f"{words} in {named}"
+        for factor, words in _CHANGES
+        if all(follows(factor * seen[:, i], i) for i in wrong)
+    ] + [
+        f"the columns in the order {', '.join(columns[k] for k in order)}"
+        for order in itertools.permutations(range(len(columns)))
+        if all(follows(seen[:, k], i) for i, k in enumerate(order))
+    ]
+    off = np.where(far, np.abs(seen - moved), 0.0)[:, wrong]
+    row, place = np.unravel_index(int(np.argmax(off)), off.shape)
+    at = row, wrong[place]
+    raise RowError(
+        int(row),
+        f"column{'s' * (len(wrong) > 1)} {named}",
+        f"{columns[at[1]]} {1e3 * seen[at]:.4g} mm from the mean of run {run[row]}, where the axes "
+        f"are {1e3 * moved[at]:.4g} mm from it",
+        "readings that follow the axes, to half of their way in half of the rows",
+        f"they do with {causes[0]}: correct that"
+        if causes
+        else "compare units, signs and order of the columns of readings with the instrument",
     )
 
 

@@ -24,6 +24,7 @@ from ..ports import group
 from ..rigid import Rotation, Scalar, Vector
 from .base import (
     LARGEST_NOISE,
+    SMALLEST_NOISE,
     Column,
     FileName,
     InstrumentSettings,
@@ -158,7 +159,7 @@ class SegmentSettings(BaseModel):
 class LaserFrameSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "laser_frame"``."""
 
-    sigma_um: float = Field(gt=0, le=LARGEST_NOISE)
+    sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
     """Noise of a change against the reference run."""
     beam_path: Literal["3d", "planar", "own"] = "3d"
     """By name, over the travel of the machine; or ``"own"``, in [[instrument.segment]] rows."""

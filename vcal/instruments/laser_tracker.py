@@ -17,6 +17,7 @@ from ..rigid import Rotation, Scalar, Vector
 from ..spatial import best_rigid, euler_xyz
 from .base import (
     LARGEST_NOISE,
+    SMALLEST_NOISE,
     Column,
     InstrumentSettings,
     Loader,
@@ -38,9 +39,9 @@ _RANGE = np.array([1.0, 0.0, 0.0])
 class LaserTrackerSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "laser_tracker"``."""
 
-    range_sigma_um: float = Field(gt=0, le=LARGEST_NOISE)
+    range_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
     range_sigma_um_per_m: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
-    angle_sigma_urad: float = Field(gt=0, le=LARGEST_NOISE)
+    angle_sigma_urad: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
     station_mm: tuple[_Coordinate, _Coordinate, _Coordinate]
     euler_xyz_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
 

@@ -16,7 +16,7 @@ from ..parameters import Parameter
 from ..plan import Plan
 from ..record import Record
 from ..rigid import Scalar, Vector
-from .base import LARGEST_NOISE, Column, InstrumentSettings
+from .base import LARGEST_NOISE, SMALLEST_NOISE, Column, InstrumentSettings
 
 COORDINATES = ("x_ext_mm", "y_ext_mm", "z_ext_mm")
 PROBES = ("p1_mm", "p2_mm", "p3_mm")
@@ -26,7 +26,7 @@ Triple = tuple[float, float, float]
 class NestSettings(InstrumentSettings):
     """Keys of ``[instrument]`` that say what the probes are."""
 
-    external_sigma_um: float = Field(gt=0, le=LARGEST_NOISE)
+    external_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
     """Noise of a coordinate that the probes give."""
     external_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
     """Standard uncertainty of a coordinate at the end of the range, from the device's calibration:

@@ -31,6 +31,7 @@ from .base import (
     register,
 )
 from .conditions import linear_plan, linear_plan_table
+from .follow import check_moves
 from .nest import COORDINATES, PROBES, Nest, NestSettings, PlaceOfRuns, reading_columns
 
 _XYZ = "XYZ"
@@ -200,6 +201,7 @@ class RTest(TableInstrument):
         readings = self.nest.measured(table)
         t, run = np.asarray(table["t_s"], float), np.asarray(table["run"], int)
         internal = np.column_stack([table[f"{c}_int_mm"] for c in "xyz"]) * 1e-3
+        check_moves(readings, self.nest.along(internal), run, self.nest.columns)
         for number in np.unique(run):
             mine = np.flatnonzero(run == number)
             beside = internal[mine] - fit_circle(t[mine], internal[mine]).position(t[mine])

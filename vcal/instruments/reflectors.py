@@ -21,7 +21,16 @@ from ..plan import Plan
 from ..ports import COMPONENTS, group
 from ..rigid import Rotation, Scalar, Vector
 from ..spatial import best_rigid
-from .base import Column, InstrumentSettings, Loader, Ports, TableInstrument, register
+from .base import (
+    LARGEST_NOISE,
+    SMALLEST_NOISE,
+    Column,
+    InstrumentSettings,
+    Loader,
+    Ports,
+    TableInstrument,
+    register,
+)
 from .base_drift import BaseDrift
 from .conditions import inside_name
 from .frame import Station, displaced
@@ -42,7 +51,7 @@ class ReflectorsSettings(InstrumentSettings):
 
     tool_reflectors: int = Field(ge=1, le=_MOST)
     base_reflectors: int = Field(default=0, ge=0, le=_MOST)
-    sigma_um: float = Field(gt=0)
+    sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
     joints: Literal["commanded", "read"] = "commanded"
 
 

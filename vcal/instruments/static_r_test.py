@@ -191,10 +191,11 @@ class StaticRTest(TableInstrument):
         return found
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
-        # A fifth of every run, one after the other: what is left of it tells where its sphere is.
+        # A fifth of every run, one after the other in time, as neighbours share what drifts: the
+        # others tell where its sphere is.
         run, fold = np.asarray(plan.groups["run"]), np.zeros(plan.rows, int)
         for k in np.unique(run):
-            mine = np.flatnonzero(run == k)
+            mine = plan.in_time(np.flatnonzero(run == k))
             fold[mine] = np.arange(len(mine)) * _FOLDS // len(mine)
         return fold, False
 

@@ -28,6 +28,8 @@ ToolOffset = tuple[_Offset, _Offset, _Offset]
 """No tool is longer than ten metres: such a number is in another unit than mm."""
 _Length = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Angle = Annotated[float, Field(ge=-720, le=720)]
+_Size = Annotated[float, Field(ge=1e-6, le=1e6)]
+"""um or urad: errors of a machine that are less, or more than a metre, are in another unit."""
 _LARGEST_WHOLE = 2**63 - 1
 _SMALLEST, _LARGEST = 1e-15, 1e15
 """Sizes of numbers, other than zero, whose squares and products can be computed with."""
@@ -160,13 +162,13 @@ class SmoothSettings(Table):
     """``[model.geometric]`` of a machine tool with smooth error motions of declared size."""
 
     family: Literal["smooth"]
-    translation_um: float = Field(gt=0)
+    translation_um: _Size
     """One-sigma size of each error translation."""
-    rotation_urad: float = Field(gt=0)
+    rotation_urad: _Size
     """One-sigma size of each error rotation."""
-    squareness_urad: float = Field(gt=0)
+    squareness_urad: _Size
     """One-sigma size of each squareness, also of rotary axes to what carries them."""
-    location_um: float | None = Field(default=None, gt=0)
+    location_um: _Size | None = None
     """One-sigma size of each error of where a rotary axis is; by default `translation_um`."""
     smoothness: float = Field(default=0.5, ge=0.02, le=10)
     """Correlation length over travel. Guideways bend over about half their length."""
@@ -176,9 +178,9 @@ class LinkSettings(Table):
     """``[model.geometric]`` of an arm: constant errors of each link."""
 
     family: Literal["smooth"] = "smooth"
-    link_translation_um: float = Field(gt=0)
+    link_translation_um: _Size
     """One-sigma size of each of the three error translations of a link."""
-    link_rotation_urad: float = Field(gt=0)
+    link_rotation_urad: _Size
     """One-sigma size of each of the three error rotations of a link."""
 
 
@@ -284,7 +286,8 @@ def read_setup(
 
     An override is ``"instrument.joints=read"``, or a key and its value; rows of an array of tables
     count from 0 (``"model.effect.0.size_um=3"``). Raises `StudyError` for a file that is missing
-    or not TOML, and an override that has no ``=`` or no place in the tree, or contradicts another.
+    or not TOML, and an override that has no ``=`` or no place in the tree, or contradicts another,
+    or is of a whole table beside one of a key in it.
     """
     if not path.is_file():
         raise refusal(
@@ -321,6 +324,15 @@ def read_setup(
                 "one value for a key, by an option or by --set",
                 "leave one of them out",
             )
+        for other in given:
+            if other.startswith(f"{key}.") or key.startswith(f"{other}."):
+                raise refusal(
+                    f"{path.name} (override {key}={said})",
+                    f"key {key}",
+                    f"{other}={given[other]} as well",
+                    "a whole table, or some of its keys",
+                    "leave one of them out, or put the key into the table",
+                )
         given[key] = said
         _put(raw, key, _toml_value(key, value), said)
     return raw, given

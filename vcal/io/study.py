@@ -35,9 +35,11 @@ from .own_instruments import (
     check_readings,
     check_row,
     instrument_class,
+    readings_of,
 )
 from .own_trial import check_instrument
 from .runs import check_points, run_table
+from .scatter import check_scatter
 from .settings import (
     AnySettings,
     LoopSettings,
@@ -485,18 +487,12 @@ def _instrument(
         with calling(settings, kind, "measured", "readings in SI from the columns of the table"):
             readings = instrument.measured(table)
         check_readings(settings, instrument, plan, readings)
-        if (np.ptp(readings, axis=0) == 0.0).all() and readings.any():
-            raise refusal(
-                table.name,
-                "columns of the readings",
-                "the same numbers in every row",
-                f"the readings of a {settings.kind}, which differ from place to place",
-                "export the readings again",
-            )
         with calling(settings, kind, "start", "the same instrument"):
             instrument = instrument.start(chain, plan, readings)
         check_built(settings, kind, instrument, "start")
     check_instrument(settings, instrument, chain, table, plan, readings)
+    if readings is not None:
+        check_scatter(table, readings_of(settings, kind, chain.axes), instrument, plan, readings)
     return instrument, plan, readings
 
 

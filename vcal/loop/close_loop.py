@@ -14,6 +14,7 @@ from ..instruments.conditions import file_column
 from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
+from .adding import Added
 from .begin import shapes_begun
 from .certainty import doubted
 from .chance import LEAST_NOISE
@@ -24,7 +25,7 @@ from .empirical import EMPIRICAL
 from .heldout import Rms, check_rms, fit_rms, heldout_rms
 from .loop_settings import checked, classes_of
 from .rivals import CERTAIN, Rival, Weighed
-from .search import Added, Search, place_of
+from .search import Search, place_of
 from .state import (
     State,
     at_noise_found,

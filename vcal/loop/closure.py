@@ -275,8 +275,9 @@ class Closure:
         swings = self.vibration
         if swings is None:
             return self._described()
-        words = swings.words
-        return words if swings.share > _MOST_OF_IT else f"{self._described()}; {words}"
+        # That of one data set says nothing of what the others leave.
+        most = swings.share > _MOST_OF_IT and not swings.data_set
+        return swings.words if most else f"{self._described()}; {swings.words}"
 
     def _described(self) -> str:
         what = self.unexplained

@@ -37,9 +37,9 @@ _SAME_SHAPE = 2.0
 _FITS_AS_WELL = 10.0
 """Chi-square in units of the noise by which an empirical description must fit better than an effect
 to be preferred to it ..."""
-_WIDENINGS, _WIDER = 4, 4.0
+WIDENINGS, WIDER = 4, 4.0
 """How often, and by how much, the prior of an effect grows that is larger than expected."""
-_WIDEST = _WIDER**_WIDENINGS
+_WIDEST = WIDER**WIDENINGS
 """Prior standard deviations from which a size is that of readings that do not tell it: no prior is
 that wrong. Nothing of it is forgiven."""
 _LIKELIER = math.log(20.0)
@@ -151,7 +151,7 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
     wider, fit = 1.0, refit(base, peak, keep, room)
     first = len(base.model.entries)
     added = slice(first, first + len(peak.effect.amplitudes))
-    for _ in range(_WIDENINGS):
+    for _ in range(WIDENINGS):
         if not fit.determined:
             break  # no reading tells the place of it, and so none its size
         if fit.converged:
@@ -166,7 +166,7 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
             break
         if not 1.0 < wider * size <= _WIDEST:
             break
-        more = wider * _WIDER ** math.ceil(math.log(size, _WIDER))
+        more = wider * WIDER ** math.ceil(math.log(size, WIDER))
         grown = refit(base, peak, keep, room, more)
         # Its own share of the prior falls: what is more all the same is another minimum.
         worse = fit.converged and grown.cost > fit.cost
@@ -337,8 +337,7 @@ def _odds_in(fit: Fit, place: int, rival: Rival, noise: float) -> float:
     """What the effect at that place of a fit adds to its log odds beyond the evidence of the fit
     (`Fit.log_evidence`), its size apart.
     """
-    counts = [len(e.amplitudes) for e in fit.model.effects]
-    mine = slice(sum(counts[:place]), sum(counts[: place + 1]))
+    mine = fit.places_of(place)[0]
     more = over_scales(fit, mine, noise) + rival.log_shape + rival.log_prior
     return more + float(leniency(surprise(*at_its_shape(fit, mine, noise))))
 

@@ -72,7 +72,7 @@ def log_mixture(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
     return logsumexp(each, axis=-1) - np.log(len(_SQUARED))
 
 
-def over_scales(fit: Fit, entries: slice, noise_scale: float = 1.0) -> float:
+def over_scales(fit: Fit, entries: slice | np.ndarray, noise_scale: float = 1.0) -> float:
     """What the mixture adds to the log evidence of a fit (`Fit.log_evidence`) for the effect whose
     amplitudes are these entries of theta.
     """
@@ -82,7 +82,7 @@ def over_scales(fit: Fit, entries: slice, noise_scale: float = 1.0) -> float:
 
 
 def at_its_shape(
-    fit: Fit, entries: slice, noise_scale: float = 1.0
+    fit: Fit, entries: slice | np.ndarray, noise_scale: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Information and scores (as of `log_gain`) of the amplitudes that are these entries of theta,
     beside all other amplitudes, at the shapes of the fit: where the readings do not tell a time
@@ -91,7 +91,9 @@ def at_its_shape(
     return _seen(fit, entries, noise_scale, len(fit.model.entries))
 
 
-def _seen(fit: Fit, entries: slice, noise_scale: float, k: int) -> tuple[np.ndarray, np.ndarray]:
+def _seen(
+    fit: Fit, entries: slice | np.ndarray, noise_scale: float, k: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Information and scores of some entries of theta, the others of the first k eliminated."""
     jacobian = fit.jacobian[:, :k]
     h = jacobian.T @ jacobian / noise_scale**2 + np.diag(fit.precision[:k])

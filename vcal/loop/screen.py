@@ -131,13 +131,10 @@ class Screen:
         projected = self.fit.jacobian.T @ columns
         return columns.T @ columns - projected.T @ cho_solve(self.factor, projected)
 
-    def test(self, effect: Effect) -> "Tested | None":
-        """Statistics of a candidate over its whole scan; None where the model spans it."""
-        return self.tests([effect])[0]
-
     def tests(self, effects: Sequence[Effect]) -> list["Tested | None"]:
-        """The same of many, in less time: steps of the scans of all effects that have as many
-        amplitudes are tested together.
+        """Statistics of candidates, each over its whole scan; None where the model spans it.
+
+        Steps of the scans of all effects that have as many amplitudes are tested together.
         """
         scans = [Scan.of(effect, self.fit.measurement.plan) for effect in effects]
         alike: dict[int, list[int]] = {}

@@ -11,7 +11,6 @@ has the variance F_i and is white: the Kalman filter of an ARMA(1, 1) process (B
 marginal likelihood over a grid.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,14 +67,14 @@ def persists(fit: Fit) -> bool:
     return _Sequence.of(fit).suspicion >= _SUSPICIOUS
 
 
-def gain_beside(fit: Fit, columns: Sequence[int]) -> float:
+def gain_beside(fit: Fit, columns: np.ndarray) -> float:
     """What some parameters are worth where the noise may be correlated: gain in log evidence of the
     fit with them over that without, both with the noise that suits them best, white or not.
     """
     data = _Sequence.of(fit)
     every = np.ones(len(fit.theta), bool)
     left = every.copy()
-    left[list(columns)] = False
+    left[columns] = False
     best = [
         max(data.likelihood(kept, *point) for point in ((0.0, 0.0), *_COARSE))
         for kept in (every, left)

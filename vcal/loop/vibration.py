@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from ..fit import Fit
+from ..plan import of_set
 from .chance import SILENT
 
 _CHANCE = 1e-3
@@ -33,29 +34,46 @@ class Vibration:
     share: float
     """Of the variance that was left of this reading."""
     p_value: float
+    data_set: str = ""
+    """Where it is, of several."""
 
     @property
     def words(self) -> str:
         """What it is, for a sentence."""
+        where = f"{self.reading} of {self.data_set}" if self.data_set else self.reading
         return (
             f"a vibration of {self.hz:.3g} Hz in every run, of {self.amplitude_um:.2g} um in "
-            f"{self.reading}, describes {100.0 * self.share:.0f} % of its scatter"
+            f"{where}, describes {100.0 * self.share:.0f} % of its scatter"
         )
 
 
 def vibration(fit: Fit) -> Vibration | None:
     """The strongest one in the residual; None where there is none beyond chance, or where all runs
-    have one pace, so that a frequency in time is one on the circle.
+    have one pace, so that a frequency in time is one on the circle. Of several data sets each by
+    itself, as runs and their times are its own; chance counts in all of them.
 
     Least-squares periodograms (Lomb 1976, Astrophys. Space Sci. 39, 447-462) of every run, whose
     phase is its own, added up over the runs: the sum of squares that cosine and sine take, in units
     of the variance that is left, is chi-square distributed with two degrees of freedom a run.
     """
     plan = fit.measurement.plan
-    if plan.sets or "run" not in plan.groups or not plan.has("t_run"):
-        return None
-    t, run = plan.values("t_run"), np.asarray(plan.groups["run"])
-    rows = [np.flatnonzero((run == number) & fit.used) for number in np.unique(run)]
+    timed = [s for s in plan.sets or ("",) if plan.has(_own(s, "run"), _own(s, "t_run"))]
+    found = [one for s in timed if (one := _in_set(fit, s, len(timed))) is not None]
+    return max(found, key=lambda one: one.share, default=None)
+
+
+def _own(data_set: str, name: str) -> str:
+    """The name of a covariate or group in one data set of several, or in the only one."""
+    return of_set(data_set, name) if data_set else name
+
+
+def _in_set(fit: Fit, data_set: str, sets: int) -> Vibration | None:
+    """The strongest one in one of as many data sets as are looked at."""
+    plan, instrument = fit.measurement.plan, fit.model.instrument
+    used = fit.used & plan.parts[data_set]
+    readings = instrument.members.get(data_set, instrument).readings
+    t, run = (plan.values(_own(data_set, name)) for name in ("t_run", "run"))
+    rows = [np.flatnonzero((run == number) & used) for number in np.unique(run[used])]
     rows = [mine[np.argsort(t[mine])] for mine in rows if len(mine) > _FINE]
     length = np.array([np.ptp(t[mine]) for mine in rows])
     # Runs whose lengths are within a few per cent have one pace.
@@ -67,8 +85,10 @@ def vibration(fit: Fit) -> Vibration | None:
     hz = np.arange(1.0 / length.min(), 0.5 / finest, step)
     if not len(hz):
         return None
-    unit = math.sqrt(float((fit.residual[fit.used] ** 2).mean())) or 1.0
-    residual = fit.residual / unit
+    # Beside readings of another instrument, those that this one lacks are zero.
+    left = fit.residual[:, : len(readings)]
+    unit = math.sqrt(float((left[used] ** 2).mean())) or 1.0
+    residual = left / unit
     scatter = np.array([((residual[m] - residual[m].mean(0)) ** 2).sum(0) for m in rows])
     silent = scatter.sum(0) <= SILENT
 
@@ -87,15 +107,15 @@ def vibration(fit: Fit) -> Vibration | None:
     own, part = best / scatter[:, reading], float(best.sum() / whole[reading])
     dof = sum(map(len, rows)) - 3.0 * len(rows)
     statistic = part * dof / max(1.0 - part, SILENT)
-    trials = len(hz) / _FINE * len(whole)
+    trials = sets * len(hz) / _FINE * len(whole)
     p_value = min(1.0, trials * float(gammaincc(len(rows), statistic / 2)))
     everywhere = min(float(np.median(own[pace == k])) for k in np.unique(pace))
     if p_value > _CHANCE or part < _A_PART or everywhere < _EVERYWHERE * part:
         return None
     count = np.array([len(mine) for mine in rows])
     size = unit * float(np.median(np.sqrt(2.0 * best / count)))
-    name = fit.model.instrument.readings[int(reading)]
-    return Vibration(name, float(near[k]), 1e6 * size, part, p_value)
+    name = readings[int(reading)]
+    return Vibration(name, float(near[k]), 1e6 * size, part, p_value, data_set)
 
 
 def _taken(t: np.ndarray, left: np.ndarray, hz: np.ndarray) -> np.ndarray:

@@ -113,8 +113,8 @@ def _means(x: np.ndarray, y: np.ndarray, groups: int) -> tuple[np.ndarray, np.nd
     return tuple(np.array(pairs).T)  # type: ignore[return-value]
 
 
-def unexplained_views(fit: Fit, what: Unexplained, most: int = 2) -> list[str]:
-    """The covariates worth a panel: the most telling ones that are not copies of each other."""
+def unexplained_views(fit: Fit, what: Unexplained) -> list[str]:
+    """One covariate or two worth a panel: the most telling ones, no copies of each other."""
     table = distinct_covariates(fit.measurement.plan)
     chosen: list[str] = []
     for name in what.depends_on:
@@ -122,7 +122,7 @@ def unexplained_views(fit: Fit, what: Unexplained, most: int = 2) -> list[str]:
         if x is None or any(_alike(x, table[other]) for other in chosen):
             continue
         chosen.append(name)
-    return chosen[:most]
+    return chosen[:2]
 
 
 def unexplained(fit: Fit, what: Unexplained) -> Figure:

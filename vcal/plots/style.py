@@ -26,6 +26,8 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DPI = 110
 _BETWEEN = 0.08
 """Least space between the labels of two ticks, in inches."""
+_LABEL = 9.0
+"""Size of the type of labels, points."""
 
 _UNITS = {
     "um": "µm",
@@ -126,9 +128,11 @@ def titled(ax: Axes, title: str, x: str = "", y: str = "") -> None:
         ax.set_ylabel(y, fontsize=9.5, color=INK)
 
 
-def width_of(text: str, size: float = 9.0) -> float:
-    """How wide a text is, in inches."""
-    return float(TextPath((0.0, 0.0), text, size=size).get_extents().width) / 72.0 if text else 0.0
+def width_of(text: str) -> float:
+    """How wide a text is as a label, in inches."""
+    if not text:
+        return 0.0
+    return float(TextPath((0.0, 0.0), text, size=_LABEL).get_extents().width) / 72.0
 
 
 def labels_width(axis: Axis) -> float:

@@ -70,6 +70,8 @@ class Ensemble:
     """How an adaptive campaign ended; None where the number of draws was given."""
     interrupted: bool
     """Whether it was broken off, with fewer draws than were asked for."""
+    notes: tuple[str, ...] = ()
+    """What is to be said of the results."""
 
     @property
     def u(self) -> Float[np.ndarray, " k"]:

@@ -1,5 +1,6 @@
 """Propagation of distributions through a measurement function: JCGM 101, 5.9 and 7; JCGM 102, 7."""
 
+import dataclasses
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -46,6 +47,11 @@ def propagate_distributions(
     seed alone. The other arguments are those of `stream`; the campaign in a `folder` is known by
     its seed, and by the compiled function and the numbers of the inputs.
 
+    Student's t has no standard deviation for nu <= 2 degrees of freedom (JCGM 101, 6.4.9.5), and no
+    expectation for nu <= 1. Where an output grows with such an input, nor has it: coverage
+    intervals exist all the same, but y and u of the draws tend to nothing as their number grows, an
+    adaptive campaign does not settle, and a note says so.
+
     Raises `RuntimeError` where JAX runs in float32, `ValueError` for a function that is not written
     in JAX or takes an input that there is not and for settings that make no sense, `TypeError` for
     what are no `Inputs`, and `StudyError` for a folder of another campaign.
@@ -62,7 +68,7 @@ def propagate_distributions(
     fingerprint = None
     if folder is not None:
         fingerprint = {"seed": seed} | _identity(function, inputs, key)
-    return stream(
+    done = stream(
         evaluate,
         draws,
         outputs,
@@ -76,6 +82,21 @@ def propagate_distributions(
         kind=kind,
         digits=digits,
         most=most,
+    )
+    return dataclasses.replace(done, notes=_without_moments(inputs))
+
+
+def _without_moments(inputs: Inputs) -> tuple[str, ...]:
+    """What is to be said of inputs that have no standard deviation."""
+    index = {name: float(d.tail_index) for name, d in inputs.distributions.items()}
+    heavy = {name: nu for name, nu in index.items() if nu <= 2.0}
+    if not heavy:
+        return ()
+    listed = ", ".join(f"{name} (dof = {nu:g})" for name, nu in heavy.items())
+    return (
+        f"Student's t of {listed} has no standard deviation, and up to dof = 1 no expectation: "
+        "where an output grows with it, take the coverage interval and the median, not mean and u "
+        "of the draws (JCGM 101, 6.4.9.5)",
     )
 
 

@@ -67,7 +67,8 @@ def propagate(
 
     So for Student's t the standard uncertainty is its scale s/sqrt(n) with nu degrees of freedom
     (JCGM 100, 4.2.3, G.3), and not the larger standard deviation sqrt(nu/(nu - 2)) s/sqrt(n) of
-    JCGM 101, 6.4.9.4, which has the same tails in it already.
+    JCGM 101, 6.4.9.4, which has the same tails in it already, and does not exist for nu <= 2. Two
+    or three repeats will do therefore, unless they are correlated with another input.
 
     Effective degrees of freedom (JCGM 100, G.4.1) are those of Welch and Satterthwaite over
     *groups* that are independent of each other, v_g = c_g S_g c_g':
@@ -84,8 +85,9 @@ def propagate(
     smallest of all inputs where that part is zero.
 
     Raises `ValueError` if the function is not written in JAX or takes an input that there is not,
-    if it or a derivative is not finite at the estimates, if a second-order variance is negative,
-    and for settings that make no sense; `TypeError` for what are no `Inputs`.
+    if it or a derivative is not finite at the estimates, if a second-order variance is negative, if
+    an input without a standard deviation is correlated with another, and for settings that make no
+    sense; `TypeError` for what are no `Inputs`.
     """
     require_float64()
     _check_settings(order, moments)
@@ -179,12 +181,7 @@ def _source(inputs: Inputs) -> Source:
     """The inputs as the GUM states them."""
     kinds = inputs.kinds
     dof = np.asarray(inputs.dof, float)
-    # The scale of Student's t from its variance.
-    stated = np.ones(len(kinds))
-    for i, kind in enumerate(kinds):
-        if kind in _SCALED:
-            stated[i] = np.sqrt((dof[i] - 2.0) / dof[i])
-    covariance = np.asarray(inputs.covariance, float) * np.outer(stated, stated)
+    covariance = np.asarray(inputs.stated_covariance, float)
     groups = _groups(inputs, covariance, dof)
     return Source(inputs.labels, kinds, np.asarray(inputs.flat_mean), covariance, dof, groups)
 
