@@ -9,9 +9,10 @@ from ..plan import Plan
 from .messages import listed, refusal
 from .table import Table
 
-_LEAST = 0.2
-"""Of the declared noise: readings whose standard deviation is less are in another unit. Of ten with
-that noise it is so once in some hundred thousand cases, were there no error of the machine at all.
+_LEAST, _ROUNDING = 0.03, 1e-9
+"""Of the declared noise: readings whose standard deviation is less are in another unit, as noise
+that is declared too large by a cautious hand is not. Less than rounding is none at all: readings of
+a perfect machine, of a simulation.
 """
 _FEWEST = 10
 """Rows from which readings are judged."""
@@ -47,7 +48,7 @@ def check_scatter(
         rows = present[:, i]
         std = float(np.std(reduced[rows, i])) if rows.sum() >= _FEWEST else 0.0
         declared = float(np.sqrt(np.square(noise[rows, i]).mean())) if std > 0.0 else 0.0
-        if 0.0 < std < _LEAST * declared:
+        if _ROUNDING * declared < std < _LEAST * declared:
             still.append((name, std, declared))
     if not still:
         return
@@ -61,7 +62,7 @@ def check_scatter(
         f"column{'s' * (len(names) > 1)} {listed(names)}",
         f"readings with a standard deviation of {factor * std:.3g} over all rows, "
         f"{std / declared:.2g} of the noise that is declared of one of them",
-        f"{factor * declared:.3g} at least{unit}, as noise alone makes it",
+        f"about {factor * declared:.3g} at least{unit}, as noise alone makes it",
         "correct the unit of the readings, or the noise in [instrument]",
     )
 
