@@ -147,6 +147,23 @@ def test_logarithms_are_of_what_has_a_zero(tracker):
     assert np.asarray(eval(code, scope)) == pytest.approx(-1.0, abs=1e-5)
 
 
+def test_play_does_not_change_with_its_own_sense_of_travel(tracker):
+    """That product is one, but where the sense is not known: it would tell these rows. Peaks may be
+    higher one way, and play may change with the sense of another axis.
+    """
+    known = np.asarray(tracker.plan.covariate("dir_Y"))
+    sense = np.where(np.arange(tracker.plan.rows) < 2, 0.0, known)
+    covariates = {**tracker.plan.covariates, "dir_Y": sense}
+    plan = dataclasses.replace(tracker.plan, covariates=covariates)
+    (play,) = (e for e in CATALOGUE["backlash"].candidates(tracker.setup) if e.placement == "Y")
+    found = Fitted(play, {}, {"size": 1e-5})
+    (description,) = Changing.candidates(
+        dataclasses.replace(tracker.setup, plan=plan, fitted=(found,))
+    )
+    names = {q.name for q in description.quantities}
+    assert "dir_Y" not in names and {"X", "Y", "dir_X"} <= names
+
+
 @pytest.mark.parametrize("start", [0.0, 1.7534e9, -3.0])
 def test_code_has_the_digits_that_its_range_needs(start):
     """A clock may count from 1970."""

@@ -15,6 +15,7 @@ from vcal.effects.registry import load_effects
 from vcal.errors import StudyError
 from vcal.io import load_study
 from vcal.io.simulated import parse_with
+from vcal.measurement import Measurement
 from vcal.report.place import Place
 
 OWN = '''\
@@ -369,16 +370,40 @@ def test_a_size_that_is_no_number(small_tracker_study, value):
     assert np.isfinite(study.measurement.readings).all()
 
 
-@pytest.mark.slow
 def test_columns_that_were_exchanged(small_tracker_study):
     path = small_tracker_study / "data.csv"
     head, rows = path.read_text(encoding="utf-8").split("\n", 1)
     exchanged = {"azimuth_rad": "elevation_rad", "elevation_rad": "azimuth_rad"}
     head = ",".join(exchanged.get(name, name) for name in head.split(","))
     path.write_text(f"{head}\n{rows}", encoding="utf-8")
+    with pytest.raises(StudyError, match="away from where the axes take the tool"):
+        load_study(small_tracker_study)
+
+
+@pytest.mark.slow
+def test_readings_that_were_exchanged_in_a_program(small_tracker_study):
+    """Nothing refuses them there; the result tells."""
     study = load_study(small_tracker_study, ["loop.draws=25", 'loop.effects=["backlash"]'])
-    closure = close_study(study, study.measurement, lambda text: None)
+    exchanged = study.measurement.readings[:, [0, 2, 1]]
+    closure = close_study(study, Measurement(study.plan, exchanged), lambda text: None)
     assert any("mm, which no machine is off by" in note for note in closure.notes)
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "said"),
+    [
+        ("azimuth_rad", lambda cell: str(-float(cell)), "they are a mirror image of that"),
+        ("x_mm", lambda cell: str(2000.0 - float(cell)), "they are a mirror image of that"),
+        ("azimuth_rad", lambda cell: str(float(cell) * 0.9), "compare signs, units and order"),
+    ],
+)
+def test_readings_that_do_not_follow_linear_axes(small_tracker_study, column, change, said):
+    """An azimuth that counts clockwise, or an axis that counts the other way: geometry has room to
+    take in what it must not.
+    """
+    edited(small_tracker_study, column, change)
+    with pytest.raises(StudyError, match=f"away from where the axes take the tool.*{said}"):
+        load_study(small_tracker_study)
 
 
 def test_what_is_there_twice(small_tracker_study):

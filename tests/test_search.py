@@ -247,6 +247,27 @@ def test_what_is_the_same_as_a_namesake_is_not_the_same(order):
     assert weigh([[about_a], same], same[0]).equivalent == [same[1].effect.key]  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("apart", [False, True])
+def test_other_shapes_share_the_probability_of_the_name(apart):
+    """Two pitches that fit alike, told apart by the data or not, have half of it each."""
+    effect = SimpleNamespace(key="screw X", name="screw", placement="X")
+
+    def rival(pitch: float, log_weight: float, effect=effect):
+        model = SimpleNamespace(effects=[effect])
+        fit = SimpleNamespace(chi2=9.0, dof=9.0, model=model, shapes={0: {"pitch": pitch}})
+        return SimpleNamespace(
+            effect=effect, fit=fit, log_weight=log_weight, log_weight_at_its_size=log_weight
+        )
+
+    best, other = rival(0.02, 9.0), rival(0.01, 9.0)
+    drift = rival(0.0, 7.0, SimpleNamespace(key="drift", name="drift", placement=""))
+    classes = [[best], [other], [drift]] if apart else [[best, other], [drift]]
+    told = weigh(classes, best)  # type: ignore[arg-type]
+    ((shape, share),) = told.other_shapes
+    assert shape == {"pitch": 0.01}
+    assert share == pytest.approx(0.5 * told.probability)
+
+
 def test_of_names_that_may_be_one_of_an_expected_size_goes_first():
     """The size of another had to be forgiven; what excludes all others goes first whatever."""
     odds = {}

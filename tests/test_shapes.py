@@ -10,6 +10,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from known import Known
 from vcal import Effect, Measurement, Parameter, Plan, identify
+from vcal.effects.cyclic import ScrewCyclic
 from vcal.fit import shape_step
 from vcal.loop.empirical import Kink
 from vcal.loop.heldout import compensated_points
@@ -242,10 +243,54 @@ def test_a_walk_whose_problem_has_no_solution_is_at_no_corner():
     p = SimpleNamespace(name="s", moves=True, si=1.0)
     effect = SimpleNamespace(shapes=(p,), scan=lambda plan: {"s": np.linspace(0.0, 1.0, 11)})
     walk = Walk(SimpleNamespace(effects=(effect,)), None, 0, lambda *_: place)  # type: ignore[arg-type]
-    assert not walk.ends(place) and not walk.ends(place)
+    for _ in range(2):
+        assert not walk.ends(walk.solved(place.shapes, np.zeros(1))[0])
 
 
 @pytest.mark.parametrize("grid", [[0.2], [0.2, 0.2, 0.2], [0.1, 0.2, 0.2, 0.2]])
 def test_a_scan_that_has_no_step(grid):
     p = Parameter("s", "m", shape=True)
     assert shape_step(p, 0.2, {"s": np.array(grid)}) > 0.0
+
+
+class Grown(ScrewCyclic):
+    """A screw whose error grows from nothing to twice as much along the axis."""
+
+    def response(self, plan, shape):
+        x = plan.x("X")
+        share = (x - x.min()) / np.ptp(x)
+        return {k: 2.0 * share * v for k, v in super().response(plan, shape).items()}
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.7, 1.4])
+def test_shapes_come_to_an_end_where_an_effect_is_not_quite_that(tracker, phase):
+    """A screw whose error grows, fitted by one whose error does not: what a move of the pitch would
+    do, x cos(2 pi x/p), is what is left, and is not to be had. It ends at the minimum over the
+    pitch, by scipy, and stays there.
+    """
+    pitch, place = 0.02, len(tracker.model.effects)
+
+    def screw(kind, pitch, *sizes):
+        values = *zip(("sine", "cosine"), sizes, strict=False), ("pitch", 1e3 * pitch)
+        return kind(placement="X", port="EXX", given=tuple((k, float(v), 0.0) for k, v in values))
+
+    true = screw(Grown, pitch, 14.0 * np.cos(phase), 14.0 * np.sin(phase))
+    measurement = Measurement(tracker.plan, tracker.readings(true))
+
+    def fitted(effect, **options):
+        model = tracker.model.with_effects(effect)
+        fit = identify(model, measurement, room=tracker.room, **options)
+        return fit, fit.chi2 + float(fit.theta**2 @ fit.precision)
+
+    best = minimize_scalar(
+        lambda p: fitted(screw(ScrewCyclic, p))[1],
+        bounds=(0.0198, 0.0202),
+        method="bounded",
+        options={"xatol": 1e-8},
+    )
+    begin = {"shapes": {place: {"pitch": float(best.x) + 1e-5}}}
+    for _ in range(3):  # as the loop refits what it has found
+        fit, cost = fitted(ScrewCyclic(placement="X", port="EXX"), **begin)
+        assert fit.converged
+        assert cost == pytest.approx(best.fun, abs=0.01)
+        begin = {"shapes": fit.shapes, "theta": fit.theta}

@@ -353,18 +353,18 @@ def identify(
         it, used = walk.solved(current, estimate)
         steps += used
         if size == amplitudes:
-            end = it.status
+            at_best, end = it, it.status
             break
         if walk.ends(it):
+            at_best, end = walk.standing, walk.standing.status
             it = walk.last
-            end = it.status
             break
         current, estimate = walk.onward()
     else:
-        # Linear about where it is, not about where it began.
-        it, _ = walk.solved(walk.last.shapes, walk.last.amplitudes(amplitudes))
-        end = Status.STEP_LIMIT
-    estimate, terms = it.amplitudes(amplitudes), it.terms
+        at_best, end = walk.standing, Status.STEP_LIMIT
+        it = walk.last
+    # With a move that is not made, the amplitudes would be those of another place.
+    estimate, terms = at_best.amplitudes(amplitudes), it.terms
     residual, by_port = _evaluate(
         model.chain, instrument, plan, it.problem, _pad(estimate, it.problem.root_precision)
     )

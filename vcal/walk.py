@@ -1,12 +1,15 @@
 """The way of shape parameters from one linear problem to the next.
 
-A step goes as far as the linear model says, but no shape by more than one step of its scan. One
-that stands at an end of its scan and would go further stands still, and all others are found beside
-it. Of an effect that is a hundred times the noise the linear model does not hold as far as that,
-nor of one that a few readings see from afar: where all amplitudes at their best then leave more
-than before, the step is taken back, and a quarter of it is tried. Where steps come to no end, too
-long again and again or too short, the last few of them tell together how far to go (Anderson 1965,
-J. ACM 12, 547). The way ends where another step would change nothing, or at a corner of the cost.
+Linear about some shapes is linear about the amplitudes that are at their best there: with those of
+another place the slopes are of another effect, and where what was measured is not quite the effect
+that is fitted, one may seem to lead down for ever. A step goes as far as the linear model says, but
+no shape by more than one step of its scan. One that stands at an end of its scan and would go
+further stands still, and all others are found beside it. Of an effect that is a hundred times the
+noise the linear model does not hold as far as that, nor of one that a few readings see from afar:
+where all amplitudes at their best then leave more than before, the step is taken back, and a
+quarter of it is tried. Where steps come to no end, too long again and again or too short, the last
+few of them tell together how far to go (Anderson 1965, J. ACM 12, 547). The way ends where another
+step would change nothing, or at a corner of the cost.
 """
 
 import math
@@ -22,9 +25,9 @@ from .plan import Plan
 
 _PLAIN, _SECANTS = 4, 2
 """Steps after which the last few are taken together, and how many of their changes."""
-_SETTLED = 1e-4
-"""Change of the cost (in units of the noise variance) below which shapes count as found: the
-parameters then move by less than a hundredth of their standard uncertainty."""
+SETTLED = 1e-4
+"""What is left to gain (in units of the noise variance) below which shapes count as found: the
+parameters would move by less than a hundredth of their standard uncertainty."""
 _CORNER = 1e-3
 """What may be left to gain at a corner of the cost, in the same unit."""
 
@@ -80,7 +83,7 @@ class Walk(Generic[S]):
         self._reach = 1.0
         self._last: S | None = None
         self._stood: list[tuple[S, S]] = []
-        """The last two where it was asked for, and the same with all shapes where they are."""
+        """The last one and the one after it, and the same with all shapes where they are."""
         self._places: list[np.ndarray] = []
         self._steps: list[np.ndarray] = []
         """Shapes on the way, and by how much they should have moved from there (SI)."""
@@ -89,36 +92,47 @@ class Walk(Generic[S]):
 
     def solved(self, shapes: dict[int, dict[str, float]], begin: np.ndarray) -> tuple[S, int]:
         """The linear problem about these shapes, and the steps its solution took."""
-        still, steps = np.zeros(len(begin) - self._amplitudes, bool), 0
+        still = np.zeros(len(begin) - self._amplitudes, bool)
+        if not len(still):
+            it = self._solve(shapes, begin, still)
+            return it, it.steps
+        stood = self._solve(shapes, begin, ~still)
+        steps, begin = stood.steps, stood.amplitudes(self._amplitudes)
         while True:
             it = self._solve(shapes, begin, still)
             steps += it.steps
             further = ~still & self._beyond(shapes, it.found[self._amplitudes :])
             if not further.any():
+                kept = [pair for pair in self._stood if pair[0] is self._last]
+                self._stood = [*kept, (it, stood)]
                 return it, steps
-            still, begin = still | further, it.amplitudes(self._amplitudes)
+            still = still | further
 
     @property
     def last(self) -> S:
-        """The last that was not taken back; after the end, the last of all."""
+        """The last that was not taken back; after the end, where it ended."""
         assert self._last is not None
         return self._last
 
+    @property
+    def standing(self) -> S:
+        """The same with all shapes where they are."""
+        return self._standing(self.last)
+
     def ends(self, it: S) -> bool:
         """Whether another step would change nothing any more."""
+        if self._standing(it).cost - it.cost < SETTLED:
+            self._last = it
+            return True
         if self._last is None:
             self._last = it
             self._remember(it)
             return False
         change, k = it.cost - self._last.cost, self._amplitudes
-        if abs(change) < _SETTLED * self._reach**2:
-            self._last = it
-            return True
         step, before = it.found[k:], self._last.found[k:]
-        growing = change > _SETTLED or float(step @ step) > float(before @ before)
+        growing = change > SETTLED or float(step @ step) > float(before @ before)
         if self._cornered(it, self._last):
-            # With a move that is not made, the amplitudes would be those of another place.
-            self._last = min(map(self._standing, (it, self._last)), key=lambda one: one.cost)
+            self._last = min((it, self._last), key=lambda one: self._standing(one).cost)
             return True
         if growing and self._rises(it):
             if not self._together:
@@ -162,18 +176,10 @@ class Walk(Generic[S]):
         return step - (moved + changed) @ weights
 
     def _rises(self, it: S) -> bool:
-        return self._standing(it).cost > self._standing(self.last).cost + _SETTLED
+        return self._standing(it).cost > self._standing(self.last).cost + SETTLED
 
     def _standing(self, it: S) -> S:
-        """The same with all shapes where they are."""
-        for known, stood in self._stood:
-            if known is it:
-                return stood
-        amplitudes = it.amplitudes(self._amplitudes)
-        all_still = np.ones(len(amplitudes) - self._amplitudes, bool)
-        stood = self._solve(it.shapes, amplitudes, all_still)
-        self._stood = [*self._stood[-1:], (it, stood)]
-        return stood
+        return next(stood for known, stood in self._stood if known is it)
 
     def _cornered(self, it: S, last: S) -> bool:
         """Whether the minimum is at a corner between two places, with next to nothing to gain: each

@@ -18,6 +18,8 @@ from .conditions import LINEAR, file_column
 
 _MOST_OFF = 0.02
 """Of the size of the region that was measured: no machine is that far off."""
+_PLANE = 2
+"""Dimensions of what was measured from which on readings can be compared with linear axes."""
 _LEAST_M = 1e-3
 """What is nothing to wonder at, however small the region: where a rotary axis is, is declared as
 well as one knows."""
@@ -77,18 +79,19 @@ def check_follows(
     off: Callable[[np.ndarray], np.ndarray],
     columns: str,
 ) -> None:
-    """Refuse readings of a machine with rotary axes that are not where its axes take the tool.
+    """Refuse readings that are not where the axes take the tool.
 
     `off` gives the distance (n,), m, of every reading from the nominal tool points (n, 3) of the
     workpiece, after the rigid motions that are unknown anyway. Half of the readings count: a few
     that are astray are left out later. Raises `RowError`, which names the columns in
     another unit, or the one with another sign, where that alone is the cause.
     """
-    if chain.linear:
-        return
     position = np.asarray(plan.position)
     linear = position[:, [axis in LINEAR for axis in plan.axes]]
-    size = np.linalg.norm(linear - linear.mean(0), axis=1).max()
+    apart = linear - linear.mean(0)
+    if chain.linear and np.linalg.matrix_rank(apart, tol=_LEAST_M) < _PLANE:
+        return
+    size = np.linalg.norm(apart, axis=1).max()
     allowed = max(_MOST_OFF * size, _LEAST_M)
     found = off(chain.tool_point(position))
     if np.median(found) <= allowed:
@@ -101,8 +104,9 @@ def check_follows(
         f"the rows more than {1e3 * np.median(found):.4g} mm",
         f"readings that follow the positions to {1e3 * allowed:.4g} mm",
         cause(chain, plan.axes, position, off, allowed)
-        or "compare signs, units and order of the columns of positions and readings, at_mm of the "
-        "rotary axes, tool_offset_mm and the chain with the machine",
+        or "compare signs, units and order of the columns of positions and readings, "
+        f"{'' if chain.linear else 'at_mm of the rotary axes, '}tool_offset_mm and the chain with "
+        "the machine",
     )
 
 
@@ -170,7 +174,8 @@ def cause(
     allowed: float,
 ) -> str:
     """The one change of positions with which half of the readings are within `allowed` of where the
-    axes take the tool, as `off` tells; nothing where there is none.
+    axes take the tool, as `off` tells; nothing where there is none. Of linear axes alone every
+    other sign makes the same mirror image, of positions or of readings.
     """
     columns = {axis: file_column(axis, axes) for axis in axes}
     changes = [({axis: -1.0}, "the other sign") for axis in axes]
@@ -180,6 +185,11 @@ def cause(
     for factors, words in changes:
         changed = position * np.array([factors.get(axis, 1.0) for axis in axes])
         if np.median(off(chain.tool_point(changed))) <= allowed:
+            if chain.linear:
+                return (
+                    "they are a mirror image of that: compare the signs of positions and readings "
+                    "with the machine, and which column is which"
+                )
             names = ", ".join(columns[axis][0] for axis in factors)
             return f"they do with {words} in {names}: correct that"
     return ""

@@ -180,6 +180,8 @@ def _check_follows(chain: Chain, table: Mapping[str, np.ndarray]) -> None:
     seen = np.stack(
         [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1
     ) * (1e-3 * r[:, None])
+    if not np.ptp(seen, axis=0).any():
+        return  # refused as what it is: the same numbers in every row
 
     def off(nominal: np.ndarray) -> np.ndarray:
         turn, place = best_rigid(seen, nominal)

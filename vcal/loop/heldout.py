@@ -13,6 +13,7 @@ from ..measurement import CheckPoints, Measurement
 from ..model import Model, Terms, concatenate, effect_terms, tool_points_with_jacobian
 from ..plan import Plan
 from ..spatial import align_rigid
+from ..walk import SETTLED
 from .doubt import Doubt
 
 _BLOCK, _BLOCKS = 8, 25
@@ -54,9 +55,9 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
     found = np.full((n, m), np.nan)
     found[apart] = fit.residual[apart]
     jacobian = fit.jacobian.reshape(n, m, -1)
-    whitened = fit.whitened.reshape(n, m)
     total = fit.jacobian.T @ fit.jacobian
     precision = _precision(fit)
+    whitened = (fit.whitened - fit.jacobian @ _left(fit, total, precision)).reshape(n, m)
     for fold in np.unique(folds[folds >= 0]):
         rows = np.flatnonzero((folds == fold) & fit.used)
         if not len(rows):
@@ -96,6 +97,18 @@ def _own(
         basis[block] = scale[:, None] * vectors
         own[flat] = values <= 1e-9
     return basis, own
+
+
+def _left(fit: Fit, total: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """The step that is left to the minimum where a fit came as near as it goes, else none: at the
+    end of a scan, or at a corner, there is no step to take.
+
+    A parameter that one fold sees alone is free without it: what little pull is left at its place,
+    and is none of the rest, would move it anywhere.
+    """
+    uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
+    step = np.linalg.solve(total + np.diag(precision), uphill)
+    return step if uphill @ step < SETTLED else np.zeros(len(step))
 
 
 def _precision(fit: Fit) -> np.ndarray:
@@ -270,7 +283,8 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
     total = np.einsum("nmk,nml->kl", jacobian, jacobian, optimize=True)
     precision = _precision(fit)
     # The fit is the best one at its own noise, not at `noise` times that.
-    whitened = whitened - jacobian @ fit.step_at(noise)
+    step = fit.step_at(noise) + _left(fit, fit.jacobian.T @ fit.jacobian, precision)
+    whitened = whitened - jacobian @ step
     found: list[float] = []
     where: list[int] = []
     for fold in np.unique(folds[folds >= 0]):

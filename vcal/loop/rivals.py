@@ -475,6 +475,9 @@ def weigh(
     same = next((members for members in classes if any(r is best for r in members)), [])
     equivalent = sorted({r.effect.key for r in same} - {key})
     probability = weights[key] / total
+    # Shapes that the data cannot tell apart weigh as one in the name, and share its probability.
+    each = {id(rival): math.exp(rival.log_weight - top) for rival in members_of[key]}
+    per_weight = probability / max(sum(each.values()), 1e-300)
     others = sorted(((w / total, k) for k, w in weights.items() if k != key), reverse=True)
     return Weighed(
         best=best,
@@ -491,7 +494,7 @@ def weigh(
             for rival in members_of[key]
             if rival is not best
             and rival.effect is best.effect
-            and (share := math.exp(rival.log_weight - top) / total) > _SHAPE_TOLD
+            and (share := each[id(rival)] * per_weight) > _SHAPE_TOLD
         ],
         instead=_instead(best, members_of.values()),
     )

@@ -165,16 +165,30 @@ class Changing(Empirical):
         for one in setup.fitted:
             own = one.effect.amplitudes
             sized = all(one.sizes[p.name] or _expected(p) for p in own)
-            if factors and len(own) <= _MOST and sized:
-                yield cls(
-                    port="",
-                    unit="",
-                    effect=one.effect,
-                    shape=tuple(one.shape.items()),
-                    sizes=tuple(one.sizes.items()),
-                    quantities=tuple(factors),
-                    placement=one.effect.placement,
-                )
+            if not (factors and len(own) <= _MOST and sized):
+                continue
+            found = cls(
+                port="",
+                unit="",
+                effect=one.effect,
+                shape=tuple(one.shape.items()),
+                sizes=tuple(one.sizes.items()),
+                quantities=tuple(factors),
+                placement=one.effect.placement,
+            )
+            moved = [np.asarray(values) for values in found._moved(setup.plan).values()]
+            kept = [f for f in factors if not _constant(moved, f.values(setup.plan))]
+            if kept:
+                yield dataclasses.replace(found, quantities=tuple(kept))
+
+
+def _constant(moved: Iterable[np.ndarray], u: np.ndarray) -> bool:
+    """Whether what moves, changing with u, is the same wherever it is not zero: play times its own
+    sense of travel, which tells nothing but the rows in which that is not known.
+    """
+    products = [values * u for values in moved]
+    sizes = [p[np.abs(p) > 0.0] for p in products]
+    return all(not len(p) or np.ptp(p) <= 1e-9 * np.abs(p).max() for p in sizes)
 
 
 def _expected(parameter: Parameter) -> float:
