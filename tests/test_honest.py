@@ -558,7 +558,7 @@ def test_a_description_that_cannot_be_fitted_leaves_something_unexplained(tracke
     kink = Kink(port="EZX", unit="um", placement="X",
                 given=(("slope", 20.0, 0.0), ("at", 1000.0, 0.0)))  # fmt: skip
     measurement = with_noise(tracker, white(tracker, 22), kink)
-    loop, rivals = (importlib.import_module(f"vcal.loop.{name}") for name in ("search", "rivals"))
+    loop, rivals = (importlib.import_module(f"vcal.loop.{name}") for name in ("adding", "rivals"))
 
     def unfinished(*args):
         return dataclasses.replace(refit(*args), status=Status.STEP_LIMIT)

@@ -443,6 +443,8 @@ def _location(table: ErrorMotionTable) -> dict[str, str]:
 
 def _test(test: GeometricTest) -> dict[str, str]:
     row = _parameter(test.name, test.value, test.unit, test.u)
+    if test.information < HARDLY_TOLD:
+        row["value"] = text.DASH  # the best estimate of what was not seen is its prior's, nothing
     return row | {"what": test.what, "information": text.percent(test.information)}
 
 
