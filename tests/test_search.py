@@ -477,6 +477,24 @@ def test_no_more_effects_are_added_than_may_be(tracker):
     )
 
 
+@pytest.mark.parametrize("told", [False, True])
+def test_what_check_points_ask_beyond_what_was_measured(tracker, told):
+    """A drift that was measured for some minutes, and two hours of check points."""
+    check, t = tracker.study.check, np.asarray(tracker.plan.covariate("t"))
+    asked = np.asarray(check.plan.covariate("t"))
+    within = {**check.plan.covariates, "t": np.interp(asked, [0.0, asked.max()], [t[0], t[-1]])}
+    if not told:
+        check = dataclasses.replace(check, plan=dataclasses.replace(check.plan, covariates=within))
+    measurement = noisy(tracker, 7, tracker.effect("drift:Y:rate_EYY_um_per_h=300"))
+    closure = close_loop(
+        tracker.model, measurement, check=check, effects=[CATALOGUE["drift"]], draws=100
+    )
+    (name,) = (e.effect.key for e in closure.effects)
+    beyond = [note for note in closure.notes if "beyond what was measured" in note]
+    assert len(beyond) == told
+    assert not told or (name in beyond[0] and f"t_s {t.min():.4g} to {t.max():.4g}" in beyond[0])
+
+
 def test_the_error_at_check_points_lacks_what_they_do_not_record(tracker):
     check = tracker.study.check
     plan = check.plan

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
@@ -44,6 +45,8 @@ _NO_MACHINE_UM = 2000.0
 """What remains of a fit beyond which the data are not what they are said to be, um."""
 _MANY = 50.0
 """Degrees of freedom from which a search is worth its name."""
+_BEYOND = 0.1
+"""Share of the span that was measured, and of the check points, from which on these are beyond."""
 _ROOM = 16
 """Parameters that added effects may have before the solver must be compiled anew."""
 
@@ -210,6 +213,7 @@ def _finish(
         notes=[
             *([apart] if apart else []),
             *_not_at_the_check(after, run.check),
+            *_beyond_at_the_check(found, after, run.check),
             *_worse(wrong["before"], wrong["after"], bool(found)),
             *_described_at_the_check(described, wrong["after"], run.check),
             *_untold(after, dict.fromkeys(item.effect.key for item in found)),
@@ -242,6 +246,34 @@ def _not_at_the_check(after: Fit, check: CheckPoints | None) -> list[str]:
         for key, missing in lacking.items()
         if missing
     ]
+
+
+def _beyond_at_the_check(
+    found: Iterable[FoundEffect], after: Fit, check: CheckPoints | None
+) -> list[str]:
+    """Which of the effects found are foretold at the check points for times, temperatures or other
+    conditions that were not measured: how they go on there no reading tells.
+    """
+    if check is None:
+        return []
+    plan, notes = after.measurement.plan, []
+    for item in found:
+        for name in item.effect.needs if item.effect.where == "machine" else ():
+            if name in plan.axes or not (plan.has(name) and check.plan.has(name)):
+                continue
+            column, unit = file_column(name, plan.axes)
+            known, asked = (unit * np.asarray(p.values(name), float) for p in (plan, check.plan))
+            low, high = np.nanmin(known), np.nanmax(known)
+            room = _BEYOND * (high - low)
+            share = float(((asked < low - room) | (asked > high + room)).mean())
+            if share > _BEYOND:
+                notes.append(
+                    f"{item.effect.key} is foretold for {100 * share:.2g} % of the check points "
+                    f"beyond what was measured ({column} {low:.4g} to {high:.4g}, there "
+                    f"{asked.min():.4g} to {asked.max():.4g}): whether it goes on as it did is not "
+                    "part of the uncertainty"
+                )
+    return notes
 
 
 def _worse(before: Errors, after: Errors, found: bool) -> list[str]:
