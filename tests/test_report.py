@@ -663,7 +663,7 @@ def test_geometry_is_told_as_tests_of_it_would(closed, written):
     page = (written / "index.html").read_text(encoding="utf-8")
     table = page[page.index("As tests of the geometry state it") : page.index("comes on top")]
     for t in tests:
-        shown, _ = text.rounded(t.value, t.u)
+        shown = text.rounded(t.value, t.u)[0] if t.information >= 0.05 else text.DASH
         assert f'<td>{t.name}</td><td>{t.what}</td><td class="n">{shown}</td>' in table
     lines = (written / "compensation.csv").read_text(encoding="utf-8").splitlines()
     (parameter,) = (line.split(",") for line in lines if line.startswith("EC0Y"))
