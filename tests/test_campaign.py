@@ -267,7 +267,7 @@ def test_strong_curvature_is_retried_and_told(known):
         assert cost[0] < cost[1]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_draw_that_is_not_finite_is_counted(known):
     it = known["laser_tracker"]
 

@@ -200,6 +200,7 @@ def test_gradient_against_finite_differences(turned, goal):
 # --- what is best ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turn", "seen_rows"), [(90, 0.5), pytest.param(360, 1.0, marks=pytest.mark.campaign)]
 )

@@ -450,7 +450,7 @@ def test_a_share_of_few_squares_against_f():
     assert float(minus_log_beta_tail(0.9, 2.0, 3)) == 0.0
 
 
-@pytest.mark.parametrize("shape", [(2, 2, 1), pytest.param((2, 2, 2), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("shape", [(2, 2, 1), pytest.param((2, 2, 2), marks=pytest.mark.campaign)])
 def test_too_few_readings(shape, tmp_path):
     true = {"effect": "backlash", "axis": "Y", "size_um": 20}
     plan = {"shape": shape, "passes": 1}

@@ -213,7 +213,7 @@ def test_map_of_the_diode():
 # --- as a study ----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_study_with_a_growing_head(tmp_path):
     study = load_study(write_frame(tmp_path / "study", growth=1.5))
     closure = close_loop(study.model, study.measurement, effects=study.catalogue.values())

@@ -7,6 +7,7 @@ import pytest
 from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
+LONG = ("04_artefact_design", "06_is_it_honest")
 
 
 def test_there_is_a_notebook():
@@ -20,9 +21,18 @@ def test_notebook_is_stripped(path):
     assert all(not cell.outputs and cell.execution_count is None for cell in code)
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(
+            path,
+            id=path.stem,
+            marks=pytest.mark.campaign if path.stem in LONG else pytest.mark.slow,
+        )
+        for path in NOTEBOOKS
+    ],
+)
 def test_notebook_runs(path, tmp_path, programs, monkeypatch):
     for key, value in programs.items():
         monkeypatch.setenv(key, value)  # a kernel is a process of its own

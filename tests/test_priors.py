@@ -116,7 +116,7 @@ def test_a_joint_distribution_with_a_number_that_is_known(screw):
     np.testing.assert_allclose(prior.root @ prior.root.T, np.diag([1.0, 0.0]), atol=1e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_joint_distribution_counts_jointly_in_the_gum(tracker, screw):
     effect = dataclasses.replace(screw, given=(("pitch", 20.0, 0.0),))
     law = MultivariateNormal([0.0, 0.0], [[4.0, -1.8], [-1.8, 1.0]])

@@ -591,7 +591,7 @@ def test_what_the_place_of_the_sphere_takes_is_told_of_nothing(study):
 
 @pytest.mark.parametrize(
     "seed",
-    [pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.campaign)],
+    [pytest.param(seed, marks=pytest.mark.campaign) for seed in (1, 2)],
 )
 def test_the_loop_names_quadrant_peaks(tmp_path, seed):
     rows = "[[model.effect]]\nname = 'acceleration_crosstalk'\n"
@@ -682,6 +682,7 @@ def probed(tmp_path, **more):
     return load_study(folder), load_study(folder, {"machine.tool_offset_mm": LONG})
 
 
+@pytest.mark.slow
 def test_the_sphere_is_at_the_end_of_the_tool(tmp_path):
     """However long the tool is, the probes stand about the sphere."""
     short, long = probed(tmp_path)

@@ -251,6 +251,7 @@ def test_the_loop_names_the_backlash_of_a_rotary_axis_and_corrects_the_machine(s
         assert abs(named[name].value - value) < 3.5 * named[name].u < 40.0, name
 
 
+@pytest.mark.slow
 def test_the_loop_names_the_worm_of_a_rotary_axis(tmp_path):
     write(tmp_path, backlash=0.0, seed=7, worm=15e-6)
     study = vcal.load_study(tmp_path)

@@ -155,7 +155,7 @@ def write_beams(folder, case, sigma=0.5e-6):
 # --- one estimate of all -------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_joint_estimate_is_that_of_both_informations(clean, clean_fit):
     """Information of the two fits added, the prior that they share counted once."""
     folder, _ = clean
@@ -368,7 +368,7 @@ def test_the_page_tells_the_data_sets_apart(backlash):
     assert reasons["drift", "X"] == "the data have no t_s shared by the data sets"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_effect_of_an_instrument_is_named_for_its_data_set(tmp_path):
     true = [{"effect": "encoder_eccentricity", "amplitude_urad": 20, "phase_deg": 40}]
     cases = {"tracker": tracker_case(8, true), "balls": ball_case(8)}

@@ -228,8 +228,13 @@ def test_the_place_of_a_sphere_that_no_reading_saw(studied):
         assert fit.covariance is None
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("nest", ["spindle", "table"])
+@pytest.mark.parametrize(
+    "nest",
+    [
+        pytest.param("spindle", marks=pytest.mark.slow),
+        pytest.param("table", marks=pytest.mark.campaign),
+    ],
+)
 def test_a_sphere_that_slips_on_the_table(tmp_path, nest):
     def slip(t):
         return np.array([4e-6, -3e-6, 0.0]) * (900 < t < 1920)
@@ -241,6 +246,7 @@ def test_a_sphere_that_slips_on_the_table(tmp_path, nest):
         assert abs(value - true) < 3.0 * u
 
 
+@pytest.mark.slow
 def test_curvature_that_differs_in_few_directions(tmp_path):
     """Errors of the probes are seen where the machine is off: of the linearised nominal problem
     they are not. A search that shares its curvature says where it has not arrived.
