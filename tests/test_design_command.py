@@ -403,8 +403,10 @@ def test_an_artefact_that_fits_nowhere(few_poses, tmp_path):
     copy = declare(few_poses, tmp_path, "")
     table = (copy / "artefact.csv").read_text().splitlines()
     cells = [line.split(",") for line in table[1:]]
-    longer = [table[0], *(f"{b},{3 * float(x)},{y},{z}" for b, x, y, z in cells)]
-    (copy / "artefact.csv").write_text("\n".join(longer) + "\n", encoding="utf-8")
+    # One ball more, which no pose has touched, beyond all the others.
+    number, x = max(int(b) for b, *_ in cells) + 1, 3e3 + float(cells[-1][1])
+    far = ",".join([str(number), str(x), *cells[-1][2:]])
+    (copy / "artefact.csv").write_text("\n".join([*table, far]) + "\n", encoding="utf-8")
     message = design(copy, tmp_path / "out", *short, code=2).stderr
     assert "mm long" in message and "the diagonal of the travel" in message
     assert not (tmp_path / "out").exists()

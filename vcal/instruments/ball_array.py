@@ -224,6 +224,7 @@ class BallArray(TableInstrument):
             plan,
             lambda nominal: built._placed(plan, nominal)._off(plan, nominal),
             "columns x_mm, y_mm, z_mm",
+            "the machine, and the coordinates of the balls with the artefact",
         )
         return built
 

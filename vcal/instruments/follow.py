@@ -78,13 +78,15 @@ def check_follows(
     plan: Plan,
     off: Callable[[np.ndarray], np.ndarray],
     columns: str,
+    beside: str = "the machine",
 ) -> None:
     """Refuse readings that are not where the axes take the tool.
 
     `off` gives the distance (n,), m, of every reading from the nominal tool points (n, 3) of the
     workpiece, after the rigid motions that are unknown anyway. Half of the readings count: a few
     that are astray are left out later. Raises `RowError`, which names the columns in
-    another unit, or the one with another sign, where that alone is the cause.
+    another unit, or the one with another sign, where that alone is the cause; else it says that the
+    columns are to be compared with what is `beside` them.
     """
     position = np.asarray(plan.position)
     linear = position[:, [axis in LINEAR for axis in plan.axes]]
@@ -106,7 +108,7 @@ def check_follows(
         cause(chain, plan.axes, position, off, allowed)
         or "compare signs, units and order of the columns of positions and readings, "
         f"{'' if chain.linear else 'at_mm of the rotary axes, '}tool_offset_mm and the chain with "
-        "the machine",
+        f"{beside}",
     )
 
 
