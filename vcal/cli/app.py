@@ -23,9 +23,11 @@ app = typer.Typer(
 )
 
 
-def _folder(text: str) -> Path:
-    """The folder that is named; an empty name would be the one that the user is in."""
-    if not text.strip():
+def _folder(text: str | Path) -> Path:
+    """The folder that is named, or that is the default; an empty name would be the one that the
+    user is in.
+    """
+    if not str(text).strip():
         raise typer.BadParameter(f"found {text!r}, expected the name of a folder; give one")
     return Path(text)
 
