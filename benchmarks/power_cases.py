@@ -6,6 +6,7 @@ as the oracle of the tests takes it, and under which name vcal knows it.
 
 from __future__ import annotations
 
+import math
 import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -476,16 +477,35 @@ def _on_joint(
     return draw
 
 
-def _gear(orders: Sequence[int], known: bool):
-    """A harmonic of a joint's angle, which vcal knows or not."""
+def _gear(rng: Rng, world: World) -> Sized:
+    """A low harmonic of a joint's angle."""
+    joint, order = int(rng.integers(JOINTS)), int(rng.integers(1, 5))
+    effect = {"effect": "gear_harmonic", "joint": joint, "order": order, "phase": _phase(rng)}
+    key = f"gear_harmonic J{joint + 1}", (f"sine{order}", f"cosine{order}")
+    return lambda size: Term(({**effect, "amplitude_urad": size},), *key)
+
+
+def _ripple(rng: Rng, world: World) -> Sized:
+    """A fine one: of a strain wave gear of a usual ratio, or of any."""
+    joint = int(rng.integers(JOINTS))
+    usual = 2.0 * float(rng.choice((50, 80, 100, 120, 160)))
+    order = usual if rng.uniform() < 0.5 else float(np.exp(rng.uniform(np.log(6), np.log(330))))
+    pitch = 360.0 / order
+    effect = {"effect": "gear_ripple", "joint": joint, "pitch_deg": pitch, "phase": _phase(rng)}
+    shape = {"pitch": math.radians(pitch)}
+    key = f"gear_ripple J{joint + 1}"
+    return lambda size: Term(({**effect, "amplitude_urad": size},), key, shape=shape)
+
+
+def _loaded(name: str, among: Sequence[int]):
+    """What yields to a mass whose centre is off the flange, in any direction."""
 
     def draw(rng: Rng, world: World) -> Sized:
-        joint, order = int(rng.integers(JOINTS)), int(rng.choice(list(orders)))
-        effect = {"effect": "gear_harmonic", "joint": joint, "order": order, "phase": _phase(rng)}
-        axis = f"J{joint + 1}"
-        key = (f"gear_harmonic {axis}", (f"sine{order}", f"cosine{order}")) if known else ("", ())
-        on = () if known else (axis, f"read_{axis}", f"commanded_{axis}")
-        return lambda size: Term(({**effect, "amplitude_urad": size},), *key, covariates=on)
+        joint, sign = int(rng.choice(list(among))), _sign(rng)
+        centre = np.append(rng.uniform(-0.08, 0.08, 2), rng.uniform(0.0, 0.1))
+        effect = {"effect": name, "joint": joint, "centre": centre.tolist()}
+        key = f"{name} J{joint + 1}"
+        return lambda size: Term(({**effect, "coefficient_urad": sign * size},), key)
 
     return draw
 
@@ -613,10 +633,15 @@ KINDS: tuple[Kind, ...] = (
     Kind("lateral_reversal on circles", "um", 1,
          _on_circles("lateral_reversal", "size_um", one=True), CIRCLES),
     Kind("backlash of a joint", "urad", 100, _on_joint("backlash", "size_urad"), ARMS),
-    Kind("gear_harmonic", "urad", 200, _gear(range(1, 5), known=True), ARMS),
+    Kind("gear_harmonic", "urad", 200, _gear, ARMS),
+    Kind("gear_ripple", "urad", 200, _ripple, ARMS),
     Kind("joint_coupling", "urad/rad", 200, _coupled, ARMS),
     Kind("joint_compliance", "1e-6 rad/(N m)", 50,
          _on_joint("joint_compliance", "coefficient_urad", among=(1, 2)), ARMS),
+    Kind("joint_compliance off the flange", "1e-6 rad/(N m)", 100,
+         _loaded("joint_compliance", range(1, JOINTS)), ARMS),
+    Kind("bearing_compliance", "1e-6 rad/(N m)", 100,
+         _loaded("bearing_compliance", range(JOINTS)), ARMS),
     Kind("jump of a joint", "urad", 100,
          _on_joint("jump", "size_urad", ("size",), t0_s=lambda r, world: world.moment(r)), ARMS),
 )  # fmt: skip
@@ -632,7 +657,6 @@ OUTSIDE: tuple[Kind, ...] = (
          BOTH, recording=("coolant_bar",)),
     Kind("an angle that follows the humidity", "urad", 60,
          _follows("humidity_percent", 9.0, "ABC", "urad"), BOTH, recording=("humidity_percent",)),
-    Kind("a fine harmonic of a joint", "urad", 200, _gear((6, 7, 8, 9), known=False), ARMS),
     Kind("a circle with bumps", "um", 1, _bumps, CIRCLES),
     Kind("a drift in every run", "um/s", 2, _drifting, CIRCLES),
 )  # fmt: skip

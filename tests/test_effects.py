@@ -19,12 +19,12 @@ from oracle import (
     tracker_readings,
     write_study,
 )
-from oracle.effects import ball_positions, gravity_torque, joint_angles
+from oracle.effects import ball_positions, gravity_torque, joint_angles, joint_tilts
 from vcal import CATALOGUE, load_study, predict
 from vcal.chain import chain_from_string
 from vcal.demo import FOLDER
 from vcal.effects import Setup
-from vcal.effects.arm import gravity_levers
+from vcal.effects.arm import gravity_levers, gravity_moments
 from vcal.effects.random import Repeatability
 from vcal.fit import shape_step
 from vcal.identify import declared_whitener, linearised_terms
@@ -99,7 +99,7 @@ def touched(known):
 DECLARED_ONLY = ("head_temperature", "tool_interface")
 """Influences of a laser frame that the loop does not look for."""
 
-OF_AN_ARM = ("joint_compliance", "readback_lag")
+OF_AN_ARM = ("bearing_compliance", "joint_compliance", "readback_lag")
 
 # --- derivatives ---------------------------------------------------------------------------------
 
@@ -450,6 +450,8 @@ def test_artefact_effects_are_the_oracles(known):
         (f"gear_harmonic:J2:sine3_urad={SINE},cosine3_urad={COSINE}",
          {"joint": 1, "order": 3, "amplitude_urad": 6, "phase": 0.7}),
         ("joint_coupling:J6:k_J5_urad_per_rad=1000", {"joint": 5, "other": 4, "coefficient": 1e-3}),
+        (f"gear_ripple:J3:sine_urad={SINE},cosine_urad={COSINE},pitch_deg=1.8",
+         {"joint": 2, "pitch_deg": 1.8, "amplitude_urad": 6, "phase": 0.7}),
     ],
 )  # fmt: skip
 def test_effect_on_an_arm_is_the_oracles(text, keys, known):
@@ -515,8 +517,13 @@ def test_joint_compliance_spans_the_oracles_torque(known):
     nominal = dataclasses.replace(arm, translation=None, rotation=None)
     for j, joint in enumerate(it.chain.axes):
         levers = gravity_levers(it.chain, q, joint)
-        torque = gravity_torque(nominal, q, j, 1 / 9.81, np.zeros(3))
-        np.testing.assert_allclose(levers[:, -1], torque, rtol=0, atol=1e-13)
+        for centre, columns in (
+            ([0, 0, 0], [-3]),
+            ([0.05, 0, 0], [-3, -2]),
+            ([0, 0.05, 0], [-3, -1]),
+        ):
+            torque = gravity_torque(nominal, q, j, 1 / 9.81, np.array(centre))
+            np.testing.assert_allclose(levers[:, columns].sum(1), torque, rtol=0, atol=1e-13)
     # A mass at every frame behind the joint, seen through the patterns that are kept.
     (effect,) = (
         e for e in CATALOGUE["joint_compliance"].candidates(it.setup) if e.placement == "J2"
@@ -533,6 +540,40 @@ def test_joint_compliance_spans_the_oracles_torque(known):
         torque = np.sum(frames[:, 1, :, 2] * moment, axis=1)
         left = torque - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
         assert np.linalg.norm(left) < 0.02 * np.linalg.norm(torque - torque.mean())
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_bearing_compliance_is_the_oracles(joint, known):
+    """A mass off the axis of the flange, as the readings of a nominal arm see it."""
+    it = known["reflectors"]
+    arm, q = it.case.arm, it.case.arm_run.q
+    nominal = dataclasses.replace(arm, translation=None, rotation=None)
+    told = {"effect": "bearing_compliance", "joint": joint, "coefficient": 1e-6 / 9.81}
+    told |= {"mass": 1.0, "centre": np.array([0.05, -0.1, 0.0])}
+    tilts = joint_tilts(nominal, q, [told])
+    own = arm_points(nominal, q, it.instrument.points, tilts)
+    expected = (own - it.instrument.station) @ it.instrument.orientation
+    axis = it.chain.axes[joint]
+    moments = gravity_moments(it.chain, q, axis)
+    places = np.zeros(moments.shape[1])
+    places[-3:] = 1.0, 1.0, -2.0
+    found = 1e-6 * np.einsum("nkc,k->nc", moments, places)[:, :2]
+    np.testing.assert_allclose(found, tilts[:, joint, :2], rtol=0, atol=1e-18)
+    assert np.abs(tilts[:, joint, 2]).max() < 1e-18 < 1e-9 < np.abs(found).max()
+    (effect,) = (
+        e for e in CATALOGUE["bearing_compliance"].candidates(it.setup) if e.placement == axis
+    )
+    response = effect.response(it.plan, {})
+    names = [p.name for p in effect.amplitudes]
+    columns = [np.concatenate([response[f"E{c}{axis}", n] for c in "AB"]) for n in names]
+    sizes, *_ = np.linalg.lstsq(np.column_stack(columns), found.T.ravel(), rcond=None)
+    given = tuple((n, float(a) * 1e6, 0.0) for n, a in zip(names, sizes, strict=True))
+    zero = np.zeros(len(it.theta))
+    got = it.readings(dataclasses.replace(effect, given=given), theta=zero)
+    still = it.readings(theta=zero)
+    left = got.reshape(expected.shape) - expected
+    # Patterns of less than a hundredth of the strongest one are left out.
+    assert np.abs(left).max() < 0.02 * np.abs(got - still).max()
 
 
 def test_readback_lag_of_one_is_the_command(known, tmp_path):

@@ -440,6 +440,8 @@ def test_arm_reflectors_are_rigid_and_effects_move_them():
         {"effect": "gear_harmonic", "joint": 2, "order": 3, "amplitude_urad": 200},
         {"effect": "joint_coupling", "joint": 5, "other": 4, "coefficient": 1e-3},
         {"effect": "joint_compliance", "joint": 1, "coefficient": 2e-5, "mass_kg": 3},
+        {"effect": "bearing_compliance", "joint": 1, "coefficient": 2e-5, "mass_kg": 3},
+        {"effect": "gear_ripple", "joint": 2, "pitch_deg": 1.8, "amplitude_urad": 200},
         {"effect": "jump", "joint": 0, "size_urad": 100, "t0_s": 1500},
         {"effect": "station_drift", "translation_um_per_h": [50, 0, 0]},
     ):

@@ -45,8 +45,9 @@ Z (translation) or A, B, C (rotation); along the axis itself when it is left out
 | psd_linearity | a x + b x^3 on reading u or v, x its place on the diode | reading, a, b (1/m^2) |
 
 Arms: `joint` counts from 0; backlash (rad), gear_harmonic (amplitude, order, phase),
-joint_coupling (other, coefficient), joint_compliance (coefficient rad/(N m), mass, centre),
-jump (size, t0), readback_lag (share), station_drift.
+gear_ripple (amplitude, pitch, phase), joint_coupling (other, coefficient), joint_compliance and
+bearing_compliance (coefficient rad/(N m), mass, centre), jump (size, t0),
+readback_lag (share), station_drift.
 """
 
 from __future__ import annotations
@@ -228,8 +229,10 @@ ON_CIRCLES = (
 ON_ARM = (
     "backlash",
     "gear_harmonic",
+    "gear_ripple",
     "joint_coupling",
     "joint_compliance",
+    "bearing_compliance",
     "jump",
     "readback_lag",
     "station_drift",
@@ -468,6 +471,9 @@ def joint_angles(arm: Arm, q: Array, t: Array, effects: Iterable[Effect]) -> Arr
             case "gear_harmonic":
                 phase = effect["order"] * q[:, j] + effect.get("phase", 0.0)
                 true[:, j] += effect["amplitude"] * np.sin(phase)
+            case "gear_ripple":
+                phase = 2.0 * np.pi * q[:, j] / effect["pitch"] + effect.get("phase", 0.0)
+                true[:, j] += effect["amplitude"] * np.sin(phase)
             case "joint_coupling":
                 true[:, j] += effect["coefficient"] * q[:, int(effect["other"])]
             case "jump":
@@ -479,13 +485,38 @@ def joint_angles(arm: Arm, q: Array, t: Array, effects: Iterable[Effect]) -> Arr
     return true
 
 
-def gravity_torque(arm: Arm, q: Array, joint: int, mass: float, centre: Array) -> Array:
-    """Return z_j . ((c - o_j) x g) in N m for a mass at `centre` in the last frame, g along -Z."""
+def gravity_moment(arm: Arm, q: Array, joint: int, mass: float, centre: Array) -> Array:
+    """Return (c - o_j) x g in N m for a mass at `centre` in the last frame, g along -Z: (n, 3)."""
     frames, origins = arm_frames(arm, q)
     c = origins[:, -1] + frames[:, -1] @ np.asarray(centre, dtype=float)
-    weight = np.array([0.0, 0.0, -9.81 * mass])
-    moment = np.cross(c - origins[:, joint], weight)
+    return np.cross(c - origins[:, joint], np.array([0.0, 0.0, -9.81 * mass]))
+
+
+def gravity_torque(arm: Arm, q: Array, joint: int, mass: float, centre: Array) -> Array:
+    """Return z_j . ((c - o_j) x g) in N m."""
+    frames, _ = arm_frames(arm, q)
+    moment = gravity_moment(arm, q, joint, mass, centre)
     return np.sum(frames[:, joint, :, 2] * moment, axis=-1)
+
+
+def joint_tilts(arm: Arm, q: Array, effects: Iterable[Effect]) -> Array:
+    """Return the rotation (n, j, 3) of every joint across its axis, in its frame after the motion:
+    along the part of the moment that is across z_j.
+    """
+    out = np.zeros((*q.shape, 3))
+    frames, _ = arm_frames(arm, q)
+    for effect in map(in_si, effects):
+        if effect["effect"] == "bearing_compliance":
+            j = int(effect["joint"])
+            mass, centre = effect.get("mass", 1.0), effect.get("centre", np.zeros(3))
+            moment = gravity_moment(arm, q, j, mass, centre)
+            z = frames[:, j, :, 2]
+            across = moment - np.sum(z * moment, axis=1)[:, None] * z
+            turned = frames[:, j] @ rotation_matrix(
+                (arm.theta[j] + q[:, j])[:, None] * np.eye(3)[2]
+            )
+            out[:, j] += effect["coefficient"] * np.einsum("nba,nb->na", turned, across)
+    return out
 
 
 def read_back(q: Array, true: Array, effects: Iterable[Effect]) -> Array:

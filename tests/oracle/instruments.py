@@ -15,6 +15,7 @@ from .effects import (
     checked,
     frame_drift,
     joint_angles,
+    joint_tilts,
     read_back,
     tool_point,
 )
@@ -155,9 +156,11 @@ class ArmReadings:
     """The reflectors on the tool in the base's frame, without noise (n, m, 3), m."""
 
 
-def arm_points(arm: Arm, q: Array, tool: Array) -> Array:
-    """Return points fixed in the last frame, (m, 3), in the base's frame: (n, m, 3) m."""
-    frames, origins = arm_frames(arm, q)
+def arm_points(arm: Arm, q: Array, tool: Array, tilts: Array | None = None) -> Array:
+    """Return points fixed in the last frame, (m, 3), in the base's frame: (n, m, 3) m; of joints
+    with further error rotations `tilts` (n, j, 3).
+    """
+    frames, origins = arm_frames(arm, q, rotation=tilts)
     return np.einsum("nij,mj->nmi", frames[:, -1], tool) + origins[:, -1, None]
 
 
@@ -175,7 +178,7 @@ def measure_reflectors(
     """
     effects = checked(effects, "reflectors")
     true = joint_angles(arm, plan.q, plan.t, effects)
-    own = arm_points(arm, true, plan.tool)
+    own = arm_points(arm, true, plan.tool, joint_tilts(arm, plan.q, effects))
     d, turned = frame_drift(effects, plan.t)
     fixed = np.broadcast_to(plan.base, (len(plan.t), *plan.base.shape))
     seen = []

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -16,8 +16,12 @@ from .registry import register
 _FINEST_SHARE, _PER_PERIOD = 0.01, 2.0
 """Where an axis stood so closely that finer pitches are seen: the finest one as a share of the
 travel, and how many places every period needs."""
-_TEETH = (36, 40, 45, 48, 50, 60, 72, 80, 90, 96, 100, 120, 128, 144, 150, 180, 200, 240, 256, 360)
-"""Teeth of usual worm wheels, and cycles per turn of inductive scales."""
+_TEETH = (
+    *(36, 40, 45, 48, 50, 60, 72, 80, 90, 96, 100, 120, 128, 144, 150),
+    *(160, 180, 200, 240, 256, 320, 360),
+)
+"""Teeth of usual worm wheels, cycles per turn of inductive scales, and ratios of strain wave gears
+and twice these."""
 _SLOWEST = 4.5
 """Periods per turn of the longest pitch of a rotary axis: slower ones are `gear_harmonic`."""
 
@@ -81,27 +85,27 @@ class ScrewCyclic(Effect):
 
     name = "screw_cyclic"
     summary = "periodic error of a screw, a rack, a worm or a scale, pitch unknown"
+    _usual: ClassVar[Mapping[str, float]] = {"prismatic": 3.0, "rotary": 15.0}
+    """Size that is expected, um or urad, by the kinds of joints that may have it."""
     port: str = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="um")
     """``"um"`` along a linear axis, ``"urad"`` about a rotary one."""
+    usual: float = eqx.field(static=True, default=3.0, repr=False)
+    """Size that is expected, in that unit."""
     periods: float = eqx.field(static=True, default=4.0, repr=False)
     """Of the longest pitch that is looked for, within the travel."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (
-            Parameter("sine", self.unit, sigma=self._size),
-            Parameter("cosine", self.unit, sigma=self._size),
+            Parameter("sine", self.unit, sigma=self.usual),
+            Parameter("cosine", self.unit, sigma=self.usual),
             Parameter("pitch", self._pitches.unit, shape=True, coordinate="reciprocal"),
         )
 
     @property
     def _pitches(self) -> _Pitches:
         return _PITCHES[self.unit]
-
-    @property
-    def _size(self) -> float:
-        return 3.0 if self.unit == "um" else 15.0
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -142,15 +146,38 @@ class ScrewCyclic(Effect):
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         for joint in setup.chain.joints:
-            if joint.kind != "revolute":
-                port, unit = along(setup.chain, joint.name)
-                fitted = any(
-                    motion.name == port
-                    for effect in setup.declared
-                    for motion in getattr(effect, "motions", ())
-                )
-                periods = cls.periods if fitted else 1.0
-                yield cls(port=port, unit=unit, periods=periods, placement=joint.name)
+            if joint.kind not in cls._usual:
+                continue
+            port, unit = along(setup.chain, joint.name)
+            # Of an arm's joints only a constant is.
+            fitted = joint.kind != "revolute" and any(
+                motion.name == port
+                for effect in setup.declared
+                for motion in getattr(effect, "motions", ())
+            )
+            yield cls(
+                port=port,
+                unit=unit,
+                usual=cls._usual[joint.kind],
+                periods=cls.periods if fitted else 1.0,
+                placement=joint.name,
+            )
+
+
+@register
+class GearRipple(ScrewCyclic):
+    """Error of the gear of an arm's joint that comes again many times per turn of the joint:
+    a sin(2 pi q/p) + b cos(2 pi q/p) about it.
+
+    The wave of a strain wave gear has two lobes: with a ratio of N its error comes again 2 N times
+    per turn (and less N times), p = 360 deg/(2 N). Other gears have errors of their input shaft,
+    and of the mesh of their teeth. The pitch is scanned as that of `screw_cyclic`, from where
+    `gear_harmonic` ends down to 1 degree.
+    """
+
+    name = "gear_ripple"
+    summary = "periodic error of the gear of a joint within a turn of its input shaft"
+    _usual: ClassVar[Mapping[str, float]] = {"revolute": 50.0}
 
 
 @register

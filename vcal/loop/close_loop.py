@@ -111,7 +111,7 @@ def close_loop(
                 progress("learning the sizes of the families")
                 learned = with_sizes(state.model, learned_sizes(state.fit))
                 state = fitted(learned, measurement, state.fit, room)
-            if full:
+            if full and run.refused is None:
                 run.look_on(state)
             progress("describing what remains")
             run.unexplained = from_structure(

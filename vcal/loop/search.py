@@ -44,14 +44,19 @@ class Search(Adding):
         self._bars = _BARS
 
     def rounds(self, state: State, most: int, reached: Callable[[State], None]) -> State:
-        """Add effects until nothing is to be added, or there are `most`; then look at them again.
-        What is `reached` on the way is told, and is never left without its fit.
+        """Add effects until nothing is to be added, or there are `most`; then look at them again,
+        unless more would be added if it might: beside what is missing each is part of something
+        else. What is `reached` on the way is told, and is never left without its fit.
         """
         while len(self.added(state)) < most:
             found = self.step(state)
             if found is None:
                 break
             reached(state := found)
+        else:
+            self.look_on(state)
+            if self.refused is not None:
+                return state
         before = state
         if self.unexplained is not None:
             state = self.beside_empirical(state)

@@ -1,0 +1,50 @@
+"""What the loop finds of an arm, whose readings are those of the independent generator."""
+
+import math
+
+import pytest
+
+from oracle import make_case, write_study
+from vcal import close_loop, load_study
+
+OFF_THE_FLANGE = [0.06, -0.04, 0.05]
+
+
+def closed(folder, effect, poses=150, seed=5):
+    case = make_case("reflectors", seed=seed, plan={"n": poses}, effects=[effect])
+    study = load_study(write_study(folder, case))
+    return close_loop(study.model, study.measurement, draws=100)
+
+
+@pytest.mark.parametrize(
+    ("joint", "coefficient"),
+    [(0, 2e-5), *(pytest.param(j, 4e-4, marks=pytest.mark.slow) for j in (1, 2, 4))],
+)
+def test_a_bearing_that_yields_has_its_name(joint, coefficient, tmp_path):
+    effect = {"effect": "bearing_compliance", "joint": joint, "coefficient": coefficient}
+    closure = closed(tmp_path / "arm", effect | {"centre": OFF_THE_FLANGE})
+    assert closure.verdict == "named"
+    assert [found.effect.key for found in closure.effects] == [f"bearing_compliance J{joint + 1}"]
+    assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.1)
+    assert closure.errors["before"].chi2_per_dof > 1.2
+
+
+@pytest.mark.parametrize("joint", [5, pytest.param(3, marks=pytest.mark.slow)])
+def test_a_tool_whose_mass_is_off_the_flange(joint, tmp_path):
+    """The torque about the last axis is that of nothing else."""
+    effect = {"effect": "joint_compliance", "joint": joint, "coefficient": 3e-4}
+    closure = closed(tmp_path / "arm", effect | {"centre": OFF_THE_FLANGE})
+    assert [found.effect.key for found in closure.effects] == [f"joint_compliance J{joint + 1}"]
+    assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("order", [200.0, pytest.param(7.3, marks=pytest.mark.slow)])
+def test_the_gear_of_a_joint_has_its_name_and_pitch(order, tmp_path):
+    effect = {"effect": "gear_ripple", "joint": 2, "amplitude_urad": 60, "phase": 1.0}
+    closure = closed(tmp_path / "arm", effect | {"pitch_deg": 360.0 / order})
+    assert [found.effect.key for found in closure.effects] == ["gear_ripple J3"]
+    values = {name: (value, u) for name, value, _, u in closure.effects[0].parameters}
+    pitch, u = values["pitch"]
+    assert abs(360.0 / pitch - order) <= 3.0 * 360.0 / pitch**2 * u < 0.5
+    (sine, us), (cosine, uc) = values["sine"], values["cosine"]
+    assert abs(math.hypot(sine, cosine) - 60.0) <= 3.0 * max(us, uc)
