@@ -76,7 +76,7 @@ def instrument_of(poses, sigma):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_as_the_engine_identifies():
     """Against the batched identification of a ball array, all unknowns in one matrix."""
     chain, errors = machine()
@@ -322,7 +322,7 @@ def test_the_search_finds_known_minima():
         )
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_search_makes_a_better_artefact():
     chain, errors = machine()
     poses = design(10)

@@ -105,7 +105,7 @@ def test_poses(given):
             assert np.linalg.det(R) == pytest.approx(1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_first_set_is_the_strongest(given):
     for known in KNOWN:
         found = [
@@ -208,7 +208,7 @@ def test_shapes_have_the_covariance_of_their_precision():
     np.testing.assert_allclose(response["ball.X", "1.3"], [0, 0, *shape.columns[[0, 1], 0, 3]])
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_engine_has_the_same_posterior(given, nominal):
     """Poses and shape as parameters of one identification."""
     model, plan = measured_by(given, nominal, "S")

@@ -163,6 +163,7 @@ def test_what_is_left_open_is_noise_of_the_whole_pose(arm):
     )
 
 
+@pytest.mark.campaign
 def test_the_declared_noise_is_that_of_the_readings(arm):
     """Three reflectors on the base as noisy as those on the tool; the tracker stands still."""
     fit = identify(arm.model, arm.measurement, room=arm.room)

@@ -58,6 +58,7 @@ def test_two_effects_that_are_the_same_are_told_whatever_sizes_are_expected():
     assert "angular_reversal Z" in [one.effect.key, *one.equivalent]
 
 
+@pytest.mark.campaign
 def test_three_balls_have_no_distance_across_their_plane():
     """The pose takes up all of it: 0 / 0 is no stray reading, and no singular matrix."""
     case = make_case("ball_array", seed=26, plan={"n_balls": 3, "repeats": 2})

@@ -45,7 +45,7 @@ def distance(batch, a, b):
     "kind",
     [
         pytest.param("laser_tracker", marks=pytest.mark.campaign),
-        pytest.param("ball_array", marks=pytest.mark.slow),
+        pytest.param("ball_array", marks=pytest.mark.campaign),
     ],
 )
 def test_a_draw_is_identified_as_alone(kind, known):
@@ -102,7 +102,7 @@ def test_one_value_does_not_count_for_all(known, values):
         identify(it.model, Measurement(it.plan, readings), keep=values.astype(bool))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_shape_parameters_move_in_a_batch(known):
     it = known["laser_tracker"]
     model = it.model.with_effects(it.effect("screw_cyclic:X"))

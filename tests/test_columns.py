@@ -54,6 +54,7 @@ def test_a_condition_has_one_column(name, axes):
     assert inside_name(file_name(name, axes), axes) == name
 
 
+@pytest.mark.slow
 def test_what_an_effect_needs_can_be_in_a_file():
     """But for what instruments derive, which no file holds, and positions."""
     derived = {n for kind in INSTRUMENTS.values() for n in kind.derived} | {*_DERIVED}

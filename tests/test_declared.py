@@ -188,7 +188,10 @@ def test_keys_of_a_ball_array(small_ball_study, text, key, expected):
     [
         ("gear_harmonic:J1", "found 4 effects that these keys fit, expected one, by its order: 1,"),
         ("gear_harmonic:J1:order=9", "key order (gear_harmonic): found 9, expected one of 1, 2, 3"),
-        ("joint_compliance:J2:levers=3", "found the unknown key 'levers', expected placement, or "),
+        (
+            "joint_compliance:J2:torsion=3",
+            "found the unknown key 'torsion', expected placement, or ",
+        ),
         ("joint_compliance:J2:chain=3", "found the unknown key 'chain', expected placement, or "),
     ],
 )

@@ -30,6 +30,7 @@ def designed(few_poses, tmp_path_factory):
 # --- the folder ----------------------------------------------------------------------------------
 
 
+@pytest.mark.campaign
 def test_the_folder_is_a_study(designed, few_poses):
     out, printed = designed
     found = strict(out / "result.json")
@@ -184,7 +185,7 @@ def test_points_and_station_by_the_whole_covariance(few_points, tmp_path):
     run("simulate", out, "--out", tmp_path / "made")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_largest_uncertainty(few_poses, tmp_path):
     out = tmp_path / "out"
     design(few_poses, out, "--set", "design.goal=largest", "--set", 'design.errors=["EXX", "EBY"]')
@@ -435,7 +436,7 @@ def test_a_folder_with_other_things(few_poses, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_written_twice(designed, few_poses, tmp_path):
     """An earlier design is replaced, and the same seed gives the same plan."""
     out = tmp_path / "again"

@@ -33,7 +33,7 @@ def few_points(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_points_with_rotary_axes_by_the_whole_covariance(few_points):
     """Against the engine's own derivatives, and lines of sight from plain matrices."""
     study, task = task_of(few_points)

@@ -71,6 +71,7 @@ def turned(tmp_path_factory):
 # --- the axes follow ------------------------------------------------------------------------------
 
 
+@pytest.mark.campaign
 def test_the_plan_as_it_is_is_where_the_search_starts(tmp_path):
     study, task = task_of(plan_of(tmp_path, few(1, off=0.5e-3)))
     space = task.space
@@ -236,6 +237,7 @@ def designed(turned, tmp_path_factory):
     return out, design(turned, out, *sets)
 
 
+@pytest.mark.campaign
 def test_the_folder_is_a_study(designed, turned):
     out, printed = designed
     found = strict(out / "result.json")

@@ -525,10 +525,17 @@ def test_joint_compliance_spans_the_oracles_torque(known):
             torque = gravity_torque(nominal, q, j, 1 / 9.81, np.array(centre))
             np.testing.assert_allclose(levers[:, columns].sum(1), torque, rtol=0, atol=1e-13)
     # A mass at every frame behind the joint, seen through the patterns that are kept.
-    (effect,) = (
+    effect, both = (
         e for e in CATALOGUE["joint_compliance"].candidates(it.setup) if e.placement == "J2"
     )
-    weights = effect.levers.weights
+    (bearing,) = (
+        e for e in CATALOGUE["bearing_compliance"].candidates(it.setup) if e.placement == "J2"
+    )
+    apart = {**effect.response(it.plan, {}), **bearing.response(it.plan, {})}
+    together = both.response(it.plan, {})
+    assert apart.keys() == together.keys()
+    assert all((apart[key] == together[key]).all() for key in apart)
+    weights = effect.torsion.weights
     assert (weights.max(0) == np.abs(weights).max(0)).all()  # a sign that does not hang on rounding
     response = effect.response(it.plan, {})
     assert {port for port, _ in response} == {"ECJ2"}

@@ -50,7 +50,7 @@ def test_no_reading_beside_a_jump_is_taken_for_stray(many):
     assert abs(size[1] - 40.0) < 3.0 * size[3] < 3.0
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_moment_is_as_uncertain_as_it_scatters(many):
     """Jumps at random moments, a few times as large as the noise of a reading."""
     rng, t = np.random.default_rng(5), np.unique(np.asarray(many.plan.covariate("t")))

@@ -192,7 +192,7 @@ def compared():
     return verification(300, 4)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_cycles_give_the_closed_form(planar, three):
     first = variants()[0]
     assert planar.campaign.failed == 0
@@ -288,6 +288,7 @@ def test_the_bound_of_a_path_is_below_what_gradient_reaches():
         edges.bound(search._corners(Layout.named("planar").segments), 51)
 
 
+@pytest.mark.campaign
 def test_the_slopes_of_the_search_against_finite_differences():
     layout = Layout.named("3d")
     model, plan, _, functionals, _ = search._fitted(layout)

@@ -324,7 +324,7 @@ def test_what_is_held_out_of_three_rows_is_predicted(tracker):
     assert np.isfinite(found[folds >= 0]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_what_the_fit_took_of_shared_errors_is_given_back(small_arm_study):
     """Where nothing is shared, the covariance by clusters is on average that of the declared noise;
     the residuals as they are would give a tenth less.

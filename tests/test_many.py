@@ -58,7 +58,7 @@ def test_a_pitch_at_the_end_of_what_is_looked_for_is_not_certain(tmp_path):
     assert "its pitch would have to lie within what is looked for" in found.separation
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_seven_effects_of_one_machine_are_all_named(tmp_path):
     """Each of them is little beside the six others, in lengths where its readings are the best."""
     reversal = {"effect": "angular_reversal", "axis": "X", "component": "C", "size_urad": 30}
@@ -76,6 +76,7 @@ def test_seven_effects_of_one_machine_are_all_named(tmp_path):
     assert after.value < 0.05 * before.value
 
 
+@pytest.mark.slow
 def test_two_effects_that_hide_each_other_are_both_named(tmp_path):
     """Alone a warming-up of the machine describes more of them than either does."""
     head = {"effect": "head_expansion", "um_per_K": 1.4}
@@ -87,7 +88,7 @@ def test_two_effects_that_hide_each_other_are_both_named(tmp_path):
     assert found["backlash Z"]["size"] == pytest.approx(12.0, abs=0.5)
 
 
-@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.campaign)])
 def test_three_effects_that_hide_each_other_are_all_found(seed, tmp_path):
     """No two of them leave little enough to be told from noise."""
     head = {"effect": "head_expansion", "um_per_K": 1.4}
@@ -102,7 +103,7 @@ def test_three_effects_that_hide_each_other_are_all_found(seed, tmp_path):
     assert "thermal_tilt Z" in (third.effect.key, *third.equivalent)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_four_large_effects_are_all_named(tmp_path):
     """Found one after the other, the first two of them while far more than noise is left."""
     effects = (

@@ -380,7 +380,7 @@ def test_columns_that_were_exchanged(small_tracker_study):
         load_study(small_tracker_study)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_readings_that_were_exchanged_in_a_program(small_tracker_study):
     """Nothing refuses them there; the result tells."""
     study = load_study(small_tracker_study, ["loop.draws=25", 'loop.effects=["backlash"]'])

@@ -87,6 +87,7 @@ def loose(study, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_backlash_in_circles(loose):
     assert (loose / "ball_bar.py").read_text(encoding="utf-8") == BAR
     study = load_study(loose)
@@ -101,7 +102,7 @@ def test_backlash_in_circles(loose):
     assert after < 0.5 < before
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_report(loose, tmp_path):
     run("loop", loose, "--out", tmp_path / "report", "--set", "loop.draws=100")
     report = json.loads((tmp_path / "report" / "report.json").read_text())

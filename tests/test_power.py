@@ -44,7 +44,7 @@ def test_told_the_truth_nothing_is_left(name):
     assert after.chi2 / after.dof < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_detection_limit_is_that_of_the_effect_by_itself():
     """A plan that does not see a tilt sees it no better where some readings go astray."""
     limits = []
@@ -220,7 +220,7 @@ def test_what_a_plan_tells_little_of_is_not_lost_between_large_rivals():
     assert after.value - bare.value < after.u
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_what_the_readings_cannot_have_a_size_of_is_no_rival():
     """A reversal error of which the plan leaves next to nothing would explain a play with more than
     256 times the size that is expected: it is forgiven none of that, and refutes no other name.

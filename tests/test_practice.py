@@ -128,7 +128,7 @@ def test_quadrant_peaks_beside_a_declared_matrix():
 def test_arm_by_its_commanded_joints():
     closure = closed(DATA / "real" / "irb120")
     names = named(closure)
-    assert sorted(names[:2]) == ["joint_compliance J2", "joint_compliance J3"]
+    assert names[0] == "joint_compliance J2" and "joint_compliance J3" in names
     # In lengths; in units of the noise what comes last gains as much.
     compliant = [item for item in closure.effects if item.effect.name == "joint_compliance"]
     assert len(compliant) > 2 and all(item.heldout_gain >= 0.02 for item in compliant)
@@ -137,7 +137,7 @@ def test_arm_by_its_commanded_joints():
     assert closure.verdict == "unexplained"
     assert closure.unexplained.depends_on
     assert closure.unexplained.reason
-    assert closure.errors["after"].heldout.value <= 115
+    assert closure.errors["after"].heldout.value <= 85
     # After the first two effects: the gains that followed are taken back.
     first = closure.errors["after"].heldout.value
     for item in closure.effects[2:]:

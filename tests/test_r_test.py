@@ -252,6 +252,7 @@ def test_what_a_missing_plane_leaves_open_is_told(tmp_path):
     assert "of matrix_XZ, matrix_YZ, matrix_ZZ; what" in note
 
 
+@pytest.mark.slow
 def test_one_element_of_the_matrix_is_the_matrix(tmp_path):
     """Not a product of an acceleration with the way that its axis has gone since a reversal."""
     table = circles(matrix=[[0, 0, -1.5], [0, 0, 0], [0, 0, 0]], samples=40)

@@ -699,6 +699,7 @@ def test_values_are_those_of_one_placement_of_several(closed, capsys):
     assert "backlash X|Y: if it is backlash Y, size = " in capsys.readouterr().out
 
 
+@pytest.mark.campaign
 def test_declared_effects_are_told_as_they_were_fitted(tmp_path):
     """A play that is declared to a third: without it the machine is another one."""
     play = {"effect": "backlash", "axis": "X", "size_um": 13.0}
@@ -802,6 +803,7 @@ def test_report_without_check_points(closed, tmp_path):
     assert "error_field.png" in content["files"]
 
 
+@pytest.mark.slow
 def test_report_of_circles_that_have_no_error_motions(tmp_path):
     """An R-test declares none: there is nothing to tabulate, and the rest is told."""
     spike = {"effect": "reversal_spike", "size_um": 4.0, "decay_mm": 0.06}

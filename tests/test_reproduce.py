@@ -139,7 +139,7 @@ def test_points_measured_are_the_points():
 # --- tests ---
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_residual_is_what_linear_theory_says(results):
     # Readings have the covariance S + J P J'; the posterior mean leaves S (S + J P J')^-1 of them.
     trials = first(results.many)

@@ -296,6 +296,7 @@ def test_simulated_balls_are_where_the_matrices_find_them(studied):
     assert np.abs(moved[:, 3:]).max() == 0.0
 
 
+@pytest.mark.slow
 def test_one_ball_on_the_table_is_enough(tmp_path):
     write(tmp_path, backlash=0.0, seed=6, balls=(1,))
     header, *rows = (tmp_path / "artefact.csv").read_text().splitlines()

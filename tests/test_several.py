@@ -176,6 +176,7 @@ def test_the_joint_estimate_is_that_of_both_informations(clean, clean_fit):
     assert (np.abs(clean_fit.theta[kept] - expected) < 2e-3 * sigma).all()
 
 
+@pytest.mark.campaign
 def test_the_readings_of_a_clean_machine_scatter_as_declared(clean_fit):
     """chi2 against its degrees of freedom, each data set's too; these add up to all of them."""
     fit = clean_fit
@@ -222,6 +223,7 @@ def framed_fit(framed):
     return identify(framed[1].model, framed[1].measurement, room=ROOM)
 
 
+@pytest.mark.campaign
 def test_padding_counts_nowhere(framed, framed_fit):
     """A row of a beam has two readings: its third adds nothing to any number."""
     study, fit = framed[1], framed_fit
@@ -336,7 +338,7 @@ def backlash(tmp_path_factory):
     return study, closure, page
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_effect_of_the_machine_is_named_once(backlash):
     study, closure, _ = backlash
     assert closure.verdict == "named"

@@ -54,6 +54,7 @@ ELSEWHERE = {"instrument.station_mm": [0, 0, 0]}
 """Where the tracker was declared to be, 1.2 m from where it is."""
 
 
+@pytest.mark.slow
 def test_encoders_turn_by_what_they_read(small_tracker_study, tmp_path):
     """An eccentric encoder has the same size, wherever the station was declared to be."""
     declared = {"name": "encoder_eccentricity", "placement": "azimuth"}

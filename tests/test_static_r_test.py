@@ -123,6 +123,7 @@ def test_readings_are_those_of_the_matrices(tmp_path, nest):
         np.testing.assert_allclose(found, expected, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_probes_of_their_own_tell_the_same(tmp_path):
     unit = PROBES / np.linalg.norm(PROBES, axis=1, keepdims=True)
     one = vcal.load_study(write(tmp_path / "one", 1, machine(0.0), runs=1))
@@ -246,7 +247,7 @@ def test_a_sphere_that_slips_on_the_table(tmp_path, nest):
         assert abs(value - true) < 3.0 * u
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_curvature_that_differs_in_few_directions(tmp_path):
     """Errors of the probes are seen where the machine is off: of the linearised nominal problem
     they are not. A search that shares its curvature says where it has not arrived.
@@ -345,6 +346,7 @@ def test_a_machine_without_rotary_axes(tmp_path):
         vcal.load_study(tmp_path)
 
 
+@pytest.mark.slow
 def test_probes_turn_with_a_head(tmp_path):
     """Where C and A carry the spindle, and A is off the axis of C."""
     rng = np.random.default_rng(8)

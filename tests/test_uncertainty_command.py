@@ -101,6 +101,7 @@ def strict(path):
 # --- numbers -------------------------------------------------------------------------------------
 
 
+@pytest.mark.campaign
 def test_numbers_against_linear_algebra(study, report):
     """Posterior covariance and what an effect that is not fitted does, from finite differences."""
     found = strict(report[0] / "result.json")

@@ -1,7 +1,7 @@
 """Effects of articulated arms: compliance under gravity, a read-back that lags."""
 
 from collections.abc import Iterable, Mapping
-from typing import ClassVar, Self
+from typing import Self
 
 import equinox as eqx
 import jax
@@ -98,18 +98,18 @@ class _Yielding(Effect):
     wherever they are.
     """
 
-    _about: ClassVar[str]
-    """The axes of the joint's frame about which it yields."""
-    _usual: ClassVar[float]
-    """Size that is expected, urad."""
     chain: Chain
-    levers: _Patterns
+    torsion: _Patterns | None
+    """Of the torque about the axis; None where the drive is stiff."""
+    tilt: _Patterns | None
+    """Of the moment across it; None where the bearing is stiff."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return tuple(
-            Parameter(f"pattern{i}", "urad", sigma=self._usual * share)
-            for i, share in enumerate(self.levers.shares, start=1)
+            Parameter(f"{name}{i}", "urad", sigma=usual * share)
+            for name, _, patterns, usual in self._parts
+            for i, share in enumerate(patterns.shares, start=1)
         )
 
     @property
@@ -121,43 +121,59 @@ class _Yielding(Effect):
         own = self.chain.axes.index(self.placement)
         return (*self.chain.axes[own : own + 2],)
 
-    @classmethod
-    def _moments(cls, chain: Chain, position: np.ndarray, joint: str) -> np.ndarray:
-        about = ["ABC".index(axis) for axis in cls._about]
-        return gravity_moments(chain, position, joint)[:, :, about]
+    @property
+    def _parts(self) -> list[tuple[str, str, _Patterns, float]]:
+        """Name of the parameters, axes of the rotation, patterns, and the size of the first."""
+        found = []
+        if self.torsion is not None:
+            found.append(("pattern", "C", self.torsion, 500.0))
+        if self.tilt is not None:
+            found.append(("tilt", "AB", self.tilt, 200.0))
+        return found
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        moments = self._moments(self.chain, np.asarray(plan.position), self.placement)
-        patterns = np.einsum("nkc,kp->ncp", moments, self.levers.weights)
-        return {
-            (f"E{axis}{self.placement}", f"pattern{p + 1}"): patterns[:, c, p]
-            for c, axis in enumerate(self._about)
-            for p in range(self.levers.count)
-        }
+        moments = gravity_moments(self.chain, np.asarray(plan.position), self.placement)
+        found = {}
+        for name, about, patterns, _ in self._parts:
+            for axis in about:
+                turned = moments[:, :, "ABC".index(axis)] @ patterns.weights
+                for p, column in enumerate(turned.T, start=1):
+                    found[f"E{axis}{self.placement}", f"{name}{p}"] = column
+        return found
 
-    @classmethod
-    def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        for joint in setup.chain.joints:
-            if joint.kind != "revolute":
-                continue
-            position = np.asarray(setup.plan.position)
-            levers = _Patterns.of(cls._moments(setup.chain, position, joint.name))
-            if levers is not None:
-                yield cls(chain=setup.chain, levers=levers, placement=joint.name)
+
+def _loaded(setup: Setup) -> Iterable[tuple[str, _Patterns | None, _Patterns | None]]:
+    """The joints of an arm, with the patterns of their torque and of the moment across them."""
+    position = np.asarray(setup.plan.position)
+    for joint in setup.chain.joints:
+        if joint.kind == "revolute":
+            moments = gravity_moments(setup.chain, position, joint.name)
+            yield joint.name, _Patterns.of(moments[:, :, 2:]), _Patterns.of(moments[:, :, :2])
 
 
 @register
 class JointCompliance(_Yielding):
-    """A joint whose drive yields to gravity: rotation = torque / stiffness about its axis.
+    """A joint whose drive yields to gravity: rotation = torque / stiffness about its axis; its
+    bearing may yield beside it, as that of `bearing_compliance` (parameters tilt1, ...).
 
     The masses behind the joint are unknown, and where they are; patterns of the torque they give,
-    z_j . ((c - o_j) x g), are the parameters, each the rms rotation of the joint due to it.
+    z_j . ((c - o_j) x g), are the parameters (pattern1, ...), each the rms rotation of the joint
+    due to it.
     """
 
     name = "joint_compliance"
     summary = "rotation of a joint under the torque of gravity"
-    _about = "C"
-    _usual = 500.0
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        # Beside a drive that yields already, the bearing is by itself.
+        known = {e.placement for e in setup.declared if isinstance(e, _Yielding)}
+        for joint, torsion, tilt in _loaded(setup):
+            if torsion is None:
+                continue
+            yield cls(chain=setup.chain, torsion=torsion, tilt=None, placement=joint)
+            if tilt is not None and joint not in known:
+                yield cls(chain=setup.chain, torsion=torsion, tilt=tilt, placement=joint)
 
 
 @register
@@ -171,8 +187,12 @@ class BearingCompliance(_Yielding):
 
     name = "bearing_compliance"
     summary = "tilt of a joint across its axis under the moment of gravity"
-    _about = "AB"
-    _usual = 200.0
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for joint, _, tilt in _loaded(setup):
+            if tilt is not None:
+                yield cls(chain=setup.chain, torsion=None, tilt=tilt, placement=joint)
 
 
 @register

@@ -218,6 +218,7 @@ def _declared(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Wher
     ]
     if not fitting:
         raise _unknown_parameter(keys, options, row.component, where)
+    fitting = _simplest(fitting)
     if len(fitting) > 1:
         raise _several_fit([e for e, _ in fitting], row.component, where)
     effect, names = fitting[0]
@@ -226,6 +227,16 @@ def _declared(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Wher
         given=_given(given, names, where),
         priors=_priors(laws, given, names, where, effect.kind == "random"),
     )
+
+
+def _simplest(fitting: list[tuple[Effect, dict]]) -> list[tuple[Effect, dict]]:
+    """The one that all others contain, with further parameters that the row does not name; all
+    where there is none.
+    """
+    names = [{p.name for p in effect.parameters} for effect, _ in fitting]
+    least = min(range(len(names)), key=lambda i: len(names[i]))
+    within = all(names[least] < other for i, other in enumerate(names) if i != least)
+    return [fitting[least]] if within else fitting
 
 
 def _placed(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Where) -> list[Effect]:
