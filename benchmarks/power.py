@@ -157,11 +157,13 @@ def told(study, before, terms, keep):
     fit, room = before, len(model.entries) + 16
     for term in terms:
         name = term.key.split(" ")[0]
-        (effect,) = (
+        fitting = [
             e
             for e in effect_class(name).candidates(setup)
             if e.key == term.key and set(term.parameters) <= {p.name for p in e.parameters}
-        )
+        ]
+        # A drive that yields, without the bearing beside it.
+        effect = min(fitting, key=lambda e: len(e.parameters))
         shape, state = dict(term.shape or {}), Screen(fit, 1, 0)
         columns = state.columns(effect, shape)
         start = np.linalg.lstsq(state.information(columns), columns.T @ fit.whitened, rcond=1e-8)[0]
