@@ -24,7 +24,7 @@ from vcal import CATALOGUE, load_study, predict
 from vcal.chain import chain_from_string
 from vcal.demo import FOLDER
 from vcal.effects import Setup
-from vcal.effects.arm import gravity_levers, gravity_moments
+from vcal.effects.arm import gravity_moments
 from vcal.effects.random import Repeatability
 from vcal.fit import shape_step
 from vcal.identify import declared_whitener, linearised_terms
@@ -516,7 +516,7 @@ def test_joint_compliance_spans_the_oracles_torque(known):
     arm, q = it.case.arm, it.case.arm_run.q
     nominal = dataclasses.replace(arm, translation=None, rotation=None)
     for j, joint in enumerate(it.chain.axes):
-        levers = gravity_levers(it.chain, q, joint)
+        levers = gravity_moments(it.chain, q, joint)[:, :, 2]
         for centre, columns in (
             ([0, 0, 0], [-3]),
             ([0.05, 0, 0], [-3, -2]),

@@ -12,7 +12,7 @@ from vcal import StudyError, load_study
 from vcal.chain import chain_from_dh, chain_from_string
 from vcal.design.ball_array import ArrayPoses, derived
 from vcal.effects import Setup
-from vcal.effects.arm import gravity_levers
+from vcal.effects.arm import gravity_moments
 from vcal.effects.sag import PayloadSag
 from vcal.model import effect_terms, port_values, tool_points
 from vcal.plan import Plan
@@ -105,7 +105,7 @@ def test_torques_of_an_arm_that_hangs_are_the_other_way_round():
         for a, d, alpha, theta in zip(arm.a, arm.d, arm.alpha, arm.theta, strict=True)
     ]
     q = np.random.default_rng(2).uniform(-1.0, 1.0, (5, len(rows)))
-    stands, hangs = (gravity_levers(chain_from_dh(rows, up=up), q, "J2") for up in ("+Z", "-Z"))
+    stands, hangs = (gravity_moments(chain_from_dh(rows, up=up), q, "J2") for up in ("+Z", "-Z"))
     assert np.abs(stands).max() > 0.1
     np.testing.assert_allclose(hangs, -stands, atol=1e-12)
 

@@ -27,7 +27,8 @@ def gravity_moments(chain: Chain, position: np.ndarray, joint: str) -> np.ndarra
     """Moment at a joint per unit weight at each place behind it: (n, places, 3), in m, in the
     frame of the joint after its motion.
 
-    (c - o_j) x g with g the unit vector of gravity, for c the origins of the frames after joint j,
+    (c - o_j) x g with g the unit vector of gravity, its third component the torque about the axis
+    of the joint, which its drive holds; for c the origins of the frames after joint j,
     the flange, and what a tool adds whose centre of mass lies 50 mm off the flange along its X and
     its Y.
     """
@@ -40,14 +41,6 @@ def gravity_moments(chain: Chain, position: np.ndarray, joint: str) -> np.ndarra
     about = np.asarray(chain.joints[j].direction)
     back = Turn.from_rotvec(-position[:, j, None] * chain.joints[j].sign * about)
     return np.einsum("nab,nkb->nka", back.as_matrix(), moments)
-
-
-def gravity_levers(chain: Chain, position: np.ndarray, joint: str) -> np.ndarray:
-    """Torque about a joint per unit weight at each place behind it: (n, places), in m; that part
-    of `gravity_moments` which its drive holds.
-    """
-    about = np.asarray(chain.joints[chain.axes.index(joint)].direction)
-    return gravity_moments(chain, position, joint) @ about
 
 
 @eqx.filter_jit
@@ -65,10 +58,6 @@ class _Patterns(Record):
     weights: np.ndarray
     shares: tuple[float, ...] = eqx.field(static=True)
     """How strong each is, of the strongest one, where all masses are alike."""
-
-    @property
-    def count(self) -> int:
-        return len(self.shares)
 
     @classmethod
     def of(cls, moments: np.ndarray) -> Self | None:
