@@ -127,6 +127,7 @@ def test_elimination_against_the_readings_covariance(fresh):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.0, 0.0, 45.0), (30.0, -20.0, 70.0)])
 @pytest.mark.parametrize("touched", ["a line", "two of each"])
 def test_balls_on_a_line_leave_the_turn_about_it_open(turn, touched):
@@ -216,7 +217,7 @@ def test_the_gram_against_moved_tool_points():
     assert theta @ gram.aligned @ theta == pytest.approx((left**2).sum(1).mean(), rel=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(("fresh", "pairs"), [(False, True), (True, False)])
 def test_gradient_against_finite_differences(fresh, pairs):
     chain, errors = machine()

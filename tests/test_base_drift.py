@@ -170,6 +170,7 @@ def test_the_declared_noise_is_that_of_the_readings(arm):
     assert fit.chi2 / fit.dof == pytest.approx(1.0, abs=4 * np.sqrt(2 / fit.dof))
 
 
+@pytest.mark.campaign
 def test_without_a_base_nothing_is_declared(small_arm_study, tmp_path):
     setup = small_arm_study / "setup.toml"
     names = [e.key for e in load_study(small_arm_study).model.random]

@@ -25,6 +25,7 @@ def closed(case) -> Closure:
     return close_loop(study.model, study.measurement, check=study.check, draws=100)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "key", "size"),
     [
@@ -48,6 +49,7 @@ def test_a_large_effect_has_its_name(effect, key, size):
     assert found.errors["after"].chi2_per_dof < 1.3
 
 
+@pytest.mark.campaign
 def test_two_effects_that_are_the_same_are_told_whatever_sizes_are_expected():
     """An angle that acts through one lever is an offset: 60 urad are six times what is expected,
     the 9 um that they make only twice.

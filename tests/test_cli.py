@@ -127,6 +127,7 @@ def test_a_folder_without_a_name(command, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_pages_of_effects(tmp_path):
     done = run("effects", "reversal_spike", "--out", tmp_path / "one").output
     page = (tmp_path / "one" / "reversal_spike.html").read_text()
@@ -358,7 +359,7 @@ def test_keys_that_are_commented_out_can_be_used(tmp_path, instrument):
 # --- simulate ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_simulate_makes_a_study_of_the_same_kind(tmp_path, small_tracker_study):
     out = tmp_path / "made"
     arguments = ("--with", "backlash:Y:size_um=12", "--with", "screw_cyclic:X:pitch_mm=20")
@@ -402,7 +403,7 @@ def test_simulate_with_a_key_replaced(tmp_path, small_tracker_study):
     assert "the unknown key 'nam' (did you mean 'name'?)" in told
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_simulate_depends_on_the_seed_alone(tmp_path, small_ball_study):
     def made(name, *more):
         run("simulate", small_ball_study, "--out", tmp_path / name, *more)
@@ -415,7 +416,7 @@ def test_simulate_depends_on_the_seed_alone(tmp_path, small_ball_study):
     assert other["artefact.csv"] == first["artefact.csv"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_simulate_fills_a_plan_of_an_arm(tmp_path, small_arm_study):
     table = read_table(small_arm_study / "data.csv", [])
     plan = {name: v for name, v in table.items() if name == "pose" or name.startswith("q")}

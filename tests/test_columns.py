@@ -111,6 +111,7 @@ def test_the_way_since_a_reversal_can_be_recorded(small_tracker_study):
 # --- the same under other names ------------------------------------------------------------------
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "names",
     [{"dir_x": "dir_X"}, {"T_x_degC": "T_X_degC"}, {"T_x_degC": "T_X_degC", "dir_x": "dir_X"}],

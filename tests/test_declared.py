@@ -62,6 +62,7 @@ def with_text(folder, tmp_path, text):
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", ["one_run", "two_runs"])
 def test_what_corrects_an_effect_is_declared_below_it(folder, request, tmp_path):
     folder = request.getfixturevalue(folder)
@@ -105,6 +106,7 @@ def test_circles_are_told_apart_by_their_data_set(two_runs, tmp_path):
             assert whole[key][rows] == pytest.approx(column)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("folder", ["one_run", "two_runs"])
 def test_what_corrects_an_effect_is_simulated_after_it(folder, request, tmp_path):
     folder = request.getfixturevalue(folder)

@@ -201,7 +201,7 @@ def test_gradient_against_finite_differences(turned, goal):
 # --- what is best ---------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("turn", "seen_rows"), [(90, 0.5), pytest.param(360, 1.0, marks=pytest.mark.campaign)]
 )
@@ -253,6 +253,7 @@ def test_the_folder_is_a_study(designed, turned):
     assert found["designed"]["measuring_seconds"] == pytest.approx(120.0 + 2.0 * way, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_uncertainty_foretold_is_that_of_the_plan_written(designed):
     """By the GUM through the identification, which knows nothing of spaces."""
     out, _ = designed

@@ -146,6 +146,7 @@ def test_a_description_by_what_the_check_points_lack_foretells_nothing_there(stu
     assert check_rms(more, study.check)[0].value != check_rms(fewer, study.check)[0].value
 
 
+@pytest.mark.campaign
 def test_an_ambiguous_effect_is_in_the_uncertainty_of_the_error_after(tmp_path):
     """A small drift, which temperatures that rise with time describe nearly as well."""
     drift = {"effect": "drift", "axis": "X", "um_per_h": 3.0}

@@ -29,6 +29,7 @@ def noisy(it: Known, seed: int, at: float, size_um: float) -> Measurement:
     return Measurement(it.plan, it.readings(jump) + noise)
 
 
+@pytest.mark.campaign
 def test_no_reading_beside_a_jump_is_taken_for_stray(many):
     scan = many.effect("jump:tool").scan(many.plan)["at"]
     t = np.unique(np.asarray(many.plan.covariate("t")))

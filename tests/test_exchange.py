@@ -144,6 +144,7 @@ def precision_of(kind, balls):
     return balls_precision(N, 1.4e-6) if kind == "B" else pairs_precision(balls, 2e-6)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("kind", ["S", "P", "B"])
 def test_joint_matrices_of_poses(given, kind):
     """The same criterion as the elimination of poses and balls, for any set and any repeats."""

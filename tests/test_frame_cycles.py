@@ -325,7 +325,7 @@ def test_the_slopes_of_the_search_against_finite_differences():
 # --- the folder ---
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_folder(planar, three, compared, tmp_path, monkeypatch):
     """With one real campaign per path for all of them, and layouts that are judged, not refined."""
     start = Layout.named("3d")

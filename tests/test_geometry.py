@@ -86,6 +86,7 @@ def test_deviations_are_those_of_the_oracles_paths(known):
         assert t.u > 0.0 and 0.0 <= t.information <= 1.0
 
 
+@pytest.mark.campaign
 def test_uncertainties_are_those_of_differences(known):
     """u^2 = g'C g with g the change of the deviation by every parameter."""
     _, fit = known
@@ -119,6 +120,7 @@ def test_doubts_are_part_of_the_uncertainty(known):
         assert more.u >= one.u
 
 
+@pytest.mark.slow
 def test_a_plan_foretells_the_uncertainty_of_squareness(known):
     """The GUM before measuring against the posterior of a fit of readings of the same plan."""
     it, fit = known

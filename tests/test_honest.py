@@ -350,7 +350,7 @@ def test_one_gross_reading_does_not_take_its_neighbours_along(tmp_path):
     assert [stray.row for stray in stray_rows(fit, lambda: robust)] == [row]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_one_gross_reading_among_those_that_are_only_foretold(tmp_path):
     arm = Known("reflectors", tmp_path)
     folds, apart = arm.instrument.folds(arm.plan)

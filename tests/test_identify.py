@@ -313,6 +313,7 @@ def test_evidence_at_a_noise_is_that_of_a_fit_at_this_noise(tracker, times):
     np.testing.assert_allclose(moved / u, loud.theta / u, atol=0.01)
 
 
+@pytest.mark.campaign
 def test_what_is_held_out_of_three_rows_is_predicted(tracker):
     """Without one of them the station is open in combinations of its parameters, not in one."""
     rows = np.array([0, tracker.plan.rows // 2, tracker.plan.rows - 1])

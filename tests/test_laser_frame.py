@@ -403,7 +403,7 @@ def test_temperatures_count_from_that_of_the_reference_run(tmp_path):
         np.testing.assert_allclose(table[name], given[name], atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_reports_show_temperatures_as_the_files_have_them(tmp_path):
     folder = write_frame(tmp_path / "warm", growth=1.5)
     warmed(folder)

@@ -346,6 +346,7 @@ def test_a_rotation_that_follows_a_column_is_told_as_one(tmp_path):
     assert "a quantity by the rotation EBX (coolant_bar)" in closure.sentence
 
 
+@pytest.mark.slow
 def test_what_follows_a_column_that_no_effect_knows(lifted):
     """It is no product of that column with another, and no effect of time or of a temperature."""
     study = load_study(lifted)

@@ -27,6 +27,7 @@ def cyclic(axis: str, amplitude: float) -> dict:
     return {"effect": "screw_cyclic", "axis": axis, "amplitude_um": amplitude, "pitch": 0.02}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "amplitude"), [(1, 50.0), (2, 200.0)])
 def test_a_large_cyclic_error_has_its_own_pitch(seed, amplitude, tmp_path):
     """Not an alias, of which less of the size has to be forgiven."""
@@ -121,6 +122,7 @@ def test_four_large_effects_are_all_named(tmp_path):
     assert after.value < 0.05 * before.value
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("size", [30.0, 1000.0])
 def test_a_ball_that_is_far_off_is_named(size, tmp_path):
     """It stretches what is declared of the machine far beyond its prior; that is no noise, and the

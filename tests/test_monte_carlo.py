@@ -238,6 +238,7 @@ def gauge(v):
     return v["l_s"] - 5e7 + d - v["l_s"] * expansion
 
 
+@pytest.mark.campaign
 def test_inputs_without_a_standard_deviation_are_told():
     """JCGM 101, 6.4.9.5: there are coverage intervals all the same."""
     done = propagate_distributions(

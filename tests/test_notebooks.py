@@ -7,7 +7,13 @@ import pytest
 from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
-LONG = ("04_artefact_design", "06_is_it_honest")
+LONG = (
+    "02_uncertainty",
+    "03_laser_frame",
+    "04_artefact_design",
+    "06_is_it_honest",
+    "07_five_axes",
+)
 
 
 def test_there_is_a_notebook():

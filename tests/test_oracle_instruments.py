@@ -272,7 +272,7 @@ def test_a_clean_case_is_noise_to_vcal(kind, options, tmp_path):
         assert fit.converged and low <= fit.chi2 / fit.dof < high
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize(("kind", "options"), CLEAN)
 def test_nothing_is_missing_from_a_clean_case(kind, options, tmp_path):
     make_case(kind, seed=1, folder=tmp_path, **options)

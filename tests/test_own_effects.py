@@ -300,7 +300,7 @@ def edited(folder, column, change, file="data.csv"):
     path.write_text("\n".join(",".join(row) for row in (head, *rows)) + "\n", encoding="utf-8")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_what_does_not_vary_is_not_said_to_be_absent(small_tracker_study):
     for axis in "xyz":
         edited(small_tracker_study, f"T_{axis}_degC", lambda cell: "20")

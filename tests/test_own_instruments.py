@@ -169,6 +169,7 @@ def clustered(folder, indices, columns):
     return write_bar(folder, columns, BAR.replace("    def folds(", method))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 @pytest.mark.parametrize("indices", CLUSTERS)
 def test_the_noise_of_clusters_is_told_by_enough_rows(tmp_path, indices, noise):
@@ -201,6 +202,7 @@ def test_rows_of_a_cluster_have_the_same_readings():
 # --- commands -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_commands(small, tmp_path):
     (small / "code").mkdir()
     shutil.move(small / "ball_bar.py", small / "code" / "bar.py")
@@ -290,6 +292,7 @@ QUICK = ("laser_tracker", "laser_frame")
 KINDS = [k if k in QUICK else pytest.param(k, marks=pytest.mark.slow) for k in INSTRUMENTS]
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_class_of_ones_own_after_one_that_is_there(tmp_path, kind):
     """What the instruments of vcal do passes for what is asked of others."""

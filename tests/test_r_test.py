@@ -174,7 +174,7 @@ def test_the_amplitude_trap(tmp_path):
     np.testing.assert_allclose(wrong, ratio * E, atol=2e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_uncertainty_of_the_device(tmp_path):
     """Errors of the probes do not average out: circles of one acceleration cannot tell them from
     the machine, those of several can.
@@ -323,6 +323,7 @@ BUMPS = {
 }
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "way",
     [pytest.param(w, marks=pytest.mark.slow if w != "tool.Z" else ()) for w in BUMPS],
@@ -460,7 +461,7 @@ def test_a_row_at_a_reversal_is_on_the_side_it_came_from():
         np.testing.assert_allclose(circle.since_reversal(t)[[60, 120], 0], 4e-3, rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_vibration_is_told_by_its_frequency_in_time(tmp_path):
     """On every circle it comes round another number of times."""
     table = circles(matrix=np.zeros((3, 3)), samples=120, seed=7)
@@ -528,6 +529,7 @@ def timed(table):
     return {**table, "t_s": table["t_s"] + start[np.searchsorted(runs, table["run"])]}
 
 
+@pytest.mark.slow
 def test_a_sphere_that_slips_within_a_run_is_a_jump(tmp_path):
     """Only that run tells it: every run has a place of the sphere of its own."""
     table = timed(circles(matrix=np.zeros((3, 3)), seed=5))
@@ -558,7 +560,7 @@ def test_a_scale_of_a_coarse_pitch_is_told_by_it(tmp_path, pitch_mm):
     assert abs(values["sine"][0] - 0.5 * np.cos(0.3)) < 3.5 * values["sine"][1]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_drift_in_every_run_is_told_by_its_time(tmp_path):
     """It closes no circle, and looks like a play to who has nothing else."""
     drift = {"effect": "drift", "component": "Z", "um_per_s": 1.5}
@@ -570,7 +572,7 @@ def test_a_drift_in_every_run_is_told_by_its_time(tmp_path):
     assert "in proportion to a quantity along Z (t_run_s)" in closure.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_more_stray_readings_than_are_left_out_are_told(tmp_path):
     """Of 8 % of the rows one coordinate is off by 20 times the noise."""
     table, rng = circles(samples=120), np.random.default_rng(3)

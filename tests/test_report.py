@@ -534,6 +534,7 @@ def test_every_round_tells_what_was_added_in_it(closed):
         assert ended.passed_over and all(r.reason.startswith(why) for r in ended.passed_over)
 
 
+@pytest.mark.campaign
 def test_caption_of_the_search_tells_what_was_dropped(closed, monkeypatch):
     closure = closed[2]
     monkeypatch.setattr(plots, "png", lambda figure: b"")
@@ -1064,6 +1065,7 @@ def test_places_of_parameters_beside_a_pitch_that_is_known(closed):
 # --- whole or not at all -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_failure_leaves_nothing_behind(closed, tmp_path, monkeypatch, error):
     _, study, closure = closed

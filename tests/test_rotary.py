@@ -279,12 +279,14 @@ def test_pitches_of_a_worm_end_where_slow_harmonics_begin(studied):
     assert worms["X"].parameters[0].unit == "um" and worms["X"].parameters[2].unit == "mm"
 
 
+@pytest.mark.slow
 def test_nothing_is_missing_where_nothing_is(tmp_path):
     write(tmp_path, backlash=0.0, seed=5)
     study = vcal.load_study(tmp_path)
     assert vcal.close_loop(study.model, study.measurement).verdict == "nothing_missing"
 
 
+@pytest.mark.campaign
 def test_simulated_balls_are_where_the_matrices_find_them(studied):
     """The positions found are those at which the tool point is in the ball: the residual of the
     simulated data at the truth is the noise.
@@ -377,6 +379,7 @@ def test_one_ball_that_nothing_turns_is_refused(tmp_path):
         vcal.load_study(tmp_path)
 
 
+@pytest.mark.campaign
 def test_location_errors_of_rotary_axes_can_be_asked_for(studied, tmp_path):
     vcal.load_study(studied.path, ["data.must_see={EX0C = 0, EY0C = 0, EZC = 3, EC0A = 0}"])
     write(tmp_path, backlash=0.0, seed=8, turned=False)

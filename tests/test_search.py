@@ -178,6 +178,7 @@ def test_no_covariate_that_varies_is_no_dependence(tracker, monkeypatch):
     assert found == ([], [], False, 1.0)
 
 
+@pytest.mark.campaign
 def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     """120 um of a backlash that is expected to be 20: unlikely as such, but not excluded."""
     measurement = noisy(tracker, 4, tracker.effect("backlash:Y:size_um=120"))

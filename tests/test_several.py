@@ -201,7 +201,7 @@ def test_check_points_gain_by_the_second_data_set(tmp_path):
     assert together < 1.02 * min(tracker, balls)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_one_data_set_is_what_it_is_by_itself(tmp_path):
     """A study with a single [[data]] row gives the numbers of one with [instrument]."""
     folder = write_joint(tmp_path / "one", {"balls": ball_case(5)})
@@ -800,7 +800,7 @@ def test_what_takes_one_data_set_only_says_so(clean):
 # --- before measuring ----------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_every_table_is_filled(clean, tmp_path):
     """Both instruments measure the same machine, and a clock keeps its start: what is written is
     read as what was simulated, and a fit that knows the truth leaves the noise of either.

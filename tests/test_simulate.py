@@ -72,6 +72,7 @@ def test_encoders_turn_by_what_they_read(small_tracker_study, tmp_path):
     np.testing.assert_allclose(other.theta[-2:], one.theta[-2:], atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [False, True])
 def test_a_tracker_is_simulated_where_it_is_declared(small_tracker_study, tmp_path, joint):
     """Angles in the plan are those of the readings that were made, not of those before."""
@@ -253,6 +254,7 @@ def test_what_cannot_be_simulated(tracker, options, message):
 # --- ball arrays ---------------------------------------------------------------------------------
 
 
+@pytest.mark.campaign
 def test_the_tool_sits_in_the_ball_at_the_positions_found(balls):
     model = balls.model.with_effects(
         effect(balls, "screw_cyclic:X:pitch_mm=9,sine_um=8"),
@@ -333,6 +335,7 @@ def test_scattered_conditions(tracker):
     assert set(zip(plan.covariate("t"), plan.covariate("T_X"), strict=True)) <= pairs
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("joints", ["read", "commanded"])
 def test_angles_commanded_and_read_go_with_the_position(joints, small_arm_study):
     """Elsewhere an arm reads back what it would there, not what it did at the pose measured."""

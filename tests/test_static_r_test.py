@@ -153,7 +153,7 @@ def studied(request, tmp_path_factory):
     return vcal.load_study(write(folder, 3, machine(40e-6), request.param))
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_loop_names_the_backlash_of_a_rotary_axis(studied):
     closure = vcal.close_loop(studied.model, studied.measurement, check=studied.check)
     assert [f.effect.key for f in closure.effects] == ["backlash C"]
@@ -198,6 +198,7 @@ def located(fit, truth):
     return {name: values[i] * 1e6 for name, i in at.items()}
 
 
+@pytest.mark.slow
 def test_simulated_readings_are_where_they_are_read(studied):
     made = simulate(studied.model, studied.plan, jax.random.key(2), noise_factor=0.0)
     values = studied.instrument.to_table(made.measurement.plan, made.measurement.readings)
@@ -207,6 +208,7 @@ def test_simulated_readings_are_where_they_are_read(studied):
     assert 1e-6 < np.abs(np.asarray(made.ideal)).max() < 1e-3
 
 
+@pytest.mark.campaign
 def test_errors_of_the_probes_are_told_where_they_are_far_from_zero(tmp_path):
     matrix = np.random.default_rng(10).normal(0.0, 1e-3, (3, 3))
     read = (np.eye(3) + matrix).dot
@@ -221,6 +223,7 @@ def test_errors_of_the_probes_are_told_where_they_are_far_from_zero(tmp_path):
     assert np.abs((fit.theta[elements] - matrix.ravel() / steps) / u).max() < 3.5 and u.max() < 0.9
 
 
+@pytest.mark.campaign
 def test_the_place_of_a_sphere_that_no_reading_saw(studied):
     first = studied.plan.values("run") == 0
     readings = np.asarray(studied.measurement.readings)[first]
@@ -229,6 +232,7 @@ def test_the_place_of_a_sphere_that_no_reading_saw(studied):
         assert fit.covariance is None
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "nest",
     [

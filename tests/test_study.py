@@ -117,6 +117,7 @@ def commanded(study):
     return [study.plan.covariate(f"commanded_J{j}") for j in (1, 2, 3)]
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("backwards", [True, False])
 def test_the_poses_of_an_arm_may_stand_in_any_order(small_arm_study, backwards):
     """Their numbers tell which move led to which, and which of them were the last."""
@@ -333,6 +334,7 @@ def test_practice(folder):
     assert np.isfinite(study.measurement.readings).all()
 
 
+@pytest.mark.slow
 @needs_data
 @pytest.mark.practice
 @pytest.mark.parametrize("joints", ["commanded", "read"])

@@ -192,6 +192,7 @@ def test_gum_and_monte_carlo_agree_on_the_volumetric_error(report):
     assert 0.5 < found["improved_share"] <= 1.0
 
 
+@pytest.mark.slow
 def test_the_same_in_python(study, report):
     found = strict(report[0] / "result.json")
     loaded = vcal.load_study(study)
