@@ -154,7 +154,7 @@ def test_the_residual_is_what_linear_theory_says(results):
     assert np.hypot(p.mean, p.sd) == pytest.approx(np.sqrt(squares.sum(1).mean()), rel=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_tracker_explains_the_printed_residual_only_as_three_sigma(results):
     means = {k: t.pooled["residual", "distance"].mean for k, t in results.many.items()}
     assert means["24 µrad = 3 σ"] == pytest.approx(FINAL_UM[0], rel=0.1)
