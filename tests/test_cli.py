@@ -143,6 +143,17 @@ def test_pages_of_effects(tmp_path):
     assert "found other files" in refused("effects", "drift", "--out", tmp_path / "mine")
 
 
+@pytest.mark.parametrize(
+    ("name", "unit"), [("gear_ripple", "°"), ("screw_cyclic", "mm"), ("scale_interpolation", "µm")]
+)
+def test_a_period_is_shown_in_its_own_unit(name, unit):
+    effect, setup = example(vcal.CATALOGUE[name])
+    (first, _) = signatures(effect, setup)
+    period = effect.scan(setup.plan)[effect.shapes[0].name] / effect.shapes[0].si
+    assert first.x_label.endswith(f" {unit}, {unit}")
+    assert 0.0 <= first.x.min() < first.x.max() <= period.max()
+
+
 def test_commands_on_pages_of_effects_can_be_used():
     vcal.enable_float64()
     catalogue = vcal.CATALOGUE

@@ -27,10 +27,9 @@ def gravity_moments(chain: Chain, position: np.ndarray, joint: str) -> np.ndarra
     """Moment at a joint per unit weight at each place behind it: (n, places, 3), in m, in the
     frame of the joint after its motion.
 
-    (c - o_j) x g with g the unit vector of gravity, its third component the torque about the axis
-    of the joint, which its drive holds; for c the origins of the frames after joint j,
+    (c - o_j) x g with g the unit vector of gravity, for c the origins of the frames after joint j,
     the flange, and what a tool adds whose centre of mass lies 50 mm off the flange along its X and
-    its Y.
+    its Y. The third component is the torque about the axis of the joint, which its drive holds.
     """
     j = chain.axes.index(joint)
     rotations, origins, turned, flange = (np.asarray(v) for v in _geometry(chain, position))

@@ -1,6 +1,5 @@
 """What an effect does to the ports it disturbs, against the covariate that betrays it."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,7 +7,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..effects.base import Effect, Setup
-from ..instruments.conditions import ROTARY
 from ..model import tool_points_with_jacobian
 from ..plan import Plan
 from ..ports import PortLayout
@@ -90,11 +88,11 @@ def _against(effect: Effect, plan: Plan, shape: dict[str, float], y: np.ndarray)
     names = [n for n in names if np.ptp(values_of(n, plan)) > 0.0]
     if not names:
         return np.arange(plan.rows, dtype=float), "row", None, ""
-    period = next((shape[n] for n in ("pitch", "period") if n in shape), None)
-    if period is not None:
-        unit, factor = ("°", math.degrees(1.0)) if names[0] in ROTARY else ("mm", 1e3)
-        x = factor * np.mod(values_of(names[0], plan), period)
-        return x, f"{names[0]} modulo {factor * period:.4g} {unit}, {unit}", None, ""
+    for of in effect.shapes:
+        if of.name in ("pitch", "period"):
+            period, unit = shape[of.name], pretty_unit(of.unit)
+            x = np.mod(values_of(names[0], plan), period) / of.si
+            return x, f"{names[0]} modulo {period / of.si:.4g} {unit}, {unit}", None, ""
     first = max(names, key=lambda n: described(values_of(n, plan), y))
     others = [n for n in names if n != first]
     column, factor = column_of(first, plan)
