@@ -311,6 +311,31 @@ def test_gauss_newton_alone_says_where_it_is_not_enough(linear):
     )
 
 
+def bent(x, problem):
+    """Dennis and Schnabel (1983), example 10.2.4, in several directions at once: (t + 1) and
+    (b t^2 + t - 1) of every t = (A x)_i, which are smallest at zero.
+    """
+    A, bend = problem
+    t = A @ x
+    return jnp.concatenate([t + 1.0, bend * t**2 + t - 1.0])
+
+
+def test_large_residuals_of_a_curved_model_do_not_slow_gauss_newton_down():
+    """Where it is slow (what is left shrinks by b per step), the last few steps tell the rest."""
+    bend = np.array([0.6, -0.55, 0.5, 0.1])
+    A = np.linalg.qr(np.random.default_rng(3).standard_normal((4, 4)))[0] * [1.0, 10.0, 0.1, 3.0]
+    start = np.linalg.solve(A, [0.3, -0.2, 0.25, 0.3])
+    t, plain = A @ start, 0
+    while np.abs(t).max() > 1e-9:  # Gauss-Newton of each t by itself
+        j = 2.0 * bend * t + 1.0
+        t, plain = t - (t + 1.0 + j * (bend * t**2 + t - 1.0)) / (1.0 + j**2), plain + 1
+    found = solve(bent, start, (A, bend), damped=False)
+    assert found.converged
+    np.testing.assert_allclose(A @ found.value, 0.0, atol=1e-9)
+    assert plain > 35
+    assert int(found.steps) < 0.4 * plain
+
+
 # --- units, tolerance, derivatives ---------------------------------------------------------------
 
 

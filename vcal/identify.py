@@ -93,6 +93,8 @@ def _residual_and_jacobian(
 
 _TOLERANCE = 1e-5
 """Distance to the minimum in standard uncertainties (`vcal.least_squares`)."""
+NEARLY = 1e-3
+"""The same of a fit that is a step on the way: it is off by its square in chi-square."""
 _ENDS = (Status.CONVERGED, Status.SINGULAR)
 """Ends that damping does not change."""
 _STEPS = {False: 24, True: 200}
@@ -105,6 +107,7 @@ def _solve_with(
     plan: Plan,
     problem: Problem,
     start: Array,
+    tolerance: Array,
     damped: bool,
 ) -> Solution:
     def reduce(values):
@@ -121,7 +124,7 @@ def _solve_with(
         residual,
         start,
         problem,
-        tolerance=_TOLERANCE,
+        tolerance=tolerance,
         noise=1.0,
         damped=damped,
         max_steps=_STEPS[damped],
@@ -136,9 +139,10 @@ def _solve(
     plan: Plan,
     problem: Problem,
     start: Array,
+    tolerance: Array,
     damped: bool,
 ) -> tuple[Array, Array, Array, Array, Array]:
-    s = _solve_with(chain, instrument, plan, problem, start, damped)
+    s = _solve_with(chain, instrument, plan, problem, start, tolerance, damped)
     return s.value, s.status, s.steps, s.cost, s.rank
 
 
@@ -285,17 +289,22 @@ def identify(
     whitener: np.ndarray | None = None,
     keep: np.ndarray | None = None,
     room: int = 0,
+    tolerance: float = _TOLERANCE,
 ) -> Fit:
     """Fit a model to a measurement by non-linear least squares.
 
     `theta` (solver units) and `shapes` (SI) start the solver; shape parameters that are not given
     start at the middle of their scan. `whitener` (n, m, m) replaces the declared noise, `keep` (n,)
     leaves rows out, `room` is the least number of slots to compile the solver for (smaller and
-    larger models then share it). Gauss-Newton first, with damping where that does not
-    converge; `Fit.status` says how it ended. Raises `RuntimeError` where JAX runs in float32, and
-    `ValueError` where measurement, theta or keep do not fit the model.
+    larger models then share it), `tolerance` the distance to the minimum at which to stop, in
+    standard uncertainties. Gauss-Newton first, with damping where that does not converge;
+    `Fit.status` says how it ended. Raises `RuntimeError` where JAX runs in float32, and
+    `ValueError` where measurement, theta or keep do not fit the model, or the tolerance is not
+    positive.
     """
     require_float64()
+    if not tolerance > 0.0:
+        raise ValueError(f"tolerance: found {tolerance}, expected a positive number")
     instrument = model.instrument
     width, found = len(instrument.readings), measurement.readings.shape[1]
     if found != width:
@@ -338,10 +347,10 @@ def identify(
             room,
         )
         start = _pad(begin, problem.root_precision)
-        given = model.chain, instrument, plan, problem
-        found, *how = _solve(*given, start, False)
+        given = model.chain, instrument, plan, problem, start, np.asarray(tolerance)
+        found, *how = _solve(*given, False)
         if int(how[0]) not in _ENDS:
-            found, *how = _solve(*given, start, True)
+            found, *how = _solve(*given, True)
         status, used, cost, rank = how
         return _Solved(
             shapes, terms, problem, np.array(found)[:size], Status(int(status)), int(used),

@@ -10,7 +10,7 @@ from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
 from ..fit import Fit
-from ..identify import identify
+from ..identify import NEARLY, identify
 from .scales import (
     at_its_shape,
     leniency,
@@ -126,6 +126,7 @@ def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0, wider: float =
         whitener=base.whitener,
         keep=keep,
         room=room,
+        tolerance=NEARLY,
     )
 
 
