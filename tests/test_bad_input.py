@@ -471,7 +471,12 @@ BALLS = {
     "no index": (drop_column("ball"), ("data.csv, column ball", "no such column")),
     "repeated index": (
         cell(2, "ball", "0"),
-        ("data.csv, row 2 (line 3), column ball", "pose 0, ball 0 again, first in row 1"),
+        (
+            "data.csv, row 2 (line 3), column ball: found pose 0, ball 0 again",
+            "mm from where",
+            "row 1 has it, expected the same place within 2 mm",
+            "correct the index",
+        ),
     ),
     "unknown index": (
         cell(2, "ball", "9"),

@@ -98,6 +98,22 @@ def test_ball_study_is_built(small_ball_study):
     assert np.abs(tool - ball).max() < 5e-6
 
 
+def test_balls_found_again_in_their_pose_count_as_often(small_ball_study):
+    """Forth and back: the same readings twice are as good as one of 1 / sqrt(2) times the noise."""
+    once = load_study(small_ball_study, [f"instrument.probe_sigma_um={0.7 / 2**0.5!r}"])
+    data = small_ball_study / "data.csv"
+    head, *rows = (line.split(",") for line in data.read_text(encoding="utf-8").splitlines())
+    back = [list(row) for row in [*rows, *reversed(rows)]]
+    for i, row in enumerate(back):
+        row[head.index("t_s")] = str(10 * i)
+    data.write_text("\n".join(map(",".join, [head, *back])) + "\n", encoding="utf-8")
+    twice = load_study(small_ball_study)
+    assert twice.measurement.readings.shape == (48, 3)
+    one, both = (identify(study.model, study.measurement) for study in (once, twice))
+    np.testing.assert_allclose(both.theta, one.theta, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(both.covariance, one.covariance, rtol=1e-4, atol=1e-6)
+
+
 def test_arm_study_is_built_and_overridden(small_arm_study):
     study = load_study(small_arm_study)
     assert study.chain.axes == ("J1", "J2", "J3")

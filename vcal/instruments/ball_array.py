@@ -35,6 +35,8 @@ _FOUND_M = 1e-12
 _STEPS = 20
 _LEAST_APART_MM = 0.1
 """Balls that are closer are one, or in another unit."""
+_AGAIN_MM = 2.0
+"""Farthest from its place that a ball is found again, which no machine is off by."""
 _LINE = 1e-5
 """Breadth over length of balls on one line: what a certificate rounds."""
 _PROBE_M = 1e-3
@@ -178,12 +180,7 @@ class BallArray(TableInstrument):
     def columns(
         cls, settings: BallArraySettings, axes: Sequence[str], readings: bool
     ) -> list[Column]:
-        # A ball that turns with a rotary axis is found again and again in one pose.
-        once = () if {*axes} & {*ROTARY} else ("pose",)
-        return [
-            Column(name="pose", low=0, integer=True),
-            Column(name="ball", low=0, integer=True, unique_with=once),
-        ]
+        return [Column(name=name, low=0, integer=True) for name in ("pose", "ball")]
 
     @classmethod
     def build(
@@ -200,7 +197,7 @@ class BallArray(TableInstrument):
         )
         _check_balls(settings.artefact, artefact["ball"], table["ball"])
         poses = np.unique(table["pose"]).astype(int)
-        _check_poses(poses, table["pose"])
+        _check_poses(poses, table, chain.linear)
         centres_mm = np.column_stack([artefact[f"{c}_mm"] for c in "xyz"])
         _check_apart(settings.artefact, artefact["ball"], centres_mm)
         single = () if chain.linear else _single(poses, table)
@@ -219,6 +216,7 @@ class BallArray(TableInstrument):
         )
         plan = linear_plan(chain, table)
         _check_turned(plan, single)
+        _check_again(plan)
         check_follows(
             chain,
             plan,
@@ -431,12 +429,36 @@ def _check_balls(file: str, calibrated: np.ndarray, found: np.ndarray) -> None:
             )
 
 
-def _check_poses(poses: np.ndarray, found: np.ndarray) -> None:
+def _check_again(plan: Plan) -> None:
+    """Raise `RowError` where a ball is not found at its place again: nothing but errors of the
+    machine can be between two readings of it in one pose, at one setting of the rotary axes.
+    """
+    position, axes = np.asarray(plan.position), np.array(plan.axes)
+    turning, moving = np.isin(axes, ROTARY), np.isin(axes, _XYZ)
+    pose, ball = (np.asarray(plan.groups[name]) for name in ("pose", "ball"))
+    first: dict[tuple[float, ...], int] = {}
+    for row, setting in enumerate(np.column_stack([pose, ball, position[:, turning]])):
+        before = first.setdefault(tuple(setting), row)
+        apart = 1e3 * np.linalg.norm(position[row, moving] - position[before, moving])
+        if apart > _AGAIN_MM:
+            raise RowError(
+                row,
+                "column ball",
+                f"pose {int(pose[row])}, ball {int(ball[row])} again {apart:.3g} mm from where row "
+                f"{before + 1} has it",
+                f"the same place within {_AGAIN_MM:g} mm, or another ball or pose",
+                "correct the index; an artefact that was moved is in another pose",
+            )
+
+
+def _check_poses(poses: np.ndarray, table: Mapping[str, np.ndarray], linear: bool) -> None:
     for pose in poses:
-        count = int((found == pose).sum())
+        mine = table["pose"] == pose
+        # A rotary axis brings one ball to many places.
+        count = len(np.unique(table["ball"][mine])) if linear else int(mine.sum())
         if count < 3:
             raise RowError(
-                int(np.argmax(found == pose)),
+                int(np.argmax(mine)),
                 "column pose",
                 f"{count} ball(s) in pose {pose}",
                 "at least 3 to find its six unknowns",

@@ -76,7 +76,8 @@ def run_table(
     _check_names(table, chain, (*kind.labels, *reading_names))
     _check_conditions(table, chain)
     if measured:
-        check_repeated(table, reading_names)
+        # Of an instrument without columns of its own, what is read are the positions.
+        check_repeated(table, reading_names or {c.name for c in places})
     return table, measured
 
 
