@@ -21,11 +21,12 @@ from vcal.design import (
     rank_of,
     weigh,
 )
-from vcal.design.judged import error_motions
+from vcal.design.judged import error_motions, judge, straight_lines
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from vcal.effects.random import Repeatability
 from vcal.effects.thermal import WarmUp
 from vcal.instruments.laser_frame import LaserFrame, beam_path
+from vcal.model import port_values, tool_points
 from vcal.simulate import prepare
 
 TRAVEL = {"X": (0.0, 0.3), "Y": (0.0, 0.2), "Z": (0.0, 0.25)}
@@ -99,6 +100,54 @@ def test_declared_shape_parameters_are_where_they_are_declared():
     same = predict(grown, plan, theta, {2: {"tau": 900.0}})
     np.testing.assert_array_equal(predict(grown, plan, theta), same)
     assert prepare(grown, plan).fixed == {2: {"tau": 900.0}}
+
+
+def test_squareness_and_slopes_against_lines_through_the_paths():
+    """Angles between numpy's least-squares lines through the paths of the whole forward model."""
+    chain = chain_from_string("w X Y b Z t", TRAVEL)
+    model, plan = setup()
+    own = GeometricErrors(
+        motions=tuple(
+            ErrorMotion(name, name[2], Legendre(TRAVEL[name[2]], (1, 2, 3), 1e-6))
+            for name in ("EXX", "EYX", "EXY", "EXZ", "EBX", "EAY")
+        ),
+        locations=(LocationError.of(chain, "EC0Y", 3e-6),),
+    )
+    model = Model(chain, model.instrument, (own,))
+    found = {m.name: m for m in straight_lines(model, plan)}
+    assert {*found} == {
+        "EC(0X)Y", "EB(0X)Z", "EA(0Y)Z", "EXX slope", "EYY slope"
+    }  # fmt: skip
+    theta = np.random.default_rng(1).standard_normal(len(model.entries))
+    middle = [np.mean(TRAVEL[a]) for a in chain.axes]
+    ways, slopes = {}, {}
+    for k, axis in enumerate(chain.axes):
+        q = np.tile(middle, (21, 1))
+        q[:, k] = np.linspace(*TRAVEL[axis], 21)
+        terms = model.terms(plan.elsewhere(q, np.zeros(21, int)))
+        points = np.asarray(tool_points(chain, q, port_values(terms, theta, len(model.layout))))
+        ways[axis] = np.polyfit(q[:, k], points, 1)[0]
+        slopes[axis] = np.linalg.norm(ways[axis]) - 1.0
+
+    def beyond_square(a, b, sign):
+        a, b = (way / np.linalg.norm(way) for way in (ways[a], ways[b]))
+        return sign * -np.arcsin(a @ b)
+
+    expected = {
+        "EC(0X)Y": beyond_square("X", "Y", 1.0),
+        "EB(0X)Z": beyond_square("X", "Z", -1.0),
+        "EA(0Y)Z": beyond_square("Y", "Z", 1.0),
+        **{f"E{a}{a} slope": slopes[a] for a in "XY"},
+    }
+    for name, value in expected.items():
+        told = float(found[name].functionals[0] @ theta)
+        assert told == pytest.approx(value, abs=1e-9), name
+    assert abs(expected["EC(0X)Y"]) > 1e-6
+    # They count where they are asked for, and only there.
+    by_default = judge(model, plan, (3, 3, 3))
+    assert all(by_default.motions[i].amplitudes for i in by_default.chosen)
+    asked = judge(model, plan, (3, 3, 3), ["EC(0X)Y"])
+    assert [asked.motions[i].name for i in asked.chosen] == ["EC(0X)Y"]
 
 
 def test_rank_by_hand():

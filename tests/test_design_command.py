@@ -87,6 +87,10 @@ def test_the_folder_can_be_judged_by_monte_carlo(designed, tmp_path):
     told = found["designed"]["largest_U"]
     for name in ("EXX", "EYX", "EAX", "EYY", "EZZ"):
         assert told[name] == pytest.approx(u[name], rel=0.15), name
+    lines = {one["name"]: 2 * one["gum"]["u"] for one in judged["straight_lines"]}
+    assert lines
+    for name, U in lines.items():
+        assert told[name] == pytest.approx(U, rel=0.15), name
 
 
 @pytest.mark.slow
@@ -329,6 +333,10 @@ BAD = {
     "misspelled": (("--set", "design.acros_mm=[1,0]"), ["did you mean 'across_mm'?"]),
     "goal": (("--set", "design.goal=volum"), ["did you mean 'volume'?"]),
     "error": (("--set", 'design.errors=["EYXX"]'), ["key design.errors.0", "did you mean 'EYX'"]),
+    "a squareness is no coefficient": (
+        ("--set", 'design.errors=["EC(0X)Y"]', "--set", "design.goal=determinant"),
+        ["key design.errors.0", "'EC(0X)Y' with the goal 'determinant'", "goal 'largest'"],
+    ),
     "no error": (("--set", "design.errors=[]"), ["key design.errors", "at least one"]),
     "grid": (("--set", "design.grid=[1,2,3]"), ["design.grid.0", "at least 2"]),
     "starts": (("--set", "design.starts=0"), ["design.starts", "at least 1"]),

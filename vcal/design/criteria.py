@@ -21,17 +21,21 @@ _POWER = 24.0
 
 
 class ErrorMotion(NamedTuple):
-    """One error motion or location error as linear functions of the amplitudes."""
+    """One error motion or location error, or what several of them amount to (a squareness of two
+    paths), as linear functions of the amplitudes.
+    """
 
     name: str
     unit: str
-    """``"um"`` or ``"urad"``."""
+    """``"um"``, ``"urad"`` or ``"um/m"``."""
     position: Float[np.ndarray, " n"]
-    """Along its axis, m or rad; empty for a location error, such as a squareness."""
+    """Along its axis, m or rad; empty for a single number, such as a squareness."""
     functionals: Float[np.ndarray, "n k"]
-    """Value at every position (one for a location error), SI."""
+    """Value at every position (one for a single number), SI."""
     amplitudes: tuple[int, ...]
-    """Places of its own coefficients among those of the declared family."""
+    """Places of its own coefficients among those of the declared family; of what several errors
+    amount to none.
+    """
 
 
 class Judged(NamedTuple):

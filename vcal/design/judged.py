@@ -11,9 +11,10 @@ from ..model import Model
 from ..plan import Plan
 from ..ports import COMPONENTS
 from ..simulate import scattered
+from ..straight_lines import StraightLines
 from ..uncertainty.quantities import conditions_at, travels
 from .criteria import ErrorMotion, Judged
-from .volume import volumetric_gram
+from .volume import displacements, volumetric_gram
 
 NODES = 21
 """Positions along every axis at which the uncertainty of its error motions is asked for."""
@@ -22,15 +23,19 @@ _SCATTERED = 600
 large.
 """
 
+_ROUNDING = 1e-15
+"""rad: less than this is no slope that a parameter makes."""
+
 
 def judge(
     model: Model, plan: Plan, grid: tuple[int, int, int], names: Sequence[str] | None = None
 ) -> Judged:
     """A model without nuisances as plans are judged by it; `names` are the errors that count, all
-    by default. `plan` gives the conditions of the points.
+    of the declared family by default. `plan` gives the conditions of the points.
     """
-    motions = error_motions(model, plan)
-    wanted = [m.name for m in motions] if names is None else names
+    own = error_motions(model, plan)
+    motions = (*own, *straight_lines(model, plan))
+    wanted = [m.name for m in own] if names is None else names
     chosen = tuple(i for i, m in enumerate(motions) if m.name in wanted)
     return Judged(
         model, volumetric_gram(model, grid_points(model.chain, plan, grid)), motions, chosen
@@ -88,6 +93,34 @@ def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
             row[0, i] = p.step
             found.append(ErrorMotion(p.name, p.unit, np.zeros(0), row, (i,)))
     return tuple(found)
+
+
+def straight_lines(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
+    """Squareness between linear axes and the slope of their positioning errors, of least-squares
+    lines through the tool point's paths (`StraightLines`), where the model leaves them open: what
+    tests of the geometry state (ISO 230-1:2012, 3.4 and 3.6), whatever parameters it is shared out
+    to.
+    """
+    chain = model.chain
+    if chain.arm:
+        return ()
+    lines = StraightLines.of(chain, travels(chain, plan), NODES)
+    asked = [(name, "urad", weights) for name, *_, weights in lines.squareness]
+    for axis, along in lines.along.items():
+        weights = lines.on(axis, lines.slope(axis), along)
+        asked.append((f"E{axis}{axis} slope", "um/m", weights))
+    if not asked:
+        return ()
+    moved = displacements(model, conditions_at(plan, lines.position))
+    rows = np.zeros((len(asked), len(model.entries)))
+    rows[:, moved.places] = np.array([weights.ravel() for *_, weights in asked]) @ (
+        moved.raw.reshape(lines.nominal.size, -1)
+    )
+    return tuple(
+        ErrorMotion(name, unit, np.zeros(0), row[None], ())
+        for (name, unit, _), row in zip(asked, rows, strict=True)
+        if np.abs(row).max() > _ROUNDING
+    )
 
 
 def prior_covariance(judged: Judged) -> jnp.ndarray | None:

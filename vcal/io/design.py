@@ -69,6 +69,18 @@ def design_task(
                 f"one of {listed(known)}",
                 "correct or remove it",
             )
+    if settings.goal == "determinant":
+        own_errors = [motion.name for motion in own.motions if motion.amplitudes]
+        for i, name in enumerate(settings.errors or ()):
+            if name not in own_errors:
+                raise refusal(
+                    file,
+                    f"key design.errors.{i}",
+                    f"{name!r} with the goal 'determinant', which is one of coefficients that the "
+                    "model has",
+                    f"one of {listed(own_errors)}",
+                    "name these, or ask for the goal 'largest'",
+                )
     if settings.errors == ():
         raise refusal(file, "key design.errors", "none", "at least one", "name one, or no list")
     families = (own, *(_family(study, model, name) for name in settings.families))

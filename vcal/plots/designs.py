@@ -135,12 +135,16 @@ def _round(low: float, high: float) -> list[float]:
 
 def uncertainties(rows: Sequence[Uncertain], words: tuple[str, str]) -> Figure:
     """Largest U of every error on a logarithmic scale: before any measurement, and by two plans."""
-    units = list(dict.fromkeys(row.unit for row in rows))
-    tallest = max(sum(row.unit == unit for row in rows) for unit in units)
+    # A slope of um/m and an angle of urad are the same number.
+    panels: dict[str, list[Uncertain]] = {}
+    for row in rows:
+        panels.setdefault("urad" if row.unit == "um/m" else row.unit, []).append(row)
+    tallest = max(map(len, panels.values()))
     drawn = figure(9.6, 1.25 + 0.235 * tallest)
     margins = {"left": 0.75, "right": 0.2, "top": 0.55, "bottom": 0.6, "wspace": 0.8}
-    for ax, unit in zip(grid(drawn, 1, len(units), margins)[0], units, strict=True):
-        mine = [row for row in rows if row.unit == unit][::-1]
+    for ax, mine in zip(grid(drawn, 1, len(panels), margins)[0], panels.values(), strict=True):
+        mine = mine[::-1]
+        units = " or ".join(sorted({pretty_unit(row.unit) for row in mine}, reverse=True))
         place = np.arange(len(mine))
         before, after = (np.array([getattr(r, k) for r in mine]) for k in ("before", "after"))
         prior = np.array([r.prior for r in mine])
@@ -157,7 +161,7 @@ def uncertainties(rows: Sequence[Uncertain], words: tuple[str, str]) -> Figure:
         ax.set_yticks(place, [row.name for row in mine])
         ax.set_ylim(-0.7, len(mine) - 0.3)
         plain(ax)
-        titled(ax, "", f"largest U (k = 2) along the axis, {pretty_unit(unit)}")
+        titled(ax, "", f"largest U (k = 2) along the axis, {units}")
     drawn.axes[0].legend(
         fontsize=8.5, ncols=3, loc="lower left", bbox_to_anchor=(-0.02, 1.0), frameon=False
     )

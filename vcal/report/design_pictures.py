@@ -54,12 +54,23 @@ def design_pictures(done: Designed) -> Iterator[Picture]:
     caption = (
         "Largest expanded uncertainty (k = 2) of every error motion and squareness along its axis: "
         "before any measurement (bar), with the plan as it is (orange), as designed (blue)."
-    )
+    ) + of_lines(done.task)
     drawn = uncertainties(uncertain(done), ("plan as it is", "designed"))
     yield Picture("uncertainties", "uncertainties", caption, png(drawn))
     caption = f"By how much the criterion gets worse when one {space.group} is left out."
     yield Picture(
         "worth", "worth", caption, png(worth(space.groups, done.worse_after, space.group))
+    )
+
+
+def of_lines(task: Task) -> str:
+    """For a caption: which of the errors are of lines through the tool point's paths, if any."""
+    names = [m.name for m in task.families[0].motions if not m.amplitudes]
+    if not names:
+        return ""
+    return (
+        f" {', '.join(names)}: of the least-squares lines through the tool point's paths (ISO "
+        "230-1), whatever parameters they are shared out to."
     )
 
 

@@ -15,7 +15,7 @@ from ..plots.designs import Places, Uncertain, angles_views, places_views, uncer
 from ..plots.style import AFTER, BEFORE, png
 from . import text
 from .design_page import CONVENTIONS
-from .design_pictures import ANGLES, angles_of, in_space, travel_of, view_of
+from .design_pictures import ANGLES, angles_of, in_space, of_lines, travel_of, view_of
 from .design_record import DESIGN_SCHEMA, duration, share
 from .picture import Picture
 from .provenance import provenance
@@ -129,7 +129,7 @@ def following_pictures(done: Following) -> Iterator[Picture]:
     caption = (
         "Largest expanded uncertainty (k = 2) of every error along its axis: before any "
         "measurement (bar), by the data so far (orange), with the next measurement (blue)."
-    )
+    ) + of_lines(task)
     drawn = uncertainties(rows, ("data so far", "with the next"))
     yield Picture("uncertainties", "uncertainties", caption, png(drawn))
 
