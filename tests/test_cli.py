@@ -468,6 +468,29 @@ def test_mistakes_in_with(tmp_path, small_tracker_study, text, message):
     assert not out.exists()
 
 
+def test_an_effect_that_is_there_already(tmp_path, small_tracker_study):
+    out, twice = tmp_path / "made", ("--with", "backlash:Y", "--with", "backlash:Y:size_um=3")
+    told = refused("simulate", small_tracker_study, "--out", out, *twice)
+    assert "--with backlash:Y:size_um=3, effect backlash Y: found what the study has" in told
+    setup = small_tracker_study / "setup.toml"
+    declared = '\n[[model.effect]]\nname = "backlash"\nplacement = "Y"\nsize_um = 3\n'
+    setup.write_text(setup.read_text(encoding="utf-8") + declared, encoding="utf-8")
+    assert "every effect once" in refused("simulate", setup, "--out", out, *twice[:2])
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("lateral_reversal", "component to be said: EYX or EZX"),
+        ("gear_harmonic", "order to be said: 1 or 2 or 3 or 4"),
+        ("cross_axis", "other to be said: Y or Z"),
+    ],
+)
+def test_an_effect_tells_what_it_has_to_be_told(name, said):
+    assert said in run("effects", name).output
+
+
 def test_an_effect_without_its_covariate(tmp_path, small_tracker_study):
     table = read_table(small_tracker_study / "data.csv", [])
     del table["T_y_degC"]

@@ -18,6 +18,7 @@ from vcal.design.separation import ALPHA, Rival, Separation
 from vcal.io.separate import parse_rivals, rivals_of
 from vcal.loop.closure import FoundEffect
 from vcal.report.following_page import _conditions as conditions
+from vcal.report.following_page import carried_over
 
 pytestmark = pytest.mark.usefixtures("kept_programs")
 
@@ -104,6 +105,20 @@ def test_conditions_are_told_as_columns_of_the_plan(few_points):
     assert [float(cell) for cell in rows[0][1:]] == pytest.approx(
         [warmth.min(), warmth.max()], rel=1e-3
     )
+
+
+def test_what_the_last_row_tells_of_the_next_ones_is_said(few_points):
+    study, task = task_of(few_points)
+    best = SimpleNamespace(placed=task.space.nominal)
+    alone = SimpleNamespace(task=task, best=best, separation=None)
+    told = carried_over(alone, study)  # type: ignore[arg-type]
+    assert told.startswith("In plan.csv dir_x, dir_y, dir_z,") and "T_y_degC" in told
+    assert "x_mm" not in told.replace("dir_x", "")
+    wanted = parse_rivals(["backlash:Y", "scale_growth:Y"], study)
+    rivals = SimpleNamespace(rivals=wanted.rivals)
+    apart = SimpleNamespace(task=task, best=best, separation=rivals)
+    told = carried_over(apart, study)  # type: ignore[arg-type]
+    assert "dir_x" in told and "dir_y" not in told and "T_y_degC" not in told
 
 
 @pytest.mark.campaign

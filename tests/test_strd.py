@@ -336,6 +336,37 @@ def test_large_residuals_of_a_curved_model_do_not_slow_gauss_newton_down():
     assert int(found.steps) < 0.4 * plain
 
 
+def quadratic(x, problem):
+    A, B, c = problem
+    return c + A @ x + 0.5 * jnp.einsum("nij,i,j->n", B, x, x)
+
+
+def test_steps_taken_together_end_in_minima_only():
+    """Of many curved problems with large residuals: within the tolerance, where the Hessian is
+    positive, by numpy.
+    """
+    rng, count = np.random.default_rng(0), 1500
+    A = rng.standard_normal((count, 12, 4))
+    B = rng.standard_normal((count, 12, 4, 4)) * rng.choice([0.1, 0.4, 1.6], (count, 1, 1, 1))
+    B = B + B.swapaxes(2, 3)
+    c = rng.standard_normal((count, 12))
+
+    def solved(*problem):
+        return least_squares(
+            quadratic, np.zeros(4), problem, damped=False, max_steps=24, tolerance=1e-8
+        )
+
+    found = jax.jit(jax.vmap(solved), compiler_options=quick())(A, B, c)
+    ended = np.flatnonzero(np.asarray(found.status) == Status.CONVERGED)
+    assert len(ended) > 0.6 * count
+    for i in ended:
+        x = np.asarray(found.value[i])
+        J, r = A[i] + B[i] @ x, np.asarray(quadratic(x, (A[i], B[i], c[i])))
+        assert np.linalg.eigvalsh(J.T @ J + np.einsum("n,nij->ij", r, B[i]))[0] > 0.0, i
+        left = np.linalg.norm(J @ np.linalg.lstsq(J, r)[0])
+        assert left < 1.01e-8 * np.linalg.norm(r) / 8**0.5, i
+
+
 # --- units, tolerance, derivatives ---------------------------------------------------------------
 
 

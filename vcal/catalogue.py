@@ -24,7 +24,11 @@ _OWN = "vcal_user_"
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:
-    """The known name most like `name`, upper and lower case counting as the same."""
+    """The known name most like `name`, upper and lower case counting as the same; none of a single
+    letter, which is as much like all that have it.
+    """
+    if len(name) < 2:
+        return next((k for k in known if k.casefold() == name.casefold()), None)
     folded = {k.casefold(): k for k in known}
     close = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=0.5)
     return folded[close[0]] if close else None

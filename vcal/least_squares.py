@@ -72,8 +72,10 @@ _SLOW = 0.1
 and far from the minimum above one."""
 _LONGER = 5.0
 """Most by which that lengthens a step."""
-_RIDGE = 1e-10
-"""What keeps the changes of steps that were alike apart, in squares of their own lengths."""
+_FLAT = 1e-6
+"""Curvature downwards, relative to that of the linear model, that may be rounding."""
+_ALIKE = 1e-5
+"""Share of a change of the step beyond the others of which is rounding."""
 _RELATIVE = 1e-11
 """Remaining step relative to every parameter at which a zero-residual problem counts as solved."""
 
@@ -282,20 +284,49 @@ def _near(
     return point, before.certain & (decrement <= _NEAR * tolerance)
 
 
-def _together(point: _Point, moved: Array, changed: Array) -> Array:
+def _together(point: _Point, moved: Array, changed: Array) -> tuple[Array, Array]:
     """The step of Gauss-Newton with those of before: the combination of the last moves whose step
     would be the shortest, were the step linear in the parameters, and that step. Lengths are those
     of the residual, |J g|.
+
+    And whether the cost curves upwards along all of these moves: J'J times the change of a step is
+    less the Hessian times the move. Gauss-Newton alone never ends at a saddle; but where no step is
+    left is one, too.
     """
-    columns = point.triangle @ (changed * point.columns).T
-    norms = _norm(columns)
-    columns = columns / jnp.where(norms > 0.0, norms, 1.0)
-    step = point.triangle @ (point.newton * point.columns)
-    square = columns.T @ columns + jnp.diag(jnp.where(norms > 0.0, _RIDGE, 1.0))
-    weights = jnp.linalg.solve(square, columns.T @ step) / jnp.where(norms > 0.0, norms, 1.0)
-    found = point.newton - weights @ (moved + changed)
-    length = _norm(point.triangle @ (found * point.columns))
-    return jnp.where(length <= _LONGER * point.decrement, found, point.newton)
+
+    def seen(rows: Array) -> Array:
+        return (point.triangle @ (rows * point.columns).T).T
+
+    ways, columns, step = seen(moved), seen(changed), seen(point.newton[None])[0]
+    lengths = jnp.sqrt(jnp.sum(ways**2, axis=1))
+    lengths = jnp.where(lengths > 0.0, lengths, 1.0)[:, None]
+    bends = -(ways / lengths) @ (columns / lengths).T
+    upwards = _positive(bends + bends.T + _FLAT * jnp.eye(_SECANTS))
+    found, known, rows = point.newton, [], moved + changed
+    for i in range(_SECANTS):
+        column, row, size = columns[i], rows[i], _norm(columns[i])
+        for other, its in known:
+            share = other @ column
+            column, row = column - share * other, row - share * its
+        left = _norm(column)
+        # What is next to nothing but the others is rounding.
+        scale = jnp.where(left > _ALIKE * size, 1.0 / jnp.where(left > 0.0, left, 1.0), 0.0)
+        known.append((column * scale, row * scale))
+        found = found - (known[-1][0] @ step) * known[-1][1]
+    short = _norm(seen(found[None])[0]) <= _LONGER * point.decrement
+    return jnp.where(short, found, point.newton), upwards
+
+
+def _positive(matrix: Array) -> Array:
+    """Whether a small symmetric matrix is positive definite, by the pivots of its elimination."""
+    found = jnp.array(True)
+    for _ in range(len(matrix)):
+        pivot = matrix[0, 0]
+        found = found & (pivot > 0.0)
+        matrix = matrix[1:, 1:] - jnp.outer(matrix[1:, 0], matrix[0, 1:]) / jnp.where(
+            pivot > 0.0, pivot, 1.0
+        )
+    return found
 
 
 def _norm(values: Array) -> Array:
@@ -376,9 +407,9 @@ class DampedGaussNewton(optx.AbstractLeastSquaresSolver):
         )
 
         reduction, noise = old.cost - new.cost, _noise(old)
-        needed = jnp.where(state.damping == 0.0, _TRUSTED, _LOWERED)
         tiny = _CLOSE * old.cost + noise
         close = (state.foretold <= tiny) & (jnp.abs(reduction) <= tiny)
+        needed = jnp.where(state.damping == 0.0, _TRUSTED, _LOWERED)
         shrunk = new.decrement < 0.99 * old.decrement
         lowered = (state.foretold > 0.0) & (reduction >= needed * state.foretold)
         # Where damping is no choice, Gauss-Newton may pass over a hill; the test of convergence is
@@ -387,6 +418,10 @@ class DampedGaussNewton(optx.AbstractLeastSquaresSolver):
         accept = first | (finite & state.usable & (lowered | (close & shrunk)))
         least = _LEAST * jnp.sqrt(old.cost) + 10.0 * old.rounding
         exhausted = ~first & close & ~shrunk & (old.decrement <= least)
+        if not self.damped:
+            # Steps that were taken together get near to minima that Gauss-Newton alone leaves
+            # again: that a step grows does not tell there that it is rounding.
+            exhausted = exhausted & (old.decrement <= 10.0 * old.rounding)
 
         share = jnp.where(close, 1.0, reduction / jnp.where(first, 1.0, state.foretold))
         eased = state.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * share - 1.0) ** 3)
@@ -407,8 +442,8 @@ class DampedGaussNewton(optx.AbstractLeastSquaresSolver):
         full = point.rank == y.shape[0]
         trial, foretold, usable = self._next(fn, y, args, point, damping, scale)
         if not self.damped:
-            further = y + _together(point, moved, changed)
-            trial = jnp.where(slow, further, trial)
+            further, upwards = _together(point, moved, changed)
+            trial = jnp.where(slow & upwards, y + further, trial)
         hopeless = (damping > _HOPELESS) | jnp.all(trial == y) | (not self.damped)
         stuck = ~stationary & (damping > 0.0) & hopeless
         broken = first & ~finite

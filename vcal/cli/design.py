@@ -15,7 +15,7 @@ from ..io.design import check_designed, design_task
 from ..io.separate import Wanted, parse_rivals, rivals_of
 from ..report.design import check_design_folder, write_design, write_following
 from ..report.design_record import design_sentence
-from ..report.following_page import following_sentence
+from ..report.following_page import carried_over, following_sentence
 from .closing import close_study
 
 _MORE = {"pose": 1, "point": 10}
@@ -103,7 +103,8 @@ def _next(
     progress("writing the report")
     seconds = time.perf_counter() - began
     page = write_following(done, study, out, why=why, seed=seed, command=command, seconds=seconds)
-    return Done(page, [why, following_sentence(done)])
+    told = [why, following_sentence(done), carried_over(done, study)]
+    return Done(page, [line for line in told if line])
 
 
 def _wanted(

@@ -14,6 +14,8 @@ from ..chain import Joint
 from ..effects.base import Effect, Setup
 from ..instruments.conditions import file_name, inside_name
 from ..io import Study, read_header
+from ..io.declared import choices
+from ..io.messages import shown
 from ..io.study import DataSet, looked_for
 from ..io.table import read_table
 from ..loop.candidates import candidates
@@ -260,14 +262,22 @@ def show_effect(effect: type[Effect], example: tuple[Effect, Setup] | None) -> N
     )
     columns = dict.fromkeys(file_name(need, setup.plan.axes) for need in instance.needs)
     place = f"placement {instance.placement}" if instance.placement else "no placement"
+    said = "".join(
+        f"  {key} to be said: {' or '.join(_plain(value) for value in values)}\n"
+        for key, values in choices(instance, setup).items()
+    )
     console.print(
         Text(
-            f"For example, with {place}:\n"
+            f"For example, with {place}:\n{said}"
             f"  parameters (standard deviation of the prior): {', '.join(priors)}\n"
             f"  depends on: {', '.join(columns) or 'nothing that is recorded'}"
         ),
         soft_wrap=True,
     )
+
+
+def _plain(value: Any) -> str:
+    return value if isinstance(value, str) else shown(value)
 
 
 def _console() -> Console:

@@ -308,6 +308,21 @@ def _values(options: Sequence[Effect], key: str) -> list[Any]:
     return list(dict.fromkeys(values))
 
 
+def choices(effect: Effect, setup: Setup) -> dict[str, list[Any]]:
+    """Keys that a row has to say beside the placement, with the values they may have: those in
+    which the effects of that class and placement differ.
+    """
+    options = [e for e in type(effect).candidates(setup) if e.placement == effect.placement]
+    found: dict[str, list[Any]] = {}
+    for key in _fields(effect) if options else []:
+        values = _values(options, key)
+        if len(values) < 2 or key == "unit":  # of which the component tells
+            continue
+        named = "component" not in found and all(isinstance(value, str) for value in values)
+        found["component" if named else key] = values
+    return found
+
+
 def _chosen(options: Sequence[Effect], key: str) -> bool:
     """Whether a field is a number in which these effects differ."""
     values = _values(options, key)

@@ -45,8 +45,8 @@ def parse_with(
     are the tables of the data sets by their names (`Study.files`), as messages call them.
 
     Raises `StudyError` for a name, placement or key that is not known (with the nearest), a value
-    that is not a number, an effect that several components fit, and one that needs a covariate
-    which the data do not hold.
+    that is not a number, an effect that several components fit, one that needs a covariate which
+    the data do not hold, and one that is there already.
     """
     file = f"--with {text}"
     name, *parts = (part.strip() for part in text.split(":"))
@@ -81,6 +81,14 @@ def parse_with(
         message = message.replace("key model.effect.0 ", "effect ")
         message = message.replace("one [[model.effect]]", "one --with")
         raise StudyError(message) from error
+    if any(effect.alike(other) for other in setup.declared):
+        raise refusal(
+            file,
+            f"effect {effect.key}",
+            "what the study has already, or another --with says, at the same place",
+            "every effect once",
+            "remove it, or change what is declared by --set",
+        )
     return effect
 
 

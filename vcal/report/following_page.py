@@ -156,7 +156,8 @@ def following_page(
             _candidates(done),
             Section(
                 "Where to measure next",
-                ("plan.csv beside this page holds the rows to be measured, and only those.",),
+                ("plan.csv beside this page holds the rows to be measured, and only those. "
+                 + carried_over(done, study),),
                 tables=(_conditions(done, study),) if done.separation is not None else (),
                 pictures=tuple(shown[name] for name in ("places", "angles") if name in shown),
             ),
@@ -252,17 +253,39 @@ def _candidates(done: Following) -> Section:
 
 def _conditions(done: Following, study: Study) -> Table:
     """Of the columns of plan.csv those on which the rivals depend, positions aside."""
-    assert done.separation is not None
     columns = plan_table(study, done.task.space, done.best.placed)
-    axes = study.chain.axes
-    needs = {n for r in done.separation.rivals for n in r.effect.needs if n not in axes}
-    names = sorted({file_name(n, axes) for n in needs} & columns.keys())
+    names = sorted(_wanted(done, study) & columns.keys())
     rows = [
         (name, *(text.number(float(end(columns[name])), 4) for end in (np.min, np.max)))
         for name in names
     ]
     note = "Columns of plan.csv, in the units of their names."
     return Table(("condition", "lowest", "highest"), rows, "lrr", note=note)
+
+
+def _wanted(done: Following, study: Study) -> set[str]:
+    """Columns on which rivals that are to be told apart depend, positions aside."""
+    if done.separation is None:
+        return set()
+    axes = study.chain.axes
+    needs = {n for r in done.separation.rivals for n in r.effect.needs if n not in axes}
+    return {file_name(n, axes) for n in needs}
+
+
+def carried_over(done: Following, study: Study) -> str:
+    """Which columns of plan.csv nothing but the last row of the data tells, as a sentence."""
+    axes, space = study.chain.axes, done.task.space
+    instrument = space.instrument(done.best.placed)
+    own = instrument.columns(study.one.settings, axes, readings=False)
+    chosen = {file_name(axis, axes) for axis in axes} | {column.name for column in own}
+    chosen |= study.plan.groups.keys() | _wanted(done, study)
+    names = [n for n in plan_table(study, space, done.best.placed) if n not in chosen]
+    if not names:
+        return ""
+    return (
+        f"In plan.csv {', '.join(names)} are as in the last row of the data: replace them by what "
+        "they are when the rows are measured, as effects are told by them."
+    )
 
 
 def _separation(done: Following) -> Mapping[str, Any] | None:
