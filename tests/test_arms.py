@@ -1,11 +1,14 @@
 """What the loop finds of an arm, whose readings are those of the independent generator."""
 
+import csv
+import io
 import math
 
 import pytest
 
 from oracle import make_case, write_study
 from vcal import close_loop, load_study
+from vcal.report.compensation import effects_csv
 
 OFF_THE_FLANGE = [0.06, -0.04, 0.05]
 
@@ -36,6 +39,19 @@ def test_a_tool_whose_mass_is_off_the_flange(joint, tmp_path):
     closure = closed(tmp_path / "arm", effect | {"centre": OFF_THE_FLANGE})
     assert [found.effect.key for found in closure.effects] == [f"joint_compliance J{joint + 1}"]
     assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.1)
+    if joint != 5:
+        return
+    # What it amounts to on any poses: weight times coefficient, for masses 50 mm off the flange.
+    amounts = {
+        row["parameter"]: (float(row["value"]), float(row["standard_uncertainty"]))
+        for row in csv.DictReader(io.StringIO(effects_csv(closure)))
+        if row["unit"] == "urad/m"
+    }
+    assert {*amounts} == {"torsion_flange", "torsion_off_x", "torsion_off_y"}
+    for name, centre in zip(("torsion_off_x", "torsion_off_y"), OFF_THE_FLANGE, strict=False):
+        value, u = amounts[name]
+        assert abs(value - 1e6 * 3e-4 * 9.81 * centre / 0.05) < 3.0 * u < 1200.0
+    assert amounts["torsion_flange"] == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("order", [200.0, pytest.param(7.3, marks=pytest.mark.slow)])

@@ -323,9 +323,8 @@ def _positive(matrix: Array) -> Array:
     for _ in range(len(matrix)):
         pivot = matrix[0, 0]
         found = found & (pivot > 0.0)
-        matrix = matrix[1:, 1:] - jnp.outer(matrix[1:, 0], matrix[0, 1:]) / jnp.where(
-            pivot > 0.0, pivot, 1.0
-        )
+        eliminated = matrix[1:, :1] * matrix[:1, 1:] / jnp.where(pivot > 0.0, pivot, 1.0)
+        matrix = matrix[1:, 1:] - eliminated
     return found
 
 

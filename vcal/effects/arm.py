@@ -1,6 +1,6 @@
 """Effects of articulated arms: compliance under gravity, a read-back that lags."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Self
 
 import equinox as eqx
@@ -84,6 +84,11 @@ class _Yielding(Effect):
     rms, so that a parameter is the rms rotation due to its pattern, positive where the place that
     counts most in it carries a weight. Each is expected as large as masses make it that are alike
     wherever they are.
+
+    Patterns belong to the plan they were found on. What they amount to on any other is one number
+    for every place that may carry a weight, times the moment per unit weight there
+    (`gravity_moments`): urad/m, ``torsion_flange``, say; ``_off_x`` and ``_off_y`` are of what a
+    tool adds.
     """
 
     chain: Chain
@@ -103,6 +108,20 @@ class _Yielding(Effect):
     @property
     def needs(self) -> tuple[str, ...]:
         return self.chain.axes
+
+    @property
+    def amounts_to(self) -> Sequence[tuple[str, str, Mapping[str, float]]]:
+        behind = self.chain.axes[self.chain.axes.index(self.placement) + 1 :]
+        places = (*behind, "flange", "off_x", "off_y")
+        return tuple(
+            (
+                f"{'torsion' if about == 'C' else 'tilt'}_{place}",
+                "urad/m",
+                {f"{name}{i}": float(w) for i, w in enumerate(row, start=1)},
+            )
+            for name, about, patterns, _ in self._parts
+            for place, row in zip(places, patterns.weights, strict=True)
+        )
 
     @property
     def betrayed_by(self) -> tuple[str, ...]:
@@ -210,5 +229,11 @@ class ReadbackLag(Effect):
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         revolute = tuple(j.name for j in setup.chain.joints if j.kind == "revolute")
-        if revolute:
+        plan = setup.plan
+        # Where the commanded angles count, there is nothing that could lag behind.
+        commanded = all(
+            plan.has(name := f"commanded_{j}") and np.array_equal(plan.values(name), plan.values(j))
+            for j in revolute
+        )
+        if revolute and not commanded:
             yield cls(joints=revolute)

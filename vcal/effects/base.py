@@ -8,7 +8,7 @@ derivatives, screening, evidence, reporting - is the engine's work.
 import abc
 import functools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -209,6 +209,13 @@ class Effect(Record):
     def key(self) -> str:
         """Identifier with placement, such as ``"backlash Y"``."""
         return f"{self.name} {self.placement}".strip()
+
+    @property
+    def amounts_to(self) -> Sequence[tuple[str, str, Mapping[str, float]]]:
+        """What the amplitudes amount to apart from the plan on which they are what they are: name,
+        unit, and how much of every amplitude, by its name, in their units.
+        """
+        return ()
 
     def alike(self, other: "Effect") -> bool:
         """Whether another is the same effect at the same place, whatever is known of its values:

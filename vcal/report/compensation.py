@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve
 
+from ..effects.base import Effect
 from ..fit import Fit
 from ..loop.closure import Closure
 from ..loop.doubt import Doubt, of_doubts
 from ..plan import Plan
 from ..plots import ErrorMotionTable
 from ..units import si_factor
-from .derived import declared, parameters
+from .derived import declared, parameters, place_of
 
 NODES = 41
 _GEOMETRY = ("geometric", "geometric_order")
@@ -209,7 +210,29 @@ def effects_csv(closure: Closure) -> str:
         for name, value, unit, u in listed:
             numbers = [name, _number(value), unit, _number(u)]
             rows.append([effect.name, placement, *numbers, status, effect.placement])
+        for name, unit, value, u in _amounts(closure.after, effect):
+            numbers = [name, _number(value), unit, _number(u)]
+            rows.append([effect.name, placement, *numbers, status, effect.placement])
     return _csv(rows)
+
+
+def _amounts(fit: Fit, effect: Effect) -> list[tuple[str, str, float, float]]:
+    """What the amplitudes of an effect amount to on any plan (`Effect.amounts_to`)."""
+    asked = effect.amounts_to
+    if not asked:
+        return []
+    place = place_of(fit, effect)
+    places, _ = fit.places_of(place)
+    values = fit.values_of(place)
+    steps = np.array([p.step / p.si for _, p, *_ in values[: len(places)]])
+    found = {p.name: value for _, p, value, _ in values}
+    covariance = fit.covariance[np.ix_(places, places)] * np.outer(steps, steps)
+    told = []
+    for name, unit, weights in asked:
+        row = np.array([weights.get(p.name, 0.0) for p in effect.amplitudes])
+        value = math.fsum(w * found[n] for n, w in weights.items())
+        told.append((name, unit, value, math.sqrt(max(float(row @ covariance @ row), 0.0))))
+    return told
 
 
 def _number(value: float) -> str:
