@@ -29,7 +29,7 @@ from vcal.instruments.several import DataSet, one_clock, several
 from vcal.io.simulated import parse_with, write_simulated
 from vcal.loop.candidates import candidates
 from vcal.loop.certainty import doubted
-from vcal.loop.close_loop import _worse
+from vcal.loop.close_loop import _elsewhere, _worse
 from vcal.loop.closure import Errors
 from vcal.loop.heldout import (
     Rms,
@@ -864,3 +864,14 @@ def test_the_oracle_writes_one_machine(clean):
     assert first.setup["machine"] == second.setup["machine"]
     one, other = both(5).values()
     assert one.machine.coefficients() == other.machine.coefficients()
+
+
+def test_check_points_of_another_tool_are_told():
+    def said(aligned, raw):
+        of = None if raw is None else Rms(raw, 0.5)
+        return _elsewhere(Errors(Rms(aligned, 0.5), of, Rms(5.0, 0.5), Rms(5.0, 0.5), 1.0))
+
+    (told,) = said(3.0, 150_000.0)
+    assert "as a whole are 150 mm off" in told and "after alignment" in told
+    # A machine's own errors, an arm before its calibration, and no check points in its frame.
+    assert said(3.0, 1_500.0) == said(9_000.0, 20_000.0) == said(3.0, None) == []

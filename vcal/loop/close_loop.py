@@ -43,6 +43,8 @@ from .whitened import declared_residual
 
 _NO_MACHINE_UM = 2000.0
 """What remains of a fit beyond which the data are not what they are said to be, um."""
+_ALIGNED = 0.1
+"""Share of that which may be left after a rigid alignment, where it is one place that is wrong."""
 _MANY = 50.0
 """Degrees of freedom from which a search is worth its name."""
 _BEYOND = 0.1
@@ -212,6 +214,7 @@ def _finish(
         interrupted=interrupted,
         notes=[
             *([apart] if apart else []),
+            *_elsewhere(wrong["after"]),
             *_not_at_the_check(after, run.check),
             *_beyond_at_the_check(found, after, run.check),
             *_worse(wrong["before"], wrong["after"], bool(found)),
@@ -227,6 +230,21 @@ def still_rejected(rejected: Iterable[Rejected], found: Iterable[FoundEffect]) -
     """Without those that a later round added after all."""
     added = {(item.effect.name, item.effect.placement) for item in found}
     return [r for r in rejected if (r.effect, r.placement) not in added]
+
+
+def _elsewhere(after: Errors) -> list[str]:
+    """That the check points as a whole are not where the machine is, where no machine is so wrong:
+    of another frame, or of another tool.
+    """
+    if after.check is None or after.check_raw is None:
+        return []
+    raw, aligned = after.check_raw.value, after.check.value
+    if raw < _NO_MACHINE_UM or aligned > _ALIGNED * raw:
+        return []
+    return [
+        f"the check points as a whole are {raw / 1e3:.3g} mm off: they are of another tool offset, "
+        "or in another frame; the error after alignment, which leaves that out, is the one to go by"
+    ]
 
 
 def _not_at_the_check(after: Fit, check: CheckPoints | None) -> list[str]:
