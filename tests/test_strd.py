@@ -367,6 +367,28 @@ def test_steps_taken_together_end_in_minima_only():
         assert left < 1.01e-8 * np.linalg.norm(r) / 8**0.5, i
 
 
+def hump(x, y):
+    return y - 100.0 * x[0] / (1.0 + x[0] ** 2) * jnp.ones(200)
+
+
+@pytest.mark.parametrize("damped", [False, True])
+def test_a_jump_to_where_nothing_changes_is_no_minimum(damped):
+    """Far off the model is flat; by the Jacobian of the start any step would be short there."""
+    y = 45.0 + np.random.default_rng(0).standard_normal(200)
+
+    def solved(start):
+        return least_squares(
+            hump, start[None], y, damped=damped, tolerance=1e-5, noise=1.0, max_steps=24
+        )
+
+    found = jax.jit(jax.vmap(solved), compiler_options=quick())(np.linspace(0.2, 1.6, 281))
+    ended = np.asarray(found.status) == Status.CONVERGED
+    assert ended.mean() > 0.8
+    J, r = np.asarray(found.jacobian)[ended, :, 0], np.asarray(found.residual)[ended]
+    left = np.abs((J * r).sum(1)) / np.linalg.norm(J, axis=1)
+    assert (left < 2e-5 * np.maximum(1.0, np.linalg.norm(r, axis=1) / 199**0.5)).all()
+
+
 # --- units, tolerance, derivatives ---------------------------------------------------------------
 
 

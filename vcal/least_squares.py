@@ -57,6 +57,8 @@ its step would keep less than six digits."""
 _NEAR = 0.5
 """Share of the tolerance within which the triangle of the point before may say how far it still is:
 it is off by the rate at which the steps converge."""
+_ABOUT = 0.25
+"""Least share of the foretold reduction that the step to such a point brought."""
 _CERTAIN = 1e8
 """Bound of the condition number up to which no singular value can be that small: R is then solved
 with as it is, in a third of the time that its singular values take."""
@@ -254,10 +256,17 @@ def _to_the_minimum(triangle: Array, projected: Array) -> tuple[Array, Array, Ar
 
 
 def _near(
-    theta: Array, residual: Array, jacobian: Array, before: _Point, tolerance: Array
+    theta: Array,
+    residual: Array,
+    jacobian: Array,
+    before: _Point,
+    tolerance: Array,
+    foretold: Array,
 ) -> tuple[_Point, Array]:
     """The point with the triangle of the one before, and whether that tells that it is within the
     tolerance of the minimum, in the same units: then its own, most of the work, need not be found.
+    Not where the step to it brought little of what was `foretold`: far off, where a Jacobian has
+    collapsed, any step seems short by the triangle before.
     """
     p = len(theta)
     norms, cost = _norm(jacobian), residual @ residual
@@ -281,7 +290,9 @@ def _near(
         decrement=decrement,
         rounding=_EPS * _norm(norms * theta),
     )
-    return point, before.certain & (decrement <= _NEAR * tolerance)
+    short = foretold <= _CLOSE * before.cost
+    about = short | (before.cost - cost >= _ABOUT * foretold)
+    return point, before.certain & about & (decrement <= _NEAR * tolerance)
 
 
 def _together(point: _Point, moved: Array, changed: Array) -> tuple[Array, Array]:
@@ -397,7 +408,12 @@ class DampedGaussNewton(optx.AbstractLeastSquaresSolver):
             residual, jacobian = self.linearised(state.trial, args)
         old, first = state.point, state.evaluations == 0
         close_by, near = _near(
-            state.trial, residual, jacobian, old, self.atol * self._scatter(residual, y)
+            state.trial,
+            residual,
+            jacobian,
+            old,
+            self.atol * self._scatter(residual, y),
+            state.foretold,
         )
         new, finite = jax.lax.cond(
             near,
