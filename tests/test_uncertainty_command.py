@@ -344,7 +344,7 @@ def test_only_a_report_of_its_own_kind_is_replaced(tmp_path):
         (("--draws", "1e4"), "found '1e4'"),
         (("--draws", str(2**32 + 1)), "or 'adaptive'; correct it"),
         (("--with", "backlsh:Y"), "unknown effect 'backlsh' (did you mean 'backlash'?)"),
-        (("--with", "backlash:Z"), "found 'backlash Z' a second time"),
+        (("--with", "backlash:Z"), "effect backlash Z: found what the study has already"),
         (("--with", "backlash:Q"), "--with backlash:Q"),
         (("--noise-factor", "-1"), "--noise-factor, value: found -1"),
         (("--set", "instrument.kind=tracker"), "(did you mean 'laser_tracker'?)"),

@@ -434,7 +434,7 @@ def _check_again(plan: Plan) -> None:
     machine can be between two readings of it in one pose, at one setting of the rotary axes.
     """
     position, axes = np.asarray(plan.position), np.array(plan.axes)
-    turning, moving = np.isin(axes, ROTARY), np.isin(axes, _XYZ)
+    turning, moving = np.isin(axes, [*ROTARY]), np.isin(axes, _XYZ)
     pose, ball = (np.asarray(plan.groups[name]) for name in ("pose", "ball"))
     first: dict[tuple[float, ...], int] = {}
     for row, setting in enumerate(np.column_stack([pose, ball, position[:, turning]])):
