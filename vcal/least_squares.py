@@ -300,9 +300,9 @@ def _together(point: _Point, moved: Array, changed: Array) -> tuple[Array, Array
     would be the shortest, were the step linear in the parameters, and that step. Lengths are those
     of the residual, |J g|.
 
-    And whether the cost curves upwards along all of these moves: J'J times the change of a step is
-    less the Hessian times the move. Gauss-Newton alone never ends at a saddle; but where no step is
-    left is one, too.
+    And whether the cost curves upwards along all of these moves, which it does towards a minimum:
+    J'J times the change of a step is minus the Hessian times the move. A saddle has no step left
+    either, and unlike Gauss-Newton alone the combination would be drawn to it.
     """
 
     def seen(rows: Array) -> Array:
