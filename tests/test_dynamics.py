@@ -8,11 +8,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from vcal.chain import chain_from_string
 from vcal.dynamics.assemble import assemble
 from vcal.dynamics.bodies import GROUND, Body, Drive, Machine, Scale, Spring, ToolPoint
-from vcal.dynamics.closed_loop import check_stable, close, run, run_circle, settles, steady
+from vcal.dynamics.closed_loop import (
+    _exponential,
+    check_sampled,
+    check_stable,
+    close,
+    run,
+    run_circle,
+    settles,
+    steady,
+)
 from vcal.dynamics.compliance import compliance
 from vcal.dynamics.control import Controller
 from vcal.dynamics.gains import propose
@@ -323,6 +333,39 @@ def test_an_unstable_loop():
     with pytest.raises(ValueError, match="unstable loop"):
         jax.jit(lambda phasor: run_circle(loop, phasor, *circle[1:]).scale)(circle[0])
     assert np.isfinite(jax.jit(run_circle)(loop, *circle).scale).all()
+
+
+@pytest.mark.parametrize(
+    ("loss", "factors"), [(2e-4, (1, 30, 1e3, 1e5, 1e7)), (0.0, (1, 1e3, 1e5, 1e6, 1e8))]
+)
+def test_what_is_too_fast_for_the_sample_time_is_told(loss, factors):
+    """Either the motion over one sample is that of scipy's exponential, or it is refused."""
+    told = []
+    for factor in factors:
+        machine = screw_slide(loss=loss)
+        springs = tuple(
+            dataclasses.replace(spring, stiffness=factor * spring.stiffness)
+            for spring in machine.springs
+        )
+        s, c, loop = loop_of(dataclasses.replace(machine, springs=springs), T=1e-3)
+        n = s.size
+        flow = np.zeros((2 * n, 2 * n))
+        flow[:n, n:] = np.eye(n)
+        inverse = np.linalg.inv(np.asarray(s.mass))
+        flow[n:] = -inverse @ np.hstack([np.asarray(s.stiffness), np.asarray(s.damping)])
+        scale = np.diag(np.repeat([1.0, 1e-3], n))  # velocities in units of 1000 rad/s
+        expected = scale @ expm(flow * 1e-3) @ np.linalg.inv(scale)
+        rest = np.asarray(_exponential(scale @ flow @ np.linalg.inv(scale) * 1e-3))
+        try:
+            check_sampled(s, 1e-3)
+        except ValueError as error:
+            assert "far too stiff for the sample time" in str(error)
+            with pytest.raises(ValueError, match="far too stiff for the sample time"):
+                check_stable(loop, s)
+            told.append(factor)
+        else:
+            np.testing.assert_allclose(rest, expected, atol=1e-7)
+    assert factors[0] not in told and factors[-1] in told
 
 
 def test_how_fast_an_unstable_loop_grows():

@@ -207,9 +207,13 @@ def test_units(unit, factor, name):
     assert in_name(unit) == name
 
 
-def test_unknown_unit_is_named():
-    with pytest.raises(ValueError, match="unit 'furlong/K': unknown symbol 'furlong'"):
-        si_factor("furlong/K")
+@pytest.mark.parametrize(
+    ("unit", "found"),
+    [("furlong/K", "furlong"), ("10 um", "10"), ("1000", "1000"), ("m2s", "m2s"), ("/K2 h-", "h-")],
+)
+def test_unknown_unit_is_named(unit, found):
+    with pytest.raises(ValueError, match=f"unit '{unit}': found '{found}'"):
+        si_factor(unit)
 
 
 def test_port_layout():

@@ -27,7 +27,7 @@ from vcal.dynamics import (
 from vcal.dynamics.circles import answers
 from vcal.dynamics.gains import propose
 from vcal.dynamics.response import harmonics, response
-from vcal.dynamics.unknowns import CentreShift, Delay, DriveFactor, SpringFactor
+from vcal.dynamics.unknowns import CentreShift, DampingFactor, Delay, DriveFactor, SpringFactor
 from vcal.errors import StudyError
 from vcal.io.machine import load_machine
 from vcal.least_squares import Status
@@ -355,6 +355,17 @@ def test_unknowns_of_what_is_not_there(catalogue, unknown, message):
     machine, controller, loop = catalogue
     with pytest.raises(ValueError, match=message):
         task(machine, controller, [unknown], seen_by(loop, 0))
+
+
+def test_damping_of_any_kind_is_what_the_factor_is_of(catalogue):
+    """Viscous, and in proportion to stiffness: ln 2 per standard deviation."""
+    machine, controller, _ = catalogue
+    viscous = tuple(dataclasses.replace(s, damping=jnp.full(3, 3e4)) for s in machine.springs)
+    for given in (machine, dataclasses.replace(machine, springs=viscous, loss=0.0)):
+        changed, _ = DampingFactor().apply(given, controller, 1.0)
+        before, after = (np.asarray(assemble(m).damping) for m in (given, changed))
+        assert before.any()
+        np.testing.assert_allclose(after, 2.0 * before, rtol=1e-12)
 
 
 def test_the_delay_that_is_told_is_the_one_applied(catalogue):

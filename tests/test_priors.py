@@ -123,7 +123,8 @@ def test_a_joint_distribution_counts_jointly_in_the_gum(tracker, screw):
     effect = dataclasses.replace(effect, priors=(Prior(("sine", "cosine"), law),))
     truth = tracker.model.with_effects(effect)
     pair = virtual_pair(truth, tracker.model, tracker.plan)
-    parameters, readings = sources(pair)[effect.key]
+    parameters = sources(pair)[effect.key].parameters
+    assert parameters is not None
     np.testing.assert_allclose(
         (parameters @ parameters.T)[-2:, -2:], [[1.0, -0.9], [-0.9, 1.0]], atol=1e-12
     )

@@ -374,7 +374,7 @@ def test_an_attempt_that_came_to_nothing_leaves_no_trace():
     run.rejected = [Rejected("backlash", "X", 0.001, "does not hold")]
     before = {name: v[:] if isinstance(v, list) else v for name, v in vars(run).items()}
     kept = run._kept()
-    for name in ("history", "rejected", "screenings", "unseen", "_outdone"):
+    for name in ("history", "rejected", "screenings", "_outdone"):
         getattr(run, name).append("on the way")
     run.refused = run.unexplained = run._description = "so"  # type: ignore[assignment]
     run._description_trials = 7.0

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +13,7 @@ from joint import alone, at_temperatures, write_joint
 from oracle import as_study, make_case, tool_point
 from vcal import (
     CATALOGUE,
-    Effect,
     Measurement,
-    Parameter,
     StudyError,
     close_loop,
     identify,
@@ -29,7 +28,6 @@ from vcal.instruments.several import DataSet, one_clock, several
 from vcal.io.simulated import parse_with, write_simulated
 from vcal.loop.candidates import candidates
 from vcal.loop.certainty import doubted
-from vcal.loop.close_loop import _elsewhere, _worse
 from vcal.loop.closure import Errors
 from vcal.loop.heldout import (
     Rms,
@@ -40,6 +38,7 @@ from vcal.loop.heldout import (
     rms_fall,
     weighted_squares,
 )
+from vcal.loop.notes import _elsewhere, _few_check_points, _worse
 from vcal.loop.recorded import distinct_covariates
 from vcal.loop.screen import Screen
 from vcal.loop.state import chi2_per_dof, fitted
@@ -49,6 +48,7 @@ from vcal.loop.together import contradiction
 from vcal.loop.unexplained import dependence, from_structure
 from vcal.plan import DATA_SET, of_set
 from vcal.report import write_report
+from vcal.spatial import align_rigid
 from vcal.uncertainty import ParameterErrors, linearised
 from vcal.uncertainty.campaign import virtual_pair
 
@@ -501,19 +501,22 @@ def test_readings_and_check_points_that_speak_against_what_was_found_are_told():
     def errors(heldout: Rms, check: Rms | None = None) -> Errors:
         return Errors(check, check, heldout, heldout, 1.0)
 
+    def said_of(before: Errors, after: Errors, found: bool) -> list[str]:
+        return _worse(SimpleNamespace(errors={"before": before, "after": after}, found=found))
+
     before = errors(Rms(25.6, 0.5))
-    (said,) = _worse(before, errors(Rms(27.2, 0.8)), True)
+    (said,) = said_of(before, errors(Rms(27.2, 0.8)), True)
     assert said.startswith("held-out") and "the readings that were fitted" in said
     assert "(27.2 ± 0.8 µm) than before (25.6 ± 0.5 µm): what was found" in said
-    (said,) = _worse(before, errors(Rms(27.2, 0.8)), False)
+    (said,) = said_of(before, errors(Rms(27.2, 0.8)), False)
     assert "the noise that was found" in said
     for after in (Rms(26.4, 0.8), Rms(20.0, 0.5), Rms(np.nan, np.nan)):
-        assert _worse(before, errors(after), True) == []
+        assert said_of(before, errors(after), True) == []
     before = errors(Rms(25.6, 0.5), Rms(3.9, 1.6))
-    (said,) = _worse(before, errors(Rms(25.0, 0.5), Rms(50.8, 11.8)), True)
+    (said,) = said_of(before, errors(Rms(25.0, 0.5), Rms(50.8, 11.8)), True)
     assert said.startswith("the error at the check points is larger")
     assert "(50.8 ± 10 µm) than before (3.9 ± 2 µm)" in said
-    assert _worse(before, errors(Rms(25.0, 0.5), Rms(5.0, 1.6)), True) == []
+    assert said_of(before, errors(Rms(25.0, 0.5), Rms(5.0, 1.6)), True) == []
 
 
 # --- covariates ----------------------------------------------------------------------------------
@@ -639,36 +642,6 @@ def test_from_python(clean):
     assert of_set("balls", "tilt") in plan.covariates
     with pytest.raises(ValueError, match="at least one"):
         several({})
-
-
-class Late(Effect):
-    """Every position falls behind by a tenth of the move to it: a memory of one row."""
-
-    name = "late"
-
-    @property
-    def parameters(self):
-        return (Parameter("none", "um", sigma=1.0),)
-
-    def response(self, plan, shape):
-        return {("tool.X", "none"): np.zeros(plan.rows)}
-
-    def command(self, plan, shape):
-        moves = np.diff(np.asarray(plan.position), axis=0, prepend=plan.position[:1])
-        return plan.with_position(plan.position - 0.1 * moves)
-
-
-def test_a_memory_begins_anew_with_every_data_set(clean):
-    study = clean[1]
-    moved = study.model.with_effects(Late()).motion(study.plan)
-    assert moved.sets == study.plan.sets and set(moved.covariates) == set(study.plan.covariates)
-    for one in study.sets:
-        expected = Late().command(one.plan, {}).position
-        np.testing.assert_array_equal(moved.part(one.name).position, expected)
-        np.testing.assert_array_equal(
-            moved.values(f"{one.name}:t"), study.plan.values(f"{one.name}:t")
-        )
-    assert study.model.motion(study.plan) is study.plan
 
 
 def test_rows_of_others_are_in_no_group():
@@ -869,9 +842,28 @@ def test_the_oracle_writes_one_machine(clean):
 def test_check_points_of_another_tool_are_told():
     def said(aligned, raw):
         of = None if raw is None else Rms(raw, 0.5)
-        return _elsewhere(Errors(Rms(aligned, 0.5), of, Rms(5.0, 0.5), Rms(5.0, 0.5), 1.0))
+        after = Errors(Rms(aligned, 0.5), of, Rms(5.0, 0.5), Rms(5.0, 0.5), 1.0)
+        return _elsewhere(SimpleNamespace(errors={"after": after}))
 
     (told,) = said(3.0, 150_000.0)
     assert "as a whole are 150 mm off" in told and "after alignment" in told
     # A machine's own errors, an arm before its calibration, and no check points in its frame.
     assert said(3.0, 1_500.0) == said(9_000.0, 20_000.0) == said(3.0, None) == []
+
+
+def test_an_alignment_of_few_points_is_told():
+    """White errors of n points are sqrt(1 - 6 / 3n) as large after alignment as before."""
+
+    def said(count):
+        rows = SimpleNamespace(plan=SimpleNamespace(rows=count))
+        return _few_check_points(SimpleNamespace(check=rows))
+
+    (told,) = said(3)
+    assert "3 check points only" in told and "six of the 9 numbers" in told
+    assert said(10) == _few_check_points(SimpleNamespace(check=None)) == []
+    rng = np.random.default_rng(0)
+    for count in (3, 4, 6):
+        points = rng.uniform(-0.3, 0.3, (count, 3))
+        errors = 1e-6 * rng.standard_normal((400, count, 3))
+        left = [(align_rigid(points, e) ** 2).sum() / (e**2).sum() for e in errors]
+        assert np.mean(left) == pytest.approx(1.0 - 6.0 / (3.0 * count), abs=0.03)

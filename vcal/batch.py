@@ -275,7 +275,7 @@ def prepare_batch(
     no amplitude.
     """
     require_float64()
-    plan = model.motion(plan, shapes)
+    model.check_plan(plan)
     at = {
         i: {name: float(value) for name, value in shape.items()}
         for i, shape in model.shapes_at(plan, shapes).items()

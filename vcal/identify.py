@@ -314,7 +314,8 @@ def identify(
         )
     if theta is not None:
         check_theta(model, theta)
-    plan = model.motion(measurement.plan, shapes)
+    plan = measurement.plan
+    model.check_plan(plan)
     if whitener is None:
         whitener = declared_whitener(model, measurement)
     if keep is not None:

@@ -20,7 +20,7 @@ from .chain import Chain
 from .effects.base import Effect, Setup
 from .instruments.base import Instrument
 from .parameters import Parameter
-from .plan import Plan, joined
+from .plan import Plan
 from .ports import PortLayout
 from .record import Record
 from .rigid import Rotation, Scalar, Vector, exp, left_jacobian_matrix
@@ -98,29 +98,14 @@ class Model(Record):
         kept = tuple(e for i, e in enumerate(self.effects) if i != effect)
         return Model(self.chain, self.instrument, (*kept, *self.random))
 
-    def motion(self, plan: Plan, shapes: Shapes | None = None) -> Plan:
-        """The command step: what the axes did when the plan was commanded, effect after effect.
-
-        Raises `ValueError` for a plan of another machine, or with its axes in another order.
-        """
+    def check_plan(self, plan: Plan) -> None:
+        """Raise `ValueError` for a plan of another machine, or with its axes in another order."""
         if plan.axes != self.chain.axes:
             raise ValueError(
                 f"plan: found the axes {', '.join(plan.axes)}, expected "
                 f"{', '.join(self.chain.axes)} in this order, as the chain has them; put the "
                 "columns of the positions in order"
             )
-        for i, effect in enumerate(self.effects):
-            shape = (shapes or {}).get(i, {})
-            if type(effect).command is Effect.command:
-                continue
-            if not plan.sets:
-                plan = effect.command(plan, shape)
-                continue
-            # What has a memory begins anew with every data set.
-            own = {name: plan.owned(name) for name in plan.sets}
-            moved = {name: effect.command(plan.part(name), shape) for name in plan.sets}
-            plan = joined(moved, own)
-        return plan
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -376,9 +361,9 @@ def predict(
     float32, and `ValueError` where plan or theta do not fit the model.
     """
     require_float64()
+    model.check_plan(plan)
     check_theta(model, theta)
     with jax.ensure_compile_time_eval():  # also where theta is traced, the effects are plain data
-        plan = model.motion(plan, shapes)
         terms = model.terms(plan, shapes)
     ports = port_values(terms, jnp.asarray(theta), len(model.layout))
     readings = observe_all(

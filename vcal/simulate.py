@@ -170,7 +170,7 @@ def prepare(
     require_float64()
     if not 0.0 <= noise_factor < np.inf:
         raise ValueError(f"noise_factor: found {noise_factor}, expected a number of at least 0")
-    plan = model.motion(plan, shapes)
+    model.check_plan(plan)
     drawn = drawn_shapes(model, plan) if draw_shapes else ()
     shapes = shapes if draw_shapes else model.shapes_at(plan, shapes)
     moving = sorted({item.effect for item in drawn})
@@ -322,7 +322,7 @@ def true_tool_points(model: Model, plan: Plan, truth: Truth) -> Float[np.ndarray
     Effects of the machine alone: what only the instrument sees does not move the tool.
     """
     require_float64()
-    plan = model.motion(plan, truth.shapes)
+    model.check_plan(plan)
     blocks, start = [], 0
     for i, effect in enumerate(model.effects):
         if effect.where == "machine":

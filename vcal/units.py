@@ -8,8 +8,6 @@ import functools
 import re
 
 _FACTORS = {
-    "": 1.0,
-    "1": 1.0,
     "m": 1.0,
     "mm": 1e-3,
     "um": 1e-6,
@@ -34,7 +32,8 @@ def si_factor(unit: str) -> float:
     """Factor that turns a value given in `unit` into SI.
 
     `unit` is a product of symbols separated by spaces, optionally divided by one symbol or one
-    parenthesised product, powers as a trailing digit: ``"um"``, ``"um/(m K)"``, ``"urad/m2"``.
+    parenthesised product, powers as a trailing digit: ``"um"``, ``"um/(m K)"``, ``"urad/m2"``;
+    ``"1"`` or nothing is a plain number.
 
     Raises `ValueError` for a symbol that is not known.
     """
@@ -45,14 +44,15 @@ def si_factor(unit: str) -> float:
 def _product(text: str, unit: str) -> float:
     value = 1.0
     for token in text.split():
-        symbol, power = re.fullmatch(r"(\D*?)(\d*)", token).groups()  # type: ignore[union-attr]
         if token == "1":
             continue
-        if symbol not in _FACTORS:
+        parts = re.fullmatch(r"(\D+)(\d*)", token)
+        if parts is None or parts[1] not in _FACTORS:
             raise ValueError(
-                f"unit {unit!r}: unknown symbol {symbol!r}, expected one of {sorted(_FACTORS)}"
+                f"unit {unit!r}: found {token!r}, expected one of {sorted(_FACTORS)}, with a digit "
+                "behind it where it is a power"
             )
-        value *= _FACTORS[symbol] ** int(power or 1)
+        value *= _FACTORS[parts[1]] ** int(parts[2] or 1)
     return value
 
 

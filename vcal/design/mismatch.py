@@ -62,8 +62,8 @@ def expected_error(truth: Model, fit: Model, plan: Plan, gram: Gram) -> Left:
     pair = virtual_pair(truth, fit, plan)
     gain = _gain(pair)
     found: tuple[dict[str, float], dict[str, float]] = {}, {}
-    for name, (amplitudes, readings) in sources(pair).items():
-        e = (0.0 if amplitudes is None else amplitudes) - gain @ readings
+    for name, source in sources(pair).items():
+        e = (0.0 if source.parameters is None else source.parameters) - source.through(gain)
         for parts, G in zip(found, gram, strict=True):
             parts[name] = max(float(np.einsum("ai,ab,bi->", e, G, e)), 0.0) ** 0.5
     return Left(*found)

@@ -27,6 +27,8 @@ from .control import Controller
 PENDING = 3
 """Forces that may still be to come: the delay is shorter than that many samples less one."""
 _SQUARINGS = 7
+_SAMPLED = 1e-9
+"""By how much what is left of a mode after one sample time may be wrong."""
 _DOUBLINGS = 24
 """Squarings of Phi after which what settles has settled: hours of samples."""
 _PACE = 1e3
@@ -163,15 +165,29 @@ def _exponential(X: Array) -> Array:
     return found
 
 
-def check_sampled(transition: Float[Array | np.ndarray, "n n"], sample_time: float) -> None:
-    """Raise `ValueError` where a machine moves too fast for the motion over one sample time to be
-    numbers.
+def check_sampled(structure: Structure, sample_time: float) -> None:
+    """Raise `ValueError` where a mode is too fast, or decays too fast, for the series by which the
+    motion over one sample time is computed (`close`).
     """
-    if not np.isfinite(transition).all():
+    n = structure.size
+    inverse = np.linalg.inv(np.asarray(structure.mass))
+    flow = np.zeros((2 * n, 2 * n))
+    flow[:n, n:] = _PACE * np.eye(n)
+    flow[n:, :n] = -inverse @ np.asarray(structure.stiffness) / _PACE
+    flow[n:, n:] = -inverse @ np.asarray(structure.damping)
+    poles = np.linalg.eigvals(flow)
+    parts = 2.0**_SQUARINGS
+    with np.errstate(over="ignore", invalid="ignore"):
+        series = np.polyval([1.0 / math.factorial(k) for k in range(16, -1, -1)], poles *
+                            sample_time / parts) ** parts  # fmt: skip
+        wrong = ~(np.abs(series - np.exp(poles * sample_time)) <= _SAMPLED)
+    if wrong.any():
+        worst = np.abs(poles[wrong]).max()
         raise ValueError(
-            "controller: found a machine far too stiff for the sample time, expected springs that "
-            f"give frequencies up to some {0.5 / sample_time:.3g} Hz; shorten the sample "
-            "time, or correct the stiffness and the masses"
+            f"controller: found a mode of {worst / (2.0 * np.pi):.3g} Hz, far too stiff for the "
+            f"sample time of {sample_time:g} s, expected none whose motion over one sample is not "
+            "told; shorten the sample time, correct the stiffness, the damping and the masses, or "
+            "make one body of what such a spring holds together"
         )
 
 
@@ -179,9 +195,16 @@ def check_stable(loop: ClosedLoop, structure: Structure | None = None) -> None:
     """Raise `ValueError` where the loop is unstable.
 
     The message tells how fast: what grows with exp(s t) doubles within log(2) / s. With the
-    structure it also tells where springs have no damping, which no gain makes up for.
+    structure it also tells where springs have no damping, which no gain makes up for, and where
+    the sample time is too long for the machine.
     """
-    check_sampled(loop.transition, loop.sample_time)
+    if structure is not None:
+        check_sampled(structure, loop.sample_time)
+    if not np.isfinite(loop.transition).all():
+        raise ValueError(
+            "controller: found a motion over one sample that is not finite, expected numbers; "
+            "correct the stiffness and the masses, or shorten the sample time"
+        )
     values, shapes = np.linalg.eig(np.asarray(loop.transition))
     worst = int(np.argmax(np.abs(values)))
     radius = float(np.abs(values[worst]))

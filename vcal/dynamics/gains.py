@@ -46,10 +46,10 @@ def propose(
 
     if bandwidth is not None:
         return controller(bandwidth)
+    check_sampled(structure, sample_time)
     transition = jax.jit(lambda w: close(structure, controller(w, _MARGIN)).transition)
     for w in _BANDWIDTHS[_BANDWIDTHS * sample_time <= 0.2 * 2.0 * np.pi]:
         after = np.asarray(transition(w))
-        check_sampled(after, sample_time)
         if np.abs(np.linalg.eigvals(after)).max() < 1.0:
             return controller(w)
     do = "shorten the delay, stiffen the machine, or give the gains"

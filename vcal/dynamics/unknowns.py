@@ -115,15 +115,20 @@ class DriveFactor(_Factor):
 
 
 class DampingFactor(_Factor):
-    """Damping of all springs over that of the catalogue."""
+    """Damping of all springs and screws over that of the catalogue, viscous or not."""
 
     @property
     def name(self) -> str:
         return "damping"
 
     def apply(self, machine, controller, z):
-        loss = machine.loss * self.value(z, controller)
-        return dataclasses.replace(machine, loss=loss), controller
+        factor = self.value(z, controller)
+        springs = tuple(
+            dataclasses.replace(spring, damping=factor * spring.damping)
+            for spring in machine.springs
+        )
+        machine = dataclasses.replace(machine, springs=springs, loss=factor * machine.loss)
+        return machine, controller
 
 
 class CentreShift(Unknown):

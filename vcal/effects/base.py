@@ -118,13 +118,6 @@ class Effect(Record):
         `vcal.arrays.namespace` of them, which is faster where they are plain numbers.
         """
 
-    def command(self, plan: Plan, shape: Mapping[str, Array]) -> Plan:
-        """What the axes do when `plan` is commanded; the plan itself, unless the effect has a
-        memory (lag, settling, dynamics): whole run in, whole run out.
-        """
-        del shape
-        return plan
-
     @property
     def needs(self) -> tuple[str, ...]:
         """Covariates, groups or axes of the plan without which it cannot be evaluated."""

@@ -47,7 +47,6 @@ class Kept:
     description: Rival | None
     description_trials: float
     outdone: tuple[Rejected, ...]
-    unseen: tuple[str, ...]
 
 
 class Adding:
@@ -60,7 +59,6 @@ class Adding:
         """Whatever was added, whether it stayed or not."""
         self.rejected: list[Rejected] = []
         self.untestable: list[Untestable] = []
-        self.unseen: list[str] = []
         self.screenings: list[Screening] = []
         self.unexplained: Unexplained | None = None
         self.refused: Effect | None = None
@@ -166,7 +164,6 @@ class Adding:
         screening = screen(screen_state, [*tried, *empirical])
         self.screenings.append(screening)
         self.refused = None
-        self.unseen = [effect.key for effect in screening.unseen]
         return screen_state, screening
 
     def _add(self, found: Round, rival: Rival, described: Rival | None) -> State:
@@ -245,7 +242,6 @@ class Adding:
             description=self._description,
             description_trials=self._description_trials,
             outdone=tuple(self._outdone),
-            unseen=tuple(self.unseen),
         )
 
     def _restore(self, kept: Kept) -> None:
@@ -253,7 +249,7 @@ class Adding:
         self.screenings, self.refused = list(kept.screenings), kept.refused
         self.unexplained, self._description = kept.unexplained, kept.description
         self._description_trials = kept.description_trials
-        self._outdone, self.unseen = list(kept.outdone), list(kept.unseen)
+        self._outdone = list(kept.outdone)
 
     def _reject(self, found: Round, rival: Rival, reason: str) -> None:
         self._refuse(rival.effect, found.p_value(rival), reason)

@@ -1,15 +1,14 @@
 """Close the loop: find what a measurement says is missing, name it, add it, report the gain."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Literal
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
 from ..effects.registry import CATALOGUE
-from ..fit import HARDLY_TOLD, Fit
+from ..fit import Fit
 from ..identify import identify
 from ..instruments.conditions import file_column
 from ..learn import learned_sizes, with_sizes
@@ -18,14 +17,13 @@ from ..model import Model
 from .adding import Added
 from .begin import shapes_begun
 from .certainty import doubted
-from .chance import LEAST_NOISE
 from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
-from .confounded import confounded, unrecorded_time
 from .doubt import Doubt
 from .empirical import EMPIRICAL
-from .heldout import Rms, check_rms, fit_rms, heldout_rms
+from .heldout import check_rms, fit_rms, heldout_rms
 from .loop_settings import checked, classes_of
-from .rivals import CERTAIN, Rival, Weighed
+from .notes import Facts, notes
+from .rivals import CERTAIN, Weighed
 from .search import Search, place_of
 from .state import (
     State,
@@ -35,20 +33,10 @@ from .state import (
     scales_told,
 )
 from .steps import uncertainties
-from .stray import at_an_end, too_many
-from .together import contradiction
 from .unexplained import from_structure
 from .vibration import vibration
 from .whitened import declared_residual
 
-_NO_MACHINE_UM = 2000.0
-"""What remains of a fit beyond which the data are not what they are said to be, um."""
-_ALIGNED = 0.1
-"""Share of that which may be left after a rigid alignment, where it is one place that is wrong."""
-_MANY = 50.0
-"""Degrees of freedom from which a search is worth its name."""
-_BEYOND = 0.1
-"""Share of the span that was measured, and of the check points, from which on these are beyond."""
 _ROOM = 16
 """Parameters that added effects may have before the solver must be compiled anew."""
 
@@ -106,9 +94,14 @@ def close_loop(
         state = run.rounds(state, max_effects, reached)
         if run.described_by_noise(state):
             run.unexplained = None
+        if run.unexplained is None and len(run.added(state)) >= max_effects:
+            # What can be done without makes room for what could not be added: once.
+            pruned = run.prune(state, reached)
+            if pruned is not state:
+                state = run.rounds(pruned, max_effects, reached)
         if run.unexplained is None:
-            full = len(run.added(state)) >= max_effects
             state, correlated = run.prune_correlated(run.prune(state, reached), reached)
+            full = len(run.added(state)) >= max_effects
             if learn:
                 progress("learning the sizes of the families")
                 learned = with_sizes(state.model, learned_sizes(state.fit))
@@ -189,7 +182,6 @@ def _finish(
         "after": errors(after, run.check, doubts),
     }
     swings = vibration(state.fit)
-    apart = "" if interrupted else contradiction(before, after, run.room)
     return Closure(
         verdict=verdict,
         effects=found,
@@ -204,7 +196,7 @@ def _finish(
         suspected=state.strays,
         rejected=still_rejected(run.rejected, found),
         untestable=run.untestable,
-        unseen=run.unseen,
+        unseen=[e.key for first in run.screenings[:1] for e in first.unseen],
         screenings=run.screenings,
         noise_scale=noise,
         noise_components=() if state.noise is None else state.noise.parts,
@@ -212,17 +204,23 @@ def _finish(
         noise_uneven=state.noise is not None and state.noise.uneven,
         settings=settings,
         interrupted=interrupted,
-        notes=[
-            *([apart] if apart else []),
-            *_elsewhere(wrong["after"]),
-            *_not_at_the_check(after, run.check),
-            *_beyond_at_the_check(found, after, run.check),
-            *_worse(wrong["before"], wrong["after"], bool(found)),
-            *_described_at_the_check(described, wrong["after"], run.check),
-            *_untold(after, dict.fromkeys(item.effect.key for item in found)),
-            *_notes(scales, state, run),
-            *([swings.words] if swings is not None and run.unexplained is None else []),
-        ],
+        notes=notes(
+            Facts(
+                before=before,
+                after=after,
+                errors=wrong,
+                check=run.check,
+                found=found,
+                added=run.added(state),
+                state=state,
+                scales=scales,
+                unexplained=run.unexplained,
+                untestable=run.untestable,
+                vibration=swings,
+                interrupted=interrupted,
+                room=run.room,
+            )
+        ),
     )
 
 
@@ -230,126 +228,6 @@ def still_rejected(rejected: Iterable[Rejected], found: Iterable[FoundEffect]) -
     """Without those that a later round added after all."""
     added = {(item.effect.name, item.effect.placement) for item in found}
     return [r for r in rejected if (r.effect, r.placement) not in added]
-
-
-def _elsewhere(after: Errors) -> list[str]:
-    """That the check points as a whole are not where the machine is, where no machine is so wrong:
-    of another frame, or of another tool.
-    """
-    if after.check is None or after.check_raw is None:
-        return []
-    raw, aligned = after.check_raw.value, after.check.value
-    if raw < _NO_MACHINE_UM or aligned > _ALIGNED * raw:
-        return []
-    return [
-        f"the check points as a whole are {raw / 1e3:.3g} mm off: they are of another tool offset, "
-        "or in another frame; the error after alignment, which leaves that out, is the one to go by"
-    ]
-
-
-def _not_at_the_check(after: Fit, check: CheckPoints | None) -> list[str]:
-    """That the error at the check points leaves out effects for want of a column, where it does."""
-    if check is None:
-        return []
-    lacking = {
-        effect.key: [name for name in effect.needs if not check.plan.has(name)]
-        for effect in after.model.effects
-        if effect.where == "machine" and effect.kind != "nuisance"
-    }
-    axes = after.measurement.plan.axes
-    return [
-        f"{key} is not in the error at the check points, which have no "
-        f"{' and no '.join(file_column(name, axes)[0] for name in missing)}: it is that of the "
-        "machine without it there; record it with the check points"
-        for key, missing in lacking.items()
-        if missing
-    ]
-
-
-def _beyond_at_the_check(
-    found: Iterable[FoundEffect], after: Fit, check: CheckPoints | None
-) -> list[str]:
-    """Which of the effects found are foretold at the check points for times, temperatures or other
-    conditions that were not measured: how they go on there no reading tells.
-    """
-    if check is None:
-        return []
-    plan, notes = after.measurement.plan, []
-    for item in found:
-        for name in item.effect.needs if item.effect.where == "machine" else ():
-            if name in plan.axes or not (plan.has(name) and check.plan.has(name)):
-                continue
-            column, unit = file_column(name, plan.axes)
-            known, asked = (unit * np.asarray(p.values(name), float) for p in (plan, check.plan))
-            low, high = np.nanmin(known), np.nanmax(known)
-            room = _BEYOND * (high - low)
-            share = float(((asked < low - room) | (asked > high + room)).mean())
-            if share > _BEYOND:
-                notes.append(
-                    f"{item.effect.key} is foretold for {100 * share:.2g} % of the check points "
-                    f"beyond what was measured ({column} {low:.4g} to {high:.4g}, there "
-                    f"{asked.min():.4g} to {asked.max():.4g}): whether it goes on as it did is not "
-                    "part of the uncertainty"
-                )
-    return notes
-
-
-def _worse(before: Errors, after: Errors, found: bool) -> list[str]:
-    """That held-out readings or check points speak against what was found, where they do."""
-    what = "what was found describes" if found else "the noise that was found suits"
-    compared = (
-        ("held-out readings are foretold worse", before.heldout, after.heldout),
-        ("the error at the check points is larger", before.check, after.check),
-    )
-    return [
-        f"{said} after closing the loop ({_um(new)}) than before ({_um(old)}): {what} the readings "
-        "that were fitted, no more, and is not to be relied on"
-        for said, old, new in compared
-        if old is not None and new is not None and new.value - old.value > math.hypot(old.u, new.u)
-    ]
-
-
-def _described_at_the_check(
-    described: Rival | None, after: Errors, check: CheckPoints | None
-) -> list[str]:
-    """What the error at the check points would be with the description of what is unexplained,
-    where that is most of its uncertainty.
-    """
-    if described is None or check is None or after.check is None:
-        return []
-    value = check_rms(described.fit, check)[0].value
-    apart = abs(value - after.check.value)
-    if not apart > math.sqrt(0.5) * after.check.u:
-        return []
-    summary = described.effect.summary.removeprefix("empirical: ")
-    return [
-        f"the error at the check points is {_um(after.check)}: with what describes what is "
-        f"unexplained ({summary}) it would be {value:.3g} µm, which is most of its uncertainty"
-    ]
-
-
-def _untold(after: Fit, found: Iterable[str]) -> list[str]:
-    """Which parameters of the effects that were `found` are as uncertain as before: such as an
-    acceleration in a direction in which nothing moved.
-    """
-    told = zip(after.entries, after.information, strict=True)
-    hardly = [(key, p.name) for (key, p), share in told if share < HARDLY_TOLD]
-    return [
-        f"{key}: the readings say next to nothing of {', '.join(names)}; what is given is what "
-        "was known before"
-        for key in found
-        if (names := [name for its, name in hardly if its == key])
-    ]
-
-
-def _um(it: Rms) -> str:
-    return f"{it.value:.3g} ± {float(f'{it.u:.1g}'):g} µm"
-
-
-def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
-    return ", ".join(
-        f"{p.name} {shape[p.name] / p.si:.4g} {p.unit}" for p in effect.shapes if p.name in shape
-    )
 
 
 def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
@@ -419,70 +297,3 @@ def _by_set(fit: Fit) -> dict[str, SetErrors]:
         ratio = float(squares[inside & fit.used].sum() / dof) if dof > 0.0 else math.nan
         found[name] = SetErrors(heldout_rms(fit, inside), fit_rms(fit, inside), ratio)
     return found
-
-
-def _notes(scales: Mapping[str, float], state: State, run: Search) -> list[str]:
-    notes = []
-    if state.noise is not None and state.noise.uneven:
-        each = ", ".join(
-            f"{part.name} {part.factor:.2f}" for part in state.noise.parts if part.u == part.u
-        )
-        notes.append(
-            f"the readings do not scatter alike, in parts of what is declared: {each}; tests and "
-            "uncertainties are with these, or what is declared where that is larger"
-        )
-    else:
-        notes += [
-            f"the readings{f' of {name}' if name else ''} scatter "
-            f"{'at most ' if noise <= LEAST_NOISE else ''}{max(noise, LEAST_NOISE):.2f} times as "
-            "much as declared; uncertainties "
-            + (
-                "are scaled accordingly"
-                if noise > 1
-                else "are left as declared, and what was known before counts for more than it "
-                "would with the noise that was found"
-            )
-            for name, noise in scales.items()
-            if noise != 1.0
-        ]
-    if state.fit.dof < _MANY:
-        notes.append(
-            f"only {state.fit.dof:.0f} degrees of freedom are left beside what is declared: "
-            "effects that are not large go unseen"
-        )
-    plan = state.fit.measurement.plan
-    if astray := too_many(state.fit):
-        rows = ", ".join(
-            plan.row_name(s.row) for s in sorted(astray, key=lambda s: -s.distance)[:5]
-        )
-        notes.append(
-            f"{len(astray)} rows of {state.fit.used.sum()} are too far out for noise, at random "
-            f"places: more stray readings than are left out; look at them first ({rows}, ...)"
-        )
-    notes += [
-        f"row {plan.row_name(row)}, left out, is {where}: had something moved there and stayed, "
-        "that would look the same; more readings of the same would tell"
-        for row, where in at_an_end(state.fit, [s.row for s in state.strays]).items()
-    ]
-    betraying = [name for item in run.added(state) for name in item.effect.betrayed_by]
-    if run.unexplained is not None:
-        betraying += run.unexplained.depends_on[:1]
-    notes += [
-        f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well (probability "
-        f"{100 * probability:.2g} %): these positions and times hardly tell them apart"
-        for item in run.added(state)
-        for shape, probability in item.weighed.other_shapes
-    ]
-    notes += confounded(plan, betraying)
-    if run.unexplained is not None:
-        for name in run.unexplained.depends_on[:1]:
-            notes += unrecorded_time(plan, name, run.untestable)
-    worst = fit_rms(state.fit).value
-    if worst > _NO_MACHINE_UM and chi2_per_dof(state.fit) > 1e4:
-        notes.append(
-            f"what remains is {worst / 1e3:.3g} mm, which no machine is off by: compare the "
-            "columns, signs and units of the first rows with what was measured"
-        )
-    if not state.fit.converged:
-        notes.append("the final fit did not converge: its numbers are not to be relied on")
-    return notes

@@ -76,7 +76,7 @@ def stray_apart(fit: Fit, apart: np.ndarray) -> list[Stray]:
     for inside in fit.measurement.plan.parts.values():
         rows = np.flatnonzero(apart & inside)
         if len(rows):
-            readings = int(present[rows[0]].sum())
+            readings = present[rows].sum(1)
             found = _improbable(rows, squares[rows].sum(1), readings, len(rows))
             strays += _far_beyond(found, min(_FEW, int(_MOST_APART * len(rows))))
     return strays

@@ -14,11 +14,12 @@ identified parameters.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..arrays import Array
 from ..model import effect_terms, observe_with_jacobian, port_values
@@ -62,8 +63,8 @@ def linearised(pair: Pair, measures: Sequence[Measure], coverage: float = 0.95) 
     gain = np.asarray(pair.batch.gain)
     # Every column: one standard deviation of one element of a source.
     parts = {
-        name: _times(by_true, parameters) + by_found @ (gain @ readings)
-        for name, (parameters, readings) in given.items()
+        name: _times(by_true, source.parameters) + by_found @ source.through(gain)
+        for name, source in given.items()
     }
     columns = np.concatenate(list(parts.values()), 1)
     defined = np.isfinite(value) & np.isfinite(columns).all(1)
@@ -156,12 +157,29 @@ def _derivatives(
     return np.asarray(value), slopes[:, : len(true)], slopes[:, len(true) :]
 
 
-def sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
-    """For every source, what one standard deviation of each of its elements does: to the true
-    parameters (k, e), where it is one of them, and to the readings (n m, e).
+class Elements(NamedTuple):
+    """What one standard deviation of each of the independent elements of a source does."""
 
-    Elements are independent. Those of parameters with a joint distribution are the columns of a
-    root of their correlations, R = A A'.
+    parameters: Float[np.ndarray, "k e"] | None
+    """To the true parameters, where the source is one of them."""
+    readings: Float[np.ndarray, "nm e"] | Float[np.ndarray, "e m"]
+    """To all readings; or to those of one row each."""
+    rows: Int[np.ndarray, " e"] | None = None
+    """Which row: noise has as many elements as there are readings."""
+
+    def through(self, gain: Float[np.ndarray, "a nm"]) -> Float[np.ndarray, "a e"]:
+        """What each does to what is linear in the readings, such as the parameters found."""
+        if self.rows is None:
+            return gain @ self.readings
+        by_row = gain.reshape(len(gain), -1, self.readings.shape[1])
+        return np.einsum("aem,em->ae", by_row[:, self.rows], self.readings, optimize=True)
+
+
+def sources(pair: Pair) -> dict[str, Elements]:
+    """The elements of every source.
+
+    Those of parameters with a joint distribution are the columns of a root of their correlations,
+    R = A A'.
     """
     model, simulator = pair.truth, pair.simulator
     plan, layout = simulator.plan, model.layout
@@ -178,7 +196,7 @@ def sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
     )
     by_port = np.asarray(model.instrument.reduce(slopes, plan))
     n, m, _ = by_port.shape
-    found: dict[str, tuple[np.ndarray | None, np.ndarray]] = {}
+    found: dict[str, Elements] = {}
     informed = np.asarray(simulator.amplitudes.informed)
     root = simulator.amplitudes.root
     start = 0
@@ -191,22 +209,20 @@ def sources(pair: Pair) -> dict[str, tuple[np.ndarray | None, np.ndarray]]:
         here = slice(start, start + count)
         parameters = root[:, here][:, informed[here] > 0.0]
         if parameters.shape[1]:
-            found[effect.key] = parameters, columns @ parameters[here]
+            found[effect.key] = Elements(parameters, columns @ parameters[here])
         start += count
     sigma = np.asarray(simulator.sigma)
     for part, inside in plan.parts.items():
         rows = np.flatnonzero(inside)
         own = model.instrument.members.get(part, model.instrument)
         for j, name in enumerate(own.readings):
-            readings = np.zeros((n, m, len(rows)))
-            readings[rows, j, np.arange(len(rows))] = sigma[rows, j]
-            found[f"noise: {f'{part} {name}'.strip()}"] = None, readings.reshape(n * m, len(rows))
+            of_one = np.where(np.arange(m) == j, sigma[rows], 0.0)
+            found[f"noise: {f'{part} {name}'.strip()}"] = Elements(None, of_one, rows)
     for column in simulator.scatter:
         slope = by_port[:, :, column.port]
         for values, k in zip(column.values, column.parameter, strict=True):
             name = f"{_SCATTER}{int(k) + 1}"
-            readings = np.zeros((n, m, n))
-            readings[np.arange(n), :, np.arange(n)] = slope * np.asarray(values)[:, None]
-            before = found[name][1] if name in found else 0.0
-            found[name] = None, before + readings.reshape(n * m, n)
+            before = found[name].readings if name in found else 0.0
+            moved = before + slope * np.asarray(values)[:, None]
+            found[name] = Elements(None, moved, np.arange(n))
     return found

@@ -1,0 +1,335 @@
+"""What is said of a result beside its numbers: what to mind, and what to do about it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..effects.base import Effect
+from ..fit import HARDLY_TOLD, Fit
+from ..instruments.conditions import file_column
+from ..measurement import CheckPoints
+from ..plan import Plan
+from .adding import Added
+from .candidates import Untestable
+from .chance import LEAST_NOISE
+from .closure import Errors, FoundEffect, in_words
+from .confounded import confounded, unrecorded_time
+from .heldout import Rms, check_rms, fit_rms
+from .rivals import Rival
+from .state import State, chi2_per_dof
+from .stray import at_an_end, too_many
+from .together import contradiction
+from .unexplained import Unexplained
+from .vibration import Vibration
+
+_NO_MACHINE_UM = 2000.0
+"""What remains of a fit beyond which the data are not what they are said to be, um."""
+_ALIGNED = 0.1
+"""Share of that which may be left after a rigid alignment, where it is one place that is wrong."""
+_MANY = 50.0
+"""Degrees of freedom from which a search is worth its name."""
+_BEYOND = 0.1
+"""Share of the span that was measured, and of the check points, from which on these are beyond."""
+_FEW_POINTS = 10
+"""Check points below which an alignment takes a part of the error that is worth a word."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What closing a loop has come to."""
+
+    before: Fit
+    after: Fit
+    errors: Mapping[Literal["uncompensated", "before", "after"], Errors]
+    """Of the nominal machine, and before and after closing the loop."""
+    check: CheckPoints | None
+    found: Sequence[FoundEffect]
+    added: Sequence[Added]
+    """The same as the search has them."""
+    state: State
+    scales: Mapping[str, float]
+    """Noise found of every data set, in what is declared."""
+    unexplained: Unexplained | None
+    untestable: Sequence[Untestable]
+    vibration: Vibration | None
+    interrupted: bool
+    room: int
+
+    @property
+    def plan(self) -> Plan:
+        """Of all the data."""
+        return self.after.measurement.plan
+
+    @property
+    def described(self) -> Rival | None:
+        """What describes what is unexplained."""
+        return self.unexplained.empirical if self.unexplained is not None else None
+
+
+def notes(facts: Facts) -> list[str]:
+    """All that is to be said, in the order in which it matters."""
+    return [note for about in _NOTES for note in about(facts)]
+
+
+def _contradicting(facts: Facts) -> list[str]:
+    """That the data contradict what was declared."""
+    if facts.interrupted:
+        return []
+    apart = contradiction(facts.before, facts.after, facts.room)
+    return [apart] if apart else []
+
+
+def _elsewhere(facts: Facts) -> list[str]:
+    """That the check points as a whole are not where the machine is, where no machine is so wrong:
+    of another frame, or of another tool.
+    """
+    after = facts.errors["after"]
+    if after.check is None or after.check_raw is None:
+        return []
+    raw, aligned = after.check_raw.value, after.check.value
+    if raw < _NO_MACHINE_UM or aligned > _ALIGNED * raw:
+        return []
+    return [
+        f"the check points as a whole are {raw / 1e3:.3g} mm off: they are of another tool offset, "
+        "or in another frame; the error after alignment, which leaves that out, is the one to go by"
+    ]
+
+
+def _few_check_points(facts: Facts) -> list[str]:
+    """That a rigid alignment takes six numbers of the errors of few points."""
+    count = 0 if facts.check is None else facts.check.plan.rows
+    if not 0 < count < _FEW_POINTS:
+        return []
+    return [
+        f"there are {count} check points only, and their rigid alignment takes six of the "
+        f"{3 * count} numbers that they tell: the error elsewhere is larger than there after "
+        "alignment; more points tell it"
+    ]
+
+
+def _not_at_the_check(facts: Facts) -> list[str]:
+    """That the error at the check points leaves out effects for want of a column, where it does."""
+    check = facts.check
+    if check is None:
+        return []
+    lacking = {
+        effect.key: [name for name in effect.needs if not check.plan.has(name)]
+        for effect in facts.after.model.effects
+        if effect.where == "machine" and effect.kind != "nuisance"
+    }
+    axes = facts.plan.axes
+    return [
+        f"{key} is not in the error at the check points, which have no "
+        f"{' and no '.join(file_column(name, axes)[0] for name in missing)}: it is that of the "
+        "machine without it there; record it with the check points"
+        for key, missing in lacking.items()
+        if missing
+    ]
+
+
+def _beyond_at_the_check(facts: Facts) -> list[str]:
+    """Which of the effects found are foretold at the check points for times, temperatures or other
+    conditions that were not measured: how they go on there no reading tells.
+    """
+    check = facts.check
+    if check is None:
+        return []
+    plan, said = facts.plan, []
+    for item in facts.found:
+        for name in item.effect.needs if item.effect.where == "machine" else ():
+            if name in plan.axes or not (plan.has(name) and check.plan.has(name)):
+                continue
+            column, unit = file_column(name, plan.axes)
+            known, asked = (unit * np.asarray(p.values(name), float) for p in (plan, check.plan))
+            low, high = np.nanmin(known), np.nanmax(known)
+            room = _BEYOND * (high - low)
+            share = float(((asked < low - room) | (asked > high + room)).mean())
+            if share > _BEYOND:
+                said.append(
+                    f"{item.effect.key} is foretold for {100 * share:.2g} % of the check points "
+                    f"beyond what was measured ({column} {low:.4g} to {high:.4g}, there "
+                    f"{asked.min():.4g} to {asked.max():.4g}): whether it goes on as it did is not "
+                    "part of the uncertainty"
+                )
+    return said
+
+
+def _worse(facts: Facts) -> list[str]:
+    """That held-out readings or check points speak against what was found, where they do."""
+    before, after = facts.errors["before"], facts.errors["after"]
+    what = "what was found describes" if facts.found else "the noise that was found suits"
+    compared = (
+        ("held-out readings are foretold worse", before.heldout, after.heldout),
+        ("the error at the check points is larger", before.check, after.check),
+    )
+    return [
+        f"{said} after closing the loop ({_um(new)}) than before ({_um(old)}): {what} the readings "
+        "that were fitted, no more, and is not to be relied on"
+        for said, old, new in compared
+        if old is not None and new is not None and new.value - old.value > math.hypot(old.u, new.u)
+    ]
+
+
+def _described_at_the_check(facts: Facts) -> list[str]:
+    """What the error at the check points would be with the description of what is unexplained,
+    where that is most of its uncertainty.
+    """
+    described, check, after = facts.described, facts.check, facts.errors["after"]
+    if described is None or check is None or after.check is None:
+        return []
+    value = check_rms(described.fit, check)[0].value
+    apart = abs(value - after.check.value)
+    if not apart > math.sqrt(0.5) * after.check.u:
+        return []
+    return [
+        f"the error at the check points is {_um(after.check)}: with what describes what is "
+        f"unexplained ({in_words(described.effect)}) it would be {value:.3g} µm, which is "
+        "most of its uncertainty"
+    ]
+
+
+def _untold(facts: Facts) -> list[str]:
+    """Which parameters of the effects that were `found` are as uncertain as before: such as an
+    acceleration in a direction in which nothing moved.
+    """
+    told = zip(facts.after.entries, facts.after.information, strict=True)
+    hardly = [(key, p.name) for (key, p), share in told if share < HARDLY_TOLD]
+    return [
+        f"{key}: the readings say next to nothing of {', '.join(names)}; what is given is what "
+        "was known before"
+        for key in dict.fromkeys(item.effect.key for item in facts.found)
+        if (names := [name for its, name in hardly if its == key])
+    ]
+
+
+def _noise(facts: Facts) -> list[str]:
+    """That the readings scatter otherwise than declared."""
+    noise = facts.state.noise
+    if noise is not None and noise.uneven:
+        each = ", ".join(
+            f"{part.name} {part.factor:.2f}" for part in noise.parts if part.u == part.u
+        )
+        return [
+            f"the readings do not scatter alike, in parts of what is declared: {each}; tests and "
+            "uncertainties are with these, or what is declared where that is larger"
+        ]
+    return [
+        f"the readings{f' of {name}' if name else ''} scatter "
+        f"{'at most ' if noise <= LEAST_NOISE else ''}{max(noise, LEAST_NOISE):.2f} times as "
+        "much as declared; uncertainties "
+        + (
+            "are scaled accordingly"
+            if noise > 1
+            else "are left as declared, and what was known before counts for more than it "
+            "would with the noise that was found"
+        )
+        for name, noise in facts.scales.items()
+        if noise != 1.0
+    ]
+
+
+def _little_left(facts: Facts) -> list[str]:
+    """That there are hardly more readings than parameters."""
+    dof = facts.state.fit.dof
+    if dof >= _MANY:
+        return []
+    return [
+        f"only {dof:.0f} degrees of freedom are left beside what is declared: "
+        "effects that are not large go unseen"
+    ]
+
+
+def _stray(facts: Facts) -> list[str]:
+    """That more readings are stray than are left out, and which of those may not be."""
+    plan, fit, said = facts.plan, facts.state.fit, []
+    if astray := too_many(fit):
+        rows = ", ".join(
+            plan.row_name(s.row) for s in sorted(astray, key=lambda s: -s.distance)[:5]
+        )
+        said.append(
+            f"{len(astray)} rows of {fit.used.sum()} are too far out for noise, at random "
+            f"places: more stray readings than are left out; look at them first ({rows}, ...)"
+        )
+    said += [
+        f"row {plan.row_name(row)}, left out, is {where}: had something moved there and stayed, "
+        "that would look the same; more readings of the same would tell"
+        for row, where in at_an_end(fit, [s.row for s in facts.state.strays]).items()
+    ]
+    return said
+
+
+def _other_shapes(facts: Facts) -> list[str]:
+    """Other pitches and moments of what was found."""
+    return [
+        f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well (probability "
+        f"{100 * probability:.2g} %): these positions and times hardly tell them apart"
+        for item in facts.added
+        for shape, probability in item.weighed.other_shapes
+    ]
+
+
+def _went_together(facts: Facts) -> list[str]:
+    """What went together with what an effect follows, and that nobody recorded the time."""
+    names = [name for item in facts.added for name in item.effect.betrayed_by]
+    first = facts.unexplained.depends_on[:1] if facts.unexplained is not None else []
+    return [
+        *confounded(facts.plan, [*names, *first]),
+        *(note for name in first for note in unrecorded_time(facts.plan, name, facts.untestable)),
+    ]
+
+
+def _no_machine(facts: Facts) -> list[str]:
+    """That what remains is nothing that a machine is off by."""
+    worst = fit_rms(facts.state.fit).value
+    if worst <= _NO_MACHINE_UM or chi2_per_dof(facts.state.fit) <= 1e4:
+        return []
+    return [
+        f"what remains is {worst / 1e3:.3g} mm, which no machine is off by: compare the "
+        "columns, signs and units of the first rows with what was measured"
+    ]
+
+
+def _unconverged(facts: Facts) -> list[str]:
+    if facts.state.fit.converged:
+        return []
+    return ["the final fit did not converge: its numbers are not to be relied on"]
+
+
+def _vibrating(facts: Facts) -> list[str]:
+    """A vibration, where it is not told with what is unexplained."""
+    if facts.vibration is None or facts.unexplained is not None:
+        return []
+    return [facts.vibration.words]
+
+
+def _um(it: Rms) -> str:
+    return f"{it.value:.3g} ± {float(f'{it.u:.1g}'):g} µm"
+
+
+def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
+    return ", ".join(
+        f"{p.name} {shape[p.name] / p.si:.4g} {p.unit}" for p in effect.shapes if p.name in shape
+    )
+
+
+_NOTES = (
+    _contradicting,
+    _elsewhere,
+    _few_check_points,
+    _not_at_the_check,
+    _beyond_at_the_check,
+    _worse,
+    _described_at_the_check,
+    _untold,
+    _noise,
+    _little_left,
+    _stray,
+    _other_shapes,
+    _went_together,
+    _no_machine,
+    _unconverged,
+    _vibrating,
+)
