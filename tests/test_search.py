@@ -758,3 +758,25 @@ def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, mo
     large.leniency, run.rejected = 0.0, []
     assert run.step(state) is None
     assert [r.reason for r in run.rejected] == ["does not", "a far likelier one does not hold"]
+
+
+def test_what_can_be_done_without_makes_room(tracker, monkeypatch):
+    """Two effects at most: with one of them gone the search goes on."""
+    put_in = [tracker.effect("backlash:X:size_um=9"), tracker.effect("backlash:Y:size_um=12")]
+    measurement = noisy(tracker, 3, *put_in)
+    prune, dropped = Search.prune, []
+
+    def once(self, state, reached):
+        if dropped:
+            return prune(self, state, reached)
+        dropped.append(self.added(state)[0])
+        less = vcal.loop.search.without(
+            state, vcal.loop.search._place(state, dropped[0]), self.room
+        )
+        return self._drop(dropped[0], less, "for trial")
+
+    monkeypatch.setattr(Search, "prune", once)
+    closure = close_loop(tracker.model, measurement, effects=["backlash"], draws=50, max_effects=2)
+    assert len(dropped) == 1
+    assert sorted(e.effect.key for e in closure.effects) == ["backlash X", "backlash Y"]
+    assert closure.verdict == "named"
