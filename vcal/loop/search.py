@@ -143,10 +143,9 @@ class Search(Adding):
         try:
             found = self._added_to(state, most, goal=declared_chi2(self._description.fit))
             items, description = self.added(found)[begun:], self._description
-            better = len(items) > 1 and likelier(
-                found.scored, _placed(items, found.scored),
-                description.fit, [(len(description.fit.model.effects) - 1, description)],
-            )  # fmt: skip
+            better = len(items) > 1 and self._likelier(
+                found.scored, items, description.fit, [], description
+            )
         finally:
             self._describing = True
             if not better:
@@ -209,7 +208,8 @@ class Search(Adding):
                 self._barred = frozenset()
                 done = self.step(found) is None and self._nothing_left()
             if done and (barred or description is None):
-                done = self._likelier(found, state, items, description)
+                other = state.scored if description is None else description.fit
+                done = self._likelier(found.scored, self.added(found), other, items, description)
         finally:
             self._barred = frozenset()
             if not done:
@@ -231,16 +231,19 @@ class Search(Adding):
         return self._added_to(state, most)
 
     def _likelier(
-        self, found: State, state: State, items: Sequence[Added], description: Rival | None
+        self,
+        one: Fit,
+        mine: Sequence[Added],
+        other: Fit,
+        others: Sequence[Added],
+        description: Rival | None,
     ) -> bool:
-        """Whether a state is clearly likelier than another, of these effects, with what describes
-        what that leaves: on readings that both use, with the noise that the one leaves.
+        """Whether effects in a fit are clearly likelier than others in another fit, which may have
+        a description at its end: on readings that both use, with the noise that the one leaves.
         """
-        one, other = found.scored, state.scored if description is None else description.fit
-        others = _placed(items, other)
+        named, beside = _placed(mine, one), _placed(others, other)
         if description is not None:
-            others.append((len(other.model.effects) - 1, description))
-        mine = _placed(self.added(found), one)
+            beside.append((len(other.model.effects) - 1, description))
         if not np.array_equal(one.whitener, other.whitener):
             keep, whitener = one.used & other.used, one.whitener
             one, other = (
@@ -248,7 +251,7 @@ class Search(Adding):
                          whitener=whitener, keep=keep, room=self.room)
                 for f in (one, other)
             )  # fmt: skip
-        return likelier(one, mine, other, others)
+        return likelier(one, named, other, beside)
 
     def _added_to(
         self, state: State, most: int, but: State | None = None, goal: float = math.inf
