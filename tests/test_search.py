@@ -668,7 +668,8 @@ def test_what_is_barred_lets_others_be_found(monkeypatch, likelier):
     """
 
     def state(*names):
-        return SimpleNamespace(names=names, fit=SimpleNamespace(chi2=2000.0 - 300.0 * len(names)))
+        fit = SimpleNamespace(chi2=2000.0 - 300.0 * len(names))
+        return SimpleNamespace(names=names, fit=fit, scored=names)
 
     def item(name):
         effect = named(name)
@@ -697,8 +698,9 @@ def test_what_is_barred_lets_others_be_found(monkeypatch, likelier):
 
     compared = []
 
-    def compare(found, old, items, description):
-        compared.append((found.names, tuple(i.effect.key for i in items), description))
+    def compare(one, mine, other, others, description):
+        assert tuple(i.effect.key for i in mine) == one
+        compared.append((one, tuple(i.effect.key for i in others), description))
         return likelier
 
     monkeypatch.setattr(search, "step", step)
