@@ -579,7 +579,7 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     backlash = SimpleNamespace(name="backlash")
     found = SimpleNamespace(
         effect=backlash, placement="Y", joint=False, p_value=0.002, status="named", separation="",
-        equivalent=["angular_reversal Y"],
+        equivalent=["angular_reversal Y"], alternatives=[("warm_up", "X", 0.43), ("jump", "", 0.01)],
     )  # fmt: skip
     errors = Errors(Rms(5.2312, 1.26), None, Rms(0.9412, 0.183), Rms(0.9, 0.1), 1.0)
     closure = SimpleNamespace(
@@ -595,6 +595,7 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     shown = " ".join(capsys.readouterr().out.split())
     assert "backlash Y: size_um = 12.0 ± 1.2 um (k = 2), p = 0.002, named" in shown
     assert "not to be told from: angular_reversal Y" in shown
+    assert "it may be instead: warm_up X (43 %)" in shown and "jump" not in shown
     assert "backlash X: size = 12.98 ± 0.42 um (k = 2), declared" in shown and "drift" not in shown
     assert "no more effects may be added" in shown
     assert "rms error, µm, ± one standard uncertainty after" in shown

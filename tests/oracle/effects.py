@@ -40,7 +40,7 @@ Z (translation) or A, B, C (rotation); along the axis itself when it is left out
 | artefact_expansion | coefficient (T_air - 20) ball centre | coefficient (1/K) |
 | probe_lobing | tool off along the approach by radius + amplitude cos(3 phi + phase) | and these |
 | head_expansion | tool against Z by coefficient (T_head - 20) | coefficient (m/K) |
-| frame_expansion | frame along axis by coefficient (T_head - 20) x its share | axis, coefficient |
+| frame_expansion | frame along axis by coefficient (T_head - 20) (share - held) | axis, these |
 | refraction | a beam falls by coefficient/2 dT/dz s^2, s its length | coefficient (1/K) |
 | psd_linearity | a x + b x^3 on reading u or v, x its place on the diode | reading, a, b (1/m^2) |
 

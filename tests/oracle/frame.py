@@ -123,7 +123,7 @@ def frame_readings(
             case "frame_expansion":
                 i = AXES.index(effect["axis"])
                 low, high = run.q[:, i].min(), run.q[:, i].max()
-                share = (run.q[:, i] - 0.5 * (low + high)) / (high - low)
+                share = (run.q[:, i] - low) / (high - low) - effect.get("held", 0.5)
                 warm = run.extra["T_head_degC"] - REFERENCE_TEMPERATURE
                 shift[:, i] += effect["coefficient"] * warm * share
             case "refraction":

@@ -35,6 +35,8 @@ from ..report.derived import (
 from ..report.text import COVERAGE, probability, with_uncertainty
 
 _MOST = 6
+_FEW_RIVALS, _TOLD = 3, 0.05
+"""Rivals of a name that are told, and the least probability of one."""
 _LITTLE = 0.3
 """Share of a travel of which it is said that the measurement covers no more."""
 
@@ -55,6 +57,12 @@ def show_closure(closure: Closure) -> None:
         )
         if found.equivalent:
             console.print(Text(f"    not to be told from: {', '.join(found.equivalent)}"))
+        if instead := [
+            f"{name} {place}".strip() + f" ({100 * p:.0f} %)"
+            for name, place, p in found.alternatives[:_FEW_RIVALS]
+            if p >= _TOLD
+        ]:
+            console.print(Text(f"    it may be instead: {', '.join(instead)}"))
         if found.separation:
             console.print(Text(f"    to be certain: {found.separation}"))
     for effect, listed in declared(closure):

@@ -76,6 +76,10 @@ class Jump(Effect):
             # Where nothing turns, what is on the table jumps as the tool does, the other way.
             if f"{stand}.X" in setup.layout and (stand == "frame" or not setup.chain.linear):
                 yield cls(ports=tuple(f"{stand}.{c}" for c in components), placement=stand)
+        if "frame.X" in setup.layout and setup.chain.linear:
+            # What has not turned is displaced as the tool is, the other way: it must not be taken
+            # for the tool because a whole motion has more parameters.
+            yield cls(ports=tuple(f"frame.{c}" for c in "XYZ"), placement="frame")
 
 
 def _size(port: str) -> str:

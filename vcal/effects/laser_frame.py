@@ -50,10 +50,13 @@ class HeadExpansion(Effect):
 
 @register
 class FrameExpansion(Effect):
-    """The frame grows by k (T_head - 20 degC) from end to end in one direction.
+    """The frame grows by k (T_head - 20 degC) from end to end in one direction: at a place x by
+    (k s + shift) (T_head - 20 degC), s = (x - middle) / length.
 
-    The temperature in the head stands for that of the frame. The beams move with the frame, so that
-    it shows in the direction across them, by their place between the ends of the travel.
+    It is held in the middle of the travel; or, with `shift`, it is not known where: at the low end
+    shift = k / 2, at the high end -k / 2, and what carries the frame may grow too. The temperature
+    in the head stands for that of the frame. The beams move with the frame, so that it shows in the
+    direction across them, by their place between the ends of the travel.
     """
 
     name = "frame_expansion"
@@ -61,10 +64,13 @@ class FrameExpansion(Effect):
     where = "instrument"
     low: float
     high: float
+    held: bool = eqx.field(static=True, default=True)
+    """Whether it is held in the middle."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("k", "um/K", sigma=1.0),)
+        growth = Parameter("k", "um/K", sigma=1.0)
+        return (growth,) if self.held else (growth, Parameter("shift", "um/K", sigma=0.5))
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -72,16 +78,61 @@ class FrameExpansion(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         share = (plan.x(self.placement) - 0.5 * (self.low + self.high)) / (self.high - self.low)
-        return {(f"frame.{self.placement}", "k"): _excess(plan) * share}
+        port, warm = f"frame.{self.placement}", _excess(plan)
+        moved: Response = {(port, "k"): warm * share}
+        return moved if self.held else {**moved, (port, "shift"): warm}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        if "head.Z" not in setup.layout:
-            return
-        for axis in setup.chain.axes:
-            x = np.asarray(setup.plan.x(axis))
-            if x.max() > x.min():
-                yield cls(low=float(x.min()), high=float(x.max()), placement=axis)
+        for axis, low, high in _spans(setup):
+            yield cls(low=low, high=high, placement=axis)
+            yield cls(low=low, high=high, held=False, placement=axis)
+
+
+@register
+class FrameGrowth(Effect):
+    """A frame of one material grows alike in all directions, from wherever it is held: at a place x
+    by (alpha (x - middle) + shift) (T_head - 20 degC) in each direction.
+
+    The temperature in the head stands for that of the frame, and each direction shows across the
+    beams, as with `frame_expansion`.
+    """
+
+    name = "frame_growth"
+    summary = "thermal growth of the frame alike in all directions"
+    where = "instrument"
+    middles: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    """Of the travel of every axis, m."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        shifts = (Parameter(f"shift_{axis}", "um/K", sigma=0.5) for axis, _ in self.middles)
+        return (Parameter("alpha", "um/(m K)", sigma=2.0), *shifts)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (_HEAD, *(axis for axis, _ in self.middles))
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        warm, moved = _excess(plan), {}
+        for axis, middle in self.middles:
+            moved[f"frame.{axis}", "alpha"] = warm * (plan.x(axis) - middle)
+            moved[f"frame.{axis}", f"shift_{axis}"] = warm
+        return moved
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        middles = tuple((axis, 0.5 * (low + high)) for axis, low, high in _spans(setup))
+        if len(middles) > 1:
+            yield cls(middles=middles)
+
+
+def _spans(setup: Setup) -> list[tuple[str, float, float]]:
+    """The axes that move on a laser frame, and from where to where."""
+    if "head.Z" not in setup.layout:
+        return []
+    ends = [(axis, np.asarray(setup.plan.x(axis))) for axis in setup.chain.axes]
+    return [(axis, float(x.min()), float(x.max())) for axis, x in ends if x.max() > x.min()]
 
 
 @register

@@ -261,6 +261,15 @@ def check_rms(fit: Fit, check: CheckPoints, doubts: Sequence[Doubt] = ()) -> tup
     return results[0], results[1]
 
 
+def foretold_rms(fit: Fit, check: CheckPoints) -> float:
+    """The rms volumetric error after alignment that is expected at the check points, um: what the
+    readings leave open of the errors that were declared.
+    """
+    points, jacobian = compensated_points(fit, check.plan)
+    moved = align_rigid(points, jacobian).reshape(-1, len(fit.theta))
+    return math.sqrt(float(((moved @ fit.covariance) * moved).sum()) / len(points)) * 1e6
+
+
 def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """-2 ln of the density that a fit without its fold foretells for every block of readings, up to
     a constant of the readings alone, and the fold of every block.

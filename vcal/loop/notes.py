@@ -17,7 +17,7 @@ from .candidates import Untestable
 from .chance import LEAST_NOISE
 from .closure import Errors, FoundEffect, in_words
 from .confounded import confounded, unrecorded_time
-from .heldout import Rms, check_rms, fit_rms
+from .heldout import Rms, check_rms, fit_rms, foretold_rms
 from .rivals import Rival
 from .state import State, chi2_per_dof
 from .stray import at_an_end, too_many
@@ -33,6 +33,9 @@ _MANY = 50.0
 """Degrees of freedom from which a search is worth its name."""
 _BEYOND = 0.1
 """Share of the span that was measured, and of the check points, from which on these are beyond."""
+_SURELY, _FURTHER = 3.0, 1.5
+"""Standard uncertainties by which an error at the check points is surely beyond so many times what
+is foretold."""
 _FEW_POINTS = 10
 """Check points below which an alignment takes a part of the error that is worth a word."""
 
@@ -170,6 +173,22 @@ def _worse(facts: Facts) -> list[str]:
         "that were fitted, no more, and is not to be relied on"
         for said, old, new in compared
         if old is not None and new is not None and new.value - old.value > math.hypot(old.u, new.u)
+    ]
+
+
+def _beyond_what_is_foretold(facts: Facts) -> list[str]:
+    """That the machine is off at the check points by more than what the readings leave open."""
+    check, after = facts.check, facts.errors["after"].check
+    if check is None or after is None or facts.unexplained is not None:
+        return []
+    foretold = foretold_rms(facts.after, check)
+    if after.value - _SURELY * after.u <= _FURTHER * foretold:
+        return []
+    return [
+        f"the error at the check points is {_um(after)}, where what is declared and what was found "
+        f"foretell {foretold:.3g} µm: these readings do not show all that the machine or the "
+        "instrument has, or the declared family is too narrow; measure in another way, or from "
+        "another place, what they may have taken for the machine's own errors"
     ]
 
 
@@ -322,6 +341,7 @@ _NOTES = (
     _not_at_the_check,
     _beyond_at_the_check,
     _worse,
+    _beyond_what_is_foretold,
     _described_at_the_check,
     _untold,
     _noise,

@@ -17,6 +17,7 @@ from .recorded import angles_around, distinct_covariates
 from .rivals import Rival
 from .screen import Screen
 from .serial import Serial
+from .whitened import declared_chi2
 
 _BINS = 10
 _CLEARLY = 1.2
@@ -280,12 +281,21 @@ def described(
     spread = _from_dependence(fit, told, chi2_per_dof, alpha)
     if spread is None or dependence(best.fit, draws, seed).p_value > alpha:
         return local
-    by_it = local.share_of_variance * max(1.0 - fit.dof / fit.chi2, 0.0)
+    without, beyond = _beyond_noise(fit, best.fit)
+    by_it = local.share_of_variance * max(beyond / without, 0.0)
     return spread if _best(spread) > _CLEARLY * by_it else local
 
 
 def _best(what: Unexplained) -> float:
     return max([*what.shares, *(share for *_, share in what.products)], default=0.0)
+
+
+def _beyond_noise(fit: Fit, described: Fit) -> tuple[float, float]:
+    """Chi-square of a fit, and how much of it is beyond the noise: as declared, or as little as a
+    description leaves. That of the fits themselves may be as large as all that is left.
+    """
+    without, left = declared_chi2(fit), declared_chi2(described)
+    return without, without - fit.dof * min(1.0, left / described.dof)
 
 
 def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> Unexplained:
@@ -303,7 +313,8 @@ def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> 
     words = effect.said(shape)
     shares = dict(told.single)
     depends_on = list(dict.fromkeys([*effect.depends_on(plan, shape), *shares]))
-    drop = (fit.chi2 - best.fit.chi2) / max(fit.chi2 - fit.dof, best.fit.chi2 / fit.dof)
+    without, beyond = _beyond_noise(fit, best.fit)
+    drop = (without - declared_chi2(best.fit)) / max(beyond, without / fit.dof)
     return Unexplained(
         depends_on=depends_on,
         shares=[shares.get(name, 0.0) for name in depends_on],
