@@ -579,7 +579,8 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     backlash = SimpleNamespace(name="backlash")
     found = SimpleNamespace(
         effect=backlash, placement="Y", joint=False, p_value=0.002, status="named", separation="",
-        equivalent=["angular_reversal Y"], alternatives=[("warm_up", "X", 0.43), ("jump", "", 0.01)],
+        equivalent=["angular_reversal Y"],
+        alternatives=[("warm_up", "X", 0.43), ("jump", "", 0.01)],
     )  # fmt: skip
     errors = Errors(Rms(5.2312, 1.26), None, Rms(0.9412, 0.183), Rms(0.9, 0.1), 1.0)
     closure = SimpleNamespace(
