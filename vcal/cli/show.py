@@ -167,7 +167,7 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
             if one.readings is not None
             else f"{rows} rows without readings: a plan",
         ),
-        (f"columns{of}", ", ".join(header)),
+        (f"columns{of}", ", ".join(column for column in header if column)),
         *_ignored(study, one, header, of),
         *_constant(one.plan, header, of),
         *_covered(one, of),
@@ -178,7 +178,7 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
 def _ignored(study: Study, one: DataSet, header: Sequence[str], of: str) -> list[tuple[str, str]]:
     """Columns that count as left out."""
     used = {*read_table(study.folder / one.file, []), *one.instrument.labels}
-    columns = [column for column in header if column not in used]
+    columns = [column for column in header if column and column not in used]
     if not columns:
         return []
     return [(f"ignored{of}", f"{', '.join(columns)}: no more than half of the cells are numbers")]

@@ -20,8 +20,9 @@ class Jump(Effect):
     """A step at an unknown moment: the tool point, the angle of a joint, the instrument's frame, or
     on a table that turns the artefact or the sphere is displaced after.
 
-    Deviation = (t > t0) times a translation (tool, sphere), a rotation about a joint, or a
-    translation and a rotation (frame, artefact). The moment is scanned over the gaps between
+    Deviation = (t > t0) times a translation (tool, sphere), a rotation about a joint, or (frame,
+    artefact) a translation X, Y, Z along the machine's axes and a rotation A, B, C about its own,
+    which `euler_xyz_deg` turns where it is a tracker. The moment is scanned over the gaps between
     successive rows; it has no derivative. Its uncertainty is that of which gap it is, and of where
     in it.
     """

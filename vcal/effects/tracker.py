@@ -106,7 +106,9 @@ class TrackerAxes(Effect):
 
 @register
 class StationDrift(Effect):
-    """The instrument's frame drifts in proportion to time: three translations, three rotations."""
+    """The instrument's frame drifts in proportion to time: three translations X, Y, Z along the
+    axes of the machine, three rotations A, B, C about its own, which `euler_xyz_deg` turns.
+    """
 
     name = "station_drift"
     summary = "drift of the instrument's frame with time"
