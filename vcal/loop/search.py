@@ -28,6 +28,10 @@ _QUICKER = 2.0
 """How many times as much as the best effect so far one that is added later may describe."""
 _EXCHANGES = 1
 """How often one of several effects gives way to others that leave nothing unexplained."""
+_EXCHANGEABLE = 5
+"""Effects from which on none is exchanged: of so many, on data that hold yet more, it would take
+minutes, and leaves something all the same.
+"""
 _BARS = 1
 """How often each of several is not to be the answer, while others are searched for."""
 
@@ -166,7 +170,7 @@ class Search(Adding):
         """
         items = self.added(state)
         left = self.unexplained is not None or self.refused is not None
-        if not left or not self._exchanges or not 1 < len(items) < most:
+        if not left or not self._exchanges or not 1 < len(items) < min(most, _EXCHANGEABLE + 1):
             return None
         for barred in (False, True):
             if barred and not self._bars:
