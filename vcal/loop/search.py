@@ -29,8 +29,8 @@ _QUICKER = 2.0
 _EXCHANGES = 1
 """How often one of several effects gives way to others that leave nothing unexplained."""
 _EXCHANGEABLE = 5
-"""Effects from which on none is exchanged: of so many, on data that hold yet more, it would take
-minutes, and leaves something all the same.
+"""Most effects of which one is exchanged: of more, on data that hold yet others, it would take
+minutes, and something is left all the same.
 """
 _BARS = 1
 """How often each of several is not to be the answer, while others are searched for."""
