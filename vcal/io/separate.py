@@ -63,7 +63,7 @@ def rivals_of(closure: Closure, study: Study, task: Task) -> Wanted | None:
     have the rival's name and place, it is the one that is hardest to tell from the first.
     """
     doubtful = [found for found in closure.effects if found.status == "ambiguous"]
-    if closure.verdict != "ambiguous" or not doubtful:
+    if not doubtful:
         return None
     found = doubtful[-1]
     first = Rival.of(_estimated(found))

@@ -94,13 +94,16 @@ def close_loop(
         state = run.rounds(state, max_effects, reached)
         if run.described_by_noise(state):
             run.unexplained = None
-        if run.unexplained is None and len(run.added(state)) >= max_effects:
-            # What can be done without makes room for what could not be added: once.
-            pruned = run.prune(state, reached)
-            if pruned is not state:
-                state = run.rounds(pruned, max_effects, reached)
         if run.unexplained is None:
-            state, correlated = run.prune_correlated(run.prune(state, reached), reached)
+            pruned, full = run.prune(state, reached), len(run.added(state)) >= max_effects
+            if full and pruned is not state:
+                # What can be done without makes room for what could not be added: once.
+                pruned = run.rounds(pruned, max_effects, reached)
+                if run.unexplained is None:
+                    pruned = run.prune(pruned, reached)
+            state = pruned
+        if run.unexplained is None:
+            state, correlated = run.prune_correlated(state, reached)
             full = len(run.added(state)) >= max_effects
             if learn:
                 progress("learning the sizes of the families")
