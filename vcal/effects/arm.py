@@ -1,4 +1,4 @@
-"""Effects of articulated arms: compliance under gravity, a read-back that lags."""
+"""Effects of articulated arms: compliance under gravity, wobbling axes, a read-back that lags."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Self
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation as Turn
 
-from ..arrays import Array
+from ..arrays import Array, namespace
 from ..chain import Chain
 from ..parameters import Parameter
 from ..plan import Plan
@@ -200,6 +200,65 @@ class BearingCompliance(_Yielding):
         for joint, _, tilt in _loaded(setup):
             if tilt is not None:
                 yield cls(chain=setup.chain, torsion=None, tilt=tilt, placement=joint)
+
+
+@register
+class JointErrorMotion(Effect):
+    """The axis of a revolute joint moves while it turns, and comes round with it (ISO 230-7): the
+    radial error motion (EX, EY) and the tilt error motion (EA, EB) as vectors that turn with n q in
+    the frame of the joint, the axial one (EZ) as a wave, n = 1 or 2.
+
+    Each radial or tilt vector is c (cos n q, sin n q) + s (-sin n q, cos n q); for n = 2 there is
+    one that turns back, too. That which turns back once is none of them: it is a constant error of
+    the link before, which is fitted anyway. What turns the joint itself is `gear_harmonic`.
+    """
+
+    name = "joint_error_motion"
+    summary = "radial, axial and tilt error motion of a joint that comes round with it"
+    order: int = eqx.field(static=True)
+
+    @property
+    def _vectors(self) -> list[tuple[str, str, float, float]]:
+        """Name of the parameters, components, sense in which it turns, and the usual size."""
+        kinds = (("radial", "XY", 20.0), ("tilt", "AB", 100.0))
+        ways = (("", 1.0),) if self.order == 1 else (("", 1.0), ("_back", -1.0))
+        return [(kind + back, pair, way, size) for kind, pair, size in kinds for back, way in ways]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        usual = [(name, "um" if pair == "XY" else "urad", s) for name, pair, _, s in self._vectors]
+        return tuple(
+            Parameter(f"{wave}{self.order}_{name}", unit, sigma=sigma)
+            for name, unit, sigma in (*usual, ("axial", "um", 20.0))
+            for wave in ("sine", "cosine")
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (self.placement,)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        phase = self.order * plan.x(self.placement)
+        xp = namespace(phase)
+        sine, cosine = xp.sin(phase), xp.cos(phase)
+        moved: Response = {
+            (f"EZ{self.placement}", f"sine{self.order}_axial"): sine,
+            (f"EZ{self.placement}", f"cosine{self.order}_axial"): cosine,
+        }
+        for name, (first, second), way, _ in self._vectors:
+            along, across = (f"E{c}{self.placement}" for c in (first, second))
+            moved[along, f"cosine{self.order}_{name}"] = cosine
+            moved[across, f"cosine{self.order}_{name}"] = way * sine
+            moved[along, f"sine{self.order}_{name}"] = -way * sine
+            moved[across, f"sine{self.order}_{name}"] = cosine
+        return moved
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        for joint in setup.chain.joints:
+            if joint.kind == "revolute":
+                for order in (1, 2):
+                    yield cls(order=order, placement=joint.name)
 
 
 @register

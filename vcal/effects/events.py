@@ -9,6 +9,7 @@ from ..arrays import Array, namespace
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup, along
+from .clock import TIME, Clock, clock
 from .registry import register
 
 _STANDS = {"frame": "XYZABC", "target": "XYZABC", "place": "XYZ"}
@@ -24,12 +25,13 @@ class Jump(Effect):
     artefact) a translation X, Y, Z along the machine's axes and a rotation A, B, C about its own,
     which `euler_xyz_deg` turns where it is a tracker. The moment is scanned over the gaps between
     successive rows; it has no derivative. Its uncertainty is that of which gap it is, and of where
-    in it.
+    in it. Where an arm's poses have numbers and no time, t is the number of the pose.
     """
 
     name = "jump"
     summary = "sudden displacement at an unknown moment"
     ports: tuple[str, ...] = eqx.field(static=True)
+    clock: Clock = eqx.field(static=True, default=TIME)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -37,7 +39,7 @@ class Jump(Effect):
             Parameter(_size(port), "um" if port[-1] in "XYZ" else "urad", sigma=self._usual)
             for port in self.ports
         )
-        return (*sizes, Parameter("at", "s", shape=True, smooth=False))
+        return (*sizes, Parameter("at", self.clock.short, shape=True, smooth=False))
 
     @property
     def _usual(self) -> float:
@@ -49,10 +51,10 @@ class Jump(Effect):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return ("t",)
+        return (self.clock.name,)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        later = plan.covariate("t") > shape["at"]
+        later = self.clock.read(plan) > shape["at"]
         after = namespace(later).where(later, 1.0, 0.0)
         return {(port, _size(port)): after for port in self.ports}
 
@@ -65,22 +67,24 @@ class Jump(Effect):
         return {"at": gaps[np.unique(np.linspace(0, len(gaps) - 1, 200).astype(int))]}
 
     def edges(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        return {"at": np.unique(np.asarray(plan.covariate("t")))}
+        return {"at": np.unique(np.asarray(self.clock.read(plan)))}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        yield cls(ports=("tool.X", "tool.Y", "tool.Z"), placement="tool")
+        by = clock(setup)
+        yield cls(ports=("tool.X", "tool.Y", "tool.Z"), clock=by, placement="tool")
         for joint in setup.chain.joints:
             if joint.turns:
-                yield cls(ports=(along(setup.chain, joint.name)[0],), placement=joint.name)
+                yield cls(ports=along(setup.chain, joint.name)[:1], clock=by, placement=joint.name)
         for stand, components in _STANDS.items():
             # Where nothing turns, what is on the table jumps as the tool does, the other way.
             if f"{stand}.X" in setup.layout and (stand == "frame" or not setup.chain.linear):
-                yield cls(ports=tuple(f"{stand}.{c}" for c in components), placement=stand)
+                ports = tuple(f"{stand}.{c}" for c in components)
+                yield cls(ports=ports, clock=by, placement=stand)
         if "frame.X" in setup.layout and setup.chain.linear:
             # What has not turned is displaced as the tool is, the other way: it must not be taken
             # for the tool because a whole motion has more parameters.
-            yield cls(ports=tuple(f"frame.{c}" for c in "XYZ"), placement="frame")
+            yield cls(ports=tuple(f"frame.{c}" for c in "XYZ"), clock=by, placement="frame")
 
 
 def _size(port: str) -> str:

@@ -10,6 +10,7 @@ from ..chain import Chain
 from ..parameters import Parameter
 from ..plan import Plan
 from .base import Effect, Response, Setup, across, along
+from .clock import TIME, Clock, beginning, clock
 from .registry import register
 
 SECONDARY_ODDS = 0.2
@@ -20,11 +21,6 @@ recorded. Where a recorded temperature explains a residual as well as time does,
 
 REFERENCE_DEGC = 20.0
 """ISO 1: the reference temperature for length."""
-
-
-def first_time(setup: Setup) -> float:
-    """Time of the first reading of the plan, s; zero where time was not recorded."""
-    return float(np.min(setup.plan.covariate("t"))) if setup.plan.has("t") else 0.0
 
 
 def _excess(plan: Plan, axis: str) -> Array:
@@ -169,7 +165,8 @@ def _plain(port: str) -> str:
 @register
 class WarmUp(Effect):
     """An axis, or the spindle in a head, that warms up: A (1 - exp(-t / tau)) on one of its error
-    motions, t from `start`; nothing before.
+    motions, t from `start`; nothing before. Where an arm's poses have numbers and no time, t is the
+    number of the pose, and tau so many poses.
 
     tau is scanned in equal steps of its logarithm, from a twentieth of the run to the run: what
     takes longer is a drift in all it shows.
@@ -181,39 +178,42 @@ class WarmUp(Effect):
     port: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
     start: float = 0.0
-    """Time of the first reading, s."""
+    """Time of the first reading, SI."""
+    clock: Clock = eqx.field(static=True, default=TIME)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (
             Parameter(f"size_{_plain(self.port)}", self.unit, sigma=20.0),
-            Parameter("tau", "h", shape=True, coordinate="log"),
+            Parameter("tau", self.clock.long, shape=True, coordinate="log"),
         )
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return ("t",)
+        return (self.clock.name,)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        since = plan.covariate("t") - self.start
+        since = self.clock.read(plan) - self.start
         # Check points may be older than the data: what had not begun is nothing, and not exp(t).
         elapsed = namespace(since).maximum(since, 0.0) / shape["tau"]
         return {(self.port, f"size_{_plain(self.port)}"): 1.0 - namespace(elapsed).exp(-elapsed)}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        span = float(np.ptp(np.asarray(plan.covariate("t")))) or 1.0
+        span = float(np.ptp(np.asarray(self.clock.read(plan)))) or 1.0
         return {"tau": np.geomspace(span / 20.0, span, 14)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        by, start = clock(setup), beginning(setup)
         for port, unit, placement in _warming(setup.chain):
-            yield cls(port=port, unit=unit, start=first_time(setup), placement=placement)
+            yield cls(port=port, unit=unit, start=start, clock=by, placement=placement)
 
 
 @register
 class Drift(Effect):
     """A joint, or the spindle in a head, that drifts in proportion to time: A t on one of its error
-    motions, t from `start`.
+    motions, t from `start`. Where an arm's poses have numbers and no time, t is the number of the
+    pose.
     """
 
     name = "drift"
@@ -222,20 +222,24 @@ class Drift(Effect):
     port: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
     start: float = 0.0
-    """Time of the first reading, s."""
+    """Time of the first reading, SI."""
+    clock: Clock = eqx.field(static=True, default=TIME)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter(f"rate_{_plain(self.port)}", f"{self.unit}/h", sigma=20.0),)
+        unit = f"{self.unit}/{self.clock.long}"
+        return (Parameter(f"rate_{_plain(self.port)}", unit, sigma=self.clock.usual),)
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return ("t",)
+        return (self.clock.name,)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {(self.port, f"rate_{_plain(self.port)}"): plan.covariate("t") - self.start}
+        elapsed = self.clock.read(plan) - self.start
+        return {(self.port, f"rate_{_plain(self.port)}"): elapsed}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        by, start = clock(setup), beginning(setup)
         for port, unit, placement in _warming(setup.chain):
-            yield cls(port=port, unit=unit, start=first_time(setup), placement=placement)
+            yield cls(port=port, unit=unit, start=start, clock=by, placement=placement)

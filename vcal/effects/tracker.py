@@ -9,8 +9,9 @@ from ..parameters import Parameter
 from ..plan import Plan
 from ..ports import COMPONENTS
 from .base import Effect, Response, Setup
+from .clock import TIME, Clock, beginning, clock
 from .registry import register
-from .thermal import TIME_ODDS, first_time
+from .thermal import TIME_ODDS
 
 
 @register
@@ -104,6 +105,12 @@ class TrackerAxes(Effect):
             yield cls()
 
 
+def _rate(c: str, by: Clock) -> Parameter:
+    """The rate at which one component of the instrument's frame drifts."""
+    unit = "um" if c in "XYZ" else "urad"
+    return Parameter(f"rate_{c}", f"{unit}/{by.long}", sigma=by.usual)
+
+
 @register
 class StationDrift(Effect):
     """The instrument's frame drifts in proportion to time: three translations X, Y, Z along the
@@ -114,27 +121,25 @@ class StationDrift(Effect):
     summary = "drift of the instrument's frame with time"
     where = "instrument"
     start: float = 0.0
-    """Time of the first reading, s."""
+    """Time of the first reading, SI."""
+    clock: Clock = eqx.field(static=True, default=TIME)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(
-            Parameter(f"rate_{c}", "um/h" if c in "XYZ" else "urad/h", sigma=20.0)
-            for c in COMPONENTS
-        )
+        return tuple(_rate(c, self.clock) for c in COMPONENTS)
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return ("t",)
+        return (self.clock.name,)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        elapsed = plan.covariate("t") - self.start
+        elapsed = self.clock.read(plan) - self.start
         return {(f"frame.{c}", f"rate_{c}"): elapsed for c in COMPONENTS}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         if "frame.X" in setup.layout:
-            yield cls(start=first_time(setup))
+            yield cls(start=beginning(setup), clock=clock(setup))
 
 
 @register
@@ -151,23 +156,23 @@ class StationSettling(Effect):
     odds = 0.3 * TIME_ODDS
     """So that no place of it is likelier than one of the `drift` that looks the same."""
     start: float = 0.0
-    """Time of the first reading, s."""
+    """Time of the first reading, SI."""
+    clock: Clock = eqx.field(static=True, default=TIME)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        c = self.placement
-        return (Parameter(f"rate_{c}", "um/h" if c in "XYZ" else "urad/h", sigma=20.0),)
+        return (_rate(self.placement, self.clock),)
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return ("t",)
+        return (self.clock.name,)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        elapsed = plan.covariate("t") - self.start
+        elapsed = self.clock.read(plan) - self.start
         return {(f"frame.{self.placement}", f"rate_{self.placement}"): elapsed}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         if "frame.X" in setup.layout:
             for c in COMPONENTS:
-                yield cls(start=first_time(setup), placement=c)
+                yield cls(start=beginning(setup), clock=clock(setup), placement=c)

@@ -12,13 +12,11 @@ import numpy as np
 from ..arrays import Array
 from ..chain import Chain
 from ..effects.base import Effect
+from ..effects.clock import CLOCKS
 from ..effects.data_set import OfDataSet
 from ..plan import Plan, joined, of_set
 from ..rigid import Rotation, Scalar, Vector
 from .base import Instrument, Ports, TableInstrument
-
-CLOCKS = ("t", "order")
-"""Covariates that count from a start of their own, unless they follow each other."""
 
 
 class DataSet(NamedTuple):

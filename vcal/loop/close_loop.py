@@ -7,6 +7,7 @@ from typing import Literal
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
+from ..effects.clock import CLOCKS
 from ..effects.registry import CATALOGUE
 from ..fit import Fit
 from ..identify import identify
@@ -53,7 +54,7 @@ def close_loop(
     alpha: float = 0.01,
     draws: int = 500,
     seed: int = 0,
-    max_effects: int = 6,
+    max_effects: int = 7,
     learn: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Closure:
@@ -258,7 +259,7 @@ def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
     if alone := [name for name in theirs if name not in follows]:
         return f"vary {columns(alone)} independently of {columns(follows)}"
     names = " and ".join(f"{name} {place}".strip() for name, place, _ in rivals)
-    further = "moments and positions" if "t" in follows else "positions"
+    further = "moments and positions" if {*CLOCKS} & {*follows} else "positions"
     return (
         f"it follows {columns(follows) or 'the same'}, and so does {names}: measure at further "
         f"{further}, where their errors differ"

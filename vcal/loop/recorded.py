@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..effects.clock import CLOCKS
 from ..instruments.conditions import file_column
 from ..plan import Plan, of_set
 
@@ -61,7 +62,7 @@ def has_zero(plan: Plan, name: str) -> bool:
     """Whether the zero of a quantity is that of nature: not that of positions, of clocks, of
     numbers of runs, and of temperatures in degC.
     """
-    if name in plan.axes or name in plan.groups or name == "t":
+    if name in plan.axes or name in plan.groups or name in CLOCKS:
         return False
     return not file_column(name, plan.axes)[0].endswith("_degC")
 
