@@ -1,13 +1,19 @@
 """What the loop finds of an arm, whose readings are those of the independent generator."""
 
 import csv
+import dataclasses
 import io
 import math
 
+import numpy as np
 import pytest
 
 from oracle import make_case, write_study
 from vcal import close_loop, load_study
+from vcal.effects.base import Setup
+from vcal.effects.events import Jump
+from vcal.effects.thermal import Drift, WarmUp
+from vcal.effects.tracker import StationDrift, StationSettling
 from vcal.report.compensation import effects_csv
 
 OFF_THE_FLANGE = [0.06, -0.04, 0.05]
@@ -64,3 +70,44 @@ def test_the_gear_of_a_joint_has_its_name_and_pitch(order, tmp_path):
     assert abs(360.0 / pitch - order) <= 3.0 * 360.0 / pitch**2 * u < 0.5
     (sine, us), (cosine, uc) = values["sine"], values["cosine"]
     assert abs(math.hypot(sine, cosine) - 60.0) <= 3.0 * max(us, uc)
+
+
+def test_where_no_time_was_recorded_the_poses_count(tmp_path):
+    """A joint that slips between two poses, and an arm in which nothing does."""
+    case = make_case("reflectors", seed=5, plan={"n": 150})
+    after = 61
+    t0 = 0.5 * float(case.arm_run.t[after - 1] + case.arm_run.t[after])
+    closure = closed(tmp_path / "arm", {"effect": "jump", "joint": 1, "size_urad": 80, "t0_s": t0})
+    assert "t" not in closure.after.measurement.plan.covariates
+    (one,) = closure.effects
+    assert (closure.verdict, one.effect.key) == ("named", "jump J2")
+    values = {name: (value, unit, u) for name, value, unit, u in one.parameters}
+    size, unit, u = values["size"]
+    assert unit == "urad" and abs(size - 80.0) <= 3.0 * u
+    at, unit, _ = values["at"]
+    assert unit == "pose" and after - 1 <= at <= after
+    assert any(row["unit"] == "pose" for row in csv.DictReader(io.StringIO(effects_csv(closure))))
+
+
+def test_effects_of_time_by_pose_are_those_of_time(tmp_path):
+    """Alike, where every pose takes as long: the same deviations, per pose instead of per hour."""
+    case = make_case("reflectors", seed=5, plan={"n": 40}, recording=("t_s",))
+    timed = load_study(write_study(tmp_path / "timed", case))
+    plan, setup = timed.plan, Setup(timed.model.chain, timed.model.layout, timed.plan)
+    every = 36.0  # a hundred poses in an hour
+    clocked = {**plan.covariates, "t": every * plan.covariate("order")}
+    bare = {name: x for name, x in plan.covariates.items() if name != "t"}
+    by_time = dataclasses.replace(setup, plan=dataclasses.replace(plan, covariates=clocked))
+    by_pose = dataclasses.replace(setup, plan=dataclasses.replace(plan, covariates=bare))
+    for cls in (Drift, WarmUp, Jump, StationDrift, StationSettling):
+        for one, other in zip(cls.candidates(by_time), cls.candidates(by_pose), strict=True):
+            assert other.needs == ("order",) and one.needs == ("t",)
+            units = [[p.unit for p in effect.parameters] for effect in (one, other)]
+            assert [u.replace("/pose", "/h").replace("pose", "h" if cls is WarmUp else "s")
+                    for u in units[1]] == units[0]  # fmt: skip
+            shape = {"tau": 1800.0, "at": 36.0 * 20.5}
+            mine = one.response(by_time.plan, shape)
+            theirs = other.response(by_pose.plan, {k: v / every for k, v in shape.items()})
+            per = every if cls in (Drift, StationDrift, StationSettling) else 1.0
+            for key, values in mine.items():
+                np.testing.assert_allclose(values, per * np.asarray(theirs[key]), atol=1e-12)

@@ -468,6 +468,35 @@ def test_effect_on_an_arm_is_the_oracles(text, keys, known):
     assert np.abs(got - it.readings(theta=zero).reshape(got.shape)).max() > 1e-6
 
 
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("back", [False, True])
+def test_an_axis_that_wobbles_is_the_oracles(order, back, known):
+    """Vectors across the axis that turn with n times the joint, and a wave along it."""
+    if back and order == 1:
+        return  # a constant error of the link before
+    it = known["reflectors"]
+    name, way = ("_back", -1.0) if back else ("", 1.0)
+    text = (
+        f"joint_error_motion:J3:cosine{order}_radial{name}_um=9,sine{order}_tilt{name}_urad=40,"
+        f"sine{order}_axial_um=5"
+    )
+    q, nominal = (
+        it.case.arm_run.q,
+        dataclasses.replace(it.case.arm, translation=None, rotation=None),
+    )
+    moved, turned = np.zeros((2, *q.shape, 3))
+    wave = order * q[:, 2]
+    moved[:, 2] = 1e-6 * np.stack([9 * np.cos(wave), 9 * way * np.sin(wave), 5 * np.sin(wave)], 1)
+    turned[:, 2, :2] = 40e-6 * np.stack([-way * np.sin(wave), np.cos(wave)], 1)
+    frames, origins = arm_frames(nominal, q, moved, turned)
+    own = origins[:, -1, None] + np.einsum("nij,kj->nki", frames[:, -1], it.instrument.points)
+    expected = (own - it.instrument.station) @ it.instrument.orientation
+    got = it.readings(it.effect(text), theta=np.zeros(len(it.theta))).reshape(expected.shape)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-9)
+    still = it.readings(theta=np.zeros(len(it.theta))).reshape(expected.shape)
+    assert np.abs(got - still).max() > 1e-5
+
+
 def test_a_joint_that_slips_is_the_oracles(tmp_path):
     it = Known("reflectors", tmp_path, recording=("t_s",))
     run = it.case.arm_run
