@@ -1,5 +1,6 @@
 """`vcal design --next`: what to measure on top of what there is."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import jax
@@ -238,7 +239,10 @@ def test_what_the_loop_left_open(few_points):
     # Of three components the one that is hardest to tell from growth along Y.
     assert wanted.rivals[1].effect.port == "EYY"
     assert wanted.rivals[0].sized and wanted.rivals[0].moment == pytest.approx(0.64)
-    Ended.verdict = "named"
+    # What is unexplained beside it takes no doubt away; a name that is certain does.
+    Ended.verdict = "unexplained"
+    assert rivals_of(Ended, study, task) == wanted
+    Ended.effects = [dataclasses.replace(found, status="named")]
     assert rivals_of(Ended, study, task) is None
 
 

@@ -824,12 +824,16 @@ def test_report_of_circles_that_have_no_error_motions(tmp_path):
 def test_report_of_an_arm(small_arm_study, tmp_path):
     study = load_study(small_arm_study)
     assert study.measurement is not None
-    effects = [CATALOGUE["drift"], CATALOGUE["backlash"]]
+    effects = [CATALOGUE["drift"], CATALOGUE["backlash"], CATALOGUE["thermal_offset"]]
     closure = close_loop(study.model, study.measurement, effects=effects, draws=50)
     write_report(closure, study, tmp_path / "report")
     content = strict(tmp_path / "report" / "report.json")
     assert {"error_motions.png", "held_out.png"} <= set(content["files"])
-    assert {u["reason"] for u in content["untestable"]} == {"the data have no t_s"}
+    # Time is that of the numbers of the poses; temperatures are not.
+    assert {u["effect"] for u in content["untestable"]} == {"thermal_offset"}
+    assert {u["reason"] for u in content["untestable"]} == {
+        f"the data have no T_j{i}_degC" for i in range(1, 4)
+    }
     lines = (tmp_path / "report" / "compensation.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0].split(",")[2] == "position_deg"
     assert len(lines) == 1 + 18 * 41
