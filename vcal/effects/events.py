@@ -15,6 +15,9 @@ from .registry import register
 _STANDS = {"frame": "XYZABC", "target": "XYZABC", "place": "XYZ"}
 """Ports of what stands on the table: an instrument, an artefact, one sphere."""
 
+_STAND_ODDS = 0.3
+"""Prior odds of a displaced stand against a tool that is displaced alike."""
+
 
 @register
 class Jump(Effect):
@@ -40,6 +43,11 @@ class Jump(Effect):
             for port in self.ports
         )
         return (*sizes, Parameter("at", self.clock.short, shape=True, smooth=False))
+
+    @property
+    def odds(self) -> float:  # type: ignore[override]
+        """Of what only moves, the tool is told first: to the readings the stand is the same."""
+        return _STAND_ODDS if self.placement == "frame" and len(self.ports) == 3 else 1.0
 
     @property
     def _usual(self) -> float:
