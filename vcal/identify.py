@@ -10,6 +10,8 @@ solver, so that a new effect, or a new shape, is only new data to a compiled sol
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -21,6 +23,7 @@ from .arrays import Array
 from .chain import Chain
 from .fit import Fit, entries, shape_step
 from .instruments.base import Instrument
+from .kept import Kept
 from .least_squares import Solution, Status, least_squares
 from .measurement import Measurement
 from .model import (
@@ -38,7 +41,7 @@ from .model import (
 from .plan import Plan
 from .programs import outer_filter_jit
 from .spatial import require_float64
-from .walk import Walk
+from .walk import SETTLED, Step, Walk
 
 _SLOTS = 32
 """Parameters and terms are padded to one common multiple of this, so that models of similar size
@@ -46,6 +49,10 @@ share one compiled solver."""
 
 
 _RELINEARISATIONS = 40
+_RANDOM: Kept[list[tuple[str, np.ndarray]]] = Kept(4)
+"""Covariances of the random effects of the last few models."""
+_RIDGE = 1e-12
+"""Beside the squares of columns of unit length: of a combination that is free."""
 
 
 class Problem(NamedTuple):
@@ -93,8 +100,8 @@ def _residual_and_jacobian(
 
 _TOLERANCE = 1e-5
 """Distance to the minimum in standard uncertainties (`vcal.least_squares`)."""
-NEARLY = 1e-3
-"""The same of a fit that is a step on the way: it is off by its square in chi-square."""
+NEARLY, ROUGHLY = 1e-2, 3e-2
+"""The same of fits that are steps on the way: they are off by its square in chi-square."""
 _ENDS = (Status.CONVERGED, Status.SINGULAR)
 """Ends that damping does not change."""
 _STEPS = {False: 24, True: 200}
@@ -147,40 +154,29 @@ def _solve(
 
 
 @outer_filter_jit
-def _evaluate(chain: Chain, instrument: Instrument, plan, problem: Problem, theta: Array):
-    ports = port_values(problem.terms, theta, problem.terms.offset.shape[1])
-    predicted, by_port = observe_with_jacobian(
-        chain, instrument, problem.position, problem.rows, ports
-    )
-    difference = instrument.difference(problem.measured, instrument.reduce(predicted, plan))
+def _evaluate(chain: Chain, instrument: Instrument, plan: Plan, rows, measured: Array, ports):
+    """What readings differ from those of a machine with these ports (n, m), and the derivative of
+    those by the ports (n, m, p). Of any model: compiled once for an instrument and a plan.
+    """
+    predicted, by_port = observe_with_jacobian(chain, instrument, plan.position, rows, ports)
+    difference = instrument.difference(measured, instrument.reduce(predicted, plan))
     return difference, instrument.reduce(by_port, plan)
 
 
-def linearised_terms(
-    model: Model,
-    plan: Plan,
-    shapes: Shapes,
-    theta: np.ndarray,
-    fixed: dict[int, Terms] | None = None,
-) -> Terms:
-    """Terms of all amplitudes, and of the smooth shape parameters at the given amplitudes.
-
-    `fixed` keeps the terms of effects without shape parameters from one call to the next.
-    """
-    fixed = {} if fixed is None else fixed
-    blocks, start, k = [], 0, len(model.entries)
-    for i, effect in enumerate(model.effects):
-        amplitudes = effect.amplitudes
-        if effect.shapes or i not in fixed:
-            fixed[i] = effect_terms(effect, model.layout, plan, shapes.get(i, {}), start)
-        blocks.append(fixed[i])
-        slopes = shape_terms(
-            model, i, plan, shapes[i] if effect.shapes else {}, theta[start:], plan, k
-        )
-        blocks += slopes
-        k += len(slopes)
-        start += len(amplitudes)
+def linearised_terms(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray) -> Terms:
+    """Terms of all amplitudes, and of the smooth shape parameters at the given amplitudes."""
+    blocks = [model.terms(plan, shapes), *_slopes(model, plan, shapes, theta)]
     return concatenate(blocks, plan.rows, len(model.layout))
+
+
+def _slopes(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray) -> list[Terms]:
+    """`shape_terms` of all effects."""
+    found, start = [], 0
+    for i, effect in enumerate(model.effects):
+        first = len(model.entries) + len(found)
+        found += shape_terms(model, i, plan, shapes.get(i, {}), theta[start:], plan, first)
+        start += len(effect.amplitudes)
+    return found
 
 
 def shape_terms(
@@ -263,20 +259,29 @@ def declared_covariances(model: Model, measurement: Measurement) -> list[tuple[s
             part[inside, k, k] = sigma[inside, k] ** 2
             found.append((f"{one} {name}".strip(), part))
     if model.random:
-        ports = np.zeros((plan.rows, len(model.layout)))
-        _, by_port = observe_with_jacobian(
-            model.chain, instrument, plan.position, instrument.rows(plan), ports
-        )
-        by_port = np.asarray(instrument.reduce(by_port, plan))
-        for effect in model.random:
-            for p in effect.amplitudes:
-                # A declared value is the standard deviation itself, known.
-                given = ((p.name, 0.0, p.mean or p.sigma),)
-                own = dataclasses.replace(effect, given=given, priors=())
-                terms = effect_terms(own, model.layout, plan, {})
-                mine = terms.parameter == [q.name for q in effect.amplitudes].index(p.name)
-                c = (by_port[:, :, terms.port] * terms.values[:, None, :])[:, :, mine].sum(2)
-                found.append((f"{effect.key} {p.name}", np.einsum("ni,nj->nij", c, c)))
+        made_of = model.chain, instrument, plan, *model.random
+        found += _RANDOM.of(made_of, lambda: _random_covariances(model, measurement))
+    return found
+
+
+def _random_covariances(
+    model: Model, measurement: Measurement
+) -> list[tuple[str, Float[np.ndarray, "n m m"]]]:
+    """What random effects add to the covariance of every row, through the nominal machine."""
+    plan, instrument, found = measurement.plan, model.instrument, []
+    still = np.zeros((plan.rows, len(model.layout)))
+    rows = instrument.rows(plan)
+    _, by_port = _evaluate(model.chain, instrument, plan, rows, measurement.readings, still)  # type: ignore[arg-type]
+    by_port = np.asarray(by_port)
+    for effect in model.random:
+        for p in effect.amplitudes:
+            # A declared value is the standard deviation itself, known.
+            given = ((p.name, 0.0, p.mean or p.sigma),)
+            own = dataclasses.replace(effect, given=given, priors=())
+            terms = effect_terms(own, model.layout, plan, {})
+            mine = terms.parameter == [q.name for q in effect.amplitudes].index(p.name)
+            c = (by_port[:, :, terms.port] * terms.values[:, None, :])[:, :, mine].sum(2)
+            found.append((f"{effect.key} {p.name}", np.einsum("ni,nj->nij", c, c)))
     return found
 
 
@@ -325,103 +330,174 @@ def identify(
         i: {name: float(value) for name, value in shape.items()}
         for i, shape in model.shapes_at(plan, shapes).items()
     }
-    names = entries(model)
-    size, amplitudes = len(names), len(model.entries)
-    precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in names])
-    # A shape parameter that the data hardly see would run off in its linearisation. What holds it
-    # back by a step of its scan has no say where it stands still.
-    held = np.where([p.shape for _, p in names], 1.0, np.sqrt(precision))
-    estimate = np.zeros(size)
-    if theta is not None:
-        estimate[: len(theta)] = theta
+    precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in entries(model)])
+    size, amplitudes = len(precision), len(model.entries)
+    root = np.sqrt(precision[:amplitudes])
     rows = instrument.rows(plan)
     fixed: dict[int, Terms] = {}
 
-    def solved(
-        shapes: dict[int, dict[str, float]], begin: np.ndarray, still: np.ndarray
-    ) -> _Solved:
-        terms = linearised_terms(model, plan, shapes, begin, fixed)
-        moving = np.concatenate([np.ones(amplitudes, bool), ~still])[terms.parameter]
-        held_terms = terms._replace(values=np.where(moving, terms.values, 0.0))  # type: ignore[arg-type]
+    def at_best(
+        shapes: dict[int, dict[str, float]], begin: np.ndarray, tolerance: float
+    ) -> _AtBest:
+        terms = _amplitude_terms(model, plan, shapes, fixed)
         problem = _padded(
-            Problem(plan.position, rows, measurement.readings, whitener, held_terms, held),  # type: ignore[arg-type]
+            Problem(plan.position, rows, measurement.readings, whitener, terms, root),  # type: ignore[arg-type]
             room,
         )
-        start = _pad(begin, problem.root_precision)
+        start = _pad(begin, len(problem.root_precision))
         given = model.chain, instrument, plan, problem, start, np.asarray(tolerance)
         found, *how = _solve(*given, False)
         if int(how[0]) not in _ENDS:
             found, *how = _solve(*given, True)
-        status, used, cost, rank = how
-        return _Solved(
-            shapes, terms, problem, np.array(found)[:size], Status(int(status)), int(used),
-            float(cost), int(rank) - (len(start) - size),
-        )  # fmt: skip
+        status, steps, cost, rank = how
+        best = np.array(found)[:amplitudes]
+        ports = _ports(terms, best)
+        residual, by_port = (
+            np.asarray(v)
+            for v in _evaluate(model.chain, instrument, plan, rows, measurement.readings, ports)
+        )
+        terms = concatenate(
+            [terms, *_slopes(model, plan, shapes, best)], plan.rows, len(model.layout)
+        )
+        return _AtBest(
+            shapes=shapes,
+            theta=_pad(best, size),
+            amplitudes=amplitudes,
+            precision=precision,
+            status=Status(int(status)),
+            steps=int(steps),
+            solved_cost=float(cost),
+            rank=int(rank) - len(start) + size,
+            residual=residual,
+            by_port=by_port,
+            whitened=np.matmul(whitener, residual[:, :, None]).reshape(-1),
+            jacobian=_by_parameter(np.matmul(whitener, by_port), terms, size),
+        )
 
-    walk, steps = Walk(model, plan, amplitudes, solved), 0
-    for _ in range(_RELINEARISATIONS if size > amplitudes else 1):
-        it, used = walk.solved(current, estimate)
-        steps += used
-        if size == amplitudes:
-            at_best, end = it, it.status
-            break
-        if walk.ends(it):
-            at_best, end = walk.standing, walk.standing.status
-            it = walk.last
-            break
-        current, estimate = walk.onward()
-    else:
-        at_best, end = walk.standing, Status.STEP_LIMIT
-        it = walk.last
-    # With a move that is not made, the amplitudes would be those of another place.
-    estimate, terms = at_best.amplitudes(amplitudes), it.terms
-    residual, by_port = _evaluate(
-        model.chain, instrument, plan, it.problem, _pad(estimate, it.problem.root_precision)
-    )
-    residual, by_port = np.asarray(residual), np.asarray(by_port)
-    by_term = (
-        np.einsum("nij,njp->nip", whitener, by_port)[:, :, terms.port] * terms.values[:, None, :]
-    )
-    gather = np.zeros((len(terms.parameter), size))
-    gather[np.arange(len(terms.parameter)), np.asarray(terms.parameter)] = 1.0
+    begin = np.zeros(amplitudes) if theta is None else np.asarray(theta, float)[:amplitudes]
+    on_the_way = tolerance if size == amplitudes else max(tolerance, NEARLY)
+    place = at_best(current, begin, on_the_way)
+    end, steps = place.status, place.steps
+    if size > amplitudes:
+        walk = Walk[_AtBest](model, plan, max(SETTLED, tolerance**2))
+        for _ in range(_RELINEARISATIONS):
+            if ended := walk.ends(place):
+                break
+            place = at_best(*walk.onward(), on_the_way)
+            steps += place.steps
+        place = walk.last
+        if tolerance < on_the_way:
+            place = at_best(place.shapes, place.theta[:amplitudes], tolerance)
+            steps += place.steps
+        end = place.status if ended else Status.STEP_LIMIT
     return Fit(
         model=model,
         measurement=measurement,
-        theta=estimate,
-        shapes=it.shapes,
-        residual=residual,
+        theta=place.theta,
+        shapes=place.shapes,
+        residual=place.residual,
         whitener=whitener,
-        whitened=np.einsum("nij,nj->ni", whitener, residual).reshape(-1),
-        jacobian=(by_term @ gather).reshape(-1, size),
-        port_jacobian=by_port,
+        whitened=place.whitened,
+        jacobian=place.jacobian,
+        port_jacobian=place.by_port,
         precision=precision,
         status=end,
         steps=steps,
-        rank=it.rank,
+        rank=place.rank,
     )
 
 
-class _Solved(NamedTuple):
-    """The solution of the problem that is linear in the shapes, about some of them."""
+@dataclass(frozen=True)
+class _AtBest:
+    """Some shapes, with all amplitudes at their best there (`vcal.walk.Place`)."""
 
     shapes: dict[int, dict[str, float]]
-    terms: Terms
-    problem: Problem
-    found: np.ndarray
-    """Amplitudes, and by how much the shapes should move (solver units)."""
+    theta: np.ndarray
+    """Amplitudes, and zeros for the moves of the shapes (solver units)."""
+    amplitudes: int
+    precision: np.ndarray
     status: Status
     steps: int
-    cost: float
-    """With the shapes moved, as far as the linear model goes."""
+    solved_cost: float
     rank: int
+    residual: np.ndarray
+    by_port: np.ndarray
+    whitened: np.ndarray
+    jacobian: np.ndarray
+    """By amplitudes and shapes, not with the rows of the prior."""
 
-    def amplitudes(self, count: int) -> np.ndarray:
-        """What was found, the shapes where they are."""
-        return np.where(np.arange(len(self.found)) < count, self.found, 0.0)
+    @cached_property
+    def _linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+        """Of the problem that is linear about here: the step of the amplitudes alone and how they
+        follow the shapes; what pulls at the shapes, and how stiffly they resist, the amplitudes
+        following; what the amplitudes alone have left to gain.
+        """
+        k = self.amplitudes
+        # A shape parameter that the data hardly see would run off in its linearisation. What holds
+        # it back by a step of its scan has no say where it stands still.
+        held = np.where(np.arange(len(self.theta)) < k, self.precision, 1.0)
+        curvature = self.jacobian.T @ self.jacobian + np.diag(held)
+        slope = self.jacobian.T @ self.whitened - self.precision * self.theta
+        right = np.column_stack([slope[:k], curvature[:k, k:]])
+        alone, follow = np.split(_solved_for(curvature[:k, :k], right), [1], axis=1)
+        pull = slope[k:] - curvature[k:, :k] @ alone[:, 0]
+        stiffness = curvature[k:, k:] - curvature[k:, :k] @ follow
+        return alone[:, 0], follow, pull, stiffness, float(slope[:k] @ alone[:, 0])
+
+    @property
+    def cost(self) -> float:
+        """In units of the noise variance."""
+        return self.solved_cost - self._linear[-1]
+
+    def step(self, still: np.ndarray) -> Step:
+        """Where the linear problem goes, with some of the shapes standing still."""
+        alone, follow, pull, stiffness, _ = self._linear
+        moves, free = np.zeros(len(still)), ~still
+        if free.any():
+            moves[free] = _solved_for(stiffness[np.ix_(free, free)], pull[free])
+        amplitudes = self.theta[: self.amplitudes] + alone - follow @ moves
+        return Step(amplitudes, moves, float(pull @ moves))
 
 
-def _pad(values: np.ndarray, like: Array) -> np.ndarray:
-    padded = np.zeros(len(like))
+def _solved_for(curvature: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """curvature^-1 right; a combination that is free to rounding stays where it is."""
+    scale = np.sqrt(np.diag(curvature))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    scaled = curvature / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
+    return (np.linalg.solve(scaled, (right.T / scale).T).T / scale).T
+
+
+def _ports(terms: Terms, theta: np.ndarray) -> Float[np.ndarray, "n p"]:
+    """`port_values`, not traced."""
+    ports = np.array(terms.offset)
+    for column, port, parameter in zip(terms.values.T, terms.port, terms.parameter, strict=True):
+        ports[:, port] += column * theta[parameter]
+    return ports
+
+
+def _by_parameter(
+    by_port: Float[np.ndarray, "n m p"], terms: Terms, size: int
+) -> Float[np.ndarray, "nm k"]:
+    """A derivative by the ports of every row as one by the parameters."""
+    by_term = by_port[:, :, terms.port] * np.asarray(terms.values)[:, None, :]
+    gather = np.zeros((len(terms.parameter), size))
+    gather[np.arange(len(terms.parameter)), np.asarray(terms.parameter)] = 1.0
+    return (by_term @ gather).reshape(-1, size)
+
+
+def _amplitude_terms(model: Model, plan: Plan, shapes: Shapes, fixed: dict[int, Terms]) -> Terms:
+    """`Model.terms`, of effects without shape parameters those that are kept."""
+    blocks, start = [], 0
+    for i, effect in enumerate(model.effects):
+        if effect.shapes or i not in fixed:
+            fixed[i] = effect_terms(effect, model.layout, plan, shapes.get(i, {}), start)
+        blocks.append(fixed[i])
+        start += len(effect.amplitudes)
+    return concatenate(blocks, plan.rows, len(model.layout))
+
+
+def _pad(values: np.ndarray, size: int) -> np.ndarray:
+    padded = np.zeros(size)
     padded[: len(values)] = values
     return padded
 

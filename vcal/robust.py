@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import gammainccinv
 
 from .fit import Fit
-from .identify import NEARLY, declared_whitener, identify
+from .identify import ROUGHLY, declared_whitener, identify
 from .measurement import Measurement
 from .model import Model, Shapes
 
@@ -57,6 +57,6 @@ def identify_robust(
             whitener=whitener * np.sqrt(weights)[:, None, None],
             keep=keep,
             room=room,
-            tolerance=NEARLY,
+            tolerance=ROUGHLY,
         )
     return fit, weights

@@ -13,8 +13,7 @@ step would change nothing, or at a corner of the cost.
 """
 
 import math
-from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -32,8 +31,19 @@ _CORNER = 1e-3
 """What may be left to gain at a corner of the cost, in the same unit."""
 
 
-class Solved(Protocol):
-    """The solution of the problem that is linear in the shapes, about some of them."""
+class Step(NamedTuple):
+    """Where the problem goes that is linear in amplitudes and shapes, from the place it is of."""
+
+    amplitudes: np.ndarray
+    """There (solver units)."""
+    shapes: np.ndarray
+    """By how much the shapes should move (solver units)."""
+    gain: float
+    """What that would take off the cost at the place."""
+
+
+class Place(Protocol):
+    """Some shapes, with all amplitudes at their best there."""
 
     @property
     def shapes(self) -> dict[int, dict[str, float]]:
@@ -41,128 +51,99 @@ class Solved(Protocol):
         ...
 
     @property
-    def found(self) -> np.ndarray:
-        """Amplitudes, and by how much the shapes should move (solver units)."""
-        ...
-
-    @property
-    def steps(self) -> int:
-        """That the solution took."""
-        ...
-
-    @property
     def cost(self) -> float:
-        """In units of the noise variance, with the shapes moved as the linear model has it."""
+        """In units of the noise variance."""
         ...
 
-    def amplitudes(self, count: int) -> np.ndarray:
-        """What was found, the shapes where they are."""
+    def step(self, still: np.ndarray) -> Step:
+        """The step from there, with some of the shapes standing still."""
         ...
 
 
-S = TypeVar("S", bound=Solved)
+P = TypeVar("P", bound=Place)
 
 
-class Walk(Generic[S]):
-    """The way of the shapes of a model, which has so many amplitudes, on a plan.
+class Walk(Generic[P]):
+    """The way of the shapes of a model on a plan, until what is left to gain is less than that."""
 
-    `solve` gives the solution of the problem that is linear about some shapes, from parameters to
-    begin at (solver units), with some of the shapes standing still.
-    """
-
-    def __init__(
-        self,
-        model: Model,
-        plan: Plan,
-        amplitudes: int,
-        solve: Callable[[dict[int, dict[str, float]], np.ndarray, np.ndarray], S],
-    ):
-        self._model, self._amplitudes = model, amplitudes
-        self._solve = solve
+    def __init__(self, model: Model, plan: Plan, settled: float = SETTLED):
+        self._model, self._settled = model, settled
         self._scans = {i: e.scan(plan) for i, e in enumerate(model.effects) if e.shapes}
         self._reach = 1.0
-        self._last: S | None = None
-        self._stood: list[tuple[S, S]] = []
-        """The last one and the one after it, and the same with all shapes where they are."""
+        self._last: tuple[P, Step] | None = None
         self._places: list[np.ndarray] = []
         self._steps: list[np.ndarray] = []
         """Shapes on the way, and by how much they should have moved from there (SI)."""
         self._taken, self._together = 0, False
         """Steps that were not taken back, and whether the next one is that of several together."""
 
-    def solved(self, shapes: dict[int, dict[str, float]], begin: np.ndarray) -> tuple[S, int]:
-        """The linear problem about these shapes, and the steps its solution took."""
-        still = np.zeros(len(begin) - self._amplitudes, bool)
-        if not len(still):
-            it = self._solve(shapes, begin, still)
-            return it, it.steps
-        stood = self._solve(shapes, begin, ~still)
-        steps, begin = stood.steps, stood.amplitudes(self._amplitudes)
-        while True:
-            it = self._solve(shapes, begin, still)
-            steps += it.steps
-            further = ~still & self._beyond(shapes, it.found[self._amplitudes :])
-            if not further.any():
-                kept = [pair for pair in self._stood if pair[0] is self._last]
-                self._stood = [*kept, (it, stood)]
-                return it, steps
-            still = still | further
-
     @property
-    def last(self) -> S:
-        """The last that was not taken back; after the end, where it ended."""
+    def last(self) -> P:
+        """The last place that was not taken back; after the end, where it ended."""
         assert self._last is not None
-        return self._last
+        return self._last[0]
 
-    @property
-    def standing(self) -> S:
-        """The same with all shapes where they are."""
-        return self._standing(self.last)
-
-    def ends(self, it: S) -> bool:
-        """Whether another step would change nothing any more."""
-        if self._standing(it).cost - it.cost < SETTLED:
-            self._last = it
+    def ends(self, place: P) -> bool:
+        """Whether another step from there would change nothing any more."""
+        step = self._step_from(place)
+        if step.gain < self._settled:
+            self._last = place, step
             return True
         if self._last is None:
-            self._last = it
-            self._remember(it)
+            self._last = place, step
+            self._remember()
             return False
-        change, k = it.cost - self._last.cost, self._amplitudes
-        step, before = it.found[k:], self._last.found[k:]
-        growing = change > SETTLED or float(step @ step) > float(before @ before)
-        if self._cornered(it, self._last):
-            self._last = min((it, self._last), key=lambda one: self._standing(one).cost)
+        last, before = self._last
+        change = (place.cost - step.gain) - (last.cost - before.gain)
+        growing = change > self._settled or float(step.shapes @ step.shapes) > float(
+            before.shapes @ before.shapes
+        )
+        if self._cornered((place, step), self._last):
+            self._last = min(((place, step), self._last), key=lambda one: one[0].cost)
             return True
-        if growing and self._rises(it):
+        if growing and place.cost > last.cost + self._settled:
             if not self._together:
                 self._reach /= 4.0
             self._places, self._steps = self._places[-1:], self._steps[-1:]
             return False
         self._taken += 1
-        if step @ before > 0.0:
+        if step.shapes @ before.shapes > 0.0:
             self._reach = min(1.0, 2.0 * self._reach)
-        self._last = it
-        self._remember(it)
+        self._last = place, step
+        self._remember()
         return False
 
     def onward(self) -> tuple[dict[int, dict[str, float]], np.ndarray]:
         """Shapes and amplitudes (solver units) to go on from."""
-        shapes = {i: dict(shape) for i, shape in self.last.shapes.items()}
+        assert self._last is not None
+        place, step = self._last
+        shapes = {i: dict(shape) for i, shape in place.shapes.items()}
         moving = self._moving(shapes)
-        units = np.array([step for _, _, step, _, _ in moving])
-        delta = self._reach * np.clip(self._step(units), -1.0, 1.0)
-        for move, (i, p, step, low, high) in zip(delta, moving, strict=True):
-            shapes[i][p.name] = float(np.clip(shapes[i][p.name] + step * move, low, high))
-        return shapes, self.last.amplitudes(self._amplitudes)
+        units = np.array([unit for _, _, unit, _, _ in moving])
+        delta = self._reach * np.clip(self._next(units), -1.0, 1.0)
+        for move, (i, p, unit, low, high) in zip(delta, moving, strict=True):
+            shapes[i][p.name] = float(np.clip(shapes[i][p.name] + unit * move, low, high))
+        return shapes, step.amplitudes
 
-    def _remember(self, it: S) -> None:
-        moving = self._moving(it.shapes)
-        self._places.append(np.array([it.shapes[i][p.name] for i, p, *_ in moving]))
-        units = np.array([step for _, _, step, _, _ in moving])
-        self._steps.append(units * it.found[self._amplitudes :])
+    def _step_from(self, place: P) -> Step:
+        """The step from a place, none of the shapes beyond an end of its scan."""
+        moving = self._moving(place.shapes)
+        still = np.zeros(len(moving), bool)
+        while True:
+            step = place.step(still)
+            further = ~still & self._beyond(place.shapes, step.shapes)
+            if not further.any():
+                return step
+            still = still | further
 
-    def _step(self, units: np.ndarray) -> np.ndarray:
+    def _remember(self) -> None:
+        assert self._last is not None
+        place, step = self._last
+        moving = self._moving(place.shapes)
+        self._places.append(np.array([place.shapes[i][p.name] for i, p, *_ in moving]))
+        self._steps.append(np.array([unit for _, _, unit, _, _ in moving]) * step.shapes)
+
+    def _next(self, units: np.ndarray) -> np.ndarray:
         """Where to go from the last shapes, in those units."""
         step = self._steps[-1] / units
         self._together = self._taken >= _PLAIN and len(self._steps) > _SECANTS
@@ -175,30 +156,25 @@ class Walk(Generic[S]):
         weights = np.linalg.lstsq(changed, step, rcond=1e-6)[0]
         return step - (moved + changed) @ weights
 
-    def _rises(self, it: S) -> bool:
-        return self._standing(it).cost > self._standing(self.last).cost + SETTLED
-
-    def _standing(self, it: S) -> S:
-        return next(stood for known, stood in self._stood if known is it)
-
-    def _cornered(self, it: S, last: S) -> bool:
+    def _cornered(self, one: tuple[P, Step], other: tuple[P, Step]) -> bool:
         """Whether the minimum is at a corner between two places, with next to nothing to gain: each
         would go past the other one, so that there is no place between them with a slope of zero (as
         of a kink at a position that was measured).
         """
-        steps = [one.found[self._amplitudes :] for one in (it, last)]
-        if (steps[0] * steps[1] > 0.0).any():
+        (here, mine), (there, its) = one, other
+        if (mine.shapes * its.shapes > 0.0).any():
             return False
-        units = self._moving(last.shapes)
         apart = math.hypot(
-            *((it.shapes[i][p.name] - last.shapes[i][p.name]) / step for i, p, step, *_ in units)
+            *(
+                (here.shapes[i][p.name] - there.shapes[i][p.name]) / unit
+                for i, p, unit, *_ in self._moving(there.shapes)
+            )
         )
-        shorter = min(float(np.linalg.norm(step)) for step in steps)
+        shorter = min(float(np.linalg.norm(step.shapes)) for step in (mine, its))
         if not shorter > apart:  # nor where a problem without a solution has no place
             return False
         # Along a step the linear model gains most at first: twice its whole gain over its length.
-        gain = max(self._standing(one).cost - one.cost for one in (it, last))
-        return 2.0 * gain * apart / shorter < _CORNER
+        return 2.0 * max(mine.gain, its.gain) * apart / shorter < _CORNER
 
     def _beyond(self, shapes: dict[int, dict[str, float]], delta: np.ndarray) -> np.ndarray:
         """Which shapes stand at an end of their scan and would go further."""

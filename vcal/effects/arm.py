@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation as Turn
 
 from ..arrays import Array, namespace
 from ..chain import Chain
+from ..kept import Kept
 from ..parameters import Parameter
 from ..plan import Plan
 from ..record import Record
@@ -21,6 +22,8 @@ _KEPT = 0.03
 """Patterns of load below this share of the strongest one are left out."""
 _OFF_AXIS_M = 0.05
 """How far from the axis of the last joint the centre of mass of a tool is expected."""
+_MOMENTS: Kept[np.ndarray] = Kept(32)
+"""Of the joints of a few plans."""
 
 
 def gravity_moments(chain: Chain, position: np.ndarray, joint: str) -> np.ndarray:
@@ -40,6 +43,13 @@ def gravity_moments(chain: Chain, position: np.ndarray, joint: str) -> np.ndarra
     about = np.asarray(chain.joints[j].direction)
     back = Turn.from_rotvec(-position[:, j, None] * chain.joints[j].sign * about)
     return np.einsum("nab,nkb->nka", back.as_matrix(), moments)
+
+
+def _moments(chain: Chain, plan: Plan, joint: str) -> np.ndarray:
+    """`gravity_moments` on a plan, which every round of a search asks for again."""
+    return _MOMENTS.of(
+        (chain, plan, joint), lambda: gravity_moments(chain, np.asarray(plan.position), joint)
+    )
 
 
 @eqx.filter_jit
@@ -139,7 +149,7 @@ class _Yielding(Effect):
         return found
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        moments = gravity_moments(self.chain, np.asarray(plan.position), self.placement)
+        moments = _moments(self.chain, plan, self.placement)
         found = {}
         for name, about, patterns, _ in self._parts:
             for axis in about:
@@ -151,10 +161,9 @@ class _Yielding(Effect):
 
 def _loaded(setup: Setup) -> Iterable[tuple[str, _Patterns | None, _Patterns | None]]:
     """The joints of an arm, with the patterns of their torque and of the moment across them."""
-    position = np.asarray(setup.plan.position)
     for joint in setup.chain.joints:
         if joint.kind == "revolute":
-            moments = gravity_moments(setup.chain, position, joint.name)
+            moments = _moments(setup.chain, setup.plan, joint.name)
             yield joint.name, _Patterns.of(moments[:, :, 2:]), _Patterns.of(moments[:, :, :2])
 
 
