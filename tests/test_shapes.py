@@ -14,7 +14,7 @@ from vcal.effects.cyclic import ScrewCyclic
 from vcal.fit import shape_step
 from vcal.loop.empirical import Kink
 from vcal.loop.heldout import compensated_points
-from vcal.walk import Walk
+from vcal.walk import Step, Walk
 
 
 @pytest.fixture(scope="module")
@@ -100,27 +100,25 @@ def walked(factor: float, start: float, best: float = 0.3) -> tuple[list[float],
     p = SimpleNamespace(name="s", moves=True, si=1.0)
     effect = SimpleNamespace(shapes=(p,), scan=lambda plan: {"s": np.linspace(0.0, 1.0, 11)})
 
-    def solve(shapes, begin, still):
+    def at_best(shapes):
         s = shapes[0]["s"]
         cost = 100.0 * (s - best) ** 2
-        step = 0.0 if still.any() else factor * (best - s) / 0.1
-        # As far as it can see, the linear model leaves half.
-        return SimpleNamespace(
-            shapes=shapes,
-            found=np.array([step]),
-            steps=1,
-            cost=cost if still.any() else 0.5 * cost,
-            amplitudes=lambda count: np.zeros(1),
-        )
 
-    walk = Walk(SimpleNamespace(effects=(effect,)), None, 0, solve)  # type: ignore[arg-type]
-    shapes, begin, places = {0: {"s": start}}, np.zeros(1), []
+        def step(still):
+            # As far as it can see, the linear model leaves half.
+            moves = np.where(still, 0.0, factor * (best - s) / 0.1)
+            return Step(np.zeros(1), moves, 0.0 if still.all() else 0.5 * cost)
+
+        return SimpleNamespace(shapes=shapes, cost=cost, step=step)
+
+    walk = Walk(SimpleNamespace(effects=(effect,)), None)  # type: ignore[arg-type]
+    shapes, places = {0: {"s": start}}, []
     for _ in range(25):
-        it, _ = walk.solved(shapes, begin)
-        places.append(it.shapes[0]["s"])
-        if walk.ends(it):
+        place = at_best(shapes)
+        places.append(shapes[0]["s"])
+        if walk.ends(place):
             return places, True
-        shapes, begin = walk.onward()
+        shapes, _ = walk.onward()
     return places, False
 
 
@@ -235,16 +233,14 @@ def test_a_walk_whose_problem_has_no_solution_is_at_no_corner():
     """Numbers that are none, as of weights beyond all bounds, are not divided by a step of zero."""
     place = SimpleNamespace(
         shapes={0: {"s": np.nan}},
-        found=np.zeros(1),
-        steps=1,
         cost=np.nan,
-        amplitudes=lambda count: np.zeros(1),
+        step=lambda still: Step(np.zeros(1), np.zeros(1), np.nan),
     )
     p = SimpleNamespace(name="s", moves=True, si=1.0)
     effect = SimpleNamespace(shapes=(p,), scan=lambda plan: {"s": np.linspace(0.0, 1.0, 11)})
-    walk = Walk(SimpleNamespace(effects=(effect,)), None, 0, lambda *_: place)  # type: ignore[arg-type]
+    walk = Walk(SimpleNamespace(effects=(effect,)), None)  # type: ignore[arg-type]
     for _ in range(2):
-        assert not walk.ends(walk.solved(place.shapes, np.zeros(1))[0])
+        assert not walk.ends(place)
 
 
 @pytest.mark.parametrize("grid", [[0.2], [0.2, 0.2, 0.2], [0.1, 0.2, 0.2, 0.2]])
