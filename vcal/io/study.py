@@ -584,7 +584,7 @@ def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
     keys = listed(dict.fromkeys(entry.key for entry in flat))
     raise refusal(
         data,
-        f"row {plan.rows} (the last one)",
+        f"row {plan.row_name(plan.rows - 1)} (the last one)",
         f"{readings} readings ({plan.rows} rows of {width}) for {len(flat)} parameters without a "
         f"prior ({keys})",
         f"more than {needed - 1} readings, so that without any one row they are still more than "

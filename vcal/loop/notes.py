@@ -262,9 +262,9 @@ def _little_left(facts: Facts) -> list[str]:
 
 
 def _blank(facts: Facts) -> list[str]:
-    """Which rows have a reading that is blank."""
+    """Which rows are left out as a reading of them is blank."""
     return [
-        f"{rows_in_words(rows)} of {file} left out, as a reading there is blank"
+        f"left out: {rows_in_words(rows)} of {file}, as a reading is blank"
         for file, rows in facts.after.measurement.blank.items()
     ]
 
