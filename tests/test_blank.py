@@ -204,7 +204,7 @@ def test_the_ends_of_a_circle(tmp_path):
     blanked(folder, rows=(1, 2, 59, 60))
     assert load_study(folder).plan.rows == 6 * 60 - 4
     blanked(folder, rows=range(3, 9))
-    with pytest.raises(StudyError, match=r"row 9 .*run 0: found 0.80 of a turn, expected a whole"):
+    with pytest.raises(StudyError, match=r"row 9 .*run 0: found 0.83 of a turn, expected a whole"):
         load_study(folder)
 
 
