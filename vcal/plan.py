@@ -61,7 +61,9 @@ class Plan(Record):
                 f"plan: found the position {self.position[row, column]} of {self.axes[column]} in "
                 f"row {row}, expected a finite number; correct it, or leave the row out"
             )
-        for what, table in (("covariate", self.covariates), ("group", self.groups)):
+        own = {} if self.numbers is None else {"numbers": self.numbers}
+        tables = ("covariate", self.covariates), ("group", self.groups), ("column", own)
+        for what, table in tables:
             for name, values in table.items():
                 if known(values) and values.shape != (self.rows,):
                     raise ValueError(

@@ -149,11 +149,6 @@ class Study:
         )
 
     @property
-    def blank(self) -> dict[str, tuple[int, ...]]:
-        """Numbers of the rows that are left out as a reading of them is blank, by the file."""
-        return {one.file: rows for one in self.sets if (rows := one.table.blank_rows)}
-
-    @property
     def files(self) -> dict[str, str]:
         """The table of every data set by its name; under no name where there is one only."""
         return {one.name: one.file for one in self.sets}
