@@ -266,7 +266,7 @@ class TableInstrument(Instrument):
     labels: ClassVar[tuple[str, ...]] = ()
     """Columns of text in its data table."""
     remembers: ClassVar[bool] = False
-    """Whether `plan` derives of a row what rows before it say, as the last move of a joint.
+    """Whether `plan` derives of a row what other rows say, as the last move of a joint.
 
     Rows of which a reading is blank are left out of the table before an instrument sees it. `plan`
     of one that remembers has them, with the readings of a neighbour, and they are left out of what

@@ -37,10 +37,8 @@ from .nest import COORDINATES, PROBES, Nest, NestSettings, PlaceOfRuns, reading_
 _XYZ = "XYZ"
 PLANES = ("XY", "YZ", "ZX")
 """Planes of circles, in the order of their numbers in a plan."""
-_SLACK = 0.1
-"""Of a turn, that may be missing where the last row stands short of the first, or readings at an
-end of the run are blank. Offset and amplitude are then six per cent more uncertain, at most.
-"""
+_SLACK = 0.02
+"""Of a turn, that may be missing where the last row stands short of the first."""
 _WITHIN = 3.0
 """Factor within which the circle that was travelled is the commanded one."""
 _PER_TURN = 3.0
@@ -89,6 +87,7 @@ class RTest(TableInstrument):
     """
 
     kind = "r_test"
+    remembers = True
     machine: ClassVar[str | None] = "w b X Y Z t"
     labels: ClassVar[tuple[str, ...]] = ("plane",)
     read_otherwise = (*COORDINATES, *PROBES)
@@ -285,8 +284,7 @@ class RTest(TableInstrument):
             raise refuse(
                 "",
                 f"{turns:.2f} of a turn",
-                f"a whole one, or {1.0 - _SLACK:g} of it at least, as offset and amplitude cannot "
-                "be told apart on less",
+                "a whole one at least, as offset and amplitude cannot be told apart on less",
                 "measure longer, or leave the run out",
             )
         if (per_turn := 2.0 * np.pi / (circle.omega * step)) < _PER_TURN:

@@ -496,18 +496,17 @@ def _instrument(
     with calling(settings, kind, "build", f"an instance of {kind.__name__}"):
         instrument = kind.build(settings, chain, table, folder.table)
     check_built(settings, kind, instrument, "build")
-    with calling(settings, kind, "plan", "a vcal.Plan"):
-        plan = instrument.plan(chain, table)
-    check_plan(settings, kind, chain, table, plan)
-    alone = plan
+    # Where the axes were is not known in the others, if that is what was read.
+    remembers = kind.remembers and bool(readings_of(settings, kind, chain.axes))
+    if table is not whole and remembers:
+        expected = "a vcal.Plan, of the rows of which a reading is blank too"
+        with _naming_rows(settings, folder, whole), calling(settings, kind, "plan", expected):
+            plan = instrument.plan(chain, whole)
+        check_plan(settings, kind, chain, whole, plan)
+        plan = jax.tree.map(lambda values: np.asarray(values)[~whole.blank], plan)
+    else:
+        plan = _planned(settings, instrument, chain, table)
     if table is not whole:
-        # Where the axes were is not known in the others, if that is what was read.
-        if kind.remembers and readings_of(settings, kind, chain.axes):
-            expected = "a vcal.Plan, of the rows of which a reading is blank too"
-            with _naming_rows(settings, folder, whole), calling(settings, kind, "plan", expected):
-                plan = instrument.plan(chain, whole)
-            check_plan(settings, kind, chain, whole, plan)
-            plan = jax.tree.map(lambda values: np.asarray(values)[~whole.blank], plan)
         plan = replace(plan, numbers=np.array(table.numbers))
     readings = None
     if measured:
@@ -517,10 +516,23 @@ def _instrument(
         with calling(settings, kind, "start", "the same instrument"):
             instrument = instrument.start(chain, plan, readings)
         check_built(settings, kind, instrument, "start")
-    check_instrument(settings, instrument, chain, table, alone, readings)
+    if settings.kind_file is not None:
+        # It is tried with a table of its own, of which nothing is missing.
+        alone = _planned(settings, instrument, chain, table)
+        check_instrument(settings, instrument, chain, table, alone, readings)
     if readings is not None:
         check_scatter(table, readings_of(settings, kind, chain.axes), instrument, plan, readings)
     return instrument, plan, readings
+
+
+def _planned(
+    settings: InstrumentSettings, instrument: TableInstrument, chain: Chain, table: Table
+) -> Plan:
+    """The checked plan of a table."""
+    with calling(settings, type(instrument), "plan", "a vcal.Plan"):
+        plan = instrument.plan(chain, table)
+    check_plan(settings, type(instrument), chain, table, plan)
+    return plan
 
 
 def _together(sets: Sequence[DataSet], chain: Chain) -> tuple[Instrument, Plan, np.ndarray | None]:
