@@ -188,17 +188,17 @@ TABLES = {
         cell(5, "x_mm", ""),
         ("data.csv, row 5 (line 6), column x_mm", "found an empty cell", "expected a number"),
     ),
-    "a beam that was lost": (
-        cell(5, "range_mm", ""),
-        ("row 5 (line 6), column range_mm", "found an empty cell", "fill it in, or remove the row"),
+    "a time that was not recorded": (
+        cell(5, "t_s", ""),
+        ("row 5 (line 6), column t_s", "found an empty cell", "fill it in, or remove the row"),
     ),
     "a temperature that was not recorded": (
         cell(5, "T_y_degC", ""),
         ("row 5 (line 6), column T_y_degC", "found an empty cell", "the row, or the column"),
     ),
     "NaN": (
-        cell(7, "elevation_rad", "nan"),
-        ("data.csv, row 7 (line 8), column elevation_rad", "'nan'", "a number from -1.570796"),
+        cell(7, "y_mm", "nan"),
+        ("data.csv, row 7 (line 8), column y_mm", "'nan'", "a number from -1000000"),
     ),
     "inf": (
         cell(7, "t_s", "inf"),

@@ -324,7 +324,7 @@ def test_readings_in_millimetres_or_metres(tmp_path, factor):
         ),
         ("x_mm", "20", "data.csv, row 3 (line 4): found the position (20, "),
         ("z_mm", "100", "expected one on the beam from"),
-        ("u_um", "nan", "column u_um"),
+        ("u_um", "inf", "column u_um"),
     ],
 )
 def test_mistakes_in_the_data(tmp_path, column, value, said):

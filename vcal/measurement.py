@@ -1,5 +1,6 @@
 """A plan with the readings taken at it."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +18,10 @@ class Measurement:
     name: str = ""
     aside: np.ndarray | None = field(default=None, repr=False)
     """Rows (n,) that are neither fitted nor foretold, as they do not belong; None: all count."""
+    blank: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    """Numbers of the rows of each table, from 1, that are not in it as a reading of them is blank,
+    by the name of the file.
+    """
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "readings", np.asarray(self.readings, float))
@@ -35,6 +40,12 @@ class Measurement:
     def rows(self) -> int:
         """Number of observations."""
         return self.plan.rows
+
+
+def rows_in_words(numbers: Sequence[int], most: int = 5) -> str:
+    """How many rows, and the numbers of the first `most`: ``"7 rows (2, 3, 5, 8, 9, ...)"``."""
+    shown = [*map(str, numbers[:most]), *(["..."] if len(numbers) > most else [])]
+    return f"{len(numbers)} row{'s' * (len(numbers) > 1)} ({', '.join(shown)})"
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,8 @@ class Plan(Record):
     something to the instrument of one, goes by `of_set`, and is nan in the rows of the others
     (group indices: -1).
     """
+    numbers: Int[Array, " n"] | None = None
+    """Number of every row in its table, from 1, where rows of that are left out; else None."""
 
     def __check_init__(self) -> None:
         if not known(self.position):
@@ -59,7 +61,9 @@ class Plan(Record):
                 f"plan: found the position {self.position[row, column]} of {self.axes[column]} in "
                 f"row {row}, expected a finite number; correct it, or leave the row out"
             )
-        for what, table in (("covariate", self.covariates), ("group", self.groups)):
+        own = {} if self.numbers is None else {"numbers": self.numbers}
+        tables = ("covariate", self.covariates), ("group", self.groups), ("column", own)
+        for what, table in tables:
             for name, values in table.items():
                 if known(values) and values.shape != (self.rows,):
                     raise ValueError(
@@ -113,7 +117,7 @@ class Plan(Record):
 
     def with_position(self, position: Float[Array, "n axes"]) -> "Plan":
         """The same plan at other axis positions."""
-        return Plan(self.axes, position, self.covariates, self.groups, self.sets)
+        return Plan(self.axes, position, self.covariates, self.groups, self.sets, self.numbers)
 
     def elsewhere(self, position: Float[Array, "m axes"], rows: Int[Array, " m"]) -> "Plan":
         """Other positions, each under the conditions of one of the rows; groups are dropped.
@@ -132,7 +136,12 @@ class Plan(Record):
         """The given rows only."""
         pick = lambda table: {k: jnp.asarray(v)[rows] for k, v in table.items()}  # noqa: E731
         return Plan(
-            self.axes, self.position[rows], pick(self.covariates), pick(self.groups), self.sets
+            self.axes,
+            self.position[rows],
+            pick(self.covariates),
+            pick(self.groups),
+            self.sets,
+            None if self.numbers is None else self.numbers[rows],
         )
 
     # --- several data sets ----------------------------------------------------------------------
@@ -160,9 +169,13 @@ class Plan(Record):
         return np.concatenate(ordered)
 
     def place(self, row: int) -> tuple[str, int]:
-        """The data set of a row and its number in it, from 0; no name where there is only one."""
+        """The data set of a row and its number in that one's table, from 0; no name where there is
+        only one.
+        """
         for name, inside in self.parts.items():
             if inside[row]:
+                if self.numbers is not None:
+                    return name, int(self.numbers[row]) - 1
                 return name, int(inside[:row].sum())
         raise IndexError(f"found row {row}, expected one of {self.rows}")
 
@@ -187,7 +200,7 @@ class Plan(Record):
                     found = namespace(here, values).where(here, values, none)
                     own[key.removeprefix(prefix)] = found
             tables.append(own)
-        return Plan(self.axes, self.position, *tables)
+        return Plan(self.axes, self.position, *tables, numbers=self.numbers)
 
     def owned(self, name: str) -> tuple[str, ...]:
         """Covariates of one data set that the others do not share, by the names it uses."""
@@ -237,4 +250,12 @@ def joined(plans: Mapping[str, Plan], own: Mapping[str, Collection[str]]) -> Pla
             column = groups[of_set(name, key)] = np.full(ends[-1], -1)
             column[end - size : end] = values
     position = np.concatenate([np.asarray(plan.position) for plan in plans.values()])
-    return Plan(first.axes, position, covariates, groups, names)
+    numbers = None
+    if any(plan.numbers is not None for plan in plans.values()):
+        numbers = np.concatenate([_numbers(plan) for plan in plans.values()])
+    return Plan(first.axes, position, covariates, groups, names, numbers)
+
+
+def _numbers(plan: Plan) -> Int[np.ndarray, " n"]:
+    """Number of every row in its table, from 1."""
+    return np.arange(1, plan.rows + 1) if plan.numbers is None else np.asarray(plan.numbers)

@@ -17,12 +17,11 @@ from ..io import Study, read_header
 from ..io.declared import choices
 from ..io.messages import shown
 from ..io.study import DataSet, looked_for
-from ..io.table import read_table
 from ..loop.candidates import candidates
 from ..loop.closure import Closure, Errors
 from ..loop.confounded import confounding
 from ..loop.heldout import Rms
-from ..measurement import Measurement
+from ..measurement import Measurement, rows_in_words
 from ..plan import Plan
 from ..report.derived import (
     FEW,
@@ -167,18 +166,25 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
             if one.readings is not None
             else f"{rows} rows without readings: a plan",
         ),
+        *_blank(one, of),
         (f"columns{of}", ", ".join(column for column in header if column)),
-        *_ignored(study, one, header, of),
+        *_ignored(one, header, of),
         *_constant(one.plan, header, of),
         *_covered(one, of),
         *_together(one, header, of),
     ]
 
 
-def _ignored(study: Study, one: DataSet, header: Sequence[str], of: str) -> list[tuple[str, str]]:
+def _blank(one: DataSet, of: str) -> list[tuple[str, str]]:
+    """Rows of which a reading is blank."""
+    if not (rows := one.table.blank_rows):
+        return []
+    return [(f"left out{of}", f"{rows_in_words(rows)}: a reading is blank")]
+
+
+def _ignored(one: DataSet, header: Sequence[str], of: str) -> list[tuple[str, str]]:
     """Columns that count as left out."""
-    used = {*read_table(study.folder / one.file, []), *one.instrument.labels}
-    columns = [column for column in header if column and column not in used]
+    columns = [column for column in header if column and column not in one.table]
     if not columns:
         return []
     return [(f"ignored{of}", f"{', '.join(columns)}: no more than half of the cells are numbers")]

@@ -265,6 +265,13 @@ class TableInstrument(Instrument):
     """
     labels: ClassVar[tuple[str, ...]] = ()
     """Columns of text in its data table."""
+    remembers: ClassVar[bool] = False
+    """Whether `plan` derives of a row what other rows say, as the last move of a joint.
+
+    Rows of which a reading is blank are left out of the table before an instrument sees it. `plan`
+    of one that remembers has them, with the readings of a neighbour, and they are left out of what
+    it gives.
+    """
     read_otherwise: ClassVar[tuple[str, ...]] = ()
     """Columns that it reads with some settings, and not with others: without the readings of its
     own settings, a table that has one is no plan.

@@ -1,5 +1,6 @@
 """Laser tracker: range, azimuth and elevation of a reflector at the tool point."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Self
 
@@ -196,4 +197,4 @@ def _with_read(plan: Plan, readings: Float[np.ndarray, "n 3"]) -> Plan:
     turn = 2.0 * np.pi
     read = {"range": r, "azimuth": azimuth - turn * np.round(azimuth / turn)}
     covariates = {**plan.covariates, **read, "elevation": elevation}
-    return Plan(plan.axes, plan.position, covariates, plan.groups)
+    return dataclasses.replace(plan, covariates=covariates)

@@ -87,6 +87,7 @@ class RTest(TableInstrument):
     """
 
     kind = "r_test"
+    remembers = True
     machine: ClassVar[str | None] = "w b X Y Z t"
     labels: ClassVar[tuple[str, ...]] = ("plane",)
     read_otherwise = (*COORDINATES, *PROBES)

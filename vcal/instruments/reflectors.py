@@ -120,6 +120,7 @@ class Reflectors(TableInstrument):
     """
 
     kind = "reflectors"
+    remembers = True
     Settings = ReflectorsSettings
 
     count: int

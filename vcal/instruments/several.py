@@ -197,7 +197,7 @@ def _replaced(plan: Plan, name: str, rows: slice, part: Plan) -> Plan:
         column = np.array(covariates.get(own, np.full(plan.rows, np.nan)))
         column[rows] = values
         covariates[own] = column
-    return Plan(plan.axes, position, covariates, plan.groups, plan.sets)
+    return Plan(plan.axes, position, covariates, plan.groups, plan.sets, plan.numbers)
 
 
 def with_tool(chain: Chain, offset: Sequence[float] | np.ndarray) -> Chain:

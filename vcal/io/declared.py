@@ -538,7 +538,7 @@ def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: Mapping
         values = ", ".join(f"{name} {mean:g}" for name, mean, _ in effect.given) or "nothing given"
         raise where.refusal(
             "",
-            f"no finite deviation in row {row + 1} with {values}",
+            f"no finite deviation in row {setup.plan.row_name(row)} with {values}",
             "values that make one everywhere",
             "correct the values",
         )

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -89,7 +89,8 @@ class Folder:
         columns: Sequence[Column],
         optional: Callable[[str], Column | None] | None = None,
         labels: Sequence[str] = (),
+        readings: Collection[str] = (),
     ) -> Table:
         """A checked table (`io.table.read_table`)."""
         more: Mapping = {} if optional is None else {"optional": optional}
-        return read_table(self.path(name), columns, name, labels=labels, **more)
+        return read_table(self.path(name), columns, name, labels=labels, readings=readings, **more)

@@ -200,5 +200,5 @@ def _check_column(
         ) from error
     if not np.isfinite(values).all():
         row = int(np.argmin(np.isfinite(values)))
-        found = f"{values[row]} for {key!r} in row {row + 1}"
+        found = f"{values[row]} for {key!r} in row {plan.row_name(row)}"
         raise trial.refusal("response", found, "finite numbers")

@@ -41,6 +41,7 @@ _ATTRIBUTES: tuple[Attribute, ...] = (
     ("machine", lambda v: v is None or isinstance(v, str), "a chain in quotes, or None"),
     ("rotary", lambda v: isinstance(v, bool), "True or False"),
     ("positioned", lambda v: isinstance(v, bool), "True or False"),
+    ("remembers", lambda v: isinstance(v, bool), "True or False"),
     ("labels", _texts, 'a tuple of columns, as in ("plane",)'),
     ("read_otherwise", _texts, 'a tuple of columns, as in ("p1_mm",)'),
     ("derived", _texts, 'a tuple of covariates, as in ("range",)'),

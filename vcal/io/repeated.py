@@ -28,8 +28,8 @@ def check_repeated(table: Table, readings: Collection[str]) -> None:
     more = f", and {len(repeated) - 1} more rows that repeat one" if len(repeated) > 1 else ""
     raise refusal(
         table.name,
-        f"row {row + 1} (line {table.lines[row]})",
-        f"what is in row {earlier + 1} (line {table.lines[earlier]}) again, in every column{more}",
+        table.where(row),
+        f"what is in {table.where(earlier)} again, in every column{more}",
         "every reading once, as it counts twice otherwise",
         "remove the rows; where the same was really measured again, tell it apart by a column such "
         "as t_s or run",

@@ -47,9 +47,10 @@ def run_table(
     file: str,
     key: str,
 ) -> tuple[Table, bool]:
-    """The checked table of a run, and whether it holds readings.
+    """The checked table of a run, and whether it holds readings, of which some may be blank.
 
-    Raises `StudyError` for what the instrument, the machine or `Folder.table` refuses.
+    Where what is read are the positions of the linear axes, these may be: a ball that was not found
+    has none. Raises `StudyError` for what the instrument, the machine or `Folder.table` refuses.
     """
     kind = instrument_class(settings, folder)
     header = folder.header(name)
@@ -63,21 +64,28 @@ def run_table(
         known = {*kind.labels, *(c.name for c in columns)}
         further = [c for c in header if c not in known and not _condition(c)]
         check_unread(name, kind.kind, further, reading_names, kind.read_otherwise)
-    table = folder.table(name, columns, _condition, labels=kind.labels)
-    if table.rows < _FEWEST_ROWS:
+    # Of an instrument without columns of its own, what is read are the positions.
+    linear = {file_column(axis, chain.axes)[0] for axis in chain.axes if axis in LINEAR}
+    read = reading_names or {c.name for c in places} & linear
+    table = folder.table(
+        name, columns, _condition, labels=kind.labels, readings=read if measured else ()
+    )
+    told = table.told
+    if told.rows < _FEWEST_ROWS:
         raise refusal(
             name,
-            f"row {table.rows} (line {table.lines[-1]}), column {columns[0].name}",
-            f"the end of the table after {table.rows} row(s)",
+            f"{table.where(table.rows - 1)}, column {columns[0].name}",
+            f"the end of the table after {told.rows} row(s)"
+            + ("" if told is table else " of which no reading is blank"),
             f"at least {_FEWEST_ROWS} rows",
             "measure more points",
         )
     _check_spelling(table, [c.name for c in columns])
     _check_names(table, chain, (*kind.labels, *reading_names))
-    _check_conditions(table, chain)
+    # Where the axes were is not known in the others, if that is what was read.
+    _check_conditions(table if reading_names else told, chain)
     if measured:
-        # Of an instrument without columns of its own, what is read are the positions.
-        check_repeated(table, reading_names or {c.name for c in places})
+        check_repeated(told, reading_names or {c.name for c in places})
     return table, measured
 
 
@@ -306,7 +314,7 @@ def _check_tool_points(table: Table, chain: Chain) -> None:
     if off[row] > _MOST_OFF * size:
         raise refusal(
             table.name,
-            f"row {row + 1} (line {table.lines[row]}), columns {listed(_TOOL_POINT)}",
+            f"{table.where(row)}, columns {listed(_TOOL_POINT)}",
             f"a tool point that is {off[row]:.4g} mm off, after the rigid motion that fits all of "
             "them best to the positions",
             f"one that follows the positions to {_MOST_OFF * size:.4g} mm, all in millimetres",

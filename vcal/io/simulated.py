@@ -24,7 +24,7 @@ from .folder import check_way
 from .messages import refusal, shown
 from .settings import COMPUTABLE, EffectSettings, computable, read_setup
 from .study import DataSet, Study
-from .table import read_header, read_table, write_table
+from .table import Table, read_header, write_table
 
 _CHECK_ROWS = 400
 _MOST_NOISE = 1e6
@@ -247,14 +247,13 @@ def _setup(study: Study, overrides: Mapping[str, Any] | Sequence[str]) -> str:
 
 def _data(study: Study, one: DataSet, result: Simulated) -> dict[str, np.ndarray]:
     """The own columns of a data set, with the positions and readings of the simulation."""
-    own = read_table(study.folder / one.file, [])
     plan, readings = result.measurement.plan, result.measurement.readings
     if one.name:
         width = len(one.instrument.readings)
         plan, readings = plan.part(one.name), readings[plan.in_set(one.name), :width]
     # The model is that of the study, whose instrument this is. A column keeps the name that it
     # has in the file, T_X_degC say.
-    axes = study.chain.axes
+    axes, own = study.chain.axes, one.table
     names = {inside_name(name, axes): name for name in own}
     made = {
         names.get(inside_name(name, axes), name): values
@@ -262,7 +261,22 @@ def _data(study: Study, one: DataSet, result: Simulated) -> dict[str, np.ndarray
     }
     # Inside, time counts from `start_s` on.
     clock = {name: own[name] for name in ("t_s",) if name in own}
-    return {**own, **made, **clock}
+    return {**own, **{name: _in_place(own, name, values) for name, values in made.items()}, **clock}
+
+
+def _in_place(table: Table, column: str, values: np.ndarray) -> np.ndarray:
+    """A column that was made for the rows whose readings are there, in all rows of the table: what
+    was not read is not read now.
+    """
+    if not table.blank.any():
+        return values
+    values = np.asarray(values)
+    if column in table and column not in table.read:
+        whole = np.array(table[column])
+    else:
+        whole = np.full(table.rows, np.nan)
+    whole[~table.blank] = values
+    return whole
 
 
 def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndarray] | None:
@@ -322,7 +336,7 @@ def _check_readable(study: Study, one: DataSet, table: Mapping[str, np.ndarray])
     """What was simulated must be such that it can be read again as data."""
     for column in one.instrument.columns(one.settings, study.chain.axes, readings=True):
         values = np.asarray(table[column.name], float)
-        bad = ~((values >= column.low) & (values <= column.high))
+        bad = ~((values >= column.low) & (values <= column.high) | one.table.blank)
         if bad.any():
             row = int(np.argmax(bad))
             raise refusal(

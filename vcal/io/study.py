@@ -1,12 +1,14 @@
 """A study: everything in one folder, read, checked and built."""
 
+import contextlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from ..catalogue import nearest
@@ -73,6 +75,8 @@ class DataSet:
     plan: Plan
     readings: np.ndarray | None
     """(n, m), SI; None for a table without reading columns."""
+    table: Table
+    """All of it, with the rows of which a reading is blank, which are not in the plan."""
 
     @property
     def label(self) -> str:
@@ -139,7 +143,9 @@ class Study:
         """How many, and of how many readings, in words."""
         return "; ".join(
             f"{one.plan.rows} observations of {len(one.instrument.readings)} readings"
+            + (f" ({count} more with a blank one left out)" if count else "")
             for one in self.sets
+            for count in [len(one.table.blank_rows)]
         )
 
     @property
@@ -198,7 +204,8 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
     instrument, plan, readings = _together(sets, chain)
     measurement = None
     if readings is not None:
-        measurement = Measurement(plan, readings, settings.name or path.parent.name)
+        blank = {one.file: rows for one in sets if (rows := one.table.blank_rows)}
+        measurement = Measurement(plan, readings, settings.name or path.parent.name, blank=blank)
     model = Model(chain, instrument)
     if settings.model.geometric is not None:
         model = model.with_effects(geometric_errors(settings.model.geometric, chain, folder, file))
@@ -459,29 +466,48 @@ def _data_set(
     """One data set; `key` is where the study file has it."""
     table, measured = run_table(table_name, settings, chain, folder, file, key)
     try:
-        instrument, plan, readings = _instrument(settings, chain, table, measured, folder)
-    except RowError as error:
-        check_row(settings, instrument_class(settings, folder), error.row, table.rows)
-        place = f", {error.place}" if error.place else ""
-        where = f"row {error.row + 1} (line {table.lines[error.row]}){place}"
-        raise StudyError(f"{table.name}, {where}: {error.what}") from error
+        with _naming_rows(settings, folder, table.told):
+            instrument, plan, readings = _instrument(settings, chain, table, measured, folder)
     except KeyedError as error:
         own = key if error.key.startswith("instrument.") else ""
         raise StudyError(f"{file}, key {own}{error.key}: {error.what}") from error
-    return DataSet(name, table_name, settings, instrument, chain, plan, readings)
+    return DataSet(name, table_name, settings, instrument, chain, plan, readings, table)
+
+
+@contextlib.contextmanager
+def _naming_rows(settings: InstrumentSettings, folder: Folder, table: Table) -> Iterator[None]:
+    """Tell a row of this table that an instrument refuses by its number in the file."""
+    try:
+        yield
+    except RowError as error:
+        check_row(settings, instrument_class(settings, folder), error.row, table.rows)
+        place = f", {error.place}" if error.place else ""
+        where = f"{table.where(error.row)}{place}"
+        raise StudyError(f"{table.name}, {where}: {error.what}") from error
 
 
 def _instrument(
-    settings: InstrumentSettings, chain: Chain, table: Table, measured: bool, folder: Folder
+    settings: InstrumentSettings, chain: Chain, whole: Table, measured: bool, folder: Folder
 ) -> tuple[TableInstrument, Plan, np.ndarray | None]:
-    """The instrument of a table, started from its readings, where there are any."""
-    kind = instrument_class(settings, folder)
+    """The instrument of a table, started from its readings, where there are any; plan and readings
+    of the rows of which none is blank.
+    """
+    kind, table = instrument_class(settings, folder), whole.told
     with calling(settings, kind, "build", f"an instance of {kind.__name__}"):
         instrument = kind.build(settings, chain, table, folder.table)
     check_built(settings, kind, instrument, "build")
-    with calling(settings, kind, "plan", "a vcal.Plan"):
-        plan = instrument.plan(chain, table)
-    check_plan(settings, kind, chain, table, plan)
+    # Where the axes were is not known in the others, if that is what was read.
+    remembers = kind.remembers and bool(readings_of(settings, kind, chain.axes))
+    if table is not whole and remembers:
+        expected = "a vcal.Plan, of the rows of which a reading is blank too"
+        with _naming_rows(settings, folder, whole), calling(settings, kind, "plan", expected):
+            plan = instrument.plan(chain, whole)
+        check_plan(settings, kind, chain, whole, plan)
+        plan = jax.tree.map(lambda values: np.asarray(values)[~whole.blank], plan)
+    else:
+        plan = _planned(settings, instrument, chain, table)
+    if table is not whole:
+        plan = replace(plan, numbers=np.array(table.numbers))
     readings = None
     if measured:
         with calling(settings, kind, "measured", "readings in SI from the columns of the table"):
@@ -490,10 +516,23 @@ def _instrument(
         with calling(settings, kind, "start", "the same instrument"):
             instrument = instrument.start(chain, plan, readings)
         check_built(settings, kind, instrument, "start")
-    check_instrument(settings, instrument, chain, table, plan, readings)
+    if settings.kind_file is not None:
+        # It is tried with a table of its own, of which nothing is missing.
+        alone = _planned(settings, instrument, chain, table)
+        check_instrument(settings, instrument, chain, table, alone, readings)
     if readings is not None:
         check_scatter(table, readings_of(settings, kind, chain.axes), instrument, plan, readings)
     return instrument, plan, readings
+
+
+def _planned(
+    settings: InstrumentSettings, instrument: TableInstrument, chain: Chain, table: Table
+) -> Plan:
+    """The checked plan of a table."""
+    with calling(settings, type(instrument), "plan", "a vcal.Plan"):
+        plan = instrument.plan(chain, table)
+    check_plan(settings, type(instrument), chain, table, plan)
+    return plan
 
 
 def _together(sets: Sequence[DataSet], chain: Chain) -> tuple[Instrument, Plan, np.ndarray | None]:
@@ -552,7 +591,7 @@ def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
     keys = listed(dict.fromkeys(entry.key for entry in flat))
     raise refusal(
         data,
-        f"row {plan.rows} (the last one)",
+        f"row {plan.row_name(plan.rows - 1)} (the last one)",
         f"{readings} readings ({plan.rows} rows of {width}) for {len(flat)} parameters without a "
         f"prior ({keys})",
         f"more than {needed - 1} readings, so that without any one row they are still more than "

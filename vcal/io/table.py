@@ -4,7 +4,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,22 +30,49 @@ class Table(dict[str, np.ndarray]):
     Data rows count from 1 below the header; the line number differs where lines are empty.
     """
 
-    def __init__(self, name: str, lines: Sequence[int]):
+    def __init__(
+        self, name: str, lines: Sequence[int], numbers: Sequence[int] = (), read: Sequence[str] = ()
+    ):
         super().__init__()
         self.name = name
         """The file as the user knows it."""
         self.lines = tuple(lines)
         """Line of the file per data row."""
+        self.numbers = tuple(numbers) or tuple(range(1, len(self.lines) + 1))
+        """Number per data row, from 1, as the file counts them."""
+        self.read = frozenset(read)
+        """Columns of readings, in which cells may be blank."""
+        self.blank = np.zeros(len(self.lines), bool)
+        """Rows of which a reading is blank; in its place is that of a neighbour."""
 
     @property
     def rows(self) -> int:
         """Number of data rows."""
         return len(self.lines)
 
+    @property
+    def told(self) -> "Table":
+        """The rows of which every reading is there."""
+        if not self.blank.any():
+            return self
+        rows = np.flatnonzero(~self.blank)
+        lines, numbers = ([of[row] for row in rows] for of in (self.lines, self.numbers))
+        found = Table(self.name, lines, numbers, tuple(self.read))
+        found.update({name: values[rows] for name, values in self.items()})
+        return found
+
+    @property
+    def blank_rows(self) -> tuple[int, ...]:
+        """Numbers of the rows of which a reading is blank."""
+        return tuple(self.numbers[row] for row in np.flatnonzero(self.blank))
+
+    def where(self, row: int) -> str:
+        """A row, which counts from 0, as the file has it."""
+        return f"row {self.numbers[row]} (line {self.lines[row]})"
+
     def refusal(self, row: int, column: str, found: str, expected: str, do: str) -> StudyError:
         """The error to raise for one cell; `row` counts from 0."""
-        where = f"row {row + 1} (line {self.lines[row]}), column {column}"
-        return refusal(self.name, where, found, expected, do)
+        return refusal(self.name, f"{self.where(row)}, column {column}", found, expected, do)
 
 
 def _nothing(name: str) -> Column | None:
@@ -66,6 +93,7 @@ def read_table(
     *,
     optional: Callable[[str], Column | None] = _nothing,
     labels: Sequence[str] = (),
+    readings: Collection[str] = (),
 ) -> Table:
     """Columns of a CSV file with a header line, as float64 in the units of the file.
 
@@ -78,13 +106,17 @@ def read_table(
     be), and is ignored otherwise; so is an optional one that may be `sparse`, and one without a
     name. `base_name` is what messages call the file.
 
+    Of the columns of `readings` a cell may be blank, that is, empty or NaN: what was not read.
+    `Table.blank` has the rows of these, and the cell the number of the row before (of the next one
+    where there is none), so that whoever looks at the whole table finds a plausible one.
+
     Raises `StudyError` for a file that is missing, empty or cut off, a column that is missing or
     there twice, and a cell that is not a finite number, not whole where it must be, outside its
-    range, or an index that repeats.
+    range, or an index that repeats; for readings that are all blank.
     """
     path = Path(path)
     header, lines, rows = _cells(path, base_name or path.name)
-    table = Table(base_name or path.name, lines)
+    table = Table(base_name or path.name, lines, read=tuple(readings))
     asked = {column.name: column for column in columns}
     for name in (*labels, *asked):
         if name not in header:
@@ -105,7 +137,11 @@ def read_table(
             numbers = sum(math.isfinite(_number(cell)) for cell in cells)
             if 2 * numbers <= len(cells):
                 continue
-        table[name] = _checked(table, column or Column(name=name), cells, name in asked)
+        blank = np.array([name in readings and _is_blank(cell) for cell in cells])
+        if blank.all():
+            raise _nothing_read(table, name)
+        table.blank |= blank
+        table[name] = _checked(table, column or Column(name=name), cells, name in asked, blank)
         table[name].flags.writeable = False
     for column in columns:
         if column.unique_with:
@@ -249,11 +285,32 @@ def _number(cell: str) -> float:
         return math.nan
 
 
-def _checked(table: Table, column: Column, cells: Sequence[str], needed: bool) -> np.ndarray:
+def _is_blank(cell: str) -> bool:
+    """Whether a cell says that nothing was read, as spreadsheets and programs write it."""
+    return cell.strip().lower() in ("", "nan")
+
+
+def _nothing_read(table: Table, column: str) -> StudyError:
+    return refusal(
+        table.name,
+        f"{table.where(0)} to {table.where(table.rows - 1)}, column {column}",
+        "an empty cell in every row",
+        "a reading in most of them",
+        "fill them in, or remove all columns of readings where nothing was measured yet",
+    )
+
+
+def _checked(
+    table: Table, column: Column, cells: Sequence[str], needed: bool, blank: np.ndarray
+) -> np.ndarray:
     values = np.array([_number(cell) for cell in cells])
     # A file of ten digits may round a value at the bound to just beyond it.
     slack = 1e-9 * max((abs(b) for b in (column.low, column.high) if math.isfinite(b)), default=0)
     expected = _range(column)
+    # The number of the row before stands for what is blank; of the next one at the beginning.
+    there = np.flatnonzero(~blank)
+    before = np.searchsorted(there, np.arange(len(values)), side="right") - 1
+    values = values[there[np.maximum(before, 0)]]
     bad = ~np.isfinite(values)
     if not bad.any() and column.integer:
         bad = values != np.round(values)
@@ -264,7 +321,7 @@ def _checked(table: Table, column: Column, cells: Sequence[str], needed: bool) -
         bad = np.abs(values) > most
         expected = f"{expected}, no more than {most:g} in size"
     if bad.any():
-        row = int(np.argmax(bad))
+        row = int(np.argmax(bad & ~blank))
         found, do = cells[row].strip(), "correct the value"
         if not math.isfinite(values[row]):
             # What was not recorded cannot be corrected: neither a reading nor a condition.

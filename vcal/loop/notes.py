@@ -10,7 +10,7 @@ import numpy as np
 from ..effects.base import Effect
 from ..fit import HARDLY_TOLD, Fit
 from ..instruments.conditions import file_column
-from ..measurement import CheckPoints
+from ..measurement import CheckPoints, rows_in_words
 from ..plan import Plan
 from .adding import Added
 from .candidates import Untestable
@@ -261,6 +261,14 @@ def _little_left(facts: Facts) -> list[str]:
     ]
 
 
+def _blank(facts: Facts) -> list[str]:
+    """Which rows are left out as a reading of them is blank."""
+    return [
+        f"left out: {rows_in_words(rows)} of {file}, as a reading is blank"
+        for file, rows in facts.after.measurement.blank.items()
+    ]
+
+
 def _stray(facts: Facts) -> list[str]:
     """That more readings are stray than are left out, and which of those may not be."""
     plan, fit, said = facts.plan, facts.state.fit, []
@@ -346,6 +354,7 @@ _NOTES = (
     _untold,
     _noise,
     _little_left,
+    _blank,
     _stray,
     _other_shapes,
     _went_together,

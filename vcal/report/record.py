@@ -81,6 +81,10 @@ def record(
             {**_place(stray.row, plan), "distance": stray.distance, "p_value": stray.p_value}
             for stray in closure.suspected
         ],
+        "blank_readings": [
+            {"file": file, "rows": list(rows)}
+            for file, rows in closure.after.measurement.blank.items()
+        ],
         "rejected": [
             {
                 "effect": tried.effect,
