@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from known import Known
 from vcal import identify, load_study
-from vcal.identify import declared_covariances
+from vcal.declared_noise import declared_covariances
 from vcal.instruments.base_drift import _RATIOS, BaseDrift, _costs
 from vcal.spatial import best_rigid
 

@@ -9,7 +9,7 @@ from oracle import make_case, write_study
 from oracle.kinematics import Smooth
 from vcal import close_loop, identify, load_study
 from vcal.basis import Matern
-from vcal.identify import declared_whitener
+from vcal.declared_noise import declared_whitener
 from vcal.loop.close_loop import Closure
 from vcal.loop.heldout import compensated_points, foretold_rms
 from vcal.loop.stray import stray_rows

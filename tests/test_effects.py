@@ -22,13 +22,14 @@ from oracle import (
 from oracle.effects import ball_positions, gravity_torque, joint_angles, joint_tilts
 from vcal import CATALOGUE, load_study, predict
 from vcal.chain import chain_from_string
+from vcal.declared_noise import declared_whitener
 from vcal.demo import FOLDER
 from vcal.effects import Setup
 from vcal.effects.arm import gravity_moments
 from vcal.effects.random import Repeatability
 from vcal.fit import shape_step
-from vcal.identify import declared_whitener, linearised_terms
 from vcal.instruments.reflectors import moves
+from vcal.linearised import linearised_terms
 from vcal.model import observe_with_jacobian, port_values, tool_points
 from vcal.plan import Plan
 

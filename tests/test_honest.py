@@ -14,8 +14,9 @@ from scipy.stats import f as fisher
 from known import Known
 from oracle import make_case, write_study
 from vcal import CATALOGUE, Measurement, close_loop, load_study
+from vcal.declared_noise import declared_covariances
 from vcal.demo import FOLDER
-from vcal.identify import declared_covariances, identify
+from vcal.identify import identify
 from vcal.least_squares import Status
 from vcal.loop.candidates import candidates
 from vcal.loop.chance import minus_log_beta_tail

@@ -10,8 +10,8 @@ from scipy.optimize import least_squares
 from known import PLANS, Known
 from oracle import TABLE, as_study, lmmse, make_case, write_study
 from vcal import Measurement, Model, identify, load_study, predict
+from vcal.declared_noise import declared_whitener
 from vcal.fit import null_directions
-from vcal.identify import declared_whitener
 from vcal.instruments.ball_array import ArtefactPoses
 from vcal.loop.heldout import check_rms, heldout_residuals, rms
 from vcal.simulate import simulate

@@ -25,10 +25,11 @@ from jaxtyping import Bool, Float, Int
 
 from .arrays import Array
 from .chain import Chain
+from .declared_noise import declared_whitener
 from .fit import entries, shape_step
-from .identify import declared_whitener, linearised_terms
 from .instruments.base import Instrument
 from .least_squares import least_squares
+from .linearised import linearised_terms
 from .measurement import Measurement
 from .model import Model, Shapes, observe_columns, observe_with_jacobian, port_values
 from .plan import Plan

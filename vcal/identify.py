@@ -8,8 +8,6 @@ Jacobian times the effects' responses (`vcal.model`). Shape parameters are relin
 solver, so that a new effect, or a new shape, is only new data to a compiled solver.
 """
 
-import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -21,10 +19,11 @@ from jaxtyping import Float
 
 from .arrays import Array
 from .chain import Chain
-from .fit import Fit, entries, shape_step
+from .declared_noise import declared_whitener
+from .fit import Fit, entries
 from .instruments.base import Instrument
-from .kept import Kept
 from .least_squares import Solution, Status, least_squares
+from .linearised import slopes
 from .measurement import Measurement
 from .model import (
     Model,
@@ -32,6 +31,7 @@ from .model import (
     Terms,
     check_keep,
     check_theta,
+    compared_with_jacobian,
     concatenate,
     effect_terms,
     observe_all,
@@ -46,11 +46,7 @@ from .walk import SETTLED, Step, Walk
 _SLOTS = 32
 """Parameters and terms are padded to one common multiple of this, so that models of similar size
 share one compiled solver."""
-
-
 _RELINEARISATIONS = 40
-_RANDOM: Kept[list[tuple[str, np.ndarray]]] = Kept(4)
-"""Covariances of the random effects of the last few models."""
 _RIDGE = 1e-12
 """Beside the squares of columns of unit length: of a combination that is free."""
 
@@ -153,138 +149,6 @@ def _solve(
     return s.value, s.status, s.steps, s.cost, s.rank
 
 
-@outer_filter_jit
-def _evaluate(chain: Chain, instrument: Instrument, plan: Plan, rows, measured: Array, ports):
-    """What readings differ from those of a machine with these ports (n, m), and the derivative of
-    those by the ports (n, m, p). Of any model: compiled once for an instrument and a plan.
-    """
-    predicted, by_port = observe_with_jacobian(chain, instrument, plan.position, rows, ports)
-    difference = instrument.difference(measured, instrument.reduce(predicted, plan))
-    return difference, instrument.reduce(by_port, plan)
-
-
-def linearised_terms(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray) -> Terms:
-    """Terms of all amplitudes, and of the smooth shape parameters at the given amplitudes."""
-    blocks = [model.terms(plan, shapes), *_slopes(model, plan, shapes, theta)]
-    return concatenate(blocks, plan.rows, len(model.layout))
-
-
-def _slopes(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray) -> list[Terms]:
-    """`shape_terms` of all effects."""
-    found, start = [], 0
-    for i, effect in enumerate(model.effects):
-        first = len(model.entries) + len(found)
-        found += shape_terms(model, i, plan, shapes.get(i, {}), theta[start:], plan, first)
-        start += len(effect.amplitudes)
-    return found
-
-
-def shape_terms(
-    model: Model,
-    effect: int,
-    plan: Plan,
-    shape: Mapping[str, Any],
-    theta: np.ndarray,
-    scanned: Plan,
-    first: int,
-) -> list[Terms]:
-    """How the ports change with every smooth shape parameter of the effect at that place of the
-    model, per solver unit: its step on the plan that is `scanned`, which is the one identified on.
-
-    `theta` begins with the effect's own amplitudes; `first` is the place of its first shape
-    parameter in the parameter vector.
-    """
-    one, found = model.effects[effect], []
-    moving = [p for p in one.shapes if p.moves]
-    grids = one.scan(scanned) if moving else {}
-    sizes = {
-        a.name: a.mean * a.si + value * a.step
-        for a, value in zip(one.amplitudes, theta, strict=False)
-    }
-    at = {name: jnp.asarray(value, float) for name, value in shape.items()}
-    for p in moving:
-        along = {name: jnp.asarray(float(name == p.name)) for name in at}
-        _, slopes = jax.jvp(lambda s: dict(one.response(plan, s)), (at,), (along,))
-        step = shape_step(p, float(shape[p.name]), grids)
-        columns: dict[int, np.ndarray] = {}
-        for (port, name), slope in slopes.items():
-            place = model.layout.index(port)
-            slope = np.broadcast_to(np.asarray(slope), (plan.rows,))
-            columns[place] = columns.get(place, 0.0) + slope * sizes[name] * step
-        found.append(
-            Terms(
-                np.zeros((plan.rows, len(model.layout))),
-                np.stack(list(columns.values()), 1),
-                np.asarray(list(columns)),
-                np.full(len(columns), first + len(found)),
-            )  # type: ignore[arg-type]
-        )
-    return found
-
-
-def declared_whitener(model: Model, measurement: Measurement) -> np.ndarray:
-    """W of every row from the instrument's declared noise and the model's random effects.
-
-    A random effect whose response through the nominal machine is c (per unit of its parameter, SI)
-    adds sigma^2 c c' to the covariance of each row.
-    """
-    covariance = np.sum([part for _, part in declared_covariances(model, measurement)], axis=0)
-    return whitener_of(covariance + absent(model, measurement.plan))
-
-
-def whitener_of(covariance: Float[np.ndarray, "n m m"]) -> Float[np.ndarray, "n m m"]:
-    """W of every row, with W'W the inverse of its covariance."""
-    return np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
-
-
-def absent(model: Model, plan: Plan) -> Float[np.ndarray, "n m m"]:
-    """What keeps the covariance of a row invertible that has fewer readings than others: one, in
-    the place of what it has not.
-    """
-    missing = ~model.instrument.present(plan)
-    return np.einsum("ni,ij->nij", missing.astype(float), np.eye(missing.shape[1]))
-
-
-def declared_covariances(model: Model, measurement: Measurement) -> list[tuple[str, np.ndarray]]:
-    """What the covariance of every row is made of, each with its name and (n, m, m), SI: the noise
-    of every component of a reading, of every data set, and the random effects.
-    """
-    plan, instrument = measurement.plan, model.instrument
-    sigma = instrument.noise(plan, measurement.readings) * instrument.present(plan)
-    m = sigma.shape[1]
-    found = []
-    for one, inside in plan.parts.items():
-        for k, name in enumerate(instrument.members.get(one, instrument).readings[:m]):
-            part = np.zeros((len(sigma), m, m))
-            part[inside, k, k] = sigma[inside, k] ** 2
-            found.append((f"{one} {name}".strip(), part))
-    if model.random:
-        made_of = model.chain, instrument, plan, *model.random
-        found += _RANDOM.of(made_of, lambda: _random_covariances(model, measurement))
-    return found
-
-
-def _random_covariances(
-    model: Model, measurement: Measurement
-) -> list[tuple[str, Float[np.ndarray, "n m m"]]]:
-    """What random effects add to the covariance of every row, through the nominal machine."""
-    plan, instrument, found = measurement.plan, model.instrument, []
-    still = np.zeros((plan.rows, len(model.layout)))
-    rows = instrument.rows(plan)
-    _, by_port = _evaluate(model.chain, instrument, plan, rows, measurement.readings, still)  # type: ignore[arg-type]
-    by_port = np.asarray(by_port)
-    for effect in model.random:
-        for p in effect.amplitudes:
-            # A declared value is the standard deviation itself, known.
-            given = ((p.name, 0.0, p.mean or p.sigma),)
-            own = dataclasses.replace(effect, given=given, priors=())
-            terms = effect_terms(own, model.layout, plan, {})
-            mine = terms.parameter == [q.name for q in effect.amplitudes].index(p.name)
-            c = (by_port[:, :, terms.port] * terms.values[:, None, :])[:, :, mine].sum(2)
-            found.append((f"{effect.key} {p.name}", np.einsum("ni,nj->nij", c, c)))
-    return found
-
-
 def identify(
     model: Model,
     measurement: Measurement,
@@ -330,64 +194,22 @@ def identify(
         i: {name: float(value) for name, value in shape.items()}
         for i, shape in model.shapes_at(plan, shapes).items()
     }
-    precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in entries(model)])
-    size, amplitudes = len(precision), len(model.entries)
-    root = np.sqrt(precision[:amplitudes])
-    rows = instrument.rows(plan)
-    fixed: dict[int, Terms] = {}
-
-    def at_best(
-        shapes: dict[int, dict[str, float]], begin: np.ndarray, tolerance: float
-    ) -> _AtBest:
-        terms = _amplitude_terms(model, plan, shapes, fixed)
-        problem = _padded(
-            Problem(plan.position, rows, measurement.readings, whitener, terms, root),  # type: ignore[arg-type]
-            room,
-        )
-        start = _pad(begin, len(problem.root_precision))
-        given = model.chain, instrument, plan, problem, start, np.asarray(tolerance)
-        found, *how = _solve(*given, False)
-        if int(how[0]) not in _ENDS:
-            found, *how = _solve(*given, True)
-        status, steps, cost, rank = how
-        best = np.array(found)[:amplitudes]
-        ports = _ports(terms, best)
-        residual, by_port = (
-            np.asarray(v)
-            for v in _evaluate(model.chain, instrument, plan, rows, measurement.readings, ports)
-        )
-        terms = concatenate(
-            [terms, *_slopes(model, plan, shapes, best)], plan.rows, len(model.layout)
-        )
-        return _AtBest(
-            shapes=shapes,
-            theta=_pad(best, size),
-            amplitudes=amplitudes,
-            precision=precision,
-            status=Status(int(status)),
-            steps=int(steps),
-            solved_cost=float(cost),
-            rank=int(rank) - len(start) + size,
-            residual=residual,
-            by_port=by_port,
-            whitened=np.matmul(whitener, residual[:, :, None]).reshape(-1),
-            jacobian=_by_parameter(np.matmul(whitener, by_port), terms, size),
-        )
-
+    solver = _Solver(model, measurement, whitener, room)
+    size, amplitudes = len(solver.precision), len(model.entries)
     begin = np.zeros(amplitudes) if theta is None else np.asarray(theta, float)[:amplitudes]
     on_the_way = tolerance if size == amplitudes else max(tolerance, NEARLY)
-    place = at_best(current, begin, on_the_way)
+    place = solver.at_best(current, begin, on_the_way)
     end, steps = place.status, place.steps
     if size > amplitudes:
         walk = Walk[_AtBest](model, plan, max(SETTLED, tolerance**2))
         for _ in range(_RELINEARISATIONS):
             if ended := walk.ends(place):
                 break
-            place = at_best(*walk.onward(), on_the_way)
+            place = solver.at_best(*walk.onward(), on_the_way)
             steps += place.steps
         place = walk.last
         if tolerance < on_the_way:
-            place = at_best(place.shapes, place.theta[:amplitudes], tolerance)
+            place = solver.at_best(place.shapes, place.theta[:amplitudes], tolerance)
             steps += place.steps
         end = place.status if ended else Status.STEP_LIMIT
     return Fit(
@@ -400,11 +222,72 @@ def identify(
         whitened=place.whitened,
         jacobian=place.jacobian,
         port_jacobian=place.by_port,
-        precision=precision,
+        precision=solver.precision,
         status=end,
         steps=steps,
         rank=place.rank,
     )
+
+
+class _Solver:
+    """The problem that is left of a model and a measurement where its shapes are known."""
+
+    def __init__(self, model: Model, measurement: Measurement, whitener: np.ndarray, room: int):
+        self.model, self.measurement, self.whitener, self.room = model, measurement, whitener, room
+        free = [float(p.informed) if not p.shape else 0.0 for _, p in entries(model)]
+        self.precision = np.array(free)
+        """Of amplitudes and shapes, diagonal of L."""
+        self._rows = model.instrument.rows(measurement.plan)
+        self._fixed: dict[int, Terms] = {}
+
+    def at_best(
+        self, shapes: dict[int, dict[str, float]], begin: np.ndarray, tolerance: float
+    ) -> "_AtBest":
+        """All amplitudes at their best at some shapes."""
+        model, plan, measured = self.model, self.measurement.plan, self.measurement.readings
+        size, count = len(self.precision), len(begin)
+        terms, root = self._terms(shapes), np.sqrt(self.precision[:count])
+        problem = Problem(plan.position, self._rows, measured, self.whitener, terms, root)  # type: ignore[arg-type]
+        problem = _padded(problem, self.room)
+        start = _pad(begin, len(problem.root_precision))
+        given = model.chain, model.instrument, plan, problem, start, np.asarray(tolerance)
+        found, *how = _solve(*given, False)
+        if int(how[0]) not in _ENDS:
+            found, *how = _solve(*given, True)
+        status, steps, cost, rank = how
+        best = np.array(found)[:count]
+        compared = compared_with_jacobian(
+            model.chain, model.instrument, plan, self._rows, measured, _ports(terms, best)
+        )
+        residual, by_port = (np.asarray(v) for v in compared)
+        blocks = [terms, *slopes(model, plan, shapes, best)]
+        terms = concatenate(blocks, plan.rows, len(model.layout))
+        return _AtBest(
+            shapes=shapes,
+            theta=_pad(best, size),
+            amplitudes=count,
+            precision=self.precision,
+            status=Status(int(status)),
+            steps=int(steps),
+            solved_cost=float(cost),
+            rank=int(rank) - len(start) + size,
+            residual=residual,
+            by_port=by_port,
+            whitened=np.matmul(self.whitener, residual[:, :, None]).reshape(-1),
+            jacobian=_by_parameter(np.matmul(self.whitener, by_port), terms, size),
+        )
+
+    def _terms(self, shapes: Shapes) -> Terms:
+        """`Model.terms`, those of effects without shape parameters found once."""
+        model, plan = self.model, self.measurement.plan
+        blocks, start = [], 0
+        for i, effect in enumerate(model.effects):
+            if effect.shapes or i not in self._fixed:
+                shape = shapes.get(i, {})
+                self._fixed[i] = effect_terms(effect, model.layout, plan, shape, start)
+            blocks.append(self._fixed[i])
+            start += len(effect.amplitudes)
+        return concatenate(blocks, plan.rows, len(model.layout))
 
 
 @dataclass(frozen=True)
@@ -483,17 +366,6 @@ def _by_parameter(
     gather = np.zeros((len(terms.parameter), size))
     gather[np.arange(len(terms.parameter)), np.asarray(terms.parameter)] = 1.0
     return (by_term @ gather).reshape(-1, size)
-
-
-def _amplitude_terms(model: Model, plan: Plan, shapes: Shapes, fixed: dict[int, Terms]) -> Terms:
-    """`Model.terms`, of effects without shape parameters those that are kept."""
-    blocks, start = [], 0
-    for i, effect in enumerate(model.effects):
-        if effect.shapes or i not in fixed:
-            fixed[i] = effect_terms(effect, model.layout, plan, shapes.get(i, {}), start)
-        blocks.append(fixed[i])
-        start += len(effect.amplitudes)
-    return concatenate(blocks, plan.rows, len(model.layout))
 
 
 def _pad(values: np.ndarray, size: int) -> np.ndarray:

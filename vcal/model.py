@@ -22,6 +22,7 @@ from .instruments.base import Instrument
 from .parameters import Parameter
 from .plan import Plan
 from .ports import PortLayout
+from .programs import outer_filter_jit
 from .record import Record
 from .rigid import Rotation, Scalar, Vector, exp, left_jacobian_matrix
 from .spatial import require_float64, rotation, skew
@@ -255,6 +256,18 @@ def observe_with_jacobian(
         return value, jnp.concatenate([by_tool, slopes[:, 6:]], 1)
 
     return jax.vmap(one)(position, rows, ports)
+
+
+@outer_filter_jit
+def compared_with_jacobian(
+    chain: Chain, instrument: Instrument, plan: Plan, rows: Any, measured: Array, ports: Array
+) -> tuple[Float[Array, "n m"], Float[Array, "n m p"]]:
+    """By how much readings differ from those of a machine with these ports, and the derivative of
+    those by the ports. Compiled once for an instrument and a plan, whatever the model.
+    """
+    predicted, by_port = observe_with_jacobian(chain, instrument, plan.position, rows, ports)
+    difference = instrument.difference(measured, instrument.reduce(predicted, plan))
+    return difference, instrument.reduce(by_port, plan)
 
 
 def _tool_with_jacobian(chain: Chain, q: Array, ports: Array) -> tuple[Array, Array, Array, Array]:

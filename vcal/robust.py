@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.special import gammainccinv
 
+from .declared_noise import declared_whitener
 from .fit import Fit
-from .identify import ROUGHLY, declared_whitener, identify
+from .identify import ROUGHLY, identify
 from .measurement import Measurement
 from .model import Model, Shapes
 

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.special import gammaincc
 
+from ..declared_noise import absent, declared_covariances, whitener_of
 from ..fit import Fit
-from ..identify import absent, declared_covariances, whitener_of
 from .chance import LEAST_NOISE, TOLD
 
 _ROUNDS = 100

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ..fit import Fit
-from ..identify import shape_terms
+from ..linearised import shape_terms
 from ..measurement import CheckPoints, Measurement
 from ..model import Model, Terms, concatenate, effect_terms, tool_points_with_jacobian
 from ..plan import Plan

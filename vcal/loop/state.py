@@ -8,9 +8,10 @@ from functools import partial
 import numpy as np
 from scipy.special import gammaincc
 
+from ..declared_noise import declared_whitener
 from ..design import flat_rank
 from ..fit import Fit, undetermined
-from ..identify import declared_whitener, identify
+from ..identify import identify
 from ..least_squares import Status
 from ..measurement import Measurement
 from ..model import Model

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import gammainccinv
 
+from ..declared_noise import declared_whitener
 from ..fit import Fit
-from ..identify import declared_whitener
 from ..plan import DATA_SET, Plan
 from .chance import LEAST_NOISE, minus_log_chi2_tail
 from .recorded import distinct_covariates

@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ..declared_noise import declared_whitener
 from ..fit import Fit
-from ..identify import declared_whitener, identify
+from ..identify import identify
 from .rivals import Rival, widened
 
 MOST = 10

@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.special import fdtrc
 
+from ..declared_noise import declared_whitener
 from ..fit import Fit
-from ..identify import declared_whitener, identify
+from ..identify import identify
 from ..model import Model
 from .state import chi2_per_dof
 

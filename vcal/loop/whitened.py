@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..declared_noise import declared_whitener
 from ..fit import Fit
-from ..identify import declared_whitener
 
 
 def declared_residual(fit: Fit) -> Float[np.ndarray, "n m"]:
