@@ -305,23 +305,20 @@ class Fit:
     def values_of(self, place: int) -> list[tuple[str, Parameter, float, float]]:
         """`parameter_values` of the effect at `place` in the model, amplitudes first."""
         values, effects = self.parameter_values(), self.model.effects
-        first = sum(len(e.amplitudes) for e in effects[:place])
         shapes = len(self.model.entries) + sum(len(e.shapes) for e in effects[:place])
-        mine = effects[place]
         return [
-            *values[first : first + len(mine.amplitudes)],
-            *values[shapes : shapes + len(mine.shapes)],
+            *values[self.model.places[place]],
+            *values[shapes : shapes + len(effects[place].shapes)],
         ]
 
     def places_of(self, place: int) -> tuple[np.ndarray, np.ndarray]:
         """Places in `theta` of the amplitudes of the effect at `place` in the model, and of its
         shape parameters that move.
         """
-        effects = self.model.effects
-        first = sum(len(e.amplitudes) for e in effects[:place])
-        moving = [sum(p.moves for p in e.shapes) for e in effects]
-        start = len(self.model.entries) + sum(moving[:place])
-        amplitudes = np.arange(first, first + len(effects[place].amplitudes))
+        count = len(self.model.entries)
+        moving = [sum(p.moves for p in e.shapes) for e in self.model.effects]
+        start = count + sum(moving[:place])
+        amplitudes = np.arange(count)[self.model.places[place]]
         return amplitudes, np.arange(start, start + moving[place])
 
 

@@ -119,10 +119,10 @@ class Simulated:
         if not places:
             keys = ", ".join(e.key for e in (*self.model.effects, *self.model.random))
             raise ValueError(f"effect {effect.key!r} is not in the model, which has {keys}")
-        start = sum(len(e.amplitudes) for e in self.model.effects[: places[0]])
+        own = self.theta[self.model.places[places[0]]]
         values = [
-            (p, float(p.mean + self.theta[start + k] * p.step / p.si))
-            for k, p in enumerate(effect.amplitudes)
+            (p, float(p.mean + value * p.step / p.si))
+            for p, value in zip(effect.amplitudes, own, strict=True)
         ]
         return values + [(p, self.shapes[places[0]][p.name] / p.si) for p in effect.shapes]
 
@@ -323,12 +323,11 @@ def true_tool_points(model: Model, plan: Plan, truth: Truth) -> Float[np.ndarray
     """
     require_float64()
     model.check_plan(plan)
-    blocks, start = [], 0
-    for i, effect in enumerate(model.effects):
-        if effect.where == "machine":
-            shape = truth.shapes.get(i, {})
-            blocks.append(effect_terms(effect, model.layout, plan, shape, start))
-        start += len(effect.amplitudes)
+    blocks = [
+        effect_terms(effect, model.layout, plan, truth.shapes.get(i, {}), place.start)
+        for i, (effect, place) in enumerate(zip(model.effects, model.places, strict=True))
+        if effect.where == "machine"
+    ]
     terms = concatenate(blocks, plan.rows, len(model.layout))
     ports = port_values(terms, jnp.asarray(truth.theta), len(model.layout))
     return np.asarray(tool_points(model.chain, jnp.asarray(plan.position), ports))

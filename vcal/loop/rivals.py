@@ -150,8 +150,7 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
     while it is missing; it would then fit worse than what it is not.
     """
     wider, fit = 1.0, refit(base, peak, keep, room)
-    first = len(base.model.entries)
-    added = slice(first, first + len(peak.effect.amplitudes))
+    added = fit.model.places[-1]
     for _ in range(WIDENINGS):
         if not fit.determined:
             break  # no reading tells the place of it, and so none its size
@@ -215,8 +214,7 @@ def refit_all(
         k = len(peak.effect.parameters)
         bic = (fit.chi2 - base.chi2) / noise**2 + k * math.log(rows)
         odds = math.log(peak.effect.odds / instances[peak.effect.name])
-        first = len(base.model.entries)
-        added = slice(first, first + len(peak.effect.amplitudes))
+        added = fit.model.places[-1]
         wider = widths[id(fit)]
         own = at_its_shape(fit, added, noise)
         declared = own[0] / wider**2, own[1] / wider
@@ -372,14 +370,12 @@ def _left(base: Fit, of: Rival, by: Rival) -> float:
     """
 
     def columns(rival: Rival) -> np.ndarray:
-        first = len(base.model.entries)
-        return rival.fit.jacobian[:, first : first + len(rival.effect.amplitudes)]
+        return rival.fit.jacobian[:, rival.fit.model.places[-1]]
 
     def inner(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return a.T @ b - (base.jacobian.T @ a).T @ cho_solve(base.factor, base.jacobian.T @ b)
 
-    first = len(base.model.entries)
-    moved = columns(of) @ of.fit.theta[first : first + len(of.effect.amplitudes)]
+    moved = columns(of) @ of.fit.theta[of.fit.model.places[-1]]
     other = columns(by)
     across = inner(other, moved[:, None])[:, 0]
     described = across @ np.linalg.pinv(inner(other, other), rcond=1e-8, hermitian=True) @ across

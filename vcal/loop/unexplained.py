@@ -302,8 +302,7 @@ def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> 
     effect = best.effect
     assert isinstance(effect, Empirical)
     plan, shape = fit.measurement.plan, best.fit.shapes.get(len(fit.model.effects), {})
-    first = len(fit.model.entries)
-    added = slice(first, first + len(effect.amplitudes))
+    added = best.fit.model.places[-1]
     step = best.fit.jacobian[:, added] @ best.fit.theta[added]
     n, m = fit.residual.shape
     moved = np.zeros((n, m))

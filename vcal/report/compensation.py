@@ -55,12 +55,10 @@ def functions_on(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.nd
     on_lines = Plan(model.chain.axes, np.stack(lines, axis=1)[rows])
     columns: dict[str, np.ndarray] = {}
     means: dict[str, np.ndarray] = {}
-    start = 0
-    for effect in model.effects:
-        amplitudes = {p.name: (start + k, p) for k, p in enumerate(effect.amplitudes)}
-        start += len(amplitudes)
+    for effect, place in zip(model.effects, model.places, strict=True):
         if effect.name not in _GEOMETRY:
             continue
+        amplitudes = {p.name: (k, p) for k, p in enumerate(effect.amplitudes, place.start)}
         for (port, amplitude), response in effect.response(on_lines, {}).items():
             k, p = amplitudes[amplitude]
             located = _LOCATION.fullmatch(amplitude)
