@@ -333,6 +333,13 @@ def true_tool_points(model: Model, plan: Plan, truth: Truth) -> Float[np.ndarray
     return np.asarray(tool_points(model.chain, jnp.asarray(plan.position), ports))
 
 
+def travels(chain: Chain, plan: Plan) -> Float[np.ndarray, "axes 2"]:
+    """Travel of every axis, or what a plan covers where it is not declared (m or rad)."""
+    own = np.asarray(plan.position)
+    ends = np.column_stack([own.min(0), own.max(0)])
+    return np.where(np.isfinite(chain.travel), chain.travel, ends)
+
+
 def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
     """Conditions of an independent check: random positions over the travel, random directions.
 
@@ -341,10 +348,7 @@ def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
     """
     at, where, way = jax.random.split(key, 3)
     picked = np.asarray(jax.random.choice(where, plan.rows, (rows,)))
-    own = np.asarray(plan.position)
-    travel = np.stack([joint.travel for joint in chain.joints])
-    low = np.where(np.isfinite(travel[:, 0]), travel[:, 0], own.min(0))
-    high = np.where(np.isfinite(travel[:, 1]), travel[:, 1], own.max(0))
+    low, high = travels(chain, plan).T
     position = low + (high - low) * np.asarray(jax.random.uniform(at, (rows, len(plan.axes))))
     found = plan.elsewhere(position, picked)
     signs = np.asarray(jax.random.rademacher(way, position.shape, float))

@@ -206,7 +206,7 @@ def require_traceable(function: Callable[[Any], Any], space: PlanSpace) -> None:
 def inside(task: Task, placed: Any) -> bool:
     """Whether all positions are within the travel."""
     position = np.asarray(task.space.plan(placed).position)
-    low, high = np.stack([j.travel for j in task.families[0].model.chain.joints]).T
+    low, high = task.families[0].model.chain.travel.T
     return bool((position >= low - _FITS_M).all() and (position <= high + _FITS_M).all())
 
 

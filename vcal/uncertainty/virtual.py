@@ -26,7 +26,7 @@ from ..fit import entries, null_directions
 from ..model import Model
 from ..parameters import Parameter
 from ..plan import Plan
-from ..simulate import scattered
+from ..simulate import scattered, travels
 from .campaign import Campaign, monte_carlo
 from .compare import Comparison, compare
 from .ensemble import Ensemble, FieldResult
@@ -40,7 +40,6 @@ from .quantities import (
     ParameterErrors,
     State,
     VolumetricErrors,
-    travels,
 )
 from .steps import Precision
 from .stream import Progress
