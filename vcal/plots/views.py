@@ -4,7 +4,6 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
 from ..effects.thermal import REFERENCE_DEGC
@@ -102,7 +101,7 @@ def residual_without(fit: Fit, place: int) -> np.ndarray:
     amplitudes, shapes = fit.places_of(place)
     step = fit.jacobian[:, amplitudes] @ fit.theta[amplitudes]
     own = np.concatenate([amplitudes, shapes])
-    inverse = cho_solve(fit.factor, np.eye(len(fit.theta)))
+    inverse = fit.planned_covariance
     shared = inverse[:, own]
     inverse = inverse - shared @ np.linalg.solve(inverse[np.ix_(own, own)], shared.T)
     return _unwhitened(

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
 from ..fit import Fit
@@ -107,8 +106,7 @@ class Spread:
         proper = fit.precision > 0
         return cls(
             stated=fit.covariance,
-            # The share of information is that of the plan, whatever the residuals turned out to be.
-            planned=cho_solve(fit.factor, np.eye(len(fit.theta))),
+            planned=fit.planned_covariance,
             prior=np.where(proper, 1.0 / np.where(proper, fit.precision, 1.0), 0.0),
         )
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
 from ..effects.data_set import OfDataSet
 from ..effects.registry import CATALOGUE
 from ..effects.thermal import REFERENCE_DEGC
-from ..fit import HARDLY_TOLD
+from ..fit import HARDLY_TOLD, Learnt
 from ..instruments.conditions import in_file
 from ..io.study import Study, looked_for
 from ..loop.closure import Closure, FoundEffect
@@ -117,7 +116,7 @@ def page(
         locations=[_location(t) for t in tables if not len(t.position)],
         motions=[_motion(t) for t in tables if len(t.position)],
         tests=[_test(t) for t in tests],
-        information=_information(closure),
+        information=Learnt.of(after.entries, np.sqrt(after.precision), after.planned_covariance),
         arm=study.chain.arm,
         rotary=not study.chain.arm and not study.chain.linear,
         counts_from=_counts_from(study),
@@ -459,30 +458,4 @@ def _motion(table: ErrorMotionTable) -> dict[str, str]:
         "high": text.rounded(float(table.value.max()), largest)[0],
         "U": text.rounded(0.0, text.COVERAGE * largest)[1],
         "information": text.percent(float(table.information.mean())),
-    }
-
-
-def _information(closure: Closure) -> dict[str, Any]:
-    """How much of the parameter space the data determined.
-
-    Directions are those of the posterior covariance in units of the prior, so that each has the
-    share of information 1 - variance.
-    """
-    fit = closure.after
-    proper = np.flatnonzero(fit.precision > 0)
-    if not len(proper):
-        return {"directions": 0, "determined": 0, "unseen": 0, "hardly": []}
-    names = [f"{key}: {p.name}" for key, p in fit.entries]
-    root = np.sqrt(fit.precision[proper])
-    inverse = cho_solve(fit.factor, np.eye(len(fit.theta)))
-    scaled = inverse[np.ix_(proper, proper)] * np.outer(root, root)
-    learnt = 1.0 - np.linalg.eigvalsh(scaled)
-    hardly = [
-        names[k] for k, v in zip(proper, np.diag(scaled), strict=True) if 1.0 - v < HARDLY_TOLD
-    ]
-    return {
-        "directions": len(proper),
-        "determined": int((learnt > 0.5).sum()),
-        "unseen": int((learnt < 0.01).sum()),
-        "hardly": hardly,
     }
