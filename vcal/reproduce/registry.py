@@ -1,6 +1,5 @@
 """What a reproduction is, and how it runs from its arguments to its folder."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,21 +110,14 @@ def write(
     place = _place(name)
 
     def make(work: Path) -> Sequence[str]:
-        files = [*(picture.file for picture in pictures), "index.html", place.record]
-        for picture in pictures:
-            (work / picture.file).write_bytes(picture.data)
-        (work / "index.html").write_text(page, encoding="utf-8")
         record = {
             "schema": place.schema + "1",
             "name": name,
             "versions": versions(),
             "table": [vars(row) for row in table],
             **content,
-            "files": files,
         }
-        text = json.dumps(plain(record), indent=1, allow_nan=False, ensure_ascii=False)
-        (work / place.record).write_text(text + "\n", encoding="utf-8")
-        return files
+        return place.write(work, {"index.html": page}, pictures, plain(record))
 
     place.fill(out, make)
     return out / "index.html"
