@@ -5,8 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from matplotlib.figure import Figure
+
 from ..catalogue import nearest
 from ..errors import StudyError
+from ..plots import png
 from ..report import Picture
 from ..report.place import Place
 from ..report.record import plain, versions
@@ -18,6 +21,11 @@ Pictures = Mapping[str, tuple[Picture, ...]]
 R = TypeVar("R")
 
 _SCHEMA = "vcal-reproduce/"
+
+
+def picture(name: str, figure: Figure, caption: str) -> Picture:
+    """A picture of a page whose parts show theirs (`Pictures`)."""
+    return Picture(name, "", caption, png(figure))
 
 
 @dataclass(frozen=True)
