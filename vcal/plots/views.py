@@ -9,7 +9,8 @@ from ..effects.base import Effect
 from ..effects.thermal import REFERENCE_DEGC
 from ..fit import Fit
 from ..instruments.conditions import file_column, in_file
-from ..loop.unexplained import bins, displacements, way
+from ..loop.dependence import bins, displacements
+from ..loop.unexplained import way
 from ..plan import Plan
 from .style import column_label, pretty_unit
 
