@@ -20,7 +20,7 @@ from vcal.loop.close_loop import still_rejected
 from vcal.loop.closure import FoundEffect, Rejected
 from vcal.loop.dependence import dependence
 from vcal.loop.heldout import heldout_rms, improvement
-from vcal.loop.rivals import Names, preferred, refit_all, weigh
+from vcal.loop.rivals import refit_all
 from vcal.loop.round import unlikely
 from vcal.loop.scan import Responses
 from vcal.loop.screen import Peak, Screen
@@ -29,6 +29,7 @@ from vcal.loop.search import Search
 from vcal.loop.shortlist import shortlist
 from vcal.loop.state import fitted
 from vcal.loop.unexplained import from_structure
+from vcal.loop.weighing import Names, preferred, weigh
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,12 @@ from ..fit import Fit
 from ..identify import identify
 from .adding import Added, Adding, Kept
 from .closure import Rejected, in_words
-from .rivals import Rival, likelier
+from .rivals import Rival
 from .scales import over_scales
 from .screening import Screening
 from .serial import Serial, gain_beside, serial
 from .state import State, fitted, without
+from .weighing import likelier
 from .whitened import declared_chi2
 
 _INSTEAD = 1
