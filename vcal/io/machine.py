@@ -39,7 +39,7 @@ from .machine_description import (
     ToolPointSettings,
 )
 from .messages import explain, listed, refusal, shown
-from .settings import read_setup
+from .setup_file import read_setup
 
 _EXACT = 1e-6
 _MOTOR_KG = 1e-3

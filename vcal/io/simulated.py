@@ -20,7 +20,8 @@ from ..simulate import Simulated, scattered, simulate
 from .declared import Catalogue, beside, declared_effects, unknown_effect
 from .folder import made_whole, require_empty
 from .messages import refusal, shown
-from .settings import COMPUTABLE, EffectSettings, computable, read_setup
+from .settings import COMPUTABLE, EffectSettings, computable
+from .setup_file import read_setup
 from .study import DataSet, Study
 from .table import read_header, read_table, write_table
 
