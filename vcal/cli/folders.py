@@ -15,8 +15,8 @@ from ..effects.base import Effect, Setup
 from ..errors import StudyError
 from ..io import load_study
 from ..io.declared import beside
-from ..io.folder import made_whole, require_empty
 from ..io.messages import listed
+from ..io.output import made_whole, require_empty
 from ..plan import Plan
 
 

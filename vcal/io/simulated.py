@@ -18,8 +18,8 @@ from ..errors import StudyError
 from ..instruments.conditions import file_name, inside_name, linear_plan, linear_plan_table
 from ..simulate import Simulated, scattered, simulate
 from .declared import Catalogue, beside, declared_effects, unknown_effect
-from .folder import made_whole, require_empty
 from .messages import refusal, shown
+from .output import made_whole, require_empty
 from .settings import COMPUTABLE, EffectSettings, computable
 from .setup_file import read_setup
 from .study import DataSet, Study

@@ -77,7 +77,15 @@ def record(
             {**_place(stray.row, plan), "distance": stray.distance, "p_value": stray.p_value}
             for stray in closure.suspected
         ],
-        "rejected": [asdict(tried) for tried in (*closure.rejected, *closure.passed_over)],
+        "rejected": [
+            {
+                "effect": tried.effect,
+                "placement": tried.placement,
+                "p_value": tried.p_value,
+                "reason": tried.reason,
+            }
+            for tried in (*closure.rejected, *closure.passed_over)
+        ],
         "untestable": [
             {"effect": item.effect, "placement": item.placement, "reason": _reason(item, plan)}
             for item in closure.untestable
