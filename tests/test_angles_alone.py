@@ -8,7 +8,8 @@ import vcal
 from vcal.chain import chain_from_string
 from vcal.instruments import Instrument
 from vcal.instruments.several import DataSet, several
-from vcal.loop.unexplained import dependence, displacements, from_structure
+from vcal.loop.dependence import dependence, displacements
+from vcal.loop.unexplained import from_structure
 from vcal.plan import Plan
 from vcal.plots.residuals import unexplained
 from vcal.ports import group

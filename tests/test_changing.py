@@ -14,11 +14,11 @@ from vcal import CATALOGUE, Fit, Measurement, identify, load_study
 from vcal.effects.base import Effect, Fitted
 from vcal.effects.reversal import ReversalSpike
 from vcal.instruments.conditions import file_column
+from vcal.loop.dependence import bins
 from vcal.loop.empirical import Changing
 from vcal.loop.empirical.base import written
 from vcal.loop.empirical.product import about_the_middle
 from vcal.loop.rivals import Rival
-from vcal.loop.unexplained import bins
 from vcal.plan import Plan
 from vcal.plots import changing_sizes
 from vcal.plots.changing import changing

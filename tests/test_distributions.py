@@ -174,12 +174,6 @@ def test_compiled_draws_are_the_same():
     np.testing.assert_allclose(drawn[0], ours.sample(key), rtol=1e-12)
 
 
-def test_standardised_draws():
-    ours, key = CTRAP, jax.random.key(1)
-    z = np.asarray(ours.sample(key, SHAPE) - ours.mean) / float(ours.std)
-    np.testing.assert_allclose(ours.standardised(key, SHAPE), z, rtol=1e-12)
-
-
 def test_many_distributions_at_once():
     scales = np.array([0.5, 1.0, 4.0])
     several = eqx.filter_vmap(lambda s: LogNormal(0.1, s))(scales)
@@ -245,13 +239,6 @@ def test_trapezoid_is_the_sum_of_two_rectangles():
     for x in (0.4, 1.0, 2.2, 3.7):
         exact = integrate.quad(lambda u, x=x: stats.uniform.cdf(x - u, 0, 3), 0, 1, points=[x % 1])
         assert float(ours.cdf(x)) == pytest.approx(exact[0], rel=1e-9)
-
-
-def test_log_normal_from_mean_and_std():
-    ours = LogNormal.from_mean_std(3.0, 1.2, dof=5)
-    assert float(ours.mean) == pytest.approx(3.0, rel=1e-14)
-    assert float(ours.std) == pytest.approx(1.2, rel=1e-14)
-    assert float(ours.dof) == 5.0
 
 
 def test_degrees_of_freedom():
@@ -593,7 +580,6 @@ MISTAKES = {
     "inexact": (lambda: CurvilinearTrapezoid(0, 1, 0.5), r"expected low \+ inexact < high"),
     "inexact 0": (lambda: CurvilinearTrapezoid(0, 1, 0.0), r"found inexact = 0\.0"),
     "sigma": (lambda: LogNormal(0, -1), r"log_normal: found sigma = -1\.0"),
-    "log mean": (lambda: LogNormal.from_mean_std(-1, 1), r"found mean = -1\.0"),
     "gamma": (lambda: Gamma(-2, 1), r"gamma: found shape = -2\.0"),
     "beta": (lambda: Beta(1, 0), r"beta: found b = 0\.0"),
     "beta limits": (lambda: Beta(1, 1, 2, 1), "expected low < high"),

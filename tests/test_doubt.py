@@ -13,8 +13,9 @@ from vcal.fit import Fit
 from vcal.loop.doubt import Doubt
 from vcal.loop.empirical import Factor, Interaction
 from vcal.loop.heldout import check_rms
-from vcal.loop.rivals import CERTAIN, Rival, classes_of, refit_all, weigh
+from vcal.loop.rivals import Rival, refit_all
 from vcal.loop.screen import Screen
+from vcal.loop.weighing import CERTAIN, classes_of, weigh
 from vcal.plots import error_field
 from vcal.report import error_motion_tables
 

@@ -19,9 +19,10 @@ from vcal.loop.certainty import doubted
 from vcal.loop.close_loop import _separation
 from vcal.loop.empirical import EMPIRICAL, Harmonic, Interaction, Kink, LocalBump, Proportion, Since
 from vcal.loop.heldout import improvement, predictive_deviance
-from vcal.loop.rivals import Rival, Weighed, fits_better, in_doubt, outdoes, refit_all
+from vcal.loop.rivals import Rival, refit_all
 from vcal.loop.scales import log_gain, log_mixture, over_scales
 from vcal.loop.screen import Screen
+from vcal.loop.weighing import Weighed, fits_better, in_doubt, outdoes
 from vcal.report.own_effect import own_effect
 
 

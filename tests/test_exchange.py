@@ -54,7 +54,6 @@ def test_against_enumeration(seed):
     found = exchange(F, L, G, 3)
     assert found.value == pytest.approx(value_of(F, L, G, found.chosen), rel=1e-12)
     assert found.counts.sum() == 3 and found.counts.max() == 1
-    assert found.value <= found.greedy
     # A local minimum, here always the best: among 84, in all of these draws.
     assert found.value == pytest.approx(min(everything), rel=1e-12)
     bound = weigh_average(F, L, G, 3, most=1, gap=1e-4)

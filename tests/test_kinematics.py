@@ -32,7 +32,6 @@ from vcal.spatial import (
     rigid_basis,
     rigid_columns,
     rotation,
-    rotation_small,
     skew,
 )
 from vcal.units import in_name, si_factor
@@ -352,7 +351,7 @@ def test_exact_rotations_against_the_printed_small_angle_form(rng):
     s_xy, s_xz, s_yz = squareness = 50e-6 * np.array([1.0, -1.0, 1.0])
     printed = np.empty((n, 3))
     for k, ((x, y, z), d) in enumerate(zip(q, delta, strict=True)):
-        r = [np.asarray(rotation_small(e)) for e in epsilon[k]]
+        r = [np.eye(3) + np.asarray(skew(e)) for e in epsilon[k]]
         moved_x = np.array([-x, 0, 0]) + d[0]
         moved_y = np.array([-y * s_xy, y, 0]) + d[1]
         moved_z = np.array([-z * s_xz, -z * s_yz, z]) + d[2]

@@ -175,6 +175,16 @@ def test_theta_has_one_value_per_amplitude(by, known):
         identify(it.model, it.measurement, theta=wrong)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_places_are_those_of_the_entries(kind, known):
+    model = known[kind].model
+    entries = np.array([entry.effect for entry in model.entries])
+    assert len(model.places) == len(model.effects)
+    for i, place in enumerate(model.places):
+        mine = np.arange(len(entries))[place]
+        np.testing.assert_array_equal(mine, np.flatnonzero(entries == i))
+
+
 def test_theta_of_a_fit_with_shape_parameters_fits(known):
     it = known["laser_tracker"]
     model = it.model.with_effects(it.effect("screw_cyclic:X"))

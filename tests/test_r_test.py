@@ -20,8 +20,8 @@ from vcal.identify import identify
 from vcal.instruments.several import DataSet, several
 from vcal.io import write_table
 from vcal.io.simulated import write_simulated
+from vcal.loop.dependence import dependence
 from vcal.loop.empirical import Changing, Harmonic
-from vcal.loop.unexplained import dependence
 from vcal.loop.vibration import vibration
 from vcal.plots import changing_sizes
 from vcal.report.own_effect import own_effect

@@ -14,10 +14,11 @@ from vcal import CATALOGUE, Effect, Measurement, Parameter, identify
 from vcal.loop.candidates import candidates
 from vcal.loop.chance import corrected, effective_trials, minus_log_chi2_tail
 from vcal.loop.empirical import EMPIRICAL, LocalBump
-from vcal.loop.rivals import classes_of, refit, refit_all, weigh
+from vcal.loop.rivals import refit, refit_all
 from vcal.loop.screen import Peak, Screen, largest
 from vcal.loop.screening import screen
 from vcal.loop.stray import stray_rows
+from vcal.loop.weighing import classes_of, weigh
 from vcal.robust import identify_robust
 
 FEW = ("backlash", "lateral_reversal", "thermal_offset", "thermal_tilt", "drift", "cross_axis")

@@ -18,8 +18,9 @@ from vcal.loop.candidates import candidates
 from vcal.loop.certainty import doubted
 from vcal.loop.close_loop import still_rejected
 from vcal.loop.closure import FoundEffect, Rejected
+from vcal.loop.dependence import dependence
 from vcal.loop.heldout import heldout_rms, improvement
-from vcal.loop.rivals import Names, preferred, refit_all, weigh
+from vcal.loop.rivals import refit_all
 from vcal.loop.round import unlikely
 from vcal.loop.scan import Responses
 from vcal.loop.screen import Peak, Screen
@@ -27,7 +28,8 @@ from vcal.loop.screening import screen
 from vcal.loop.search import Search
 from vcal.loop.shortlist import shortlist
 from vcal.loop.state import fitted
-from vcal.loop.unexplained import dependence, from_structure
+from vcal.loop.unexplained import from_structure
+from vcal.loop.weighing import Names, preferred, weigh
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +175,7 @@ def test_a_handful_of_numbers_depends_on_nothing(tracker):
 
 def test_no_covariate_that_varies_is_no_dependence(tracker, monkeypatch):
     fit = identify(tracker.model, noisy(tracker, 1), room=tracker.room)
-    monkeypatch.setattr("vcal.loop.unexplained.distinct_covariates", lambda plan: {})
+    monkeypatch.setattr("vcal.loop.dependence.distinct_covariates", lambda plan: {})
     found = dependence(fit, 20, 0)
     assert found == ([], [], False, 1.0)
 

@@ -29,6 +29,7 @@ from vcal.io.simulated import parse_with, write_simulated
 from vcal.loop.candidates import candidates
 from vcal.loop.certainty import doubted
 from vcal.loop.closure import Errors
+from vcal.loop.dependence import dependence
 from vcal.loop.heldout import (
     Rms,
     check_rms,
@@ -45,7 +46,7 @@ from vcal.loop.state import chi2_per_dof, fitted
 from vcal.loop.stray import stray_rows
 from vcal.loop.together import alone as alone_fit
 from vcal.loop.together import contradiction
-from vcal.loop.unexplained import dependence, from_structure
+from vcal.loop.unexplained import from_structure
 from vcal.plan import DATA_SET, of_set
 from vcal.report import write_report
 from vcal.spatial import align_rigid

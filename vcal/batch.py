@@ -13,6 +13,7 @@ from draw to draw (an arm with links off by a milliradian), every draw needs its
 `identify_alone`.
 """
 
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -32,6 +33,7 @@ from .least_squares import least_squares
 from .linearised import linearised_terms
 from .measurement import Measurement
 from .model import Model, Shapes, observe_columns, observe_with_jacobian, port_values
+from .parameters import Parameter
 from .plan import Plan
 from .port_map import PortMap, port_map
 from .prior import Amplitudes
@@ -320,13 +322,7 @@ def prepare_batch(
     jacobian = whitened(by_term)
     precision = np.array([float(p.informed) if not p.shape else 0.0 for _, p in names])
     curvature = jacobian.T @ jacobian + np.diag(precision)
-    lost = [i for i in range(size) if curvature[i, i] == 0.0]
-    if lost or np.linalg.cond(curvature / np.sqrt(np.outer(*[np.diag(curvature)] * 2))) > 1e14:
-        names_lost = ", ".join(f"{names[i][0]} {names[i][1].name}" for i in lost) or "a combination"
-        raise ValueError(
-            f"neither data nor prior determine {names_lost} near the nominal parameters; give a "
-            "prior, a plan that sees it, or (shape parameters) nominal amplitudes `theta`"
-        )
+    _check_determined(curvature, names)
     root = np.linalg.inv(np.linalg.cholesky(curvature))
     inverse = root.T @ root
     machines = Amplitudes.of(model.effects)
@@ -340,23 +336,14 @@ def prepare_batch(
         rates.append(np.abs(1.0 - np.linalg.eigvalsh(relative)).max())
     n, m = nominal.shape
     weighted = np.einsum("nik,nij->njk", jacobian.reshape(n, m, size), whitener)
-    moves, fixed = [], {}
-    for i in moving:
-        grids = model.effects[i].scan(plan)
-        for p in model.effects[i].shapes:
-            value = at[i][p.name]
-            if p.moves:
-                step = shape_step(p, value, grids)
-                moves.append((i, p.name, jnp.asarray(value), jnp.asarray(step)))
-            else:
-                fixed.setdefault(i, {})[p.name] = jnp.asarray(value)
+    moves, fixed = _shapes(model, plan, at, moving)
     return Batch(
         chain=model.chain,
         instrument=model.instrument,
         plan=plan,
         rows=rows,
         ports=port_map(model, plan, at, moving),
-        shapes=tuple(moves),
+        shapes=moves,
         fixed=fixed,
         nominal_shapes=at,
         amplitudes=len(model.entries),
@@ -372,6 +359,39 @@ def prepare_batch(
         gain=jnp.asarray(inverse @ weighted.reshape(n * m, size).T),
         contraction=jnp.asarray(np.median(rates)),
     )
+
+
+def _check_determined(
+    curvature: Float[np.ndarray, "k k"], names: Sequence[tuple[str, Parameter]]
+) -> None:
+    """Refuse a problem in which a parameter, or a combination of them, is free."""
+    diagonal = np.diag(curvature)
+    lost = np.flatnonzero(diagonal == 0.0).tolist()
+    if lost or np.linalg.cond(curvature / np.sqrt(np.outer(diagonal, diagonal))) > 1e14:
+        names_lost = ", ".join(f"{names[i][0]} {names[i][1].name}" for i in lost) or "a combination"
+        raise ValueError(
+            f"neither data nor prior determine {names_lost} near the nominal parameters; give a "
+            "prior, a plan that sees it, or (shape parameters) nominal amplitudes `theta`"
+        )
+
+
+def _shapes(
+    model: Model, plan: Plan, at: Shapes, moving: Iterable[int]
+) -> tuple[tuple[tuple[int, str, Array, Array], ...], dict[int, dict[str, Array]]]:
+    """Shape parameters of the effects that have one that moves: those that do, as
+    (effect, name, value, step), and the values of the others.
+    """
+    moves, fixed = [], {}
+    for i in moving:
+        grids = model.effects[i].scan(plan)
+        for p in model.effects[i].shapes:
+            value = at[i][p.name]
+            if p.moves:
+                step = shape_step(p, value, grids)
+                moves.append((i, p.name, jnp.asarray(value), jnp.asarray(step)))
+            else:
+                fixed.setdefault(i, {})[p.name] = jnp.asarray(value)
+    return tuple(moves), fixed
 
 
 def identify_one(

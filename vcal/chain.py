@@ -111,6 +111,11 @@ class Chain(Record):
         """Names of the joints, in the order of a plan's columns."""
         return tuple(joint.name for joint in self.joints)
 
+    @property
+    def travel(self) -> Float[np.ndarray, "axes 2"]:
+        """Lowest and highest position of every axis, m or rad; infinite where not declared."""
+        return np.stack([joint.travel for joint in self.joints])
+
     def joint(self, name: str) -> Joint:
         """A joint by name."""
         return self.joints[self.axes.index(name)]

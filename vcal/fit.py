@@ -1,11 +1,13 @@
 """A model identified from a measurement: numbers, and what follows from them directly."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
 from .least_squares import Status
@@ -124,6 +126,13 @@ class Fit:
             ) from error
 
     @cached_property
+    def planned_covariance(self) -> np.ndarray:
+        """H^-1 in solver units: what readings of the declared noise leave, whatever the residuals
+        turned out to be.
+        """
+        return cho_solve(self.factor, np.eye(len(self.theta)))
+
+    @cached_property
     def covariance(self) -> np.ndarray:
         """Posterior covariance H^-1 in solver units.
 
@@ -133,7 +142,7 @@ class Fit:
         a part of r_i, which A_i = (1 - J_i H^-1 J_i')^(-1/2) gives back (Bell, McCaffrey, Survey
         Methodology 28, 2002, 169).
         """
-        inverse = cho_solve(self.factor, np.eye(len(self.theta)))
+        inverse = self.planned_covariance
         shared = self.clusters >= 0
         if not shared.any():
             return inverse
@@ -202,7 +211,7 @@ class Fit:
         """Share of each parameter's information that came from the data: 1 - posterior variance /
         prior variance; 1 for flat priors.
         """
-        variance = np.diag(cho_solve(self.factor, np.eye(len(self.theta))))
+        variance = np.diag(self.planned_covariance)
         return np.where(self.precision > 0, 1.0 - variance * self.precision, 1.0)
 
     @property
@@ -305,23 +314,20 @@ class Fit:
     def values_of(self, place: int) -> list[tuple[str, Parameter, float, float]]:
         """`parameter_values` of the effect at `place` in the model, amplitudes first."""
         values, effects = self.parameter_values(), self.model.effects
-        first = sum(len(e.amplitudes) for e in effects[:place])
         shapes = len(self.model.entries) + sum(len(e.shapes) for e in effects[:place])
-        mine = effects[place]
         return [
-            *values[first : first + len(mine.amplitudes)],
-            *values[shapes : shapes + len(mine.shapes)],
+            *values[self.model.places[place]],
+            *values[shapes : shapes + len(effects[place].shapes)],
         ]
 
     def places_of(self, place: int) -> tuple[np.ndarray, np.ndarray]:
         """Places in `theta` of the amplitudes of the effect at `place` in the model, and of its
         shape parameters that move.
         """
-        effects = self.model.effects
-        first = sum(len(e.amplitudes) for e in effects[:place])
-        moving = [sum(p.moves for p in e.shapes) for e in effects]
-        start = len(self.model.entries) + sum(moving[:place])
-        amplitudes = np.arange(first, first + len(effects[place].amplitudes))
+        count = len(self.model.entries)
+        moving = [sum(p.moves for p in e.shapes) for e in self.model.effects]
+        start = count + sum(moving[:place])
+        amplitudes = np.arange(count)[self.model.places[place]]
         return amplitudes, np.arange(start, start + moving[place])
 
 
@@ -358,6 +364,40 @@ def undetermined(fit: Fit) -> list[str]:
     part = np.abs(vt[s <= _LOST * s[0]]).max(0, initial=0.0)
     names = [f"{key} {p.name}" for key, p in fit.entries]
     return [name for name, share in zip(names, part, strict=True) if share > _PART]
+
+
+class Learnt(NamedTuple):
+    """How much of the space of the parameters that have a prior is determined."""
+
+    directions: int
+    determined: int
+    """Directions told to better than half their prior variance."""
+    unseen: int
+    """Directions of which next to nothing is told."""
+    hardly: tuple[str, ...]
+    """Parameters of which hardly anything is told."""
+
+    @classmethod
+    def of(
+        cls,
+        entries: Sequence[tuple[str, Parameter]],
+        root_precision: Float[np.ndarray, " k"],
+        covariance: Float[np.ndarray, "k k"],
+    ) -> "Learnt":
+        """From the square root of the prior precision and the posterior covariance.
+
+        Directions are those of this covariance in units of the prior, so that each has the share
+        of information 1 - variance.
+        """
+        proper = np.flatnonzero(root_precision > 0.0)
+        if not len(proper):
+            return cls(0, 0, 0, ())
+        root = root_precision[proper]
+        scaled = covariance[np.ix_(proper, proper)] * np.outer(root, root)
+        told = 1.0 - np.linalg.eigvalsh(scaled)
+        names = [f"{key}: {p.name}" for key, p in (entries[k] for k in proper.tolist())]
+        hardly = [n for n, v in zip(names, np.diag(scaled), strict=True) if 1.0 - v < HARDLY_TOLD]
+        return cls(len(proper), int((told > 0.5).sum()), int((told < _LITTLE).sum()), tuple(hardly))
 
 
 def null_directions(fit: Fit) -> list[str]:

@@ -7,6 +7,7 @@ compiled once per chain and instrument, and every parameter's derivative follows
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -113,6 +114,12 @@ class Model(Record):
         """The amplitudes of all effects, in the order of the parameter vector."""
         return tuple(Entry(i, p, e.key) for i, e in enumerate(self.effects) for p in e.amplitudes)
 
+    @property
+    def places(self) -> tuple[slice, ...]:
+        """Where in the parameter vector the amplitudes of every effect are."""
+        ends = [0, *accumulate(len(e.amplitudes) for e in self.effects)]
+        return tuple(slice(*pair) for pair in pairwise(ends))
+
     def shapes_at(self, plan: Plan, shapes: Shapes | None = None) -> dict[int, dict[str, Any]]:
         """Values (SI) of all shape parameters: as given, as declared, or the middle of their scan,
         by position of the effect.
@@ -137,10 +144,11 @@ class Model(Record):
         """Responses of all effects per solver unit (prior sigma) of their amplitudes, at the given
         shape parameters or those of `shapes_at`.
         """
-        shapes, blocks, start = self.shapes_at(plan, shapes), [], 0
-        for i, effect in enumerate(self.effects):
-            blocks.append(effect_terms(effect, self.layout, plan, shapes.get(i, {}), start))
-            start += len(effect.amplitudes)
+        shapes, layout = self.shapes_at(plan, shapes), self.layout
+        blocks = [
+            effect_terms(effect, layout, plan, shapes.get(i, {}), place.start)
+            for i, (effect, place) in enumerate(zip(self.effects, self.places, strict=True))
+        ]
         return concatenate(blocks, plan.rows, len(self.layout))
 
 

@@ -202,11 +202,6 @@ class Plan(Record):
             tables.append(own)
         return Plan(self.axes, self.position, *tables, numbers=self.numbers)
 
-    def owned(self, name: str) -> tuple[str, ...]:
-        """Covariates of one data set that the others do not share, by the names it uses."""
-        prefix = of_set(name, "")
-        return tuple(k.removeprefix(prefix) for k in self.covariates if k.startswith(prefix))
-
     def part(self, name: str) -> "Plan":
         """The rows of one data set, as if there were no others."""
         return self.of(name).take(np.flatnonzero(self.in_set(name)))

@@ -101,16 +101,15 @@ def port_map(
     `shapes` are the values of the shape parameters (SI) of all effects but those at the positions
     `moving`, whose shapes are arguments of the result.
     """
-    blocks, items, start = [], [], 0
-    for i, effect in enumerate(model.effects):
+    blocks, items = [], []
+    for i, (effect, place) in enumerate(zip(model.effects, model.places, strict=True)):
         if machine_only and effect.where != "machine":
-            pass
-        elif i in moving:
-            items.append(_Moving(effect, i, start))
+            continue
+        if i in moving:
+            items.append(_Moving(effect, i, place.start))
         else:
             shape = (shapes or {}).get(i, {})
-            blocks.append(effect_terms(effect, model.layout, plan, shape, start))
-        start += len(effect.amplitudes)
+            blocks.append(effect_terms(effect, model.layout, plan, shape, place.start))
     terms = concatenate(blocks, plan.rows, len(model.layout))
     return PortMap(columns_of(terms), tuple(items), plan, model.layout)
 

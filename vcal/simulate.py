@@ -119,10 +119,10 @@ class Simulated:
         if not places:
             keys = ", ".join(e.key for e in (*self.model.effects, *self.model.random))
             raise ValueError(f"effect {effect.key!r} is not in the model, which has {keys}")
-        start = sum(len(e.amplitudes) for e in self.model.effects[: places[0]])
+        own = self.theta[self.model.places[places[0]]]
         values = [
-            (p, float(p.mean + self.theta[start + k] * p.step / p.si))
-            for k, p in enumerate(effect.amplitudes)
+            (p, float(p.mean + value * p.step / p.si))
+            for p, value in zip(effect.amplitudes, own, strict=True)
         ]
         return values + [(p, self.shapes[places[0]][p.name] / p.si) for p in effect.shapes]
 
@@ -323,15 +323,21 @@ def true_tool_points(model: Model, plan: Plan, truth: Truth) -> Float[np.ndarray
     """
     require_float64()
     model.check_plan(plan)
-    blocks, start = [], 0
-    for i, effect in enumerate(model.effects):
-        if effect.where == "machine":
-            shape = truth.shapes.get(i, {})
-            blocks.append(effect_terms(effect, model.layout, plan, shape, start))
-        start += len(effect.amplitudes)
+    blocks = [
+        effect_terms(effect, model.layout, plan, truth.shapes.get(i, {}), place.start)
+        for i, (effect, place) in enumerate(zip(model.effects, model.places, strict=True))
+        if effect.where == "machine"
+    ]
     terms = concatenate(blocks, plan.rows, len(model.layout))
     ports = port_values(terms, jnp.asarray(truth.theta), len(model.layout))
     return np.asarray(tool_points(model.chain, jnp.asarray(plan.position), ports))
+
+
+def travels(chain: Chain, plan: Plan) -> Float[np.ndarray, "axes 2"]:
+    """Travel of every axis, or what a plan covers where it is not declared (m or rad)."""
+    own = np.asarray(plan.position)
+    ends = np.column_stack([own.min(0), own.max(0)])
+    return np.where(np.isfinite(chain.travel), chain.travel, ends)
 
 
 def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
@@ -342,10 +348,7 @@ def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
     """
     at, where, way = jax.random.split(key, 3)
     picked = np.asarray(jax.random.choice(where, plan.rows, (rows,)))
-    own = np.asarray(plan.position)
-    travel = np.stack([joint.travel for joint in chain.joints])
-    low = np.where(np.isfinite(travel[:, 0]), travel[:, 0], own.min(0))
-    high = np.where(np.isfinite(travel[:, 1]), travel[:, 1], own.max(0))
+    low, high = travels(chain, plan).T
     position = low + (high - low) * np.asarray(jax.random.uniform(at, (rows, len(plan.axes))))
     found = plan.elsewhere(position, picked)
     signs = np.asarray(jax.random.rademacher(way, position.shape, float))

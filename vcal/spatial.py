@@ -31,11 +31,6 @@ def rotation(v: Float[Array, "3"]) -> Float[Array, "3 3"]:
     return jnp.eye(3) + a * s + b * (s @ s)
 
 
-def rotation_small(v: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """First-order rotation I + skew(v): the form most of the literature prints."""
-    return jnp.eye(3) + skew(v)
-
-
 def axis_rotation(axis: str, angle: Float[Array, ""]) -> Float[Array, "3 3"]:
     """Rotation by `angle` (rad) about the coordinate axis ``"x"``, ``"y"`` or ``"z"``."""
     c, s = jnp.cos(angle), jnp.sin(angle)

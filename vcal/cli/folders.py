@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from ..errors import StudyError
 from ..io import load_study
 from ..io.declared import beside
 from ..io.messages import listed
-from ..io.simulated import publish, require_empty
+from ..io.output import made_whole, require_empty
 from ..plan import Plan
 
 
@@ -33,17 +32,11 @@ def write_start(instrument: str, out: Path) -> list[str]:
             f"{listed(known)}; correct the name"
         )
     require_empty(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
-        names = []
+    names = []
+    with made_whole(out) as work:
         for entry in (STARTS / instrument).iterdir():
             shutil.copyfile(entry, work / entry.name)
             names.append(entry.name)
-        publish(work, out)
-    except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
-        raise
     return sorted(names)
 
 

@@ -33,10 +33,6 @@ class Choice(NamedTuple):
     """How often each candidate is measured."""
     value: float
     """sqrt(tr(G C)) of the choice."""
-    greedy: float
-    """The same of the greedy choice, before any exchange."""
-    exchanges: int
-    """How many led from its start to the choice."""
 
     @property
     def chosen(self) -> Int[np.ndarray, " c"]:
@@ -74,13 +70,10 @@ def exchange(
     inner = G * np.outer(scale, scale)
     task = _Task(parts, inner, L, price, total * (1.0 + 1e-9), most, tolerance)
     rng = np.random.default_rng(seed)
-    greedy = task.filled(np.zeros(len(F), int))
-    begun = [greedy]
-    for _ in range(starts - 1):
-        begun.append(task.filled(np.zeros(len(F), int), rng.permutation(len(F))))
-    found = [task.exchanged(counts) for counts in begun]
-    counts, done = min(found, key=lambda f: task.value(f[0]))
-    return Choice(counts, _value(F, prior, G, counts), _value(F, prior, G, greedy), done)
+    orders = [None, *(rng.permutation(len(F)) for _ in range(starts - 1))]
+    begun = [task.filled(np.zeros(len(F), int), order) for order in orders]
+    counts = min(map(task.exchanged, begun), key=task.value)
+    return Choice(counts, _value(F, prior, G, counts))
 
 
 class _Task(NamedTuple):
@@ -119,9 +112,9 @@ class _Task(NamedTuple):
             counts = _moved(counts, int(np.argmax(np.where(fits, gained, -np.inf))), 1)
         return counts
 
-    def exchanged(self, counts: np.ndarray) -> tuple[np.ndarray, int]:
-        """One for another until none lowers the criterion, and how many did."""
-        value, done, moved = self.value(counts), 0, True
+    def exchanged(self, counts: np.ndarray) -> np.ndarray:
+        """One for another until none lowers the criterion."""
+        value, moved = self.value(counts), True
         while moved:
             moved = False
             for out in np.flatnonzero(counts).tolist():
@@ -132,12 +125,12 @@ class _Task(NamedTuple):
                 reached = float(np.einsum("kl,kl->", self.gram, C)) - gained[best]
                 if best != out and reached < value * (1.0 - self.tolerance):
                     counts = _moved(fewer, best, 1)
-                    value, done, moved = reached, done + 1, True
+                    value, moved = reached, True
             # A cheaper measurement may have left room for one more.
             fuller = self.filled(counts)
             if fuller.sum() > counts.sum():
                 counts, value, moved = fuller, self.value(fuller), True
-        return counts, done
+        return counts
 
 
 def _moved(counts: np.ndarray, place: int, by: int) -> np.ndarray:

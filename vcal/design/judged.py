@@ -10,9 +10,9 @@ from ..chain import Chain
 from ..model import Model
 from ..plan import Plan
 from ..ports import COMPONENTS
-from ..simulate import scattered
+from ..simulate import scattered, travels
 from ..straight_lines import StraightLines
-from ..uncertainty.quantities import conditions_at, travels
+from ..uncertainty.quantities import conditions_at
 from .criteria import ErrorMotion, Judged
 from .volume import displacements, volumetric_gram
 

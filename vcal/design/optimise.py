@@ -1,7 +1,7 @@
 """A plan made better: the verb behind ``vcal design``."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -42,8 +42,6 @@ class Value(NamedTuple):
     """Without alignment."""
     largest: np.ndarray
     """Largest U (k = 2) of every error motion of the study's own family, um or urad."""
-    courses: tuple[np.ndarray, ...]
-    """U of every one of them along its axis."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,6 @@ class Designed:
     """All starts, best first."""
     fits: tuple[bool, ...]
     """Whether what was found lies within the travel."""
-    compiled: "Compiled" = field(repr=False)
 
     @property
     def gain(self) -> float:
@@ -184,7 +181,6 @@ def optimise(
         worse_after=compiled.without_each(best),
         found=tuple(found),
         fits=fits,
-        compiled=compiled,
     )
 
 
@@ -210,7 +206,7 @@ def require_traceable(function: Callable[[Any], Any], space: PlanSpace) -> None:
 def inside(task: Task, placed: Any) -> bool:
     """Whether all positions are within the travel."""
     position = np.asarray(task.space.plan(placed).position)
-    low, high = np.stack([j.travel for j in task.families[0].model.chain.joints]).T
+    low, high = task.families[0].model.chain.travel.T
     return bool((position >= low - _FITS_M).all() and (position <= high + _FITS_M).all())
 
 
@@ -243,6 +239,5 @@ def _values(task: Task, covariances: Sequence[Float[Array, "k k"]]):
 
 def _value(values) -> Value:
     criterion, aligned, raw, courses = values
-    told = tuple(np.asarray(c) for c in courses)
-    largest = np.array([c.max() for c in told])
-    return Value(float(criterion), float(aligned), float(raw), largest, told)
+    largest = np.array([np.asarray(c).max() for c in courses])
+    return Value(float(criterion), float(aligned), float(raw), largest)

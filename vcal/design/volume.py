@@ -53,16 +53,15 @@ def displacements(model: Model, points: Plan) -> Displacements:
     nominal, by_port = tool_points_with_jacobian(model.chain, jnp.asarray(points.position), still)
     slopes = np.asarray(by_port)
     moved = np.zeros((points.rows, 3, len(model.entries)))
-    start, moves = 0, np.zeros(len(model.entries), bool)
-    for effect in model.effects:
+    moves = np.zeros(len(model.entries), bool)
+    for effect, place in zip(model.effects, model.places, strict=True):
         if effect.where == "machine":
             shape = {p.name: p.mean * p.si for p in effect.shapes}
-            terms = effect_terms(effect, model.layout, points, shape, start)
+            terms = effect_terms(effect, model.layout, points, shape, place.start)
             columns = np.asarray(terms.values)
             for port, parameter, column in zip(terms.port, terms.parameter, columns.T, strict=True):
                 moved[:, :, parameter] += slopes[:, :, port] * column[:, None]
-            moves[start : start + len(effect.amplitudes)] = True
-        start += len(effect.amplitudes)
+            moves[place] = True
     rigid = rigid_basis(np.asarray(nominal))
     return Displacements(
         moved[:, :, moves], rigid.reshape(points.rows, 3, -1), np.flatnonzero(moves)

@@ -120,10 +120,6 @@ class Univariate(Distribution):
         """
         return _score_series(self, order)
 
-    def standardised(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-        """Draws of (X - mean) / std: a prior in units of its own standard deviation."""
-        return (self.sample(key, shape) - self.mean) / self.std
-
     @property
     def shape(self) -> tuple[int, ...]:
         return ()

@@ -35,19 +35,6 @@ class LogNormal(Univariate):
         positive(self.name, sigma=self.sigma)
         self.dof = degrees(self.name, dof)
 
-    @classmethod
-    def from_mean_std(
-        cls, mean: ArrayLike, std: ArrayLike, *, dof: ArrayLike = math.inf
-    ) -> "LogNormal":
-        """The log-normal distribution with this mean and standard deviation, both above zero.
-
-        sigma^2 = log(1 + (std/mean)^2), mu = log(mean) - sigma^2/2. Raises `ValueError` otherwise.
-        """
-        m, s = number(mean), number(std)
-        positive(cls.name, mean=m, std=s)
-        variance = jnp.log1p((s / m) ** 2)
-        return cls(jnp.log(m) - 0.5 * variance, jnp.sqrt(variance), dof=dof)
-
     @property
     def mean(self) -> Float[Array, ""]:
         """exp(mu + sigma^2 / 2)."""

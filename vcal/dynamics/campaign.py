@@ -27,8 +27,6 @@ from .setpoints import SetCircle
 from .unknowns import Unknown, applied
 
 _BLOCK = 20
-_NONE = 1e-9
-"""Uncertainty of an element over that of the largest below which there is no such element."""
 
 
 @dataclass(frozen=True)
@@ -95,15 +93,6 @@ class Campaign:
     def pulls(self) -> Float[np.ndarray, "d k"]:
         """Errors over their standard uncertainties, of the machines whose search converged."""
         return ((self.found - self.true) / self.u)[self.converged]
-
-    @property
-    def matrix_pulls(self) -> Float[np.ndarray, "d 3 axes"]:
-        """The same of E; nan for elements that are zero by the symmetry of the machine."""
-        seen = self.matrix_u > _NONE * self.matrix_u.max(axis=(1, 2), keepdims=True)
-        errors = self.matrix - self.matrix_true
-        return np.divide(errors, self.matrix_u, out=np.full(errors.shape, np.nan), where=seen)[
-            self.converged
-        ]
 
 
 def campaign(

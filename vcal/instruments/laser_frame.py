@@ -112,8 +112,6 @@ _CORNERS: dict[str, tuple[tuple[int, str, str], ...]] = {
         (5, "---", "--+"),
     ),
 }
-PATHS = tuple(_CORNERS)
-"""Beam paths with a name."""
 
 
 def beam_path(

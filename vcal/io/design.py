@@ -16,7 +16,8 @@ from .family import geometric_errors
 from .folder import Folder
 from .messages import listed, refusal
 from .must_see import check_seen, check_wanted
-from .settings import read_setup, validate
+from .settings import validate
+from .setup_file import read_setup
 from .study import Study, build_chain
 
 

@@ -10,7 +10,7 @@ import tomli_w
 
 from ..design.plan_space import PlanSpace
 from .messages import refusal
-from .settings import read_setup
+from .setup_file import read_setup
 from .study import Study
 from .table import write_table
 

@@ -1,14 +1,14 @@
 """A machine for its dynamics, from a TOML description."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from ..catalogue import nearest
 from ..chain import Chain, chain_from_string
@@ -30,19 +30,17 @@ from ..dynamics.gains import propose
 from ..dynamics.modes import check_supported, modes
 from ..dynamics.setpoints import Limits
 from ..errors import StudyError
+from .machine_description import (
+    BodySettings,
+    ControllerSettings,
+    DriveSettings,
+    MachineDescription,
+    SpringSettings,
+    ToolPointSettings,
+)
 from .messages import explain, listed, refusal, shown
-from .settings import read_setup
+from .setup_file import read_setup
 
-Positive = Annotated[float, Field(gt=0)]
-# What machines have, with much to spare. Beyond it a number is of another unit, or matrices have
-# too few digits left to tell what holds a body.
-Mass = Annotated[float, Field(ge=1e-3, le=1e6)]
-Inertia = Annotated[float, Field(ge=1e-4, le=1e9)]
-Length = Annotated[float, Field(ge=-1e5, le=1e5)]
-Stiffness = Annotated[float, Field(ge=0, le=1e6)]
-Turning = Annotated[float, Field(ge=0, le=1e9)]
-Viscous = Annotated[float, Field(ge=0, le=1e6)]
-Triple = tuple[Length, Length, Length]
 _EXACT = 1e-6
 _MOTOR_KG = 1e-3
 """Least mass of a motor."""
@@ -50,126 +48,6 @@ _ROUNDED = 0.01
 """By how much of the sum of the others a moment of inertia may exceed it, as it is rounded."""
 _HELD = 1e-3
 """Of the largest stiffness, from which springs hold an axis along its travel."""
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class BodySettings(_Table):
-    """``[[body]]``: a rigid body."""
-
-    name: str
-    on: str | None = None
-    """What it rides with, ``"bed"`` or an axis; its own name by default."""
-    mass_kg: Mass
-    inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
-    """About its centre of gravity, about X, Y, Z; none more than the sum of the others."""
-    centre_mm: Triple
-    """Centre of gravity at the axis positions zero."""
-
-
-class SpringSettings(_Table):
-    """``[[spring]]``: carriages of a guideway, mounts of a foundation, bearings."""
-
-    name: str
-    between: tuple[str, str]
-    """Two bodies, or a body and ``"ground"``."""
-    on: str | None = None
-    """What the points ride with; the first body's link by default."""
-    points_mm: Annotated[tuple[Triple, ...], Field(min_length=1)]
-    stiffness_N_per_um: tuple[Stiffness, Stiffness, Stiffness]  # noqa: N815
-    """Of one point, along X, Y, Z."""
-    turning_Nm_per_mrad: tuple[Turning, Turning, Turning] = (0.0, 0.0, 0.0)  # noqa: N815
-    """Of one point, about X, Y, Z."""
-    damping_Ns_per_mm: tuple[Viscous, Viscous, Viscous] = (0.0, 0.0, 0.0)  # noqa: N815
-    """Viscous, of one point, beside the damping of all."""
-
-
-class DriveSettings(_Table):
-    """``[[drive]]``: one per axis."""
-
-    axis: str
-    base: str | None = None
-    """Body that it pushes from; the one towards the bed by default."""
-    point_mm: Triple
-    """Where its force attacks."""
-    screw_N_per_um: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None  # noqa: N815
-    """Stiffness of screw, nut and bearings; a linear motor without it."""
-    motor_mass_kg: Annotated[float, Field(ge=0, le=1e6)] = 0.0
-    """Inertia of motor and screw as a mass along the axis, J (2 pi / pitch)^2; no less than 1 g
-    beside a screw.
-    """
-    scale_mm: Triple | None = None
-    """Where the scale is read; at the drive by default."""
-    measured: Literal["scale", "motor"] = "scale"
-    """By a linear scale, or by the motor's encoder."""
-
-
-class FrictionSettings(_Table):
-    """``[[friction]]``: of the guideway of one axis."""
-
-    axis: str
-    point_mm: Triple | None = None
-    """Where it acts; where the drive attacks by default."""
-    coulomb_N: Positive  # noqa: N815
-    stiction_N: Positive | None = None  # noqa: N815
-    """No less than `coulomb_N`, which it is by default."""
-    stribeck_mm_per_s: Positive = 1.0
-    presliding_um: Positive
-    """How far the contacts bend before they slide."""
-    viscous_Ns_per_mm: Annotated[float, Field(ge=0)] = 0.0  # noqa: N815
-
-
-class ToolPointSettings(_Table):
-    """``[tool_point]``."""
-
-    point_mm: Triple
-    tool: str | None = None
-    """Body with the tool; the last one on the tool's side by default."""
-    work: str | None = None
-    """Body with the workpiece; the last one on its side by default."""
-
-
-class ControllerSettings(_Table):
-    """``[controller]``: gains of all axes, or one per axis; what is left out is proposed."""
-
-    position_gain_per_s: Positive | tuple[Positive, ...] | None = None
-    """Kv."""
-    bandwidth_rad_per_s: Positive | tuple[Positive, ...] | None = None
-    """w_v of the velocity loop; Kp = m w_v."""
-    integral_time_ms: Positive | tuple[Positive, ...] | None = None
-    """Tn."""
-    feed_forward: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Share of the set velocity added to the velocity command."""
-    delay_ms: Annotated[float, Field(ge=0)] = 0.0
-    sample_time_ms: Positive = 1.0
-
-
-class LimitSettings(_Table):
-    """``[limits]``: of every axis."""
-
-    velocity_m_per_min: Positive = np.inf
-    acceleration_m_per_s2: Positive = np.inf
-    jerk_m_per_s3: Positive = np.inf
-
-
-class MachineDescription(_Table):
-    """The whole file."""
-
-    chain: str
-    """ISO 10791-6, such as ``"w X b Y Z t"``."""
-    damping: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """Damping ratio of all springs at `damping_hz`."""
-    damping_hz: Positive | None = None
-    """The first mode by default."""
-    body: Annotated[tuple[BodySettings, ...], Field(min_length=1)]
-    spring: tuple[SpringSettings, ...] = ()
-    drive: Annotated[tuple[DriveSettings, ...], Field(min_length=1)]
-    friction: tuple[FrictionSettings, ...] = ()
-    tool_point: ToolPointSettings
-    controller: ControllerSettings = ControllerSettings()
-    limits: LimitSettings = LimitSettings()
 
 
 class Described(NamedTuple):
@@ -215,8 +93,21 @@ def load_machine(path: Path | str, overrides: Sequence[str] = ()) -> Described:
 
 
 def _machine(found: MachineDescription, file: str) -> Machine:
+    chain = _chain(found.chain, file)
+    _check_names([body.name for body in found.body], "body", "name", file)
+    _check_names([drive.axis for drive in found.drive], "drive", "axis", file)
+    bodies = _bodies(found.body, chain, file)
+    links = {body.name: body.link for body in bodies}
+    springs = _springs(found.spring, links, chain, file)
+    drives, scales = _drives(found.drive, links, chain, file)
+    tool_point = _tool_point(found.tool_point, links, chain, file)
+    friction = _friction(found, drives, file)
+    return Machine(chain, bodies, springs, drives, scales, tool_point, 0.0, friction)
+
+
+def _chain(text: str, file: str) -> Chain:
     try:
-        chain = chain_from_string(found.chain)
+        return chain_from_string(text)
     except ValueError as error:
         told, _, expected = str(error).rpartition("expected ")
         raise refusal(
@@ -226,11 +117,11 @@ def _machine(found: MachineDescription, file: str) -> Machine:
             expected.partition(" (")[0],  # other joints are for studies
             "correct the chain",
         ) from error
-    links = {body.name: body.on or body.name for body in found.body}
-    _check_names([body.name for body in found.body], "body", "name", file)
-    _check_names([drive.axis for drive in found.drive], "drive", "axis", file)
-    for i, body in enumerate(found.body):
-        known = (BED, *chain.axes)
+
+
+def _bodies(settings: Sequence[BodySettings], chain: Chain, file: str) -> tuple[Body, ...]:
+    known, made = (BED, *chain.axes), []
+    for i, body in enumerate(settings):
         if body.on is None and body.name not in known:
             raise refusal(
                 file,
@@ -239,20 +130,20 @@ def _machine(found: MachineDescription, file: str) -> Machine:
                 f"a name out of {listed(known)}, or on = one of them, which it rides with",
                 "correct the name, or add the key",
             )
-        _known(links[body.name], known, f"body.{i}.on", file)
+        link = body.on or body.name
+        _known(link, known, f"body.{i}.on", file)
         _check_inertia(body, f"body.{i}.inertia_kg_m2", file)
-    bodies = tuple(
-        Body(
-            body.name,
-            links[body.name],
-            body.mass_kg,
-            jnp.diag(jnp.array(body.inertia_kg_m2)),
-            1e-3 * jnp.array(body.centre_mm),
-        )
-        for body in found.body
-    )
-    springs = []
-    for i, spring in enumerate(found.spring):
+        inertia = jnp.diag(jnp.array(body.inertia_kg_m2))
+        made.append(Body(body.name, link, body.mass_kg, inertia, 1e-3 * jnp.array(body.centre_mm)))
+    return tuple(made)
+
+
+def _springs(
+    settings: Sequence[SpringSettings], links: Mapping[str, str], chain: Chain, file: str
+) -> tuple[Spring, ...]:
+    """One per point; `links` are those of the bodies, by name."""
+    made = []
+    for i, spring in enumerate(settings):
         for name in spring.between:
             _known(name, (*links, GROUND), f"spring.{i}.between", file)
         if spring.between[0] == spring.between[1]:
@@ -266,7 +157,7 @@ def _machine(found: MachineDescription, file: str) -> Machine:
         first = spring.between[0] if spring.between[0] != GROUND else spring.between[1]
         link = spring.on or links[first]
         _known(link, (BED, *chain.axes), f"spring.{i}.on", file)
-        springs += [
+        made += [
             Spring(
                 spring.name,
                 *spring.between,
@@ -278,8 +169,15 @@ def _machine(found: MachineDescription, file: str) -> Machine:
             )
             for point in spring.points_mm
         ]
+    return tuple(made)
+
+
+def _drives(
+    settings: Sequence[DriveSettings], links: Mapping[str, str], chain: Chain, file: str
+) -> tuple[tuple[Drive, ...], tuple[Scale, ...]]:
+    """Drives and what each is measured by; `links` are those of the bodies, by name."""
     drives, scales = [], []
-    for i, drive in enumerate(found.drive):
+    for i, drive in enumerate(settings):
         _known(drive.axis, chain.axes, f"drive.{i}.axis", file)
         if drive.axis not in links:
             raise refusal(
@@ -291,44 +189,46 @@ def _machine(found: MachineDescription, file: str) -> Machine:
             )
         base = drive.base or _towards_bed(chain, drive.axis, links, GROUND)
         _known(base, (*links, GROUND), f"drive.{i}.base", file)
-        if drive.measured == "motor" and drive.screw_N_per_um is None:
-            raise refusal(
-                file,
-                f"key drive.{i}.measured",
-                "'motor' on a drive without a screw",
-                "'scale', as a linear motor has no encoder of its own",
-                "correct the key, or add screw_N_per_um",
-            )
+        _check_screw(drive, f"drive.{i}", file)
         screw = None if drive.screw_N_per_um is None else 1e6 * drive.screw_N_per_um
         place = (drive.axis, drive.axis, base, drive.axis)
         drives.append(Drive(*place, 1e-3 * jnp.array(drive.point_mm), screw, drive.motor_mass_kg))
         at = drive.scale_mm or drive.point_mm
         scales.append(Scale(*place, 1e-3 * jnp.array(at), drive.measured == "motor"))
-        if screw is not None and drive.motor_mass_kg < _MOTOR_KG:
-            left_out = drive.motor_mass_kg == 0.0
+    return tuple(drives), tuple(scales)
+
+
+def _check_screw(drive: DriveSettings, key: str, file: str) -> None:
+    """Refuse an encoder of a motor that has no screw, and a screw without inertia."""
+    if drive.screw_N_per_um is None:
+        if drive.measured == "motor":
             raise refusal(
                 file,
-                f"key drive.{i}.motor_mass_kg",
-                f"{'none' if left_out else f'{drive.motor_mass_kg:g}'} beside a screw",
-                "the inertia of motor and screw as a mass, J (2 pi / pitch)^2"
-                + ("" if left_out else f", of at least {_MOTOR_KG:g}"),
-                "add it" if left_out else "correct the value",
+                f"key {key}.measured",
+                "'motor' on a drive without a screw",
+                "'scale', as a linear motor has no encoder of its own",
+                "correct the key, or add screw_N_per_um",
             )
-    end = found.tool_point
+    elif drive.motor_mass_kg < _MOTOR_KG:
+        left_out = drive.motor_mass_kg == 0.0
+        raise refusal(
+            file,
+            f"key {key}.motor_mass_kg",
+            f"{'none' if left_out else f'{drive.motor_mass_kg:g}'} beside a screw",
+            "the inertia of motor and screw as a mass, J (2 pi / pitch)^2"
+            + ("" if left_out else f", of at least {_MOTOR_KG:g}"),
+            "add it" if left_out else "correct the value",
+        )
+
+
+def _tool_point(
+    end: ToolPointSettings, links: Mapping[str, str], chain: Chain, file: str
+) -> ToolPoint:
     tool = end.tool or _last(chain, "tool", links)
     work = end.work or _last(chain, "workpiece", links)
     _known(tool, links, "tool_point.tool", file)
     _known(work, (*links, GROUND), "tool_point.work", file)
-    return Machine(
-        chain,
-        bodies,
-        tuple(springs),
-        tuple(drives),
-        tuple(scales),
-        ToolPoint(tool, work, links[tool], 1e-3 * jnp.array(end.point_mm)),
-        0.0,
-        _friction(found, drives, file),
-    )
+    return ToolPoint(tool, work, links[tool], 1e-3 * jnp.array(end.point_mm))
 
 
 def _check_inertia(body: BodySettings, key: str, file: str) -> None:

@@ -3,9 +3,7 @@
 import json
 import math
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
@@ -279,65 +277,6 @@ AnySettings = StudySettings | SeveralSettings
 """What a study file may say as a whole."""
 
 
-def read_setup(
-    path: Path, overrides: Mapping[str, Any] | Sequence[str] = ()
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """The raw tree of a study file with overrides put in, and the overrides as text by key.
-
-    An override is ``"instrument.joints=read"``, or a key and its value; rows of an array of tables
-    count from 0 (``"model.effect.0.size_um=3"``). Raises `StudyError` for a file that is missing
-    or not TOML, and an override that has no ``=`` or no place in the tree, or contradicts another,
-    or is of a whole table beside one of a key in it.
-    """
-    if not path.is_file():
-        raise refusal(
-            path.name,
-            "file",
-            f"no such file in {path.parent}",
-            "a study file in TOML",
-            "correct the path",
-        )
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise refusal(
-            path.name, "file", f"unreadable text ({error})", "TOML in UTF-8", "save it again so"
-        ) from error
-    except (ValueError, RecursionError) as error:
-        # Of a number of thousands of digits and of nested brackets, the parser only says that.
-        what, _, place = str(error).partition(" (at ")
-        raise refusal(
-            path.name,
-            place.rstrip(")") or "file",
-            f"what is not TOML ({what})",
-            "`key = value` below a [table], text in quotes",
-            "correct the line",
-        ) from error
-    given: dict[str, str] = {}
-    for key, value in _pairs(overrides):
-        said = value if isinstance(value, str) else shown(value)
-        if _toml_value(key, given.get(key, said)) != _toml_value(key, said):
-            raise refusal(
-                f"{path.name} (override {key}={said})",
-                f"key {key}",
-                f"{given[key]} as well",
-                "one value for a key, by an option or by --set",
-                "leave one of them out",
-            )
-        for other in given:
-            if other.startswith(f"{key}.") or key.startswith(f"{other}."):
-                raise refusal(
-                    f"{path.name} (override {key}={said})",
-                    f"key {key}",
-                    f"{other}={given[other]} as well",
-                    "a whole table, or some of its keys",
-                    "leave one of them out, or put the key into the table",
-                )
-        given[key] = said
-        _put(raw, key, _toml_value(key, value), said)
-    return raw, given
-
-
 def computable(value: float) -> bool:
     """Whether a number is of a size that a quantity in the unit of its name can have."""
     return value == 0 or _SMALLEST <= abs(value) <= _LARGEST
@@ -526,72 +465,6 @@ def _model(raw: Mapping[str, Any]) -> Any:
     # pydantic reads these at run time, which a type checker cannot follow.
     optional: Any = geometric | None
     return create_model("ModelSettings", __base__=ModelSettings, geometric=(optional, None))
-
-
-def _pairs(overrides: Mapping[str, Any] | Sequence[str]) -> Iterator[tuple[str, Any]]:
-    if isinstance(overrides, Mapping):
-        yield from overrides.items()
-        return
-    for text in overrides:
-        key, equals, value = text.partition("=")
-        if not equals or not key.strip():
-            raise StudyError(
-                f"override {text!r}: found no key and value, expected key=value such as "
-                "instrument.joints=read; write it so"
-            )
-        yield key.strip(), value.strip()
-
-
-def _toml_value(key: str, value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    try:
-        return tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        return value  # text without its quotes
-    except (ValueError, RecursionError) as error:
-        raise refusal(
-            f"override {key}={shown(value)}",
-            f"key {key}",
-            f"what is not TOML ({error})",
-            "a value as in the study file",
-            "correct the value",
-        ) from error
-
-
-def _put(raw: dict[str, Any], key: str, value: Any, text: str) -> None:
-    *path, last = key.split(".")
-    table: Any = raw
-    for i, part in enumerate(path):
-        if isinstance(table, dict):
-            table = table.setdefault(part, {})
-        else:
-            table = _row(table, part, key, text)
-        if not isinstance(table, dict | list):
-            raise refusal(
-                f"override {key}={text}",
-                f"key {'.'.join(path[: i + 1])}",
-                shown(table),
-                "a table",
-                "correct the key",
-            )
-    if isinstance(table, list):
-        _row(table, last, key, text)
-        table[int(last)] = value
-    else:
-        table[last] = value
-
-
-def _row(table: list[Any], part: str, key: str, text: str) -> Any:
-    if not part.isdigit() or int(part) >= len(table):
-        raise refusal(
-            f"override {key}={text}",
-            f"key {key}",
-            f"row {part!r}",
-            f"a row from 0 to {len(table) - 1}",
-            "correct the number",
-        )
-    return table[int(part)]
 
 
 def _numbers(tree: Any, key: str = "") -> Iterator[tuple[str, int | float]]:

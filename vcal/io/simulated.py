@@ -2,9 +2,7 @@
 
 import json
 import math
-import os
 import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -20,9 +18,10 @@ from ..errors import StudyError
 from ..instruments.conditions import file_name, inside_name, linear_plan, linear_plan_table
 from ..simulate import Simulated, scattered, simulate
 from .declared import Catalogue, beside, declared_effects, unknown_effect
-from .folder import check_way
 from .messages import refusal, shown
-from .settings import COMPUTABLE, EffectSettings, computable, read_setup
+from .output import made_whole, require_empty
+from .settings import COMPUTABLE, EffectSettings, computable
+from .setup_file import read_setup
 from .study import DataSet, Study
 from .table import Table, read_header, write_table
 
@@ -163,11 +162,37 @@ def write_simulated(
                 "move the file there",
             )
     machine, where = jax.random.split(jax.random.key(seed))
+    result = _simulated(study, effects, machine, noise_factor)
+    _check_travel(study, result)
+    tables = {one.file: _data(study, one, result) for one in study.sets}
+    for one in study.sets:
+        _check_readable(study, one, tables[one.file])
+    points = _check(study, result, where)
+    if points is not None:
+        tables[study.check_file] = points
+    truth = _truth(study, result, effects, seed, noise_factor)
+    with made_whole(out) as work:
+        for name in study.hashes:
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
+            if name not in tables:
+                shutil.copyfile(study.folder / name, work / name)
+        if overrides:
+            (work / study.path.name).write_text(_setup(study, overrides), encoding="utf-8")
+        for name, table in tables.items():
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
+            write_table(work / name, table)
+        (work / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+    return result
+
+
+def _simulated(
+    study: Study, effects: Sequence[Effect], key: jax.Array, noise_factor: float
+) -> Simulated:
     try:
-        result = simulate(
+        return simulate(
             study.model,
             study.plan,
-            machine,
+            key,
             effects=effects,
             noise_factor=noise_factor,
             name=study.name,
@@ -183,57 +208,6 @@ def write_simulated(
             "errors that leave finite readings",
             "declare smaller ones, or give --with smaller values",
         ) from error
-    _check_travel(study, result)
-    tables = {one.file: _data(study, one, result) for one in study.sets}
-    for one in study.sets:
-        _check_readable(study, one, tables[one.file])
-    points = _check(study, result, where)
-    if points is not None:
-        tables[study.check_file] = points
-    truth = _truth(study, result, effects, seed, noise_factor)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    # Complete or not at all: the folder gets its name when everything is in it.
-    work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
-        for name in study.hashes:
-            (work / name).parent.mkdir(parents=True, exist_ok=True)
-            if name not in tables:
-                shutil.copyfile(study.folder / name, work / name)
-        if overrides:
-            (work / study.path.name).write_text(_setup(study, overrides), encoding="utf-8")
-        for name, table in tables.items():
-            (work / name).parent.mkdir(parents=True, exist_ok=True)
-            write_table(work / name, table)
-        (work / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
-        publish(work, out)
-    except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
-        raise
-    return result
-
-
-def require_empty(out: Path) -> None:
-    """Raise `StudyError` if there is something at `out` that writing there would overwrite,
-    or nothing can be made there.
-    """
-    check_way(out)
-    if out.is_dir() and not any(out.iterdir()):
-        return
-    if out.exists() or out.is_symlink():
-        kind = "a folder that is not empty" if out.is_dir() else "a file"
-        raise refusal(
-            str(out), "folder", kind, "a new or an empty folder", "choose another or remove it"
-        )
-
-
-def publish(work: Path, out: Path) -> None:
-    """Give the finished folder `work` the name `out`, with the permissions of any new folder."""
-    mask = os.umask(0)
-    os.umask(mask)
-    work.chmod(0o777 & ~mask)
-    if out.is_dir():
-        out.rmdir()
-    work.replace(out)
 
 
 def _setup(study: Study, overrides: Mapping[str, Any] | Sequence[str]) -> str:

@@ -47,9 +47,9 @@ from .settings import (
     LoopSettings,
     MachineSettings,
     StudySettings,
-    read_setup,
     validate,
 )
+from .setup_file import read_setup
 from .table import Table
 
 _SHORTEST_MM, _FARTHEST_MM = 0.1, 1e6

@@ -9,13 +9,14 @@ from ..effects.base import Effect
 from .candidates import Untestable, candidates
 from .closure import Rejected, outdone_by
 from .empirical import EMPIRICAL, Empirical
-from .rivals import WIDENINGS, WIDER, Rival, Weighed, preferred, weigh, widened
+from .rivals import WIDENINGS, WIDER, Rival, widened
 from .round import Round
 from .scan import Responses
 from .screen import Screen
 from .screening import Screening, screen
 from .state import State, chi2_per_dof, fitted
 from .unexplained import Refused, Unexplained, described
+from .weighing import Weighed, preferred, weigh
 
 _CONTRADICTED = math.log(5.0)
 """Log odds of an effect that is refused over the next, from which that one is no name either: what

@@ -24,7 +24,6 @@ from .empirical import EMPIRICAL
 from .heldout import check_rms, fit_rms, heldout_rms
 from .loop_settings import checked, classes_of
 from .notes import Facts, notes
-from .rivals import CERTAIN, Weighed
 from .search import Search, place_of
 from .state import (
     State,
@@ -36,6 +35,7 @@ from .state import (
 from .steps import uncertainties
 from .unexplained import from_structure
 from .vibration import vibration
+from .weighing import CERTAIN, Weighed
 from .whitened import declared_residual
 
 _ROOM = 16

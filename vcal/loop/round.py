@@ -9,13 +9,14 @@ import numpy as np
 from ..fit import Fit
 from .empirical import Empirical
 from .heldout import improvement, rms_fall, told_by_one_fold, weighted_squares
-from .rivals import Names, Rival, classes_of, outdoes, refit_all
+from .rivals import Rival, refit_all
 from .screen import Peak, Screen
 from .screening import Screening
 from .serial import persists
 from .shortlist import shortlist
 from .state import State, at_declared, chi2_per_dof, rescored
 from .subsets import MOST, Subset, smallest_subset
+from .weighing import Names, classes_of, outdoes
 from .whitened import declared_chi2
 
 _PRACTICAL = 0.02

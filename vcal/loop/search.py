@@ -9,12 +9,14 @@ import numpy as np
 from ..effects.base import Effect
 from ..fit import Fit
 from ..identify import identify
-from .adding import Added, Adding
+from .adding import Added, Adding, Kept
 from .closure import Rejected, in_words
-from .rivals import Rival, likelier
+from .rivals import Rival
 from .scales import over_scales
+from .screening import Screening
 from .serial import Serial, gain_beside, serial
 from .state import State, fitted, without
+from .weighing import likelier
 from .whitened import declared_chi2
 
 _INSTEAD = 1
@@ -90,30 +92,19 @@ class Search(Adding):
         less = without(state, _place(state, item), self.room)
         if not less.converged:
             return state
-        kept = list(self.rejected), list(self.screenings), self.refused
+        kept = self._kept()
         self.progress(f"searching anew for what was named {item.effect.key}")
         bare = fitted(less.model, less.measurement, less, self.room)
-        try:
-            found = self.step(bare)
-        except KeyboardInterrupt:
-            self.rejected, self.screenings, self.refused = kept
-            raise
-        significant = self.screenings[-1].p_value <= self.alpha
-        self.screenings = kept[1]
-        if not significant:
+        found, screening = self._step_untold(bare, kept)
+        if screening.p_value > self.alpha:
             return self._drop(item, less, _SUPERFLUOUS)
-        if self.unexplained is not None and not self._describes_better(state):
-            self.unexplained = None
-            self.rejected, _, self.refused = kept
+        if found is None and (self.unexplained is None or not self._describes_better(state)):
+            self._restore(kept)
             return state
-        if self.unexplained is None and (
-            found is None or self.history[-1].effect.alike(item.effect)
-        ):
-            self.rejected, _, self.refused = kept
-            if found is None:
-                return state
+        if found is not None and self.history[-1].effect.alike(item.effect):
+            again = self.history[-1]
+            self._restore(kept)
             # What it may be instead is told beside what was found after it.
-            again = self.history.pop()
             both = found.fit.used & state.fit.used
             left, before = (declared_chi2(one.fit, both) for one in (found, state))
             # Of the same name, it may begin at another moment.
@@ -300,17 +291,25 @@ class Search(Adding):
             less = without(bare, _place(bare, item), self.room)
             bare = fitted(less.model, less.measurement, less, self.room)
         # What it depends on is told anew without them; what then has a name after all, has it.
-        kept = list(self.rejected), list(self.screenings), self.unexplained
+        kept = self._kept()
         why = f"superfluous beside an empirical description ({in_words(effect)})"
         self.rejected += [_dropped(item, why) for item in dropped]
         self.unexplained = None
-        try:
-            found = self.step(bare)
-        except KeyboardInterrupt:
-            self.rejected, self.screenings, self.unexplained = kept
-            raise
-        self.screenings = kept[1]
+        found, _ = self._step_untold(bare, kept)
         return bare if found is None else found
+
+    def _step_untold(self, state: State, kept: Kept) -> tuple[State | None, Screening]:
+        """A round and its screening, which is not among those that are told; an interruption leaves
+        what was `kept`.
+        """
+        try:
+            found = self.step(state)
+        except KeyboardInterrupt:
+            self._restore(kept)
+            raise
+        screening = self.screenings[-1]
+        self.screenings = list(kept.screenings)
+        return found, screening
 
     def prune(self, state: State, reached: Callable[[State], None]) -> State:
         """Try once to do without each added effect; the evidence decides."""

@@ -168,9 +168,7 @@ def rescored(state: State, best: Fit, room: int) -> Fit:
 def without(state: State, place: int, room: int) -> Fit:
     """The fit for tests and evidence without the effect at that position."""
     fit = state.scored
-    sizes = [len(e.amplitudes) for e in state.model.effects]
-    first = sum(sizes[:place])
-    kept = np.r_[0:first, first + sizes[place] : sum(sizes)].astype(int)
+    kept = np.delete(np.arange(len(state.model.entries)), state.model.places[place])
     shapes = {i - (i > place): shape for i, shape in fit.shapes.items() if i != place}
     return identify(
         state.model.without(place),

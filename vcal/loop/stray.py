@@ -11,8 +11,8 @@ from ..declared_noise import declared_whitener
 from ..fit import Fit
 from ..plan import DATA_SET, Plan
 from .chance import LEAST_NOISE, minus_log_chi2_tail
+from .dependence import bins
 from .recorded import distinct_covariates
-from .unexplained import bins
 from .whitened import declared_residual
 
 _CHANCE = 1e-3

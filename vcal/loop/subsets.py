@@ -89,11 +89,9 @@ class _Linear:
         def beside(columns: np.ndarray) -> np.ndarray:
             return columns - known @ (known.T @ columns)
 
-        first = len(base.model.entries)
         responses, precision, places, end = [], [], [], 0
         for rival in rivals:
-            size = len(rival.effect.amplitudes)
-            mine = slice(first, first + size)
+            size, mine = len(rival.effect.amplitudes), rival.fit.model.places[-1]
             response = rival.fit.jacobian[:, mine]
             responses.append(np.vstack([response, np.zeros((len(root), size))]))
             precision.append(rival.fit.precision[mine])
@@ -145,9 +143,9 @@ class _Linear:
 
 def _together(base: Fit, rivals: Sequence[Rival], keep: np.ndarray, room: int) -> Fit:
     """The refit with all of them, from where each alone ended."""
-    first, alone = len(base.model.entries), len(base.model.effects)
+    alone = len(base.model.effects)
     model = base.model.with_effects(*(widened(r.effect, r.wider) for r in rivals))
-    sizes = [r.fit.theta[first : first + len(r.effect.amplitudes)] for r in rivals]
+    sizes = [r.fit.theta[r.fit.model.places[-1]] for r in rivals]
     shapes = dict(base.shapes)
     for place, rival in enumerate(rivals, start=alone):
         if shape := rival.fit.shapes.get(alone):
@@ -155,7 +153,7 @@ def _together(base: Fit, rivals: Sequence[Rival], keep: np.ndarray, room: int) -
     return identify(
         model,
         base.measurement,
-        theta=np.concatenate([base.theta[:first], *sizes]),
+        theta=np.concatenate([base.theta[: len(base.model.entries)], *sizes]),
         shapes=shapes,
         whitener=base.whitener,
         keep=keep,

@@ -1,25 +1,19 @@
 """What remains and has no name: along which covariate, where, in which direction, how large."""
 
-import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammaincc
 
 from ..effects.base import Effect
 from ..fit import Fit
-from ..plan import DATA_SET
-from .chance import SILENT, corrected, effective_trials
+from .dependence import Dependence, dependence, displacements
 from .empirical import Empirical, Interval
-from .recorded import angles_around, distinct_covariates
 from .rivals import Rival
-from .screen import Screen
 from .serial import Serial
 from .whitened import declared_chi2
 
-_BINS = 10
 _CLEARLY = 1.2
 """What a covariate must describe of the variance, over what an empirical effect does, to be told
 first: that says where."""
@@ -27,9 +21,6 @@ _AS_NOISE = "noise that is correlated in time, or a drift"
 _MOSTLY = 2.0
 """Share of the variance that persists from reading to reading, over what the best covariate
 describes, from which no covariate is told alone: all that changes slowly describes some."""
-_FEWEST = 10.0
-"""Degrees of freedom from which it is asked what the residual depends on: a covariate has ten bins,
-and of dozens of products one describes a handful of numbers whatever they are."""
 _SPREAD = 25.0
 """chi2 per degree of freedom, against the declared noise, from which something must be missing even
 if nothing that is recorded tells it; noise that is declared too small is no such thing.
@@ -39,13 +30,9 @@ _BY_CHANCE = 0.01
 all that were recorded always describes a little."""
 _LAST_LOOK = 0.25
 """Share of alpha that the last look at what remains may spend beside the search."""
-_ROUNDING = 1e-9
-"""Share of the variance, on average over null draws, that is nothing but rounding."""
 _BEYOND = "what is beyond the declared noise"
 _BY_THE_BEST = "what the column or product that tells most describes"
 """Of the residual, what is told in size and share where nothing describes it."""
-_SHOWN = 3
-"""Products of two covariates that are told."""
 
 
 @dataclass(frozen=True)
@@ -92,159 +79,6 @@ class Refused:
     def words(self) -> str:
         """What it is."""
         return self.effect.words if isinstance(self.effect, Empirical) else self.effect.key
-
-
-def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
-    """The displacement of the tool point (n, 3), m, that would give each row's residual.
-
-    Least squares of the residual on the ports of the tool, in the tool's own frame. What reads
-    angles alone gives turns about X, Y and Z instead, times its lever arm (`Fit.by_tool`).
-    """
-    weights = np.einsum("nij,njp->nip", fit.whitener, fit.by_tool)
-    values = fit.residual if residuals is None else residuals
-    whitened = np.einsum("nij,nj...->ni...", fit.whitener, values)
-    return np.einsum("npi,ni...->np...", np.linalg.pinv(weights), whitened)
-
-
-def bins(x: np.ndarray) -> np.ndarray:
-    """Bin index of every value: its own category up to 12 distinct values, else ten quantiles."""
-    values = np.unique(x)
-    if len(values) <= 12:
-        return np.searchsorted(values, x)
-    edges = np.quantile(x, np.linspace(0, 1, _BINS + 1)[1:-1])
-    return np.searchsorted(edges, x)
-
-
-class Dependence(NamedTuple):
-    """What the residual depends on."""
-
-    single: list[tuple[str, float]]
-    """Covariates with the share of the variance that each describes alone, what chance gives taken
-    off; best first."""
-    products: list[tuple[str, str, float]]
-    """The same of products of two, beyond what is linear in either."""
-    joint: bool
-    """Whether a product is less likely to be chance than every covariate alone."""
-    p_value: float
-    """Of the best, corrected for all of them."""
-
-
-def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
-    """Shares of the tool point's residual variance that are described by ten bins of each
-    covariate, and by products of two, against what chance gives in `draws` null residuals. Nothing
-    where too few degrees of freedom are left to tell.
-    """
-    if fit.dof < _FEWEST:
-        return Dependence([], [], False, 1.0)
-    state = Screen(fit, draws, seed)
-    used = fit.used
-    inverse = np.linalg.pinv(np.einsum("nij,njp->nip", fit.whitener[used], fit.by_tool[used]))
-    data = np.einsum("npi,ni->np", inverse, state.residual[used])
-    null = np.einsum("npi,nid->npd", inverse.astype(np.float32), state.null[used])
-    both = np.concatenate([data[:, :, None], null], axis=2)
-    for rows in fit.measurement.plan.parts.values() if fit.measurement.plan.sets else ():
-        # In units of its own scatter: a precise data set would be lost beside a coarse one.
-        mine = rows[used]
-        if not mine.any():
-            continue
-        scatter = np.sqrt(np.mean(both[mine][:, :, 1:] ** 2))
-        if fit.chi2_and_dof(rows)[1] < 1.0 or scatter == 0.0:
-            both[mine] = 0.0  # what its own parameters leave of it is rounding
-        else:
-            both[mine] /= scatter
-    total = (both**2).sum((0, 1))
-    if not total[1:].any():
-        return Dependence([], [], False, 1.0)  # nothing that the tool does is seen
-    total = np.maximum(total, SILENT * total[1:].mean())
-    names, shares = [], []
-    known = {name: x[used] for name, x in distinct_covariates(fit.measurement.plan).items()}
-    known = {name: x for name, x in known.items() if np.unique(x[np.isfinite(x)]).size > 1}
-    for name, x in known.items():
-        there = np.isfinite(x)
-        index = bins(x[there])
-        counts = np.bincount(index)
-        sums = np.tensordot(np.eye(len(counts))[:, index], both[there], 1)
-        described = (sums**2 / np.maximum(counts, 1)[:, None, None]).sum((0, 1)) / total
-        if described[1:].mean() < _ROUNDING:
-            continue  # nuisances take all of it, such as the place of a sphere in every run
-        names.append(name)
-        shares.append(described)
-    singles = np.array(shares).reshape(len(shares), draws + 1)
-    plan = fit.measurement.plan
-    # A group index is no quantity to multiply by, unless there are only two of a kind; nor is an
-    # angle that begins anew somewhere.
-    out = {*plan.groups, *angles_around(plan)}
-    multiplied = {n for n in known if n not in out and np.isfinite(known[n]).all()}
-    if len(plan.sets) == 2:
-        multiplied.add(DATA_SET)
-    pairs, columns = _products({n: x for n, x in known.items() if n in multiplied})
-    moved = np.tensordot(columns, both, 1) if pairs else np.zeros((0, *both.shape[1:]))
-    products = (moved**2).sum(1) / total
-    told = products[:, 1:].mean(1) >= _ROUNDING
-    products, pairs = products[told], [pair for pair, one in zip(pairs, told, strict=True) if one]
-    if not names and not pairs:
-        return Dependence([], [], False, 1.0)
-    rare = np.concatenate([_rarity(singles), _rarity(products)])
-    best, best_null = rare[:, 0].max(), rare[:, 1:].max(0)
-    exceeding = int((best_null >= best).sum())
-    p_value = (1.0 + exceeding) / (draws + 1.0)
-    if exceeding == 0:  # beyond what draws can tell: as the screening corrects for its trials
-        trials = effective_trials(math.log(10.0) * best_null)
-        p_value = min(p_value, float(corrected(math.log(10.0) * best, trials)))
-    usual = float(best_null.mean())
-    count = len(names)
-    telling = [(names[i], share) for i, share in _by_share(singles) if rare[i, 0] > usual]
-    joined = [(*pairs[i], share) for i, share in _by_share(products) if rare[count + i, 0] > usual]
-    # Both may be beyond what a probability can say: then the larger share decides.
-    rarest = [
-        max(zip(part[:, 0], table[:, 0], strict=True), default=(0.0, 0.0))
-        for part, table in ((rare[:count], singles), (rare[count:], products))
-    ]
-    joint = bool(joined) and rarest[1] > rarest[0]
-    return Dependence(telling, joined[:_SHOWN], joint, p_value)
-
-
-def _products(known: dict[str, np.ndarray]) -> tuple[list[tuple[str, str]], np.ndarray]:
-    """Pairs of covariates and (pairs, n) their products, without what is linear in either, of unit
-    length.
-    """
-    pairs, rows = [], []
-    for (first, x), (second, y) in itertools.combinations(known.items(), 2):
-        u, v = ((z - z.mean()) / z.std() for z in (x, y))
-        linear = np.linalg.qr(np.column_stack([np.ones_like(u), u, v]))[0]
-        both = u * v
-        left = both - linear @ (linear.T @ both)
-        if np.linalg.norm(left) > 1e-3 * np.linalg.norm(both):
-            pairs.append((first, second))
-            rows.append(left / np.linalg.norm(left))
-    return pairs, np.array(rows)
-
-
-def _rarity(table: np.ndarray) -> np.ndarray:
-    """-log10 of the probability of a share by chance, every row against the gamma distribution with
-    the mean and variance of its null draws (columns from 1 on): what has one degree of freedom and
-    what has thirty is then alike. A draw is judged by the others, as the data are by all: with
-    itself among them it would look commoner than it is.
-    """
-    if not len(table):
-        return table
-    null = table[:, 1:]
-    count = null.shape[1]
-    sums, squares = null.sum(1, keepdims=True), (null**2).sum(1, keepdims=True)
-    mean = np.hstack([sums / count, (sums - null) / (count - 1)])
-    square = np.hstack([squares / count, (squares - null**2) / (count - 1)])
-    variance = np.maximum(square - mean**2, 0.0) + 1e-24
-    p = gammaincc(mean**2 / variance, table * mean / variance)
-    return -np.log10(np.maximum(p, 1e-300))
-
-
-def _by_share(table: np.ndarray) -> list[tuple[int, float]]:
-    """Rows with their share beyond chance, largest first."""
-    if not len(table):
-        return []
-    expected = table[:, 1:].mean(1)
-    corrected = np.maximum((table[:, 0] - expected) / np.maximum(1.0 - expected, 1e-9), 0.0)
-    return [(int(i), float(corrected[i])) for i in np.argsort(-corrected)]
 
 
 def main_direction(vectors: np.ndarray, ways: str) -> str:
@@ -302,8 +136,7 @@ def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> 
     effect = best.effect
     assert isinstance(effect, Empirical)
     plan, shape = fit.measurement.plan, best.fit.shapes.get(len(fit.model.effects), {})
-    first = len(fit.model.entries)
-    added = slice(first, first + len(effect.amplitudes))
+    added = best.fit.model.places[-1]
     step = best.fit.jacobian[:, added] @ best.fit.theta[added]
     n, m = fit.residual.shape
     moved = np.zeros((n, m))
@@ -370,44 +203,28 @@ def _from_dependence(
     if told.joint and not quiet:
         # A product shows in neither alone: both of it come first.
         first, second, _ = told.products[0]
-        ahead = {name: shares.get(name, 0.0) for name in (first, second)}
-        shares = ahead | {name: s for name, s in shares.items() if name not in ahead}
+        shares = _ahead(shares, (first, second))
     if correlated is not None and not shares and fit.measurement.plan.has("t"):
         shares = {"t": 0.0}
-    if quiet and refused is not None:
+    only = refused if quiet else None
+    if only is not None:
         # Nothing else is significant: neither a product nor what a column tells by itself.
-        alone = {name: shares.get(name, 0.0) for name in refused.effect.betrayed_by}
-        shares = alone | {name: s for name, s in shares.items() if name not in alone}
+        shares = _ahead(shares, only.effect.betrayed_by)
     best = max([*shares.values(), *(share for *_, share in told.products)], default=0.0)
     vectors = displacements(fit)[fit.used]
     excess = max(1.0 - 1.0 / chi2_per_dof, 0.0)
     size = math.sqrt((vectors**2).sum(1).mean() * (excess if spread else best))
-    if correlated is not None:
-        reason = (
-            f"readings that follow each other are alike: {100 * correlated.share:.0f} % of the "
-            f"scatter persists over some {correlated.length:.0f} readings, as noise that is "
-            "correlated in time does, or a drift that no effect that was tried has"
-        )
-    elif quiet and refused is not None:
-        reason = f"{refused.words} is significant, but {refused.reason}"
-    elif spread and best < 0.1:
-        reason = (
-            "the residual is far larger than the declared noise, and no single covariate "
-            "describes a tenth of it: spread"
-        )
-    elif spread:
-        reason = "the residual is far larger than the declared noise and depends on covariates"
-    else:
-        reason = "the residual depends on covariates in a way that no effect that was tried has"
     words = ""
     if correlated is not None and correlated.share > _MOSTLY * best:
         words = _AS_NOISE
-    elif quiet and refused is not None:
-        words = f"what looks like {refused.words}, which is not certain"
+    elif only is not None:
+        words = f"what looks like {only.words}, which is not certain"
     if full and refused is not None:
         reason = f"{refused.words} is significant, but no more effects may be added (max_effects)"
     elif full:
         reason = "no more effects may be added (max_effects), and none is significant in the rest"
+    else:
+        reason = _reason(spread, best, correlated, only)
     return Unexplained(
         depends_on=list(shares),
         shares=list(shares.values()),
@@ -415,7 +232,7 @@ def _from_dependence(
         direction=main_direction(vectors, fit.ways),
         size_um=size * 1e6,
         share_of_variance=excess if spread else best,
-        p_value=refused.p_value if quiet and refused is not None else told.p_value,
+        p_value=only.p_value if only is not None else told.p_value,
         reason=reason,
         words=words,
         products=tuple(told.products),
@@ -423,3 +240,31 @@ def _from_dependence(
         size_is=f"rms displacement of the tool point, {_BEYOND if spread else _BY_THE_BEST}",
         share_is=f"of the variance of the residual, {_BEYOND if spread else _BY_THE_BEST}",
     )
+
+
+def _ahead(shares: dict[str, float], names: Iterable[str]) -> dict[str, float]:
+    """The shares with those of some covariates first."""
+    ahead = {name: shares.get(name, 0.0) for name in names}
+    return ahead | {name: s for name, s in shares.items() if name not in ahead}
+
+
+def _reason(spread: bool, best: float, correlated: Serial | None, only: Refused | None) -> str:
+    """Why something is unexplained, where there is room for further effects. `only`: an effect
+    that was refused where nothing else is significant.
+    """
+    if correlated is not None:
+        return (
+            f"readings that follow each other are alike: {100 * correlated.share:.0f} % of the "
+            f"scatter persists over some {correlated.length:.0f} readings, as noise that is "
+            "correlated in time does, or a drift that no effect that was tried has"
+        )
+    if only is not None:
+        return f"{only.words} is significant, but {only.reason}"
+    if spread and best < 0.1:
+        return (
+            "the residual is far larger than the declared noise, and no single covariate "
+            "describes a tenth of it: spread"
+        )
+    if spread:
+        return "the residual is far larger than the declared noise and depends on covariates"
+    return "the residual depends on covariates in a way that no effect that was tried has"

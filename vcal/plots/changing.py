@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from ..fit import Fit
 from ..instruments.conditions import in_file
+from ..loop.dependence import bins
 from ..loop.empirical import Changing
 from ..loop.rivals import Rival
-from ..loop.unexplained import bins
 from .style import AFTER, BEFORE, INK, column_label, figure, grid, pretty_unit, titled
 from .views import column_of
 

@@ -10,8 +10,9 @@ from scipy.special import ndtri
 
 from ..fit import Fit
 from ..instruments.conditions import in_file
+from ..loop.dependence import bins, displacements
 from ..loop.recorded import correlation, distinct_covariates
-from ..loop.unexplained import Unexplained, bins, displacements, way
+from ..loop.unexplained import Unexplained, way
 from .changing import changing
 from .style import (
     AFTER,

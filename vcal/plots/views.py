@@ -4,13 +4,13 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
 from ..effects.thermal import REFERENCE_DEGC
 from ..fit import Fit
 from ..instruments.conditions import file_column, in_file
-from ..loop.unexplained import bins, displacements, way
+from ..loop.dependence import bins, displacements
+from ..loop.unexplained import way
 from ..plan import Plan
 from .style import column_label, pretty_unit
 
@@ -102,7 +102,7 @@ def residual_without(fit: Fit, place: int) -> np.ndarray:
     amplitudes, shapes = fit.places_of(place)
     step = fit.jacobian[:, amplitudes] @ fit.theta[amplitudes]
     own = np.concatenate([amplitudes, shapes])
-    inverse = cho_solve(fit.factor, np.eye(len(fit.theta)))
+    inverse = fit.planned_covariance
     shared = inverse[:, own]
     inverse = inverse - shared @ np.linalg.solve(inverse[np.ix_(own, own)], shared.T)
     return _unwhitened(

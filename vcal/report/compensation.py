@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
 from ..fit import Fit
@@ -55,12 +54,10 @@ def functions_on(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.nd
     on_lines = Plan(model.chain.axes, np.stack(lines, axis=1)[rows])
     columns: dict[str, np.ndarray] = {}
     means: dict[str, np.ndarray] = {}
-    start = 0
-    for effect in model.effects:
-        amplitudes = {p.name: (start + k, p) for k, p in enumerate(effect.amplitudes)}
-        start += len(amplitudes)
+    for effect, place in zip(model.effects, model.places, strict=True):
         if effect.name not in _GEOMETRY:
             continue
+        amplitudes = {p.name: (k, p) for k, p in enumerate(effect.amplitudes, place.start)}
         for (port, amplitude), response in effect.response(on_lines, {}).items():
             k, p = amplitudes[amplitude]
             located = _LOCATION.fullmatch(amplitude)
@@ -109,8 +106,7 @@ class Spread:
         proper = fit.precision > 0
         return cls(
             stated=fit.covariance,
-            # The share of information is that of the plan, whatever the residuals turned out to be.
-            planned=cho_solve(fit.factor, np.eye(len(fit.theta))),
+            planned=fit.planned_covariance,
             prior=np.where(proper, 1.0 / np.where(proper, fit.precision, 1.0), 0.0),
         )
 

@@ -1,4 +1,4 @@
-"""What follows from a closure: amplitudes and phases, and columns that were missed."""
+"""What follows from a closure: amplitudes and phases, and columns of the file."""
 
 import math
 
@@ -6,8 +6,10 @@ import numpy as np
 
 from ..effects.base import Effect, harmonic_summary
 from ..fit import Fit
+from ..instruments.conditions import in_file
 from ..loop.candidates import Untestable
 from ..loop.closure import Closure, FoundEffect
+from ..loop.unexplained import Unexplained
 from ..plan import Plan
 from ..plots import column_of, place_of
 from .text import number
@@ -87,6 +89,27 @@ def _harmonics(fit: Fit, effect: Effect, listed: Listed) -> Listed:
 
 def _root(variance: np.ndarray | float) -> float:
     return math.sqrt(max(float(variance), 0.0))
+
+
+def shares_by_column(what: Unexplained, plan: Plan) -> dict[str, float]:
+    """What something unexplained depends on, by the columns of the file, most telling first."""
+    # Two names inside may stand for one column: joint angles and what was commanded, say.
+    shares: dict[str, float] = {}
+    for name, share in zip(what.depends_on, what.shares, strict=True):
+        shares.setdefault(column_of(name, plan)[0], share)
+    return shares
+
+
+def intervals_in_file(what: Unexplained, fit: Fit) -> list[tuple[str, float, float]]:
+    """Where something unexplained is: column, lowest and highest value as in the file."""
+    plan, found = fit.measurement.plan, []
+    for interval in what.where:
+        low, high = (
+            float(in_file(interval.covariate, v, plan, fit.model.instrument))
+            for v in (interval.low, interval.high)
+        )
+        found.append((column_of(interval.covariate, plan)[0], low, high))
+    return found
 
 
 def missing_columns(item: Untestable, plan: Plan) -> list[str]:

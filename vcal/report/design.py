@@ -1,6 +1,5 @@
 """Writing a designed measurement into a folder, whole or not at all."""
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -94,16 +93,8 @@ def fill(
     """Write pictures, tables, page and record of a design; returns the path of the page."""
 
     def make(work: Path) -> Sequence[str]:
-        # The record comes last: a folder counts as a report by it.
-        files = [*tables(work), *(picture.file for picture in drawn), "index.html", _PLACE.record]
-        for picture in drawn:
-            (work / picture.file).write_bytes(picture.data)
-        (work / "index.html").write_text(page(drawn), encoding="utf-8")
-        content = json.dumps(
-            record() | {"files": files}, indent=1, allow_nan=False, ensure_ascii=False
-        )
-        (work / _PLACE.record).write_text(content + "\n", encoding="utf-8")
-        return files
+        others = tables(work)
+        return _PLACE.write(work, {"index.html": page(drawn)}, drawn, record(), others)
 
     _PLACE.fill(out, make)
     return out / "index.html"

@@ -72,34 +72,11 @@ def geometric_tests(
     motions = {name: len(mean) for name, (_, mean) in functions_on(fit, nodes).items()}
 
     def sampled(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-        """Errors of the tool point, then every error motion: values (size,), m or rad, and their
-        derivative (size, k).
-        """
-        at = lines.position
-        points, jacobian = compensated_in_blocks(fit, at, size or len(at))
-        values = [(points - lines.nominal.reshape(-1, 3)).ravel()]
-        rows = [jacobian.reshape(-1, jacobian.shape[2])]
-        functions = functions_on(fit, nodes)
-        for name, count in motions.items():
-            block, mean = functions.get(name, (np.zeros((count, len(fit.theta))), np.zeros(count)))
-            values.append(mean + block @ fit.theta)
-            rows.append(block)
-        return np.concatenate(values), np.concatenate(rows)
+        return _sampled(fit, lines, nodes, motions, size)
 
     values, jacobian = sampled(fit)
-    starts = dict(
-        zip(motions, lines.nominal.size + np.cumsum([0, *motions.values()]), strict=False)
-    )
-    moving = [*_paths(lines, values), *_angular(lines, motions, starts, values)]
     turning = [joint.name for joint in chain.joints if joint.turns]
-    asked = [
-        *sorted(moving, key=lambda one: lines.axes.index(one.axis)),
-        *(
-            _Asked(name, f"squareness of {b} to {a}", b, "urad", _filled(weights, len(values)))
-            for name, a, b, weights in lines.squareness
-        ),
-        *_average_lines(turning, motions, starts, values),
-    ]
+    asked = _deviations(lines, turning, motions, values)
     if not asked:
         return []
     weights = 1e6 * np.array([one.weights for one in asked])
@@ -122,6 +99,46 @@ def geometric_tests(
         )
         for k, one in enumerate(asked)
         if told[k]
+    ]
+
+
+def _sampled(
+    fit: Fit,
+    lines: StraightLines,
+    nodes: Sequence[np.ndarray],
+    motions: Mapping[str, int],
+    size: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of the tool point, then every error motion of so many nodes: values (size,), m or rad,
+    and their derivative (size, k).
+    """
+    at = lines.position
+    points, jacobian = compensated_in_blocks(fit, at, size or len(at))
+    values = [(points - lines.nominal.reshape(-1, 3)).ravel()]
+    rows = [jacobian.reshape(-1, jacobian.shape[2])]
+    functions = functions_on(fit, nodes)
+    for name, count in motions.items():
+        block, mean = functions.get(name, (np.zeros((count, len(fit.theta))), np.zeros(count)))
+        values.append(mean + block @ fit.theta)
+        rows.append(block)
+    return np.concatenate(values), np.concatenate(rows)
+
+
+def _deviations(
+    lines: StraightLines, turning: Sequence[str], motions: Mapping[str, int], values: np.ndarray
+) -> list[_Asked]:
+    """All that is asked of what was `_sampled`: of linear axes, between them, of rotary ones."""
+    starts = dict(
+        zip(motions, lines.nominal.size + np.cumsum([0, *motions.values()]), strict=False)
+    )
+    moving = [*_paths(lines, values), *_angular(lines, motions, starts, values)]
+    return [
+        *sorted(moving, key=lambda one: lines.axes.index(one.axis)),
+        *(
+            _Asked(name, f"squareness of {b} to {a}", b, "urad", _filled(weights, len(values)))
+            for name, a, b, weights in lines.squareness
+        ),
+        *_average_lines(turning, motions, starts, values),
     ]
 
 

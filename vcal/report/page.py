@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from ..effects.base import Effect
 from ..effects.data_set import OfDataSet
 from ..effects.registry import CATALOGUE
 from ..effects.thermal import REFERENCE_DEGC
-from ..fit import HARDLY_TOLD
-from ..instruments.conditions import in_file
+from ..fit import HARDLY_TOLD, Learnt
 from ..io.study import Study, looked_for
 from ..loop.closure import Closure, FoundEffect
 from ..loop.empirical import EMPIRICAL
@@ -25,8 +23,10 @@ from .derived import (
     FEW,
     declared,
     in_short,
+    intervals_in_file,
     missing_columns,
     parameters,
+    shares_by_column,
     untested_beside,
     untested_in_words,
 )
@@ -78,14 +78,7 @@ def page(
         data_sets=_data_sets(closure, study),
         has_check=closure.check is not None,
         effects=[_effect(closure, found) for found in closure.effects],
-        declared=[
-            {
-                "key": effect.key,
-                "parameters": [_parameter(*row) for row in listed],
-                "in_short": in_short(effect, listed) if len(listed) > FEW else "",
-            }
-            for effect, listed in declared(closure)
-        ],
+        declared=_declared(closure),
         unexplained=_unexplained(closure),
         own_effect=own_effect(closure) is not None,
         pictures=shown,
@@ -95,47 +88,18 @@ def page(
         doubts=any(doubt.others for doubt in closure.doubts),
         tried=_tried(closure, summaries),
         rounds=len(closure.screenings),
-        rejected=[
-            {
-                "key": f"{r.effect} {r.placement}".strip(),
-                "summary": summaries.get(r.effect, ""),
-                "p": text.probability(r.p_value),
-                "reason": r.reason,
-            }
-            for r in (*closure.rejected, *closure.passed_over)
-        ],
+        rejected=_rejected(closure, summaries),
         untestable=_untestable(closure, summaries),
         unseen=_unseen(closure, summaries),
-        suspected=[
-            {
-                "row": closure.after.measurement.plan.row_name(stray.row),
-                "distance": text.number(stray.distance),
-                "p": text.probability(stray.p_value),
-            }
-            for stray in closure.suspected
-        ],
+        suspected=_suspected(closure),
         locations=[_location(t) for t in tables if not len(t.position)],
         motions=[_motion(t) for t in tables if len(t.position)],
         tests=[_test(t) for t in tests],
-        information=_information(closure),
+        information=Learnt.of(after.entries, np.sqrt(after.precision), after.planned_covariance),
         arm=study.chain.arm,
         rotary=not study.chain.arm and not study.chain.linear,
         counts_from=_counts_from(study),
-        noise_scale=text.number(closure.noise_scale, 3),
-        noise_uneven=closure.noise_uneven,
-        noise_components=[
-            {"name": part.name, "factor": text.number(part.factor), "u": text.number(part.u, 2)}
-            for part in closure.noise_components
-            if not math.isnan(part.u)
-        ],
-        noise_as_declared=closure.noise_scale == 1.0,
-        noise_apart=_noise_apart(closure),
-        noise_larger=closure.noise_scale > 1.0,
-        noise_by_set=[
-            f"{name} {text.number(scale, 3)}"
-            for name, scale in closure.noise_scales.items()
-            if name
-        ],
+        **_noise(closure),
         clustered=bool((after.clusters >= 0).any()),
         files=sorted(study.hashes.items()),
         settings={k: v for k, v in plain(closure.settings).items() if k != "effects"},
@@ -208,6 +172,26 @@ def _data_sets(closure: Closure, study: Study) -> list[dict[str, Any]]:
         for one in study.sets
         if one.name
     ]
+
+
+def _noise(closure: Closure) -> dict[str, Any]:
+    return {
+        "noise_scale": text.number(closure.noise_scale, 3),
+        "noise_uneven": closure.noise_uneven,
+        "noise_components": [
+            {"name": part.name, "factor": text.number(part.factor), "u": text.number(part.u, 2)}
+            for part in closure.noise_components
+            if not math.isnan(part.u)
+        ],
+        "noise_as_declared": closure.noise_scale == 1.0,
+        "noise_apart": _noise_apart(closure),
+        "noise_larger": closure.noise_scale > 1.0,
+        "noise_by_set": [
+            f"{name} {text.number(scale, 3)}"
+            for name, scale in closure.noise_scales.items()
+            if name
+        ],
+    }
 
 
 def _noise_apart(closure: Closure) -> list[str]:
@@ -300,27 +284,32 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
     }
 
 
+def _declared(closure: Closure) -> list[dict[str, Any]]:
+    return [
+        {
+            "key": effect.key,
+            "parameters": [_parameter(*row) for row in listed],
+            "in_short": in_short(effect, listed) if len(listed) > FEW else "",
+        }
+        for effect, listed in declared(closure)
+    ]
+
+
 def _unexplained(closure: Closure) -> dict[str, Any] | None:
     what = closure.unexplained
     if what is None:
         return None
     plan = closure.after.measurement.plan
-    depends: dict[str, str] = {}
-    for name, share in zip(what.depends_on, what.shares, strict=True):
-        depends.setdefault(column_of(name, plan)[0], text.percent(share))
-    where = []
-    for interval in what.where:
-        column = column_of(interval.covariate, plan)[0]
-        low, high = (
-            float(in_file(interval.covariate, v, plan, closure.after.model.instrument))
-            for v in (interval.low, interval.high)
-        )
-        where.append(f"{column} from {text.number(low, 4)} to {text.number(high, 4)}")
     return {
         "reason": what.reason,
         "described": what.empirical is not None,
-        "depends_on": list(depends.items()),
-        "where": where,
+        "depends_on": [
+            (column, text.percent(share)) for column, share in shares_by_column(what, plan).items()
+        ],
+        "where": [
+            f"{column} from {text.number(low, 4)} to {text.number(high, 4)}"
+            for column, low, high in intervals_in_file(what, closure.after)
+        ],
         "products": [
             f"{column_of(a, plan)[0]} × {column_of(b, plan)[0]} {text.percent(share)}"
             for a, b, share in what.products
@@ -392,6 +381,30 @@ def _tried(closure: Closure, summaries: Mapping[str, str]) -> list[dict[str, Any
     return sorted(lines.values(), key=lambda line: line["order"])
 
 
+def _rejected(closure: Closure, summaries: Mapping[str, str]) -> list[dict[str, str]]:
+    return [
+        {
+            "key": f"{tried.effect} {tried.placement}".strip(),
+            "summary": summaries.get(tried.effect, ""),
+            "p": text.probability(tried.p_value),
+            "reason": tried.reason,
+        }
+        for tried in (*closure.rejected, *closure.passed_over)
+    ]
+
+
+def _suspected(closure: Closure) -> list[dict[str, str]]:
+    """Readings that may be wrong."""
+    return [
+        {
+            "row": closure.after.measurement.plan.row_name(stray.row),
+            "distance": text.number(stray.distance),
+            "p": text.probability(stray.p_value),
+        }
+        for stray in closure.suspected
+    ]
+
+
 def _counts_from(study: Study) -> str:
     """From where temperatures count, by data set where that differs."""
     zeros = {one.name: f"{REFERENCE_DEGC + one.instrument.warmer:g} °C" for one in study.sets}
@@ -459,30 +472,4 @@ def _motion(table: ErrorMotionTable) -> dict[str, str]:
         "high": text.rounded(float(table.value.max()), largest)[0],
         "U": text.rounded(0.0, text.COVERAGE * largest)[1],
         "information": text.percent(float(table.information.mean())),
-    }
-
-
-def _information(closure: Closure) -> dict[str, Any]:
-    """How much of the parameter space the data determined.
-
-    Directions are those of the posterior covariance in units of the prior, so that each has the
-    share of information 1 - variance.
-    """
-    fit = closure.after
-    proper = np.flatnonzero(fit.precision > 0)
-    if not len(proper):
-        return {"directions": 0, "determined": 0, "unseen": 0, "hardly": []}
-    names = [f"{key}: {p.name}" for key, p in fit.entries]
-    root = np.sqrt(fit.precision[proper])
-    inverse = cho_solve(fit.factor, np.eye(len(fit.theta)))
-    scaled = inverse[np.ix_(proper, proper)] * np.outer(root, root)
-    learnt = 1.0 - np.linalg.eigvalsh(scaled)
-    hardly = [
-        names[k] for k, v in zip(proper, np.diag(scaled), strict=True) if 1.0 - v < HARDLY_TOLD
-    ]
-    return {
-        "directions": len(proper),
-        "determined": int((learnt > 0.5).sum()),
-        "unseen": int((learnt < 0.01).sum()),
-        "hardly": hardly,
     }

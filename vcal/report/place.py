@@ -13,6 +13,7 @@ from typing import Any
 
 from ..io.folder import check_way
 from ..io.messages import listed, refusal
+from .picture import Picture
 
 _KEPT = ".earlier"
 _SUMS = "sha256"
@@ -89,6 +90,28 @@ class Place:
             self._seal(work, files)
             self.check(out, files)  # once more: making the files may have taken long
             _install(work, out, files, self.files(out))
+
+    def write(
+        self,
+        work: Path,
+        texts: Mapping[str, str],
+        drawn: Sequence[Picture],
+        record: Mapping[str, Any],
+        others: Sequence[str] = (),
+    ) -> list[str]:
+        """Write texts by name, pictures and the record into the temporary folder, where the
+        `others` are already; returns the names of all, which the record lists.
+        """
+        # The record comes last: a folder counts as a report by it.
+        files = [*others, *(picture.file for picture in drawn), *texts, self.record]
+        for picture in drawn:
+            (work / picture.file).write_bytes(picture.data)
+        for name, text in texts.items():
+            (work / name).write_text(text, encoding="utf-8")
+        content = {**record, "files": files}
+        strict = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
+        (work / self.record).write_text(strict + "\n", encoding="utf-8")
+        return files
 
     def files(self, out: Path) -> list[str]:
         """Names of the files of the report in a folder; none where there is no report."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from .. import __version__
 from ..fit import Fit
-from ..instruments.conditions import in_file
 from ..io.study import DataSet, Study
 from ..loop.candidates import Untestable
 from ..loop.closure import Closure, Errors, FoundEffect
@@ -20,7 +19,15 @@ from ..loop.heldout import Rms
 from ..loop.unexplained import Unexplained
 from ..plan import Plan
 from ..plots import column_of
-from .derived import Listed, declared, missing_columns, parameters, untested_beside
+from .derived import (
+    Listed,
+    declared,
+    intervals_in_file,
+    missing_columns,
+    parameters,
+    shares_by_column,
+    untested_beside,
+)
 from .geometry import GeometricTest
 
 SCHEMA = "vcal-report/1"
@@ -58,18 +65,7 @@ def record(
             for e, listed in declared(closure)
         ],
         "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
-        "geometry": [
-            {
-                "name": test.name,
-                "what": test.what,
-                "axis": test.axis,
-                "value": test.value,
-                "unit": test.unit,
-                "standard_uncertainty": test.u,
-                "information_share": test.information,
-            }
-            for test in tests
-        ],
+        "geometry": [_test(test) for test in tests],
         "unexplained": _unexplained(closure.unexplained, closure.after),
         "variance": closure.variance,
         "noise_scale": closure.noise_scale,
@@ -100,12 +96,7 @@ def record(
         ],
         "vibration": None if closure.vibration is None else asdict(closure.vibration),
         "unseen": list(dict.fromkeys(closure.unseen)),
-        "settings": {
-            **closure.settings,
-            "effects": closure.searched,
-            "effects_asked_for": closure.settings.get("effects", []),
-            "study": study.as_dict,
-        },
+        "settings": _settings(closure, study),
         "versions": versions(),
         "seconds": seconds,
         "input_files": dict(study.hashes),
@@ -115,6 +106,27 @@ def record(
     }
     several = [_data_set(closure, one) for one in study.sets if one.name]
     return plain(found | ({"data_sets": several} if several else {}))
+
+
+def _settings(closure: Closure, study: Study) -> dict[str, Any]:
+    return {
+        **closure.settings,
+        "effects": closure.searched,
+        "effects_asked_for": closure.settings.get("effects", []),
+        "study": study.as_dict,
+    }
+
+
+def _test(test: GeometricTest) -> dict[str, Any]:
+    return {
+        "name": test.name,
+        "what": test.what,
+        "axis": test.axis,
+        "value": test.value,
+        "unit": test.unit,
+        "standard_uncertainty": test.u,
+        "information_share": test.information,
+    }
 
 
 def _reason(item: Untestable, plan: Plan) -> str:
@@ -198,18 +210,7 @@ def _unexplained(what: Unexplained | None, fit: Fit) -> dict[str, Any] | None:
     if what is None:
         return None
     plan = fit.measurement.plan
-    # Two names inside may stand for one column: joint angles and what was commanded, say.
-    shares: dict[str, float] = {}
-    for name, share in zip(what.depends_on, what.shares, strict=True):
-        shares.setdefault(column_of(name, plan)[0], share)
-    where = []
-    for interval in what.where:
-        column = column_of(interval.covariate, plan)[0]
-        low, high = (
-            float(in_file(interval.covariate, v, plan, fit.model.instrument))
-            for v in (interval.low, interval.high)
-        )
-        where.append({"column": column, "low": low, "high": high})
+    shares = shares_by_column(what, plan)
     return {
         "depends_on": list(shares),
         "shares": list(shares.values()),
@@ -217,7 +218,10 @@ def _unexplained(what: Unexplained | None, fit: Fit) -> dict[str, Any] | None:
             {"columns": [column_of(a, plan)[0], column_of(b, plan)[0]], "share": share}
             for a, b, share in what.products
         ],
-        "where": where,
+        "where": [
+            {"column": column, "low": low, "high": high}
+            for column, low, high in intervals_in_file(what, fit)
+        ],
         "direction": what.direction,
         "size_um": what.size_um,
         "size_is": what.size_is,

@@ -1,6 +1,5 @@
 """Writing the report of a virtual calibration into a folder, whole or not at all."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -50,16 +49,9 @@ def write_virtual(
     def make(work: Path) -> Sequence[str]:
         drawn = list(virtual_pictures(result))
         told = {"command": command, "seconds": seconds}
-        # The record comes last: a folder counts as a report by it.
-        files = [*(picture.file for picture in drawn), "index.html", _PLACE.record]
-        for picture in drawn:
-            (work / picture.file).write_bytes(picture.data)
         page = virtual_page(result, study, settings, drawn, **told)
-        (work / "index.html").write_text(page, encoding="utf-8")
-        content = virtual_record(result, study, settings, **told) | {"files": files}
-        record = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-        (work / _PLACE.record).write_text(record, encoding="utf-8")
-        return files
+        record = virtual_record(result, study, settings, **told)
+        return _PLACE.write(work, {"index.html": page}, drawn, record)
 
     out = Path(out)
     _PLACE.fill(out, make)

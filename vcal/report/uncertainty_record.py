@@ -100,7 +100,6 @@ def virtual_record(
 
     Numbers that do not exist are None, so that the record is strict JSON.
     """
-    ensemble, campaign = result.ensemble, result.campaign
     found: dict[str, Any] = {
         "schema": VIRTUAL_SCHEMA,
         "name": study.name,
@@ -121,18 +120,7 @@ def virtual_record(
         "sources": [c._asdict() for c in result.contributions],
         "parameters": _parameters(result),
         "error_motions": [m._asdict() for m in result.motions],
-        "straight_lines": [
-            {
-                "name": label.rpartition(" [")[0],
-                "unit": label.rpartition(" [")[2].rstrip("]"),
-                "prior": result.lines_before[i],
-                "gum": _way(result.lines, i, 0),
-                "monte_carlo": _way(result.lines, i, 1),
-                "delta": result.lines.delta[i],
-                "verdict": result.lines.verdicts[i],
-            }
-            for i, label in enumerate(result.lines.labels)
-        ],
+        "straight_lines": _lines(result),
         "clause_8": {
             name: _counts(c.verdicts)
             for name, c in (
@@ -153,15 +141,8 @@ def virtual_record(
             "before_um": result.bounds("before"),
             "after_um": result.bounds("after"),
         },
-        "draws": {
-            "done": ensemble.draws,
-            "failed": campaign.failed,
-            "retried_share": campaign.retried,
-            "gradients_per_draw": campaign.gradients,
-            "quantiles": ensemble.kept,
-            "settled": None if ensemble.adaptive is None else ensemble.adaptive.settled,
-        },
-        "interrupted": ensemble.interrupted,
+        "draws": _draws(result),
+        "interrupted": result.ensemble.interrupted,
         "notes": notes(result),
         "settings": {**settings, "study": study.as_dict},
         "versions": versions(),
@@ -178,19 +159,40 @@ def _parameters(result: VirtualCalibration) -> list[dict[str, Any]]:
     rows = []
     for key, p in result.entries:
         i = places[f"{key}: {p.name} [{p.unit}]"]
-        rows.append(
-            {
-                "effect": key,
-                "parameter": p.name,
-                "unit": p.unit,
-                "prior": p.sigma,
-                "gum": _way(c, i, 0),
-                "monte_carlo": _way(c, i, 1),
-                "delta": c.delta[i],
-                "verdict": c.verdicts[i],
-            }
-        )
+        own = {"effect": key, "parameter": p.name, "unit": p.unit, "prior": p.sigma}
+        rows.append(own | _compared(c, i))
     return rows
+
+
+def _lines(result: VirtualCalibration) -> list[dict[str, Any]]:
+    rows = []
+    for i, label in enumerate(result.lines.labels):
+        name, _, unit = label.rpartition(" [")
+        own = {"name": name, "unit": unit.rstrip("]"), "prior": result.lines_before[i]}
+        rows.append(own | _compared(result.lines, i))
+    return rows
+
+
+def _draws(result: VirtualCalibration) -> dict[str, Any]:
+    ensemble, campaign = result.ensemble, result.campaign
+    return {
+        "done": ensemble.draws,
+        "failed": campaign.failed,
+        "retried_share": campaign.retried,
+        "gradients_per_draw": campaign.gradients,
+        "quantiles": ensemble.kept,
+        "settled": None if ensemble.adaptive is None else ensemble.adaptive.settled,
+    }
+
+
+def _compared(c: Comparison, i: int) -> dict[str, Any]:
+    """Both ways of one output, and clause 8."""
+    return {
+        "gum": _way(c, i, 0),
+        "monte_carlo": _way(c, i, 1),
+        "delta": c.delta[i],
+        "verdict": c.verdicts[i],
+    }
 
 
 def _way(c: Comparison, i: int, way: int) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Writing the report of a closure into a folder, whole or not at all."""
 
-import json
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -76,12 +75,4 @@ def _make(
     template = own_effect(closure)
     if template is not None:
         texts[FILE] = template
-    # The record comes last: a folder counts as a report by it.
-    files = [*(picture.file for picture in drawn), *texts, _PLACE.record]
-    content = record(closure, study, tests, **told) | {"files": files}
-    texts[_PLACE.record] = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    for picture in drawn:
-        (work / picture.file).write_bytes(picture.data)
-    for name, text in texts.items():
-        (work / name).write_text(text, encoding="utf-8")
-    return files
+    return _PLACE.write(work, texts, drawn, record(closure, study, tests, **told))

@@ -1,13 +1,15 @@
 """What a reproduction is, and how it runs from its arguments to its folder."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from matplotlib.figure import Figure
+
 from ..catalogue import nearest
 from ..errors import StudyError
+from ..plots import png
 from ..report import Picture
 from ..report.place import Place
 from ..report.record import plain, versions
@@ -19,6 +21,11 @@ Pictures = Mapping[str, tuple[Picture, ...]]
 R = TypeVar("R")
 
 _SCHEMA = "vcal-reproduce/"
+
+
+def picture(name: str, figure: Figure, caption: str) -> Picture:
+    """A picture of a page whose parts show theirs (`Pictures`)."""
+    return Picture(name, "", caption, png(figure))
 
 
 @dataclass(frozen=True)
@@ -111,21 +118,14 @@ def write(
     place = _place(name)
 
     def make(work: Path) -> Sequence[str]:
-        files = [*(picture.file for picture in pictures), "index.html", place.record]
-        for picture in pictures:
-            (work / picture.file).write_bytes(picture.data)
-        (work / "index.html").write_text(page, encoding="utf-8")
         record = {
             "schema": place.schema + "1",
             "name": name,
             "versions": versions(),
             "table": [vars(row) for row in table],
             **content,
-            "files": files,
         }
-        text = json.dumps(plain(record), indent=1, allow_nan=False, ensure_ascii=False)
-        (work / place.record).write_text(text + "\n", encoding="utf-8")
-        return files
+        return place.write(work, {"index.html": page}, pictures, plain(record))
 
     place.fill(out, make)
     return out / "index.html"

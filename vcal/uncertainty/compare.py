@@ -14,8 +14,6 @@ from .steps import Precision, numerical_tolerance
 
 Verdict = Literal["passed", "failed", "undecided"]
 
-_SHARE = 0.2
-"""Part of delta within which the Monte Carlo itself has to be settled (JCGM 101, 8.2)."""
 _ROUNDING = 1e-13
 """Of a value: what sums of inputs that cancel leave, and is no uncertainty."""
 
@@ -56,11 +54,6 @@ class Comparison:
     def passed(self) -> Bool[np.ndarray, " m"]:
         """Whether both differences are no larger than delta; false where one is not a number."""
         return (self.d_low <= self.delta) & (self.d_high <= self.delta)
-
-    @property
-    def precise(self) -> Bool[np.ndarray, " m"]:
-        """Whether the Monte Carlo is settled to delta/5: 2 s of y, u, low and high (8.2, 7.9.4)."""
-        return np.all([2.0 * s <= _SHARE * self.delta for s in self.precision], axis=0)
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:

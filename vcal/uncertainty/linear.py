@@ -199,18 +199,14 @@ def sources(pair: Pair) -> dict[str, Elements]:
     found: dict[str, Elements] = {}
     informed = np.asarray(simulator.amplitudes.informed)
     root = simulator.amplitudes.root
-    start = 0
-    for i, effect in enumerate(model.effects):
-        count = len(effect.amplitudes)
+    for i, (effect, here) in enumerate(zip(model.effects, model.places, strict=True)):
         own = effect_terms(effect, layout, plan, shapes.get(i, {}))
-        columns = np.zeros((n * m, count))
+        columns = np.zeros((n * m, len(effect.amplitudes)))
         moved = by_port[:, :, own.port] * np.asarray(own.values)[:, None, :]
         np.add.at(columns.T, np.asarray(own.parameter), moved.reshape(n * m, -1).T)
-        here = slice(start, start + count)
         parameters = root[:, here][:, informed[here] > 0.0]
         if parameters.shape[1]:
             found[effect.key] = Elements(parameters, columns @ parameters[here])
-        start += count
     sigma = np.asarray(simulator.sigma)
     for part, inside in plan.parts.items():
         rows = np.flatnonzero(inside)

@@ -16,7 +16,7 @@ from ..model import Model, tool_columns
 from ..plan import Plan
 from ..port_map import PortMap, port_map
 from ..ports import COMPONENTS
-from ..simulate import Simulator
+from ..simulate import Simulator, travels
 from ..spatial import rigid_basis
 from ..straight_lines import StraightLines
 from .outputs import Field, Output
@@ -311,14 +311,6 @@ def _rms(size: Float[Array, " n"]) -> Float[Array, ""]:
 
 
 # --- plans ---
-
-
-def travels(chain: Chain, plan: Plan) -> Float[np.ndarray, "axes 2"]:
-    """Travel of every axis, or what a plan covers where it is not declared (m or rad)."""
-    travel = np.stack([joint.travel for joint in chain.joints])
-    own = np.asarray(plan.position)
-    ends = np.column_stack([own.min(0), own.max(0)])
-    return np.where(np.isfinite(travel), travel, ends)
 
 
 def conditions_at(plan: Plan, position: Float[np.ndarray, "n axes"]) -> Plan:

@@ -22,11 +22,11 @@ from jaxtyping import Float
 
 from ..arrays import Array
 from ..chain import Chain
-from ..fit import entries, null_directions
+from ..fit import Learnt, entries, null_directions
 from ..model import Model
 from ..parameters import Parameter
 from ..plan import Plan
-from ..simulate import scattered
+from ..simulate import scattered, travels
 from .campaign import Campaign, monte_carlo
 from .compare import Comparison, compare
 from .ensemble import Ensemble, FieldResult
@@ -40,7 +40,6 @@ from .quantities import (
     ParameterErrors,
     State,
     VolumetricErrors,
-    travels,
 )
 from .steps import Precision
 from .stream import Progress
@@ -53,8 +52,6 @@ _SCATTERED = 200
 """Points where the axes are not X, Y and Z: random positions."""
 _MOTIONS = (5, 9)
 """Fewest and most positions along an axis at which error motions are judged."""
-_HARDLY = 0.05
-"""Share of information below which the data say practically nothing."""
 _NOTHING = 1e-6
 """Volumetric error, um, that is rounding."""
 _BEFORE, _AFTER = "volumetric error before [um]", "volumetric error after [um]"
@@ -250,7 +247,7 @@ def virtual_calibration(
     before = [_Uncompensated(one) for one in along]
     inputs = linearised(pair, [*before, _Parts(volumetric.measure(pair))], coverage)
     contributions, known = _contributions(pair, inputs, points.rows)
-    learnt = _Learnt.of(pair)
+    learnt, unseen = _learnt(pair)
     compared = compare(linear.budget, campaign.ensemble, digits)
     fitted = len(fit.entries)
     rest = fitted + sum(len(o.labels) for o in along[0].outputs if isinstance(o, Output))
@@ -272,7 +269,7 @@ def virtual_calibration(
         nodes=nodes,
         directions=learnt.directions,
         determined=learnt.determined,
-        unseen=learnt.unseen,
+        unseen=unseen,
         hardly=learnt.hardly,
         coverage=coverage,
     )
@@ -407,33 +404,12 @@ class _Known(NamedTuple):
     jacobian: np.ndarray
 
 
-class _Learnt(NamedTuple):
-    """How much of the parameter space the plan determines."""
-
-    directions: int
-    determined: int
-    unseen: tuple[str, ...]
-    hardly: tuple[str, ...]
-
-    @classmethod
-    def of(cls, pair: Pair) -> "_Learnt":
-        batch, names = pair.batch, entries(pair.fit)
-        root = np.asarray(batch.root_precision)
-        proper = np.flatnonzero(root > 0.0)
-        if not len(proper):
-            return cls(0, 0, (), ())
-        inverse = np.asarray(batch.inverse)[np.ix_(proper, proper)]
-        scaled = inverse * np.outer(root[proper], root[proper])
-        learnt = 1.0 - np.linalg.eigvalsh(scaled)
-        known = _Known(names, root**2, np.asarray(batch.jacobian))
-        left = np.diag(scaled)
-        return cls(
-            directions=len(proper),
-            determined=int((learnt > 0.5).sum()),
-            unseen=tuple(null_directions(known)),  # pyright: ignore[reportArgumentType]
-            hardly=tuple(
-                f"{names[k][0]}: {names[k][1].name}"
-                for k, v in zip(proper, left, strict=True)
-                if 1.0 - v < _HARDLY
-            ),
-        )
+def _learnt(pair: Pair) -> tuple[Learnt, tuple[str, ...]]:
+    """How much of the parameter space the plan determines, and what it does not see, in words."""
+    batch, names = pair.batch, entries(pair.fit)
+    root = np.asarray(batch.root_precision)
+    found = Learnt.of(names, root, np.asarray(batch.inverse))
+    if not found.directions:
+        return found, ()
+    known = _Known(names, root**2, np.asarray(batch.jacobian))
+    return found, tuple(null_directions(known))  # pyright: ignore[reportArgumentType]

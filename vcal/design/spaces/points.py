@@ -132,7 +132,7 @@ class PointSpace(PlanSpace):
         return dataclasses.replace(
             self,
             settings=self.settings.model_copy(update={"points": True}),
-            position=np.tile(self._travel().mean(1), (count, 1)),
+            position=np.tile(self.chain.travel.mean(1), (count, 1)),
             known={name: np.full(count, values[-1]) for name, values in self.known.items()},
             index=index,
             numbering=tuple(range(first, first + count)),
@@ -248,11 +248,8 @@ class PointSpace(PlanSpace):
         covariates = {**placed.covariates, **self.following_from(placed)}
         return Plan(self.chain.axes, placed.position, covariates, self.index)
 
-    def _travel(self) -> np.ndarray:
-        return np.stack([joint.travel for joint in self.chain.joints])
-
     def _chosen_travel(self) -> np.ndarray:
-        return self._travel()[np.array(self.chosen)]
+        return self.chain.travel[np.array(self.chosen)]
 
     def _ends(self, which: int) -> np.ndarray:
         ends = [(v.low, v.high)[which] for v in self.varied]

@@ -127,12 +127,12 @@ class StaticRTestSpace(PointSpace):
         return self._beyond(placed).max()
 
     def penalty(self, placed: Placed) -> Float[Array, ""]:
-        clear = _CLEAR * np.ptp(self._travel()[self._following], axis=1)
+        clear = _CLEAR * np.ptp(self.chain.travel[self._following], axis=1)
         return 1.0 + _WEIGHT * ((self._beyond(placed, clear) / clear) ** 2).sum()
 
     def _beyond(self, placed: Placed, clear: Any = 0.0) -> Float[Array, "n f"]:
         """By how much the axes that follow stand out of their travel less what is left clear, m."""
-        low, high = self._travel()[self._following].T
+        low, high = self.chain.travel[self._following].T
         x = jnp.asarray(placed.position)[:, self._following]
         return jnp.maximum(jnp.maximum(low + clear - x, x - high + clear), 0.0)
 

@@ -30,8 +30,6 @@ class RTestRun:
 
     measurement: Measurement
     instrument: RTest
-    skew: Float[np.ndarray, "3 3"]
-    """Errors of the probes, which nobody knows."""
 
 
 def measure(
@@ -79,7 +77,7 @@ def measure(
     )
     instrument = RTest.build(settings, chain, table, lambda name, columns: {})
     plan = instrument.plan(chain, table)
-    return RTestRun(Measurement(plan, instrument.measured(table)), instrument, skew)
+    return RTestRun(Measurement(plan, instrument.measured(table)), instrument)
 
 
 @dataclass(frozen=True)

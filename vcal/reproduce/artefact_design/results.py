@@ -110,12 +110,8 @@ def compute(
     effort = effort or Effort()
     given, usual, programs = task(), nominal_poses(), Programs()
     before = tuple(1e6 * float(np.trace(g)) ** 0.5 for g in given.gram)
-    balls = ball_line(*NOMINAL)
     progress("poses")
-    sets: dict[str, dict[Known, float]] = {
-        name: {known: bayes_um(given, placed(make(), balls), known)[0] for known in KNOWN}
-        for name, make in POSES.items()
-    }
+    sets = _sets(given)
     expected: dict[Known, dict[Key, Theory]] = {}
     plain: dict[Known, list[Plain]] = {}
     for known in KNOWN:
@@ -148,35 +144,13 @@ def compute(
         )
         return drawn(made)
 
-    searched: dict[Known, dict[str, Searched]] = {known: {} for known in KNOWN}
-    for name in effort.searched:
-        searches = Searches([given], FREEDOMS[name])
-        for known in KNOWN:
-            progress(f"search, {known}: {name}")
-            found = optimise(
-                given,
-                usual,
-                known,
-                FREEDOMS[name],
-                starts=effort.starts,
-                steps=effort.steps,
-                seed=seed,
-                searches=searches,
-            )
-            searched[known][name] = Searched(found, checked(found.poses, known))
+    searched = _searched(given, effort, seed, progress, checked)
     judged: dict[Known, Drawn] = {known: checked(usual, known) for known in KNOWN}
     stars: dict[Known, Star] = {}
     for known in KNOWN:
         progress(f"star stylus, {known}")
         stars[known] = star(given, usual, known, steps=effort.steps, seed=seed)
     traded = trade(given, shapes=effort.shapes, seed=seed, progress=progress)
-    few = Chooser(given, seed=seed).choose(*_SHORT, "S")[0].poses
-    several = {
-        f"{start.rotation.shape[0]} poses of {start.balls.shape[0]} balls": robust(
-            "S", nominal=start, steps=min(effort.steps, 200), seed=seed, progress=progress
-        )
-        for start in (usual, few)
-    }
     return Results(
         seed=seed,
         draws=draws,
@@ -194,8 +168,56 @@ def compute(
         nominal=judged,
         star=stars,
         trade=traded,
-        robust=several,
+        robust=_robust(given, effort, seed, progress),
     )
+
+
+def _sets(given: Task) -> dict[str, dict[Known, float]]:
+    """Expected rms of the nominal artefact by set of poses."""
+    balls = ball_line(*NOMINAL)
+    return {
+        name: {known: bayes_um(given, placed(make(), balls), known)[0] for known in KNOWN}
+        for name, make in POSES.items()
+    }
+
+
+def _searched(
+    given: Task,
+    effort: Effort,
+    seed: int,
+    progress: Callable[[str], None],
+    checked: Callable[[ArrayPoses, Known], Drawn],
+) -> dict[Known, dict[str, Searched]]:
+    """What searches find from the nominal design, and what `checked` makes of it."""
+    found: dict[Known, dict[str, Searched]] = {known: {} for known in KNOWN}
+    for name in effort.searched:
+        searches = Searches([given], FREEDOMS[name])
+        for known in KNOWN:
+            progress(f"search, {known}: {name}")
+            best = optimise(
+                given,
+                nominal_poses(),
+                known,
+                FREEDOMS[name],
+                starts=effort.starts,
+                steps=effort.steps,
+                seed=seed,
+                searches=searches,
+            )
+            found[known][name] = Searched(best, checked(best.poses, known))
+    return found
+
+
+def _robust(
+    given: Task, effort: Effort, seed: int, progress: Callable[[str], None]
+) -> dict[str, Robust]:
+    few = Chooser(given, seed=seed).choose(*_SHORT, "S")[0].poses
+    return {
+        f"{start.rotation.shape[0]} poses of {start.balls.shape[0]} balls": robust(
+            "S", nominal=start, steps=min(effort.steps, 200), seed=seed, progress=progress
+        )
+        for start in (nominal_poses(), few)
+    }
 
 
 def _functions(given: Task, seed: int) -> np.ndarray:

@@ -56,13 +56,6 @@ class Robust:
         """Root of the mean square over the families."""
         return float(np.sqrt(np.mean(np.square(self.rms_um[design]))))
 
-    def regret(self, design: str) -> tuple[float, ...]:
-        """By which share the design is worse than the one optimised for the family, of every
-        family; below zero where a search ended in a lesser minimum.
-        """
-        own = (self.rms_um[family][i] for i, family in enumerate(self.families))
-        return tuple(rms / best - 1.0 for rms, best in zip(self.rms_um[design], own, strict=True))
-
 
 def robust(
     known: Known,

@@ -14,7 +14,7 @@ from ...design import ArrayPoses, drawn_errors, gram_for
 from ...uncertainty.programs import Programs
 from .expected import Plain, Task, bayes_um, best_plain
 from .machines import Machines, calibrate, measured_by
-from .setting import BALLS, KNOWN, NOMINAL, OFFSETS, POSES, Known, ball_line, placed
+from .setting import BALLS, NOMINAL, OFFSETS, POSES, Known, ball_line, placed
 
 Varied = Literal["N", "a", "b"]
 VARIED: tuple[Varied, ...] = ("N", "a", "b")
@@ -128,8 +128,3 @@ def drawn(made: Machines) -> Drawn:
         gradients=made.campaign.gradients,
         failed=made.campaign.failed,
     )
-
-
-def all_theory(task: Task) -> dict[Known, dict[tuple[Varied, float], Theory]]:
-    """Of all three meanings of the 2 um."""
-    return {known: theory(task, known) for known in KNOWN}

@@ -62,8 +62,6 @@ class Chosen:
 
     poses: ArrayPoses
     rms_um: float
-    greedy_um: float
-    """Of the greedy choice, before exchanges."""
     bound_um: float
     """What no choice among these candidates goes below."""
 
@@ -179,8 +177,7 @@ class Chooser:
             bound = weigh_average(F, L, G, count, most=1, gap=_GAP).bound
             at = choice.chosen
             poses = ArrayPoses(offered.balls, offered.rotation[at], offered.origin[at])
-            rms, greedy, least = (v / _MICRO for v in (choice.value, choice.greedy, bound))
-            found.append(Chosen(poses, rms, greedy, least))
+            found.append(Chosen(poses, choice.value / _MICRO, bound / _MICRO))
         return found
 
 

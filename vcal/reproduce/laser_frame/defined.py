@@ -132,17 +132,16 @@ class _Table:
     def __init__(self, model: Model):
         self.size = len(model.entries)
         self.steps = np.array([e.parameter.step for e in model.entries])
-        self.motions, self.locations, start = {}, {}, 0
-        for effect in model.effects:
+        self.motions, self.locations = {}, {}
+        for effect, place in zip(model.effects, model.places, strict=True):
             if isinstance(effect, GeometricErrors):
-                k = start
+                k = place.start
                 for m in effect.motions:
                     self.motions[m.name] = m, k
                     k += len(m.basis.labels)
                 for e in effect.locations:
                     self.locations[e.name] = k
                     k += 1
-            start += len(effect.amplitudes)
 
     def values(self, name: str, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n k"]:
         found = np.zeros((len(x), self.size))

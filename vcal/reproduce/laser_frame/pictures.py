@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ...plots import png
 from ...report import Picture
+from ..registry import Pictures, picture
 from . import plots
 from .budget import point_parts
 from .results import Results
@@ -11,97 +11,119 @@ from .setting import ROTATION_URAD, TRANSLATION_UM, Layout, way_of_light
 from .table_four import exchanged
 
 
-def pictures(results: Results) -> dict[str, tuple[Picture, ...]]:
+def pictures(results: Results) -> Pictures:
     """All pictures by the section they belong to."""
+    return {
+        "seen": _seen(results),
+        "budget": _budget(results),
+        "cycles": _cycles(results),
+        "influences": _influences(results),
+        "verification": _verification(results),
+        "better": _better(results),
+    }
+
+
+def _seen(results: Results) -> tuple[Picture, ...]:
     flat, three, best = Layout.named("planar"), Layout.named("3d"), results.better.steps[-2]
+    return (
+        picture(
+            "beams",
+            plots.beams({"“3d”": three, "“planar”": flat, "found": best.layout}),
+            "Beam paths with their 51 points, in the work space of the axes. The light starts "
+            "at the square. Right: the path and the places found below.",
+        ),
+        picture(
+            "bias",
+            plots.bars(
+                {name: one.bias for name, one in list(results.seen.items())[:1]},
+                "Bias by the eight that are taken for zero",
+                value="standard deviation, µm or µrad",
+            ),
+            "Path “3d”: standard deviation that the other eight errors put on the thirteen, "
+            f"in µm and µrad, if every coefficient of theirs has {TRANSLATION_UM:g} µm or "
+            f"{ROTATION_URAD:.0f} µrad.",
+        ),
+    )
+
+
+def _budget(results: Results) -> tuple[Picture, ...]:
+    light, parts, cuts = _along(Layout.named("planar"))
+    return (
+        picture(
+            "budget",
+            plots.along_the_beam(light, parts, cuts),
+            "Variance of a reading, influence on influence, along the path “planar”, first "
+            "reading. Dotted: pentaprisms. The diode's part grows from the middle of a "
+            "segment to its ends, the beam's deflection with the light's whole way.",
+        ),
+    )
+
+
+def _cycles(results: Results) -> tuple[Picture, ...]:
     noise, everything = (results.cycles[f"planar, {n}"] for n in ("noise", "all errors"))
     assert noise.by_beams is not None and everything.by_beams is not None
-    light, parts, cuts = _along(flat)
+    return (
+        picture(
+            "table_four",
+            plots.bars(
+                {
+                    "printed, EXZ and EZY exchanged": exchanged(),
+                    "noise alone": noise.by_beams,
+                    "with all 21 errors": everything.by_beams,
+                },
+                "Table 4: path “planar”, beam by beam",
+                log=True,
+            ),
+            "Expanded uncertainties of the thirteen, angles times the lengths said below.",
+        ),
+    )
+
+
+def _influences(results: Results) -> tuple[Picture, ...]:
+    return (
+        picture(
+            "influences",
+            plots.bars(
+                {
+                    "independent noise": results.cycles["3d, noise"].identified,
+                    "as effects of a run": results.as_effects["3d"].identified,
+                },
+                "The nine influences, path “3d”, least squares",
+            ),
+            "What the influences do to the thirteen if they are what they are: most of them "
+            "are one number per run.",
+        ),
+    )
+
+
+def _verification(results: Results) -> tuple[Picture, ...]:
+    return (
+        picture(
+            "second_device",
+            plots.second_device(results.verification.agreements),
+            "Change between two runs as the laser frame saw it, less that of the second "
+            "device, for three of the repeats (the publication's Fig. 4). Band: 3 µm.",
+        ),
+    )
+
+
+def _better(results: Results) -> tuple[Picture, ...]:
     steps = results.better.steps
-    return {
-        "seen": (
-            _picture(
-                "beams",
-                plots.beams({"“3d”": three, "“planar”": flat, "found": best.layout}),
-                "Beam paths with their 51 points, in the work space of the axes. The light starts "
-                "at the square. Right: the path and the places found below.",
+    return (
+        picture(
+            "better",
+            plots.bars(
+                {
+                    "evenly, “3d”": results.checked[steps[0].freedom].identified,
+                    "places, beams and path found": results.checked[steps[-2].freedom].identified,
+                    "and a sixth beam": results.checked[steps[-1].freedom].identified,
+                },
+                "51 points better placed (Monte Carlo)",
             ),
-            _picture(
-                "bias",
-                plots.bars(
-                    {name: one.bias for name, one in list(results.seen.items())[:1]},
-                    "Bias by the eight that are taken for zero",
-                    value="standard deviation, µm or µrad",
-                ),
-                "Path “3d”: standard deviation that the other eight errors put on the thirteen, "
-                f"in µm and µrad, if every coefficient of theirs has {TRANSLATION_UM:g} µm or "
-                f"{ROTATION_URAD:.0f} µrad.",
-            ),
+            "Least squares on all three; angles as in Table 4. The largest is what was "
+            "minimised: at the end several are equally large.",
         ),
-        "budget": (
-            _picture(
-                "budget",
-                plots.along_the_beam(light, parts, cuts),
-                "Variance of a reading, influence on influence, along the path “planar”, first "
-                "reading. Dotted: pentaprisms. The diode's part grows from the middle of a "
-                "segment to its ends, the beam's deflection with the light's whole way.",
-            ),
-        ),
-        "cycles": (
-            _picture(
-                "table_four",
-                plots.bars(
-                    {
-                        "printed, EXZ and EZY exchanged": exchanged(),
-                        "noise alone": noise.by_beams,
-                        "with all 21 errors": everything.by_beams,
-                    },
-                    "Table 4: path “planar”, beam by beam",
-                    log=True,
-                ),
-                "Expanded uncertainties of the thirteen, angles times the lengths said below.",
-            ),
-        ),
-        "influences": (
-            _picture(
-                "influences",
-                plots.bars(
-                    {
-                        "independent noise": results.cycles["3d, noise"].identified,
-                        "as effects of a run": results.as_effects["3d"].identified,
-                    },
-                    "The nine influences, path “3d”, least squares",
-                ),
-                "What the influences do to the thirteen if they are what they are: most of them "
-                "are one number per run.",
-            ),
-        ),
-        "verification": (
-            _picture(
-                "second_device",
-                plots.second_device(results.verification.agreements),
-                "Change between two runs as the laser frame saw it, less that of the second "
-                "device, for three of the repeats (the publication's Fig. 4). Band: 3 µm.",
-            ),
-        ),
-        "better": (
-            _picture(
-                "better",
-                plots.bars(
-                    {
-                        "evenly, “3d”": results.checked[steps[0].freedom].identified,
-                        "places, beams and path found": results.checked[
-                            steps[-2].freedom
-                        ].identified,
-                        "and a sixth beam": results.checked[steps[-1].freedom].identified,
-                    },
-                    "51 points better placed (Monte Carlo)",
-                ),
-                "Least squares on all three; angles as in Table 4. The largest is what was "
-                "minimised: at the end several are equally large.",
-            ),
-        ),
-    }
+    )
 
 
 def _along(layout: Layout) -> tuple[np.ndarray, dict[str, np.ndarray], list[float]]:
@@ -120,7 +142,3 @@ def _along(layout: Layout) -> tuple[np.ndarray, dict[str, np.ndarray], list[floa
     }
     cuts = [0.5 * (a[-1] + b[0]) for a, b in zip(light, light[1:], strict=False)]
     return np.concatenate(light), grouped, cuts
-
-
-def _picture(name: str, drawn, caption: str) -> Picture:
-    return Picture(name, "", caption, png(drawn))
