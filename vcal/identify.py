@@ -280,13 +280,11 @@ class _Solver:
     def _terms(self, shapes: Shapes) -> Terms:
         """`Model.terms`, those of effects without shape parameters found once."""
         model, plan = self.model, self.measurement.plan
-        blocks, start = [], 0
-        for i, effect in enumerate(model.effects):
+        for i, (effect, own) in enumerate(zip(model.effects, model.places, strict=True)):
             if effect.shapes or i not in self._fixed:
                 shape = shapes.get(i, {})
-                self._fixed[i] = effect_terms(effect, model.layout, plan, shape, start)
-            blocks.append(self._fixed[i])
-            start += len(effect.amplitudes)
+                self._fixed[i] = effect_terms(effect, model.layout, plan, shape, own.start)
+        blocks = [self._fixed[i] for i in range(len(model.effects))]
         return concatenate(blocks, plan.rows, len(model.layout))
 
 

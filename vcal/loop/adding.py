@@ -102,9 +102,11 @@ class Adding:
         refused = self._unfitted(found)
         odds, significant = found.odds, found.significant
         untried = {id(rival) for rival in significant}
+        small: set[int] = set()
         for rival in preferred(significant, odds):
             untried.discard(id(rival))
-            likeliest = found.ranked[0][0]
+            # One that holds, and makes too little of a difference, contradicts no other.
+            likeliest = next(one for one, _ in found.ranked if id(one) not in small)
             if why := found.unlikely(rival):
                 self._reject(found, rival, why)
                 continue
@@ -114,6 +116,8 @@ class Adding:
                 significant_itself = found.p_value(likeliest) <= self.alpha
                 held = "does not hold" if significant_itself else "is not significant itself"
                 why = f"a far likelier one {held}"
+            if not why and (why := found.too_little(rival)):
+                small.add(id(rival))
             if not why:
                 self.progress(f"round {number}: adding {rival.effect.key}")
                 return self._add(found, rival, found.description)

@@ -178,14 +178,13 @@ def machine_terms(fit: Fit, plan: Plan) -> tuple[Terms, Terms]:
     model, theta = fit.model, fit.theta
     blocks: list[Terms] = []
     slopes: list[Terms] = []
-    start, shape_start = 0, len(model.entries)
-    for i, effect in enumerate(model.effects):
+    shape_start = len(model.entries)
+    for i, (effect, own) in enumerate(zip(model.effects, model.places, strict=True)):
         shape = fit.shapes.get(i, {})
         if effect.where == "machine" and plan.has(*effect.needs_at(shape)):
-            blocks.append(effect_terms(effect, model.layout, plan, shape, start))
+            blocks.append(effect_terms(effect, model.layout, plan, shape, own.start))
             measured = fit.measurement.plan
-            slopes += shape_terms(model, i, plan, shape, theta[start:], measured, shape_start)
-        start += len(effect.amplitudes)
+            slopes += shape_terms(model, i, plan, shape, theta[own], measured, shape_start)
         shape_start += sum(p.moves for p in effect.shapes)
     ports = len(model.layout)
     return concatenate(blocks, plan.rows, ports), concatenate(slopes, plan.rows, ports)

@@ -166,7 +166,15 @@ class Round:
             return ""
         if fall <= (self._chosen(rival) if self._in_one_fold(rival) else error):
             return "held-out readings are not foretold better beyond uncertainty"
-        if not self._poor(rival.fit):
+        return ""
+
+    def too_little(self, rival: Rival) -> str:
+        """Why an effect that holds makes too little of a difference on readings it was not fitted
+        to, where the fit is poor and nearly anything fits a part of the rest; empty where it is
+        enough. Those may be readings that can hardly see it, as at the end of a warming up.
+        """
+        noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
+        if not self._poor(rival.fit) or _in_the_prior(self.fit, rival.fit, noise):
             return ""
         share = self.gain(rival)
         weighted = rms_fall(self.fit, rival.fit, self._rows(rival), weighted_squares)
