@@ -123,6 +123,7 @@ KEYS = {
     "noise_scale": float,
     "noise_components": list,
     "suspected_readings": list,
+    "blank_readings": list,
     "rejected": list,
     "untestable": list,
     "vibration": type(None),

@@ -729,7 +729,8 @@ def test_what_is_barred_lets_others_be_found(monkeypatch, likelier):
 
 def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, monkeypatch):
     """One of an expected size goes first, although another is seven times as likely; where that
-    one does not hold, neither does what fits as it does.
+    one does not hold, neither does what fits as it does; one that holds and makes too little of a
+    difference is no reason against another.
     """
     module = importlib.import_module("vcal.loop.adding")
     run = searching(tracker)
@@ -738,7 +739,7 @@ def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, mo
         SimpleNamespace(effect=bare(tracker, f"backlash:{a}:size_um=1"), leniency=x)
         for a, x in (("X", 9.0), ("Y", 0.0))
     )
-    holds = {id(large): "", id(expected): ""}
+    holds, small = {id(large): "", id(expected): ""}, {id(large): "", id(expected): ""}
 
     def found():
         ranked = [(large, 12.0), (expected, 10.0)]
@@ -746,7 +747,7 @@ def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, mo
             hidden_by_each_other=lambda: None, outdone=lambda: False, ranked=ranked,
             odds={id(r): odds for r, odds in ranked}, significant=[r for r, _ in ranked],
             unlikely=lambda r: "", fails=lambda r: holds[id(r)], description=None,
-            p_value=lambda r: 1e-9,
+            p_value=lambda r: 1e-9, too_little=lambda r: small[id(r)],
         )  # fmt: skip
 
     screening = SimpleNamespace(unseen=[], p_value=1e-9)
@@ -762,6 +763,10 @@ def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, mo
     large.leniency, run.rejected = 0.0, []
     assert run.step(state) is None
     assert [r.reason for r in run.rejected] == ["does not", "a far likelier one does not hold"]
+    holds[id(large)], small[id(large)] = "", "by 1 % only"
+    run.rejected = []
+    assert run.step(state) is expected
+    assert [r.reason for r in run.rejected] == ["by 1 % only"]
 
 
 def test_what_can_be_done_without_makes_room(tracker, monkeypatch):
