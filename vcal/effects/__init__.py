@@ -20,6 +20,7 @@ from . import (
     spindle,
     thermal,
     tracker,
+    wind_up,
 )
 from .base import Effect, Setup
 from .registry import CATALOGUE, effect_class, load_effects, register
@@ -48,4 +49,5 @@ __all__ = [
     "spindle",
     "thermal",
     "tracker",
+    "wind_up",
 ]

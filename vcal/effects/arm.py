@@ -1,12 +1,13 @@
 """Effects of articulated arms: compliance under gravity, wobbling axes, a read-back that lags."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Self
+from typing import Literal, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation as Turn
 
 from ..arrays import Array, namespace
@@ -22,6 +23,8 @@ _KEPT = 0.03
 """Patterns of load below this share of the strongest one are left out."""
 _OFF_AXIS_M = 0.05
 """How far from the axis of the last joint the centre of mass of a tool is expected."""
+Load = Literal["arm", "tool"]
+"""Where the weight that a joint carries is: in all that is behind it, or at the flange."""
 _MOMENTS: Kept[np.ndarray] = Kept(32)
 """Of the joints of a few plans."""
 
@@ -50,6 +53,23 @@ def _moments(chain: Chain, plan: Plan, joint: str) -> np.ndarray:
     return _MOMENTS.of(
         (chain, plan, joint), lambda: gravity_moments(chain, np.asarray(plan.position), joint)
     )
+
+
+def gravity_arms(chain: Chain, plan: Plan, joint: str, load: Load) -> Float[np.ndarray, " n"]:
+    """Lever arm, in m, of the weight that a joint carries about its axis: the torque per unit
+    weight, of masses that are alike at the origins behind it and at the flange, or at the flange
+    alone.
+    """
+    arms = _moments(chain, plan, joint)[:, :-2, 2]
+    return arms[:, -1] if load == "tool" else arms.mean(1)
+
+
+def stretched(chain: Chain, plan: Plan, joint: str, load: Load) -> float:
+    """The longest that this arm could be, with all that is behind the joint in one line, m."""
+    _, origins, _, flange = (np.asarray(v) for v in _geometry(chain, np.asarray(plan.position)))
+    places = np.concatenate([origins[:, chain.axes.index(joint) :], flange[:, None]], axis=1)
+    away = np.linalg.norm(np.diff(places, axis=1), axis=2).max(0).cumsum()
+    return float(away[-1] if load == "tool" else away.mean())
 
 
 @eqx.filter_jit
