@@ -23,7 +23,7 @@ from vcal.loop.chance import minus_log_beta_tail
 from vcal.loop.components import components
 from vcal.loop.confounded import confounded, unrecorded_time
 from vcal.loop.empirical import Kink
-from vcal.loop.heldout import heldout_residuals, predictive_deviance
+from vcal.loop.heldout import foretold, heldout_residuals
 from vcal.loop.screen import Screen
 from vcal.loop.screening import screen
 from vcal.loop.serial import _PHI, _SHARE, _Sequence, serial
@@ -367,7 +367,7 @@ def test_one_gross_reading_among_those_that_are_only_foretold(tmp_path):
     assert np.isnan(without[row]).all()
     residuals[row] = np.nan
     np.testing.assert_allclose(without, residuals, atol=1e-12)
-    blocks = set(predictive_deviance(clean)[1]) - set(predictive_deviance(state.fit)[1])
+    blocks = set(foretold(clean).folds) - set(foretold(state.fit).folds)
     assert blocks == {-1 - row}
     # What is missing from a model shows in all of them, and makes none of them gross.
     sigma = arm.instrument.noise(arm.plan, arm.measurement.readings)

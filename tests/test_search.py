@@ -394,8 +394,10 @@ def test_a_wider_prior_replaces_a_declared_one(tracker):
     true = tracker.effect("backlash:Y:size_um=120")
     narrow = dataclasses.replace(true, given=(), priors=(Prior("size", Normal(0.0, 10.0)),))
     model = tracker.model.with_effects(narrow)
-    state = fitted(model, noisy(tracker, 4, true), None, tracker.room)
-    grown = searching(tracker)._at_its_size(state)
+    measurement = noisy(tracker, 4, true)
+    start = identify(model, measurement)
+    assert abs(start.theta[start.places_of(len(tracker.model.effects))[0]]) > 1.0
+    grown = searching(tracker)._fitted(model, measurement, start)
     ((_, _, size, u),) = grown.fit.values_of(len(tracker.model.effects))
     assert size == pytest.approx(120.0, abs=4.0 * u)
 

@@ -11,7 +11,7 @@ from vcal.errors import StudyError
 from vcal.identify import identify
 from vcal.instruments import INSTRUMENTS
 from vcal.io import load_study, read_table, write_table
-from vcal.loop.heldout import predictive_deviance
+from vcal.loop.heldout import foretold
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 PRACTICE = sorted((DATA / "practice").glob("[01][0-9]_*"))
@@ -152,8 +152,8 @@ def test_the_poses_of_an_arm_may_stand_in_any_order(small_arm_study, backwards):
     assert apart is True
     read = other.measurement.readings
     np.testing.assert_allclose(read, study.measurement.readings[order], rtol=0, atol=1e-9)
-    told = [predictive_deviance(identify(s.model, s.measurement)) for s in (study, other)]
-    sums = [[found[where == fold].sum() for fold in range(4)] for found, where in told]
+    told = [foretold(identify(s.model, s.measurement)) for s in (study, other)]
+    sums = [[one.deviance[one.folds == fold].sum() for fold in range(4)] for one in told]
     assert min(map(abs, sums[0])) > 0
     np.testing.assert_allclose(sums[1], sums[0], rtol=0, atol=1e-3)
 

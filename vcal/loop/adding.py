@@ -6,6 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..effects.base import Effect
+from ..fit import Fit
+from ..measurement import Measurement
+from ..model import Model
 from .candidates import Untestable, candidates
 from .closure import Rejected, outdone_by
 from .empirical import EMPIRICAL, Empirical
@@ -176,7 +179,7 @@ class Adding:
         measurement = found.state.fit.measurement
         weighed, gain = weigh(found.classes_with(rival), rival, described), found.gain(rival)
         after = found.at_declared(rival.fit)
-        refitted = self._at_its_size(fitted(rival.fit.model, measurement, after, self.room))
+        refitted = self._fitted(rival.fit.model, measurement, after)
         effect, p, trials = refitted.model.effects[-1], found.p_value(rival), found.trials(rival)
         self.screenings[-1] = replace(found.screening, added=effect, told={effect.name: p})
         # Last, so that an interruption leaves no effect without its fit.
@@ -221,20 +224,22 @@ class Adding:
                 self._refuse(effect, p, _NO_MINIMUM)
         return first
 
-    def _at_its_size(self, state: State) -> State:
-        """The state with a wider prior of the last effect, where it is larger than expected: it
-        would be taken for smaller than it is, and the rest of it for something else.
+    def _fitted(self, model: Model, measurement: Measurement, start: Fit) -> State:
+        """The state of a model, with a wider prior of its last effect where that is larger than
+        expected: it would be taken for smaller than it is, and the rest of it for something else.
         """
-        for _ in range(WIDENINGS):
-            last = len(state.model.effects) - 1
-            effect = state.model.effects[last]
-            sizes = state.fit.theta[state.fit.places_of(last)[0]]
-            grown = widened(effect, WIDER)
-            if grown is effect or np.abs(sizes).max() <= 1.0:
-                break
-            model = state.model.without(last).with_effects(grown)
-            state = fitted(model, state.fit.measurement, state.fit, self.room)
-        return state
+        last, left, state = len(model.effects) - 1, WIDENINGS, None
+        while True:
+            effect = model.effects[last]
+            size = np.abs(start.theta[start.places_of(last)[0]]).max()
+            while left and size > 1.0 and (grown := widened(effect, WIDER)) is not effect:
+                effect, size, left = grown, size / WIDER, left - 1
+            if state is not None and effect is model.effects[last]:
+                return state
+            if effect is not model.effects[last]:
+                model = model.without(last).with_effects(effect)
+            state = fitted(model, measurement, start, self.room)
+            start = state.fit
 
     def _kept(self) -> Kept:
         """What an attempt changes, to restore it where nothing comes of it."""

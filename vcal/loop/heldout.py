@@ -269,9 +269,20 @@ def foretold_rms(fit: Fit, check: CheckPoints) -> float:
     return math.sqrt(float(((moved @ fit.covariance) * moved).sum()) / len(points)) * 1e6
 
 
-def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """-2 ln of the density that a fit without its fold foretells for every block of readings, up to
-    a constant of the readings alone, and the fold of every block.
+@dataclass(frozen=True)
+class Foretold:
+    """What a fit without its fold foretells for every block of readings."""
+
+    deviance: np.ndarray
+    """-2 ln of the density of the readings, up to a constant of the readings alone (blocks)."""
+    squares: np.ndarray
+    """The part of it that is their distance from what is foretold, d'C^-1 d (blocks)."""
+    folds: np.ndarray
+    """The fold of every block; negative for rows that are never fitted, one block each."""
+
+
+def foretold(fit: Fit, noise: float = 1.0) -> Foretold:
+    """How well a fit foretells every block of readings without its fold.
 
     Blocks of a fold are foretold one after the other, each from the other folds and the blocks
     before it: d'C^-1 d + ln det C with the whitened residual d = r - J_b x, x = -H_s^-1 J_f'r_f,
@@ -293,7 +304,8 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
     # The fit is the best one at its own noise, not at `noise` times that.
     step = fit.step_at(noise) + _left(fit, fit.jacobian.T @ fit.jacobian, precision)
     whitened = whitened - jacobian @ step
-    found: list[float] = []
+    squares: list[float] = []
+    volumes: list[float] = []
     where: list[int] = []
     for fold in np.unique(folds[folds >= 0]):
         rows = np.flatnonzero((folds == fold) & fit.used)
@@ -319,7 +331,8 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
             # C = 1 + left' left has as many eigenvalues other than one as there are parameters.
             c = np.linalg.cholesky(np.eye(len(left)) + left @ left.T)
             z = solve_triangular(c, left @ d, lower=True)
-            found.append(float(d @ d - z @ z + 2.0 * np.log(np.diag(c)).sum()))
+            squares.append(float(d @ d - z @ z))
+            volumes.append(2.0 * float(np.log(np.diag(c)).sum()))
             where.append(int(fold))
             known = known + j[:, common].T @ j[:, common]
             ahead = ahead - j[:, common].T @ r
@@ -328,9 +341,10 @@ def predictive_deviance(fit: Fit, noise: float = 1.0) -> tuple[np.ndarray, np.nd
         if len(rows):
             # They have no weight of their own: take that of the fitted ones.
             typical = np.median(fit.whitener[fit.used & inside], axis=0) / noise
-            found += list(((fit.residual[rows] @ typical.T) ** 2).sum(1))
+            squares += list(((fit.residual[rows] @ typical.T) ** 2).sum(1))
+            volumes += [0.0] * len(rows)
             where += [-1 - int(row) for row in rows]
-    return np.array(found), np.array(where)
+    return Foretold(np.add(squares, volumes), np.array(squares), np.array(where))
 
 
 def _beside(folds: np.ndarray, apart: np.ndarray, fit: Fit) -> np.ndarray:
@@ -349,17 +363,26 @@ def _beside(folds: np.ndarray, apart: np.ndarray, fit: Fit) -> np.ndarray:
 
 
 def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, float]:
-    """Fall of `predictive_deviance` from one fit to another of the same readings with the same
-    weights, and its standard error from its scatter over folds, or over blocks where there are few.
+    """Fall of the deviance of what is `foretold` from one fit to another of the same readings with
+    the same weights, and its standard error from its scatter over folds, or over blocks where there
+    are few.
     """
-    (a, folds), (b, _) = (predictive_deviance(fit, noise) for fit in (before, after))
-    fall = a - b
-    groups = folds
-    if len(np.unique(folds)) < _FEW:
+    a, b = (foretold(fit, noise) for fit in (before, after))
+    fall = a.deviance - b.deviance
+    groups = a.folds
+    if len(np.unique(groups)) < _FEW:
         groups = np.arange(len(fall))
     sums = np.array([fall[groups == g].sum() for g in np.unique(groups)])
     error = math.sqrt(len(sums)) * sums.std(ddof=1) if len(sums) > 1 else math.inf
     return float(fall.sum()), float(error)
+
+
+def foretold_fall(before: Fit, after: Fit, noise: float = 1.0) -> float:
+    """Fall of the root mean square distance of all readings from what is `foretold` of them, as a
+    share: of those that are never fitted, and of those beside them.
+    """
+    a, b = (foretold(fit, noise).squares.sum() for fit in (before, after))
+    return 1.0 - math.sqrt(b / a)
 
 
 def told_by_one_fold(fit: Fit, effect: int) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..fit import Fit
 from .empirical import Empirical
-from .heldout import improvement, rms_fall, told_by_one_fold, weighted_squares
+from .heldout import foretold_fall, improvement, rms_fall, told_by_one_fold, weighted_squares
 from .rivals import Rival, refit_all
 from .screen import Peak, Screen
 from .screening import Screening
@@ -77,8 +77,8 @@ class Round:
         worth = [p for p in screening.peaks if p.effect.name in significant]
         peaks = shortlist(screen, worth, screening.peaks, instances)
         rivals = refit_all(fit, peaks, instances, state.keep, room)
-        if rivals and not state.as_declared:
-            fit = rescored(state, rivals[0].fit, room)
+        if rivals and (better := rescored(state, rivals[0].fit, room)) is not fit:
+            fit = better
             rivals = refit_all(fit, peaks, instances, state.keep, room)
         classes = classes_of(fit, [r for r in rivals if not isinstance(r.effect, Empirical)])
         ranked = Names.of(classes).ranked() if classes else []
@@ -171,14 +171,15 @@ class Round:
     def too_little(self, rival: Rival) -> str:
         """Why an effect that holds makes too little of a difference on readings it was not fitted
         to, where the fit is poor and nearly anything fits a part of the rest; empty where it is
-        enough. Those may be readings that can hardly see it, as at the end of a warming up.
+        enough. Rows that are never fitted may hardly see it, as those at the end of a warming up:
+        what counts is the best of these, by length and by noise, and of all that is foretold.
         """
         noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
         if not self._poor(rival.fit) or _in_the_prior(self.fit, rival.fit, noise):
             return ""
         share = self.gain(rival)
         weighted = rms_fall(self.fit, rival.fit, self._rows(rival), weighted_squares)
-        if max(share, weighted) >= _PRACTICAL:
+        if max(share, weighted, foretold_fall(self.fit, rival.fit, noise)) >= _PRACTICAL:
             return ""
         way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
         return f"held-out rms {way}"

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
+from scipy.ndimage import maximum_filter
 
 from ..effects.base import Effect
 from ..fit import Fit
@@ -406,12 +407,18 @@ class Tested:
         return {rank: drops.stat[drops.rank == rank].max() for rank in ranks}
 
     def peaks(self, most: int) -> list[Peak]:
-        """The best local maxima of the statistic over the scan."""
+        """The best local maxima of the statistic over the scan: from its slopes a fit would only
+        run to the same.
+        """
         drops, names = self.drops, self.scan.names
         grid = np.indices(self.scan.lengths).reshape(len(names), len(drops.stat)).T
         chosen: list[int] = []
-        apart = 0 if any(p.choice for p in self.effect.shapes) else 2
+        choice = any(p.choice for p in self.effect.shapes)
+        apart = 0 if choice else 2
         left = drops.rank > 0
+        if names and not choice:
+            over = np.where(left, drops.stat, -np.inf).reshape(self.scan.lengths)
+            left &= (over == maximum_filter(over, 3, mode="nearest")).reshape(-1)
         while left.any() and len(chosen) < most:
             i = int(np.argmax(np.where(left, drops.stat, -np.inf)))
             chosen.append(i)

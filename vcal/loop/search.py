@@ -31,8 +31,8 @@ _QUICKER = 2.0
 _EXCHANGES = 1
 """How often one of several effects gives way to others that leave nothing unexplained."""
 _EXCHANGEABLE = 5
-"""Most effects of which one is exchanged: of more, on data that hold yet others, it would take
-minutes, and something is left all the same.
+"""Most effects of which one is exchanged, or looked for anew where something is left: of more, on
+data that hold yet others, it would take minutes, and something is left all the same.
 """
 _BARS = 1
 """How often each of several is not to be the answer, while others are searched for."""
@@ -70,7 +70,7 @@ class Search(Adding):
             if several is not None:
                 reached(several)
                 return self.rounds(several, most, reached)
-        elif len(self.added(state)) > 1:
+        elif 1 < len(self.added(state)) <= (_EXCHANGEABLE if self.refused is not None else most):
             for item in self.added(state):
                 reached(state := self.anew(state, item))
                 if self.unexplained is not None:

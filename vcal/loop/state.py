@@ -150,7 +150,8 @@ def at_declared(fit: Fit, state: State, room: int) -> Fit:
 
 def rescored(state: State, best: Fit, room: int) -> Fit:
     """The state's fit for tests and evidence, with the noise that a better model leaves: what is
-    missing makes components uneven, and must not count as noise where rivals are weighed.
+    missing makes components uneven, and must not count as noise where rivals are weighed. It is
+    the one there is where there are no components, or they are as declared.
     """
     if state.as_declared or state.noise is None:
         return state.scored
