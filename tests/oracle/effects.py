@@ -507,9 +507,10 @@ def gravity_lever(arm: Arm, q: Array, joint: int, masses: str) -> Array:
 
 def stretched_reach(arm: Arm, joint: int, masses: str) -> float:
     """Return the longest lever that the links behind a revolute joint could give: the mean, over
-    the masses, of the length of all links up to each.
+    the masses, of the length of all links up to each, the joint's own d being along its axis.
     """
-    lengths = np.cumsum(np.hypot(arm.a, arm.d)[joint:])
+    along = np.where(np.arange(arm.joints) > joint, arm.d, 0.0)
+    lengths = np.cumsum(np.hypot(arm.a, along)[joint:])
     return float(lengths[-1] if masses == "tool" else lengths.mean())
 
 

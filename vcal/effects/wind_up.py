@@ -18,7 +18,11 @@ _SOFTEST, _STIFFEST, _KNEES = 0.02, 1.5, 12
 """The knee is scanned between these shares of the reach: below, it is a step at no load; above, the
 departure is the cubic that it is at the upper end."""
 _APART = 1e-3
-"""Share of the arm, beside what is proportional to the other one, that makes two loads differ."""
+"""Share of the arm, beside what is proportional to the other one, that makes two loads differ; of
+the reach, by which an arm changes.
+"""
+_NO_LEVER_M = 1e-6
+"""Arm that is none."""
 
 
 @register
@@ -33,9 +37,11 @@ class GearWindUp(Effect):
     its departure from the straight line through both ends +-L of the reach, c such that the
     greatest one is one. What is proportional is `joint_compliance`. The weight is that of masses
     which are alike in all joints behind and at the flange (`size_arm`), or at the flange alone
-    (`size_tool`); a is that of their common centre. A knee far below the arms that occur is
-    backlash that gravity takes up, one beyond them a stiffness that grows with the square of the
-    load.
+    (`size_tool`); a is that of their common centre, positive where the weight pulls the way in
+    which the joint counts, and so is the size of a gear that yields to it. L is what a would be
+    with all links behind the joint in one level line across its axis. A knee far below the arms
+    that occur is backlash that gravity takes up, one beyond them a stiffness that grows with the
+    square of the load.
     """
 
     name = "gear_wind_up"
@@ -84,7 +90,7 @@ class GearWindUp(Effect):
             for load in get_args(Load):
                 arm = gravity_arms(setup.chain, setup.plan, joint.name, load)
                 reach = stretched(setup.chain, setup.plan, joint.name, load)
-                if reach > 0.0 and np.ptp(arm) > _APART * reach and _differs(arm, known):
+                if np.ptp(arm) > max(_APART * reach, _NO_LEVER_M) and _differs(arm, known):
                     known.append(arm)
                     yield cls(chain=setup.chain, load=load, reach=reach, placement=joint.name)
 
