@@ -14,9 +14,9 @@ from .arm import Load, gravity_arms, stretched
 from .base import Effect, Response, Setup
 from .registry import register
 
-_SOFTEST, _STIFFEST, _KNEES = 0.02, 1.5, 12
-"""The knee is scanned between these shares of the reach: below, it is a step at no load; above, the
-departure is the cubic that it is at the upper end."""
+_SHARPEST, _SOFTEST, _KNEES = 0.004, 1.5, 17
+"""The knee is scanned between these shares of the reach, from 3 mm of an arm of 0.7 m on: below, it
+is a step at no load; above, the departure is the cubic that it is at the upper end."""
 _APART = 1e-3
 """Share of the arm, beside what is proportional to the other one, that makes two loads differ; of
 the reach, by which an arm changes.
@@ -79,7 +79,7 @@ class GearWindUp(Effect):
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         del plan
-        return {"knee": self.reach * np.geomspace(_SOFTEST, _STIFFEST, _KNEES)}
+        return {"knee": self.reach * np.geomspace(_SHARPEST, _SOFTEST, _KNEES)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
