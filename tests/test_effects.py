@@ -589,7 +589,7 @@ def test_joint_compliance_spans_the_oracles_torque(known):
 
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.4, 1.0, 1.5])
 def test_gear_wind_up_is_the_departure_from_a_straight_line(share, known):
-    """tanh less its chord, the greatest departure found on a grid, over the oracle's levers."""
+    """tanh less its chord, one half at half of the reach, over the oracle's levers."""
     it = known["reflectors"]
     arm, q = it.case.arm, it.case.arm_run.q
     found = list(CATALOGUE["gear_wind_up"].candidates(it.setup))
@@ -597,8 +597,7 @@ def test_gear_wind_up_is_the_departure_from_a_straight_line(share, known):
     assert [(e.placement, e.load) for e in found] == [
         ("J2", "arm"), ("J2", "tool"), ("J3", "arm"), ("J3", "tool"), ("J4", "arm"), ("J5", "arm")
     ]  # fmt: skip
-    u = np.linspace(0.0, 1.0, 100_001)
-    most = (np.tanh(u / share) - u * np.tanh(1.0 / share)).max()
+    middle = np.tanh(0.5 / share) - 0.5 * np.tanh(1.0 / share)
     for effect in found:
         j = it.chain.axes.index(effect.placement)
         lever, reach = gravity_lever(arm, q, j, effect.load), stretched_reach(arm, j, effect.load)
@@ -608,23 +607,28 @@ def test_gear_wind_up_is_the_departure_from_a_straight_line(share, known):
         response = effect.response(it.plan, {"knee": np.asarray(share * reach)})
         ((key, column),) = response.items()
         assert key == (f"EC{effect.placement}", f"size_{effect.load}")
-        np.testing.assert_allclose(column, rest / most, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(column, 0.5 * rest / middle, rtol=0, atol=1e-12)
 
 
 def test_gear_wind_up_over_its_whole_reach(known, monkeypatch):
-    """Zero at both ends and one in between, odd, whatever the knee."""
+    """Zero at both ends, odd, a step for the sharpest knee and the cubic for the softest; and the
+    size says the same of a sharp one wherever the knee is.
+    """
     effect = next(iter(CATALOGUE["gear_wind_up"].candidates(known["reflectors"].setup)))
-    arm = effect.reach * np.linspace(-1.0, 1.0, 40_001)
-    monkeypatch.setattr(wind_up, "gravity_arms", lambda *_: arm)
-    # A thousand times the reach is the cubic.
-    knees = effect.reach * np.array([1e-4, 0.02, 0.1, 0.5, 1.5, 1e3])
+    u = np.linspace(-1.0, 1.0, 40_001)
+    monkeypatch.setattr(wind_up, "gravity_arms", lambda *_: effect.reach * u)
+    knees = effect.reach * np.array([1e-6, 0.004, 0.02, 0.1, 0.5, 1.5, 1e3])
     (g,) = effect.response(known["reflectors"].plan, {"knee": knees[:, None]}).values()
-    np.testing.assert_allclose(g[:, [0, 20_000, -1]], 0.0, atol=1e-6)
-    np.testing.assert_allclose(g, -g[:, ::-1], atol=1e-6)
-    np.testing.assert_allclose(g[:, 20_000:].max(1), 1.0, rtol=1e-4)
-    assert g[:, 20_000:].min() > -1e-6
-    u = arm / effect.reach
-    np.testing.assert_allclose(g[-1], 1.5 * np.sqrt(3.0) * (u - u**3), atol=1e-5)
+    np.testing.assert_allclose(g[:, [0, 20_000, -1]], 0.0, atol=1e-7)
+    np.testing.assert_allclose(g[:, 30_000], 0.5, rtol=1e-9)
+    np.testing.assert_allclose(g, -g[:, ::-1], atol=1e-7)
+    most = g[:, 20_000:].max(1)
+    assert most[0] > 0.9999 and (np.diff(most[:5]) < 0.0).all() and most.min() > 0.5
+    step = np.sign(u) - u
+    np.testing.assert_allclose(g[0], step, atol=1e-12)
+    away = np.abs(u) > 0.1
+    np.testing.assert_allclose(g[1, away], step[away], atol=1e-12)
+    np.testing.assert_allclose(g[-1], (u - u**3) / 0.75, atol=1e-6)
 
 
 def test_gear_wind_up_and_compliance_are_the_oracles(known):

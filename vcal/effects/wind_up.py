@@ -32,16 +32,17 @@ class GearWindUp(Effect):
 
     Rotation about the axis by size g(a), over the lever arm a of the weight that the joint carries,
 
-        g(a) = c (tanh(a / knee) - a / L tanh(L / knee)),
+        g(a) = (tanh(a / knee) / tanh(L / knee) - a / L) / tanh(L / (2 knee))^2,
 
-    its departure from the straight line through both ends +-L of the reach, c such that the
-    greatest one is one. What is proportional is `joint_compliance`. The weight is that of masses
-    which are alike in all joints behind and at the flange (`size_arm`), or at the flange alone
-    (`size_tool`); a is that of their common centre, positive where the weight pulls the way in
-    which the joint counts, and so is the size of a gear that yields to it. L is what a would be
-    with all links behind the joint in one level line across its axis. A knee far below the arms
-    that occur is backlash that gravity takes up, one beyond them a stiffness that grows with the
-    square of the load.
+    its departure from the straight line through both ends +-L of the reach, 1/2 at half of it. A
+    sharp one jumps from -size to size where the load changes sign, a soft one gets to half of that;
+    what the knee amounts to where there is no reading takes nothing from what is known of the size.
+    What is proportional is `joint_compliance`. The weight is that of masses which are alike in all
+    joints behind and at the flange (`size_arm`), or at the flange alone (`size_tool`); a is that of
+    their common centre, positive where the weight pulls the way in which the joint counts, and so
+    is the size of a gear that yields to it. L is what a would be with all links behind the joint in
+    one level line across its axis. A knee far below the arms that occur is backlash that gravity
+    takes up, one beyond them a stiffness that grows with the square of the load.
     """
 
     name = "gear_wind_up"
@@ -70,12 +71,9 @@ class GearWindUp(Effect):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         arm = gravity_arms(self.chain, plan, self.placement, self.load)
         xp, knee = namespace(shape["knee"]), shape["knee"]
-        end = xp.tanh(self.reach / knee)
-        # At the greatest departure the slope of the curve is that of the line.
-        slope = end * knee / self.reach
-        most = xp.sqrt(1.0 - slope) - slope * xp.arctanh(xp.sqrt(1.0 - slope))
-        found = xp.tanh(arm / knee) - arm / self.reach * end
-        return {(f"EC{self.placement}", f"size_{self.load}"): found / most}
+        bent = xp.tanh(arm / knee) / xp.tanh(self.reach / knee) - arm / self.reach
+        half = xp.tanh(0.5 * self.reach / knee)
+        return {(f"EC{self.placement}", f"size_{self.load}"): bent / half**2}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         del plan
