@@ -117,6 +117,8 @@ def test_a_gear_that_yields_most_to_small_loads_has_its_name(tmp_path):
     values = {name: (value, u) for name, value, _, u in gear.parameters}
     knee, u = values["knee"]
     assert abs(knee - 15.0) < 3.0 * u < 8.0
+    size, u = values["size_arm"]
+    assert abs(size - 150.0) < 3.0 * u < 10.0
     angle, u = turned(closure, 1)
     expected = put_in(*effects, joint=1)
     assert expected.std() > 150e-6 and u.max() < 15e-6
