@@ -9,20 +9,48 @@ import numpy as np
 import pytest
 
 from oracle import make_case, write_study
+from oracle.effects import joint_angles
 from vcal import close_loop, load_study
 from vcal.effects.base import Setup
 from vcal.effects.events import Jump
 from vcal.effects.thermal import Drift, WarmUp
 from vcal.effects.tracker import StationDrift, StationSettling
+from vcal.linearised import linearised_terms
+from vcal.model import port_values
 from vcal.report.compensation import effects_csv
 
 OFF_THE_FLANGE = [0.06, -0.04, 0.05]
 
 
-def closed(folder, effect, poses=150, seed=5):
-    case = make_case("reflectors", seed=seed, plan={"n": poses}, effects=[effect])
+def closed(folder, *effects, poses=150, seed=5):
+    case = make_case("reflectors", seed=seed, plan={"n": poses}, effects=effects)
     study = load_study(write_study(folder, case))
     return close_loop(study.model, study.measurement, draws=100)
+
+
+def turned(closure, joint):
+    """How far a joint turns beyond its command in every pose, less the mean, as the closed loop has
+    it, and its standard uncertainty.
+    """
+    fit = closure.after
+    model, plan = fit.model, fit.measurement.plan
+    terms = linearised_terms(model, plan, fit.shapes, fit.theta)
+    port = model.layout.index(f"ECJ{joint + 1}")
+    angle = np.asarray(port_values(terms, fit.theta, len(model.layout)))[:, port]
+    by_theta = np.zeros((plan.rows, len(fit.theta)))
+    for k in np.flatnonzero(terms.port == port):
+        by_theta[:, terms.parameter[k]] += np.asarray(terms.values)[:, k]
+    by_theta -= by_theta.mean(0)
+    variance = np.einsum("nj,jk,nk->n", by_theta, fit.covariance, by_theta)
+    return angle - angle.mean(), np.sqrt(variance)
+
+
+def put_in(*effects, joint, poses=150, seed=5):
+    """The same of the oracle."""
+    case = make_case("reflectors", seed=seed, plan={"n": poses}, effects=effects)
+    q = case.arm_run.q
+    off = (joint_angles(case.arm, q, case.arm_run.t, effects) - q)[:, joint]
+    return off - off.mean()
 
 
 @pytest.mark.parametrize(
@@ -70,6 +98,49 @@ def test_the_gear_of_a_joint_has_its_name_and_pitch(order, tmp_path):
     assert abs(360.0 / pitch - order) <= 3.0 * 360.0 / pitch**2 * u < 0.5
     (sine, us), (cosine, uc) = values["sine"], values["cosine"]
     assert abs(math.hypot(sine, cosine) - 60.0) <= 3.0 * max(us, uc)
+
+
+@pytest.mark.slow
+def test_a_gear_that_yields_most_to_small_loads_has_its_name(tmp_path):
+    """Beside the compliance of the same joint, of which the oracle's wind-up is a part."""
+    effects = (
+        {"effect": "joint_compliance", "joint": 1, "coefficient": 2e-5},
+        {"effect": "gear_wind_up", "joint": 1, "size_urad": 150, "knee_mm": 15},
+    )
+    closure = closed(tmp_path / "arm", *effects)
+    assert closure.verdict == "named"
+    names = {found.effect.key for found in closure.effects}
+    assert names == {"joint_compliance J2", "gear_wind_up J2"} and len(closure.effects) == 2
+    assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.1)
+    assert closure.errors["before"].chi2_per_dof > 10.0
+    (gear,) = (found for found in closure.effects if found.effect.key == "gear_wind_up J2")
+    values = {name: (value, u) for name, value, _, u in gear.parameters}
+    knee, u = values["knee"]
+    assert abs(knee - 15.0) < 3.0 * u < 8.0
+    size, u = values["size_arm"]
+    assert abs(size - 150.0) < 3.0 * u < 10.0
+    angle, u = turned(closure, 1)
+    expected = put_in(*effects, joint=1)
+    assert expected.std() > 150e-6 and u.max() < 15e-6
+    assert np.abs(angle - expected).max() < 15e-6
+    assert np.mean(((angle - expected) / u) ** 2) < 2.0
+
+
+@pytest.mark.parametrize("alone", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_the_soft_gear_of_a_wrist(alone, tmp_path):
+    """Less its compliance, and with it."""
+    effect = {"effect": "gear_wind_up", "joint": 4, "size_urad": 200, "knee_mm": 30}
+    effect |= {"masses": "tool", "departure": alone}
+    closure = closed(tmp_path / "arm", effect)
+    expected = {"gear_wind_up J5"} if alone else {"joint_compliance J5", "gear_wind_up J5"}
+    assert closure.verdict == "named"
+    assert {found.effect.key for found in closure.effects} == expected
+    assert len(closure.effects) == len(expected)
+    assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.1)
+    angle, u = turned(closure, 4)
+    put = put_in(effect, joint=4)
+    assert put.std() > 40e-6 and u.max() < 15e-6
+    assert np.mean(((angle - put) / u) ** 2) < 2.0
 
 
 def test_where_no_time_was_recorded_the_poses_count(tmp_path):

@@ -485,6 +485,8 @@ def test_an_effect_that_is_there_already(tmp_path, small_tracker_study):
         ("lateral_reversal", "component to be said: EYX or EZX"),
         ("gear_harmonic", "order to be said: 1 or 2 or 3 or 4"),
         ("cross_axis", "other to be said: Y or Z"),
+        # Its reach differs as well, and follows from that.
+        ("gear_wind_up", "component to be said: arm or tool\n  parameters"),
     ],
 )
 def test_an_effect_tells_what_it_has_to_be_told(name, said):

@@ -19,12 +19,19 @@ from oracle import (
     tracker_readings,
     write_study,
 )
-from oracle.effects import ball_positions, gravity_torque, joint_angles, joint_tilts
+from oracle.effects import (
+    ball_positions,
+    gravity_lever,
+    gravity_torque,
+    joint_angles,
+    joint_tilts,
+    stretched_reach,
+)
 from vcal import CATALOGUE, load_study, predict
 from vcal.chain import chain_from_string
 from vcal.declared_noise import declared_whitener
 from vcal.demo import FOLDER
-from vcal.effects import Setup
+from vcal.effects import Setup, wind_up
 from vcal.effects.arm import gravity_moments
 from vcal.effects.random import Repeatability
 from vcal.fit import shape_step
@@ -32,6 +39,7 @@ from vcal.instruments.reflectors import moves
 from vcal.linearised import linearised_terms
 from vcal.model import observe_with_jacobian, port_values, tool_points
 from vcal.plan import Plan
+from vcal.ports import PortLayout
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +108,7 @@ def touched(known):
 DECLARED_ONLY = ("head_temperature", "tool_interface")
 """Influences of a laser frame that the loop does not look for."""
 
-OF_AN_ARM = ("bearing_compliance", "joint_compliance", "readback_lag")
+OF_AN_ARM = ("bearing_compliance", "gear_wind_up", "joint_compliance", "readback_lag")
 
 # --- derivatives ---------------------------------------------------------------------------------
 
@@ -577,6 +585,90 @@ def test_joint_compliance_spans_the_oracles_torque(known):
         torque = np.sum(frames[:, 1, :, 2] * moment, axis=1)
         left = torque - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
         assert np.linalg.norm(left) < 0.02 * np.linalg.norm(torque - torque.mean())
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.4, 1.0, 1.5])
+def test_gear_wind_up_is_the_departure_from_a_straight_line(share, known):
+    """tanh less its chord, one half at half of the reach, over the oracle's levers."""
+    it = known["reflectors"]
+    arm, q = it.case.arm, it.case.arm_run.q
+    found = list(CATALOGUE["gear_wind_up"].candidates(it.setup))
+    # Nothing behind the others has a lever; one that only the flange has is offered once.
+    assert [(e.placement, e.load) for e in found] == [
+        ("J2", "arm"), ("J2", "tool"), ("J3", "arm"), ("J3", "tool"), ("J4", "arm"), ("J5", "arm")
+    ]  # fmt: skip
+    middle = np.tanh(0.5 / share) - 0.5 * np.tanh(1.0 / share)
+    for effect in found:
+        j = it.chain.axes.index(effect.placement)
+        lever, reach = gravity_lever(arm, q, j, effect.load), stretched_reach(arm, j, effect.load)
+        assert effect.reach == pytest.approx(reach, rel=1e-9)
+        assert 0.8 * reach < np.abs(lever).max() < reach
+        rest = np.tanh(lever / (share * reach)) - lever / reach * np.tanh(1.0 / share)
+        response = effect.response(it.plan, {"knee": np.asarray(share * reach)})
+        ((key, column),) = response.items()
+        assert key == (f"EC{effect.placement}", f"size_{effect.load}")
+        np.testing.assert_allclose(column, 0.5 * rest / middle, rtol=0, atol=1e-12)
+
+
+def test_gear_wind_up_over_its_whole_reach(known, monkeypatch):
+    """Zero at both ends, odd, a step for the sharpest knee and the cubic for the softest; and the
+    size says the same of a sharp one wherever the knee is.
+    """
+    effect = next(iter(CATALOGUE["gear_wind_up"].candidates(known["reflectors"].setup)))
+    u = np.linspace(-1.0, 1.0, 40_001)
+    monkeypatch.setattr(wind_up, "gravity_arms", lambda *_: effect.reach * u)
+    knees = effect.reach * np.array([1e-6, 0.004, 0.02, 0.1, 0.5, 1.5, 1e3])
+    (g,) = effect.response(known["reflectors"].plan, {"knee": knees[:, None]}).values()
+    np.testing.assert_allclose(g[:, [0, 20_000, -1]], 0.0, atol=1e-7)
+    np.testing.assert_allclose(g[:, 30_000], 0.5, rtol=1e-9)
+    np.testing.assert_allclose(g, -g[:, ::-1], atol=1e-7)
+    most = g[:, 20_000:].max(1)
+    assert most[0] > 0.9999 and (np.diff(most[:5]) < 0.0).all() and most.min() > 0.5
+    step = np.sign(u) - u
+    np.testing.assert_allclose(g[0], step, atol=1e-12)
+    away = np.abs(u) > 0.1
+    np.testing.assert_allclose(g[1, away], step[away], atol=1e-12)
+    np.testing.assert_allclose(g[-1], (u - u**3) / 0.75, atol=1e-6)
+
+
+def test_gear_wind_up_and_compliance_are_the_oracles(known):
+    """The oracle's gear winds up by a tanh: a departure from its chord, and the chord, which is a
+    joint that yields in proportion.
+    """
+    it = known["reflectors"]
+    arm, q, t = it.case.arm, it.case.arm_run.q, it.case.arm_run.t
+    nominal = dataclasses.replace(arm, translation=None, rotation=None)
+    told = {"effect": "gear_wind_up", "joint": 1, "size_urad": 150, "knee_mm": 60}
+    columns = gravity_moments(it.chain, q, "J2")[:, :-2, 2].mean(1)
+    effect = next(iter(CATALOGUE["gear_wind_up"].candidates(it.setup)))
+    (g,) = effect.response(it.plan, {"knee": np.asarray(0.06)}).values()
+    both = np.column_stack([g, columns])
+    turned = (joint_angles(nominal, q, t, [told]) - q)[:, 1]
+    sizes, *_ = np.linalg.lstsq(both, turned, rcond=None)
+    np.testing.assert_allclose(both @ sizes, turned, rtol=0, atol=1e-15)
+    assert sizes[1] == pytest.approx(150e-6 * np.tanh(effect.reach / 0.06) / effect.reach)
+    # What is left beside the chord is the effect alone, as the readings of a nominal arm see it.
+    told |= {"departure": True}
+    own = arm_points(nominal, joint_angles(nominal, q, t, [told]), it.instrument.points)
+    expected = (own - it.instrument.station) @ it.instrument.orientation
+    zero = np.zeros(len(it.theta))
+    amount = f"size_arm_urad={1e6 * sizes[0]:.17g},knee_mm=60"
+    got = it.readings(it.effect(f"gear_wind_up:J2:{amount}"), theta=zero)
+    np.testing.assert_allclose(got.reshape(expected.shape), expected, rtol=0, atol=1e-12)
+    assert np.abs(got - it.readings(theta=zero)).max() > 1e-5
+
+
+def test_machines_with_rotary_axes_have_no_gears_that_wind_up():
+    """Of their heads no effect of gravity is known, as of the joints of an arm."""
+    chain = chain_from_string(
+        "w b X Y Z C A t",
+        tool_offset_m=(0.0, 0.0, -0.15),
+        rotary_m={"C": (0.0, 0.0, 0.2), "A": (0.0, 0.0, 0.1)},
+    )
+    plan = Plan(chain.axes, np.random.default_rng(1).uniform(-1.0, 1.0, (20, 5)))
+    setup = Setup(chain, PortLayout.of(chain.axes, ()), plan)
+    for name in ("gear_wind_up", "joint_compliance", "bearing_compliance"):
+        assert not list(CATALOGUE[name].candidates(setup))
 
 
 @pytest.mark.parametrize("joint", range(6))

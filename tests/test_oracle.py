@@ -442,6 +442,8 @@ def test_arm_reflectors_are_rigid_and_effects_move_them():
         {"effect": "joint_compliance", "joint": 1, "coefficient": 2e-5, "mass_kg": 3},
         {"effect": "bearing_compliance", "joint": 1, "coefficient": 2e-5, "mass_kg": 3},
         {"effect": "gear_ripple", "joint": 2, "pitch_deg": 1.8, "amplitude_urad": 200},
+        {"effect": "gear_wind_up", "joint": 1, "size_urad": 150, "knee_mm": 15},
+        {"effect": "gear_wind_up", "joint": 4, "size_urad": 150, "knee_mm": 30, "masses": "tool"},
         {"effect": "jump", "joint": 0, "size_urad": 100, "t0_s": 1500},
         {"effect": "station_drift", "translation_um_per_h": [50, 0, 0]},
     ):

@@ -46,8 +46,8 @@ Z (translation) or A, B, C (rotation); along the axis itself when it is left out
 
 Arms: `joint` counts from 0; backlash (rad), gear_harmonic (amplitude, order, phase),
 gear_ripple (amplitude, pitch, phase), joint_coupling (other, coefficient), joint_compliance and
-bearing_compliance (coefficient rad/(N m), mass, centre), jump (size, t0),
-readback_lag (share), station_drift.
+bearing_compliance (coefficient rad/(N m), mass, centre), gear_wind_up (size, knee, masses,
+departure), jump (size, t0), readback_lag (share), station_drift.
 """
 
 from __future__ import annotations
@@ -233,6 +233,7 @@ ON_ARM = (
     "joint_coupling",
     "joint_compliance",
     "bearing_compliance",
+    "gear_wind_up",
     "jump",
     "readback_lag",
     "station_drift",
@@ -482,7 +483,35 @@ def joint_angles(arm: Arm, q: Array, t: Array, effects: Iterable[Effect]) -> Arr
                 true[:, j] += effect["coefficient"] * gravity_torque(
                     arm, q, j, effect.get("mass", 1.0), effect.get("centre", np.zeros(3))
                 )
+            case "gear_wind_up":
+                masses = effect.get("masses", "arm")
+                lever, reach = gravity_lever(arm, q, j, masses), stretched_reach(arm, j, masses)
+                wound = np.tanh(lever / effect["knee"])
+                if effect.get("departure", False):
+                    # From the straight line through both ends, which is the gear's compliance.
+                    wound -= lever / reach * np.tanh(reach / effect["knee"])
+                true[:, j] += effect["size"] * wound
     return true
+
+
+def gravity_lever(arm: Arm, q: Array, joint: int, masses: str) -> Array:
+    """Return the torque about a joint per unit of the total weight, (n,) m, of a nominal arm:
+    of equal masses at the origins of all frames behind it ("arm"), the last one being the flange,
+    or of one mass at the flange ("tool").
+    """
+    frames, origins = arm_frames(replace(arm, translation=None, rotation=None), q)
+    behind = {"arm": origins[:, joint + 1 :], "tool": origins[:, -1:]}[masses]
+    centre = behind.mean(axis=1) - origins[:, joint]
+    return np.sum(frames[:, joint, :, 2] * np.cross(centre, [0.0, 0.0, -1.0]), axis=1)
+
+
+def stretched_reach(arm: Arm, joint: int, masses: str) -> float:
+    """Return the longest lever that the links behind a revolute joint could give: the mean, over
+    the masses, of the length of all links up to each, the joint's own d being along its axis.
+    """
+    along = np.where(np.arange(arm.joints) > joint, arm.d, 0.0)
+    lengths = np.cumsum(np.hypot(arm.a, along)[joint:])
+    return float(lengths[-1] if masses == "tool" else lengths.mean())
 
 
 def gravity_moment(arm: Arm, q: Array, joint: int, mass: float, centre: Array) -> Array:

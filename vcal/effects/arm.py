@@ -65,11 +65,17 @@ def gravity_arms(chain: Chain, plan: Plan, joint: str, load: Load) -> Float[np.n
 
 
 def stretched(chain: Chain, plan: Plan, joint: str, load: Load) -> float:
-    """The longest that this arm could be, with all that is behind the joint in one line, m."""
-    _, origins, _, flange = (np.asarray(v) for v in _geometry(chain, np.asarray(plan.position)))
-    places = np.concatenate([origins[:, chain.axes.index(joint) :], flange[:, None]], axis=1)
-    away = np.linalg.norm(np.diff(places, axis=1), axis=2).max(0).cumsum()
-    return float(away[-1] if load == "tool" else away.mean())
+    """The longest that this arm could be, with all that is behind the joint in one line across its
+    axis, m. What its own link goes along the axis is no lever: 300 mm of a forearm to the wrist, of
+    which the roll of that forearm feels nothing. To the micrometre, the same on every plan.
+    """
+    j, position = chain.axes.index(joint), np.asarray(plan.position)
+    rotations, origins, _, flange = (np.asarray(v) for v in _geometry(chain, position))
+    links = np.diff(np.concatenate([origins[:, j:], flange[:, None]], axis=1), axis=1)
+    axis = rotations[:, j] @ np.asarray(chain.joints[j].direction)
+    links[:, 0] -= np.sum(links[:, 0] * axis, axis=1)[:, None] * axis
+    away = np.linalg.norm(links, axis=2).max(0).cumsum()
+    return round(float(away[-1] if load == "tool" else away.mean()), 6)
 
 
 @eqx.filter_jit

@@ -14,11 +14,15 @@ from .arm import Load, gravity_arms, stretched
 from .base import Effect, Response, Setup
 from .registry import register
 
-_SOFTEST, _STIFFEST, _KNEES = 0.02, 1.5, 12
-"""The knee is scanned between these shares of the reach: below, it is a step at no load; above, the
-departure is the cubic that it is at the upper end."""
+_SHARPEST, _SOFTEST, _KNEES = 0.004, 1.5, 17
+"""The knee is scanned between these shares of the reach, from 3 mm of an arm of 0.7 m on: below, it
+is a step at no load; above, the departure is the cubic that it is at the upper end."""
 _APART = 1e-3
-"""Share of the arm, beside what is proportional to the other one, that makes two loads differ."""
+"""Share of the arm, beside what is proportional to the other one, that makes two loads differ; of
+the reach, by which an arm changes.
+"""
+_NO_LEVER_M = 1e-6
+"""Arm that is none."""
 
 
 @register
@@ -28,14 +32,17 @@ class GearWindUp(Effect):
 
     Rotation about the axis by size g(a), over the lever arm a of the weight that the joint carries,
 
-        g(a) = c (tanh(a / knee) - a / L tanh(L / knee)),
+        g(a) = (tanh(a / knee) / tanh(L / knee) - a / L) / tanh(L / (2 knee))^2,
 
-    its departure from the straight line through both ends +-L of the reach, c such that the
-    greatest one is one. What is proportional is `joint_compliance`. The weight is that of masses
-    which are alike in all joints behind and at the flange (`size_arm`), or at the flange alone
-    (`size_tool`); a is that of their common centre. A knee far below the arms that occur is
-    backlash that gravity takes up, one beyond them a stiffness that grows with the square of the
-    load.
+    its departure from the straight line through both ends +-L of the reach, 1/2 at half of it. A
+    sharp one jumps from -size to size where the load changes sign, a soft one gets to half of that;
+    what the knee amounts to where there is no reading takes nothing from what is known of the size.
+    What is proportional is `joint_compliance`. The weight is that of masses which are alike in all
+    joints behind and at the flange (`size_arm`), or at the flange alone (`size_tool`); a is that of
+    their common centre, positive where the weight pulls the way in which the joint counts, and so
+    is the size of a gear that yields to it. L is what a would be with all links behind the joint in
+    one level line across its axis. A knee far below the arms that occur is backlash that gravity
+    takes up, one beyond them a stiffness that grows with the square of the load.
     """
 
     name = "gear_wind_up"
@@ -64,16 +71,13 @@ class GearWindUp(Effect):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         arm = gravity_arms(self.chain, plan, self.placement, self.load)
         xp, knee = namespace(shape["knee"]), shape["knee"]
-        end = xp.tanh(self.reach / knee)
-        # At the greatest departure the slope of the curve is that of the line.
-        slope = end * knee / self.reach
-        most = xp.sqrt(1.0 - slope) - slope * xp.arctanh(xp.sqrt(1.0 - slope))
-        found = xp.tanh(arm / knee) - arm / self.reach * end
-        return {(f"EC{self.placement}", f"size_{self.load}"): found / most}
+        bent = xp.tanh(arm / knee) / xp.tanh(self.reach / knee) - arm / self.reach
+        half = xp.tanh(0.5 * self.reach / knee)
+        return {(f"EC{self.placement}", f"size_{self.load}"): bent / half**2}
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         del plan
-        return {"knee": self.reach * np.geomspace(_SOFTEST, _STIFFEST, _KNEES)}
+        return {"knee": self.reach * np.geomspace(_SHARPEST, _SOFTEST, _KNEES)}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
@@ -84,7 +88,7 @@ class GearWindUp(Effect):
             for load in get_args(Load):
                 arm = gravity_arms(setup.chain, setup.plan, joint.name, load)
                 reach = stretched(setup.chain, setup.plan, joint.name, load)
-                if reach > 0.0 and np.ptp(arm) > _APART * reach and _differs(arm, known):
+                if np.ptp(arm) > max(_APART * reach, _NO_LEVER_M) and _differs(arm, known):
                     known.append(arm)
                     yield cls(chain=setup.chain, load=load, reach=reach, placement=joint.name)
 

@@ -310,14 +310,19 @@ def _values(options: Sequence[Effect], key: str) -> list[Any]:
 
 def choices(effect: Effect, setup: Setup) -> dict[str, list[Any]]:
     """Keys that a row has to say beside the placement, with the values they may have: those in
-    which the effects of that class and placement differ.
+    which the effects of that class and placement differ, but for what another one tells.
     """
     options = [e for e in type(effect).candidates(setup) if e.placement == effect.placement]
     found: dict[str, list[Any]] = {}
+    told: list[tuple[Any, ...]] = [() for _ in options]
     for key in _fields(effect) if options else []:
         values = _values(options, key)
         if len(values) < 2 or key == "unit":  # of which the component tells
             continue
+        more = [(*one, getattr(e, key)) for one, e in zip(told, options, strict=True)]
+        if len(set(more)) == len(set(told)):
+            continue
+        told = more
         named = "component" not in found and all(isinstance(value, str) for value in values)
         found["component" if named else key] = values
     return found
