@@ -179,7 +179,8 @@ def _frame_jump(rng: Rng, world: World) -> Sized:
     def sized(size: float) -> Term:
         effect = {"effect": "station_jump", "t0_s": at, "translation_um": size * v,
                   "rotation_urad": size * w}  # fmt: skip
-        return Term((effect,), "jump frame", shape={"at": at})
+        # A stand that is displaced without turning is another one.
+        return Term((effect,), "jump frame", ("A",), shape={"at": at})
 
     return sized
 
