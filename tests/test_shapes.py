@@ -290,3 +290,26 @@ def test_shapes_come_to_an_end_where_an_effect_is_not_quite_that(tracker, phase)
         assert fit.converged
         assert cost == pytest.approx(best.fun, abs=0.01)
         begin = {"shapes": fit.shapes, "theta": fit.theta}
+
+
+@pytest.mark.parametrize("size_um", [0.02, 2000.0])
+def test_a_shape_that_is_not_told_is_somewhere_in_its_scan(size_um, tracker):
+    """By so many standard deviations of a uniform distribution over the scan, and not by what the
+    curvature says, which there is next to none of; what is told, is as certain as that says.
+    """
+    true = tracker.effect(f"warm_up:Y:component=EZY,size_EZY_um={size_um},tau_h=0.2")
+    free = dataclasses.replace(true, given=())
+    measurement = Measurement(tracker.plan, tracker.readings(true))
+    fit = identify(tracker.model.with_effects(free), measurement, room=tracker.room)
+    place = len(tracker.model.effects)
+    p, value, u = next(v[1:] for v in fit.values_of(place) if v[1].name == "tau")
+    value, u = p.si * value, p.si * u
+    grid = free.scan(tracker.plan)["tau"]
+    step = shape_step(p, value, {"tau": grid})
+    plain = np.linalg.inv(fit.jacobian.T @ fit.jacobian + np.diag(fit.precision))
+    ((last,),) = (fit.places_of(place)[1],)
+    curvature = step * np.sqrt(plain[last, last])
+    within = step * len(grid) / np.sqrt(12.0)
+    # Of two that know of each other nothing else.
+    assert u == pytest.approx(1.0 / np.hypot(1.0 / curvature, 1.0 / within), rel=1e-6)
+    assert (curvature > 3.0 * within) if size_um < 1.0 else (curvature < 0.3 * within)

@@ -128,13 +128,31 @@ class Fit:
     @cached_property
     def planned_covariance(self) -> np.ndarray:
         """H^-1 in solver units: what readings of the declared noise leave, whatever the residuals
-        turned out to be.
+        turned out to be. A shape parameter that they do not tell is somewhere in its scan, and no
+        further off (`within_scans`).
         """
-        return cho_solve(self.factor, np.eye(len(self.theta)))
+        factor = self.factor
+        if not np.array_equal(self.within_scans, self.precision):
+            factor = cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.within_scans))
+        return cho_solve(factor, np.eye(len(self.theta)))
+
+    @cached_property
+    def within_scans(self) -> np.ndarray:
+        """The prior precision, with that of the shape parameters: of a uniform distribution over
+        the steps of the scan, whose variance is steps^2 / 12.
+        """
+        found, k = np.array(self.precision, float), len(self.model.entries)
+        for effect in self.model.effects:
+            moving = [p for p in effect.shapes if p.moves]
+            grids = effect.scan(self.measurement.plan) if moving else {}
+            for p in moving:
+                found[k] = 12.0 / len(grids[p.name]) ** 2
+                k += 1
+        return found
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Posterior covariance H^-1 in solver units.
+        """Posterior covariance H^-1 in solver units (`planned_covariance`).
 
         Where the readings of a row share errors that the noise does not declare
         (`Instrument.clusters`): H^-1 (sum_i g_i g_i' + L) H^-1 with g_i = J_i'A_i r_i, which needs
@@ -153,7 +171,7 @@ class Fit:
         turned = np.einsum("nij,ni->nj", vectors, left) / np.sqrt(np.maximum(values, _LEFT))
         left = np.einsum("nij,nj->ni", vectors, turned)
         scores = np.einsum("nik,ni->nk", mine, left)
-        middle = scores.T @ scores + np.diag(self.precision)
+        middle = scores.T @ scores + np.diag(self.within_scans)
         if not shared.all():
             others = jacobian[~shared].reshape(-1, jacobian.shape[2])
             middle += others.T @ others

@@ -56,7 +56,8 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
     found[apart] = fit.residual[apart]
     jacobian = fit.jacobian.reshape(n, m, -1)
     total = fit.jacobian.T @ fit.jacobian
-    precision = _precision(fit)
+    # A shape parameter that only the fold can see stays within its scan.
+    precision = fit.within_scans
     whitened = (fit.whitened - fit.jacobian @ _left(fit, total, precision)).reshape(n, m)
     for fold in np.unique(folds[folds >= 0]):
         rows = np.flatnonzero((folds == fold) & fit.used)
@@ -109,20 +110,6 @@ def _left(fit: Fit, total: np.ndarray, precision: np.ndarray) -> np.ndarray:
     uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
     step = np.linalg.solve(total + np.diag(precision), uphill)
     return step if uphill @ step < SETTLED else np.zeros(len(step))
-
-
-def _precision(fit: Fit) -> np.ndarray:
-    """Prior precision of the parameters without a fold: a shape parameter that only the fold can
-    see stays within its scan, of which it is uniform over the steps (variance steps^2 / 12).
-    """
-    found, k = np.array(fit.precision, float), len(fit.model.entries)
-    for effect in fit.model.effects:
-        moving = [p for p in effect.shapes if p.moves]
-        grids = effect.scan(fit.measurement.plan) if moving else {}
-        for p in moving:
-            found[k] = 12.0 / len(grids[p.name]) ** 2
-            k += 1
-    return found
 
 
 def squared_errors(fit: Fit, residuals: np.ndarray) -> np.ndarray:
@@ -300,7 +287,7 @@ def foretold(fit: Fit, noise: float = 1.0) -> Foretold:
     jacobian = fit.jacobian.reshape(n, m, -1) / noise
     whitened = fit.whitened.reshape(n, m) / noise
     total = np.einsum("nmk,nml->kl", jacobian, jacobian, optimize=True)
-    precision = _precision(fit)
+    precision = fit.within_scans
     # The fit is the best one at its own noise, not at `noise` times that.
     step = fit.step_at(noise) + _left(fit, fit.jacobian.T @ fit.jacobian, precision)
     whitened = whitened - jacobian @ step
