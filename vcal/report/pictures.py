@@ -107,7 +107,8 @@ def _effects(closure: Closure) -> Iterator[Picture]:
             )
         else:
             caption += f"Line: what station, poses and all other parameters leave of {key}."
-        name = f"effect_{i}_{key}"
+        # Of ten or more the names of the files are in the order in which they were found, too.
+        name = f"effect_{i:0{len(str(len(closure.effects)))}}_{key}"
         if data_set:
             name, caption = f"{name}_in_{data_set}", f"Data set {data_set}. {caption}"
         yield Picture(name, f"effect {i}", caption, plots.png(plots.before_after(view, key)))
