@@ -999,6 +999,22 @@ def test_no_dot_is_behind_the_legend(kind):
     assert legend.x0 > 0.0 < legend.y0 and legend.x1 < drawn.bbox.x1
 
 
+@pytest.mark.parametrize("rounds", [7, 8, 11, 17])
+@pytest.mark.parametrize("minus_log_p", [50.0, 700.0, 6000.0])
+def test_texts_of_many_rounds_are_apart(rounds, minus_log_p):
+    kinds = [KindResult("joint_compliance", [], 3, minus_log_p, 3.0, 0.0)]
+    added = SimpleNamespace(name="joint_compliance")
+    screening = Screening(kinds, 1e-20, 3.0, 1.0, [], added)  # type: ignore[arg-type]
+    drawn = search([screening] * rounds, 1e-3)
+    drawn.draw_without_rendering()
+    texts = [t for ax in drawn.axes for t in ax.findobj(Text) if t.get_visible() and t.get_text()]
+    numbers = [text.get_text() for text in texts]
+    assert all(any(str(i + 1) in one.split() for one in numbers) for i in range(rounds))
+    boxes = [text.get_window_extent() for text in texts]
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+    assert max(box.x1 for box in boxes) < drawn.bbox.x1
+
+
 @pytest.mark.parametrize("name", ["jump", "encoder_eccentricity warm azimuth of a second tracker"])
 def test_titles_of_before_and_after_are_apart(name):
     x = np.linspace(0.0, 1.0, 50)

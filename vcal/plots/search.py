@@ -11,6 +11,8 @@ from .style import AFTER, BEFORE, DOTS, INK, figure, grid, titled, width_of
 
 _LETTERS = 72
 """That the headings of all panels hold, side by side."""
+_MANY = 8
+"""Rounds from which there is no room for what all columns have alike in each of them."""
 
 
 def minus_log10_p(screening: Screening, kind: KindResult) -> float:
@@ -47,6 +49,7 @@ def search(screenings: Sequence[Screening], alpha: float) -> Figure:
     )[0]
     largest = max(10.0, *(minus_log10_p(s, k) for s in screenings for k in s.kinds))
     least = -math.log10(alpha)
+    many = len(screenings) >= _MANY
     for i, (ax, screening, chosen) in enumerate(zip(row, screenings, added, strict=True)):
         values = {k.kind: minus_log10_p(screening, k) for k in screening.kinds}
         heights = [values.get(kind, 0.0) for kind in kinds]
@@ -59,16 +62,20 @@ def search(screenings: Sequence[Screening], alpha: float) -> Figure:
         ax.set_xscale("symlog", linthresh=2.0, linscale=0.8)
         ax.set_xlim(0, largest * 1.6)
         ticks = [t for t in (0, 1, 2, 5, 10, 30, 100, 300, 1000, 3000) if t <= 1.5 * largest]
-        most = max(4, 12 // len(screenings))
+        most = max(2, 4 - len(screenings) // _MANY, 12 // len(screenings))
         ticks = [ticks[k] for k in np.unique(np.linspace(0, len(ticks) - 1, most).astype(int))]
         ax.set_xticks(ticks, [f"{t}" for t in ticks])
         ax.set_xticks([], minor=True)
         ax.grid(axis="y", visible=False)
         if i:
             ax.tick_params(labelleft=False)
+        quantity = "−log₁₀ of corrected p" if len(screenings) <= 3 else "−log₁₀ p"
+        if many:
+            quantity = quantity + ", by round" if i == len(screenings) // 2 else ""
         titled(
             ax,
-            f"round {i + 1}" + (f"\nadded {chosen}" if chosen and told else ""),
-            "−log₁₀ of corrected p" if len(screenings) <= 3 else "−log₁₀ p",
+            (f"{i + 1}" if many else f"round {i + 1}")
+            + (f"\nadded {chosen}" if chosen and told else ""),
+            quantity,
         )
     return drawn
