@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -174,4 +173,4 @@ class Constant(Basis):
         self.labels = ("0",)
 
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
-        return jnp.ones_like(x)[..., None]
+        return namespace(x).ones_like(x)[..., None]
