@@ -9,7 +9,7 @@ solver, so that a new effect, or a new shape, is only new data to a compiled sol
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -40,6 +40,7 @@ from .model import (
 )
 from .plan import Plan
 from .programs import outer_filter_jit
+from .quickly import Point, quickly
 from .spatial import require_float64
 from .walk import SETTLED, Step, Walk
 
@@ -144,9 +145,9 @@ def _solve(
     start: Array,
     tolerance: Array,
     damped: bool,
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     s = _solve_with(chain, instrument, plan, problem, start, tolerance, damped)
-    return s.value, s.status, s.steps, s.cost, s.rank
+    return s.value, s.status, s.steps, s.rank
 
 
 def identify(
@@ -209,7 +210,7 @@ def identify(
             steps += place.steps
         place = walk.last
         if tolerance < on_the_way:
-            place = solver.at_best(place.shapes, place.theta[:amplitudes], tolerance)
+            place = solver.at_best(place.shapes, place.point.theta, tolerance)
             steps += place.steps
         end = place.status if ended else Status.STEP_LIMIT
     return Fit(
@@ -217,11 +218,11 @@ def identify(
         measurement=measurement,
         theta=place.theta,
         shapes=place.shapes,
-        residual=place.residual,
+        residual=place.point.residual,
         whitener=whitener,
-        whitened=place.whitened,
+        whitened=place.point.whitened,
         jacobian=place.jacobian,
-        port_jacobian=place.by_port,
+        port_jacobian=place.point.by_port,
         precision=solver.precision,
         status=end,
         steps=steps,
@@ -244,38 +245,75 @@ class _Solver:
         self, shapes: dict[int, dict[str, float]], begin: np.ndarray, tolerance: float
     ) -> "_AtBest":
         """All amplitudes at their best at some shapes."""
-        model, plan, measured = self.model, self.measurement.plan, self.measurement.readings
-        size, count = len(self.precision), len(begin)
-        terms, root = self._terms(shapes), np.sqrt(self.precision[:count])
-        problem = Problem(plan.position, self._rows, measured, self.whitener, terms, root)  # type: ignore[arg-type]
-        problem = _padded(problem, self.room)
-        start = _pad(begin, len(problem.root_precision))
-        given = model.chain, model.instrument, plan, problem, start, np.asarray(tolerance)
-        found, *how = _solve(*given, False)
-        if int(how[0]) not in _ENDS:
-            found, *how = _solve(*given, True)
-        status, steps, cost, rank = how
-        best = np.array(found)[:count]
-        compared = compared_with_jacobian(
-            model.chain, model.instrument, plan, self._rows, measured, _ports(terms, best)
-        )
-        residual, by_port = (np.asarray(v) for v in compared)
-        blocks = [terms, *slopes(model, plan, shapes, best)]
-        terms = concatenate(blocks, plan.rows, len(model.layout))
+        terms = self._terms(shapes)
+        point, steps, ended = quickly(partial(self._point, terms), begin, tolerance)
+        status, size = Status.CONVERGED, len(self.precision)
+        rank = size
+        if not ended:
+            best, status, more, rank = self._compiled(terms, point.theta, begin, tolerance)
+            point, steps = self._point(terms, best), steps + more
+        moving = slopes(self.model, self.measurement.plan, shapes, point.theta, tolerance >= NEARLY)
+        along = concatenate(moving, self.measurement.rows, len(self.model.layout))
+        along = along._replace(parameter=along.parameter - len(begin))
+        by_port = np.matmul(self.whitener, point.by_port)
         return _AtBest(
             shapes=shapes,
-            theta=_pad(best, size),
-            amplitudes=count,
+            point=point,
+            along=_by_parameter(by_port, along, size - len(begin)),
             precision=self.precision,
-            status=Status(int(status)),
-            steps=int(steps),
-            solved_cost=float(cost),
-            rank=int(rank) - len(start) + size,
+            status=status,
+            steps=steps,
+            rank=rank,
+        )
+
+    def _point(self, terms: Terms, theta: np.ndarray) -> Point:
+        """What is known at some amplitudes."""
+        model, measurement = self.model, self.measurement
+        residual, by_port = (
+            np.asarray(found)
+            for found in compared_with_jacobian(
+                model.chain,
+                model.instrument,
+                measurement.plan,
+                self._rows,
+                measurement.readings,
+                _ports(terms, theta),
+            )
+        )
+        return Point(
+            theta=theta,
+            precision=self.precision[: len(theta)],
             residual=residual,
             by_port=by_port,
             whitened=np.matmul(self.whitener, residual[:, :, None]).reshape(-1),
-            jacobian=_by_parameter(np.matmul(self.whitener, by_port), terms, size),
+            rows=_by_parameter(np.matmul(self.whitener, by_port), terms, len(theta)),
         )
+
+    def _compiled(
+        self, terms: Terms, near: np.ndarray, begin: np.ndarray, tolerance: float
+    ) -> tuple[np.ndarray, Status, int, int]:
+        """Amplitudes at their best, found from one start, or with damping from another one; how
+        that ended, after how many steps, and the rank of the Jacobian with that of the shapes.
+        """
+        model, plan, size = self.model, self.measurement.plan, len(self.precision)
+        root = np.sqrt(self.precision[: len(begin)])
+        given = plan.position, self._rows, self.measurement.readings, self.whitener, terms, root
+        problem = _padded(Problem(*given), self.room)  # type: ignore[arg-type]
+        slots = len(problem.root_precision)
+        for damped, start in ((False, near), (True, begin)):
+            found, *how = _solve(
+                model.chain,
+                model.instrument,
+                plan,
+                problem,
+                _pad(start, slots),
+                np.asarray(tolerance),
+                damped,
+            )
+            status, steps, rank = (int(number) for number in how)
+            if status in _ENDS:
+                break
+        return np.array(found)[: len(begin)], Status(status), steps, rank - slots + size
 
     def _terms(self, shapes: Shapes) -> Terms:
         """`Model.terms`, those of effects without shape parameters found once."""
@@ -293,19 +331,25 @@ class _AtBest:
     """Some shapes, with all amplitudes at their best there (`vcal.walk.Place`)."""
 
     shapes: dict[int, dict[str, float]]
-    theta: np.ndarray
-    """Amplitudes, and zeros for the moves of the shapes (solver units)."""
-    amplitudes: int
+    point: Point
+    """At the amplitudes (solver units)."""
+    along: np.ndarray
+    """W dh/dshapes, one row per shape parameter that moves."""
     precision: np.ndarray
+    """Of amplitudes and shapes."""
     status: Status
     steps: int
-    solved_cost: float
     rank: int
-    residual: np.ndarray
-    by_port: np.ndarray
-    whitened: np.ndarray
-    jacobian: np.ndarray
-    """By amplitudes and shapes, not with the rows of the prior."""
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Amplitudes, and zeros for the moves of the shapes (solver units)."""
+        return _pad(self.point.theta, len(self.precision))
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """W dh/dtheta by amplitudes and shapes, not with the rows of the prior."""
+        return np.ascontiguousarray(np.concatenate([self.point.rows, self.along]).T)
 
     @cached_property
     def _linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
@@ -313,22 +357,21 @@ class _AtBest:
         follow the shapes; what pulls at the shapes, and how stiffly they resist, the amplitudes
         following; what the amplitudes alone have left to gain.
         """
-        k = self.amplitudes
+        here, k = self.point, len(self.point.theta)
+        across = here.rows @ self.along.T
+        slope = here.rows @ here.whitened - here.precision * here.theta
+        curvature, right = here.squared + np.diag(here.precision), np.column_stack([slope, across])
+        alone, follow = np.split(_solved_for(curvature, right), [1], axis=1)
+        pull = self.along @ here.whitened - across.T @ alone[:, 0]
         # A shape parameter that the data hardly see would run off in its linearisation. What holds
         # it back by a step of its scan has no say where it stands still.
-        held = np.where(np.arange(len(self.theta)) < k, self.precision, 1.0)
-        curvature = self.jacobian.T @ self.jacobian + np.diag(held)
-        slope = self.jacobian.T @ self.whitened - self.precision * self.theta
-        right = np.column_stack([slope[:k], curvature[:k, k:]])
-        alone, follow = np.split(_solved_for(curvature[:k, :k], right), [1], axis=1)
-        pull = slope[k:] - curvature[k:, :k] @ alone[:, 0]
-        stiffness = curvature[k:, k:] - curvature[k:, :k] @ follow
-        return alone[:, 0], follow, pull, stiffness, float(slope[:k] @ alone[:, 0])
+        stiffness = self.along @ self.along.T + np.eye(len(self.precision) - k)
+        return alone[:, 0], follow, pull, stiffness - across.T @ follow, float(slope @ alone[:, 0])
 
     @property
     def cost(self) -> float:
         """In units of the noise variance."""
-        return self.solved_cost - self._linear[-1]
+        return self.point.cost - self._linear[-1]
 
     def step(self, still: np.ndarray) -> Step:
         """Where the linear problem goes, with some of the shapes standing still."""
@@ -336,7 +379,7 @@ class _AtBest:
         moves, free = np.zeros(len(still)), ~still
         if free.any():
             moves[free] = _solved_for(stiffness[np.ix_(free, free)], pull[free])
-        amplitudes = self.theta[: self.amplitudes] + alone - follow @ moves
+        amplitudes = self.point.theta + alone - follow @ moves
         return Step(amplitudes, moves, float(pull @ moves))
 
 
@@ -358,16 +401,16 @@ def _ports(terms: Terms, theta: np.ndarray) -> Float[np.ndarray, "n p"]:
 
 def _by_parameter(
     by_port: Float[np.ndarray, "n m p"], terms: Terms, size: int
-) -> Float[np.ndarray, "nm k"]:
+) -> Float[np.ndarray, "k nm"]:
     """A derivative by the ports of every row as one by the parameters."""
     n, m, _ = by_port.shape
-    # One contiguous row for every port and term: a quarter of the time that gathering columns takes.
+    # A contiguous row for every port and term: a quarter of the time of gathering columns.
     across = np.ascontiguousarray(by_port.transpose(2, 0, 1))
     values = np.ascontiguousarray(np.asarray(terms.values).T)[:, :, None]
     found = np.zeros((size, n, m))
     for value, port, parameter in zip(values, terms.port, terms.parameter, strict=True):
         found[parameter] += across[port] * value
-    return np.ascontiguousarray(found.reshape(size, -1).T)
+    return found.reshape(size, n * m)
 
 
 def _pad(values: np.ndarray, size: int) -> np.ndarray:

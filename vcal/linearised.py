@@ -7,9 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .effects.base import Effect, Response
 from .fit import shape_step
 from .model import Model, Shapes, Terms, concatenate
 from .plan import Plan
+
+_SHORT = 1e-4
+"""Of a step of the scan, along which a response is as good as linear."""
 
 
 def linearised_terms(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray) -> Terms:
@@ -18,12 +22,14 @@ def linearised_terms(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray
     return concatenate(blocks, plan.rows, len(model.layout))
 
 
-def slopes(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray) -> list[Terms]:
-    """`shape_terms` of all effects."""
+def slopes(
+    model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray, nearly: bool = False
+) -> list[Terms]:
+    """`shape_terms` of all effects; `nearly`, to eight digits, in a tenth of the time."""
     found = []
     for i, own in enumerate(model.places):
         first = len(model.entries) + len(found)
-        found += shape_terms(model, i, plan, shapes.get(i, {}), theta[own], plan, first)
+        found += shape_terms(model, i, plan, shapes.get(i, {}), theta[own], plan, first, nearly)
     return found
 
 
@@ -35,12 +41,14 @@ def shape_terms(
     theta: np.ndarray,
     scanned: Plan,
     first: int,
+    nearly: bool = False,
 ) -> list[Terms]:
     """How the ports change with every smooth shape parameter of the effect at that place of the
     model, per solver unit: its step on the plan that is `scanned`, which is the one identified on.
 
     `theta` are the effect's own amplitudes; `first` is the place of its first shape
-    parameter in the parameter vector.
+    parameter in the parameter vector. `nearly` is by differences: a derivative of what is not
+    compiled takes a millisecond.
     """
     one, found = model.effects[effect], []
     moving = [p for p in one.shapes if p.moves]
@@ -49,11 +57,13 @@ def shape_terms(
         a.name: a.mean * a.si + value * a.step
         for a, value in zip(one.amplitudes, theta, strict=False)
     }
-    at = {name: jnp.asarray(value, float) for name, value in shape.items()}
     for p in moving:
-        along = {name: jnp.asarray(float(name == p.name)) for name in at}
-        _, slopes = jax.jvp(lambda s: dict(one.response(plan, s)), (at,), (along,))
         step = shape_step(p, float(shape[p.name]), grids)
+        slopes = (
+            _differences(one, plan, shape, p.name, _SHORT * step)
+            if nearly
+            else _derivatives(one, plan, shape, p.name)
+        )
         columns: dict[int, np.ndarray] = {}
         for (port, name), slope in slopes.items():
             place = model.layout.index(port)
@@ -68,3 +78,20 @@ def shape_terms(
             )  # type: ignore[arg-type]
         )
     return found
+
+
+def _derivatives(effect: Effect, plan: Plan, shape: Mapping[str, Any], name: str) -> Response:
+    """How the response changes with one shape parameter (SI)."""
+    at = {key: jnp.asarray(value, float) for key, value in shape.items()}
+    along = {key: jnp.asarray(float(key == name)) for key in at}
+    return jax.jvp(lambda s: dict(effect.response(plan, s)), (at,), (along,))[1]
+
+
+def _differences(
+    effect: Effect, plan: Plan, shape: Mapping[str, Any], name: str, short: float
+) -> Response:
+    """The same, by a short way to both sides."""
+    above, below = (
+        effect.response(plan, {**shape, name: shape[name] + way}) for way in (short, -short)
+    )
+    return {key: (above[key] - below[key]) / (2.0 * short) for key in above}

@@ -21,6 +21,7 @@ from .fit import shape_step
 from .model import Model
 from .parameters import Parameter
 from .plan import Plan
+from .secants import together
 
 _PLAIN, _SECANTS = 4, 2
 """Steps after which the last few are taken together, and how many of their changes."""
@@ -153,8 +154,7 @@ class Walk(Generic[P]):
             np.diff(np.array(rows[-1 - _SECANTS :]), axis=0).T / units[:, None]
             for rows in (self._places, self._steps)
         )
-        weights = np.linalg.lstsq(changed, step, rcond=1e-6)[0]
-        return step - (moved + changed) @ weights
+        return together(step, moved, changed)
 
     def _cornered(self, one: tuple[P, Step], other: tuple[P, Step]) -> bool:
         """Whether the minimum is at a corner between two places, with next to nothing to gain: each

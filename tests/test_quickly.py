@@ -1,0 +1,166 @@
+"""Gauss-Newton step by step, against numpy and scipy."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from known import KINDS, Known, know_all
+from vcal.effects.registry import CATALOGUE
+from vcal.linearised import slopes
+from vcal.loop.candidates import candidates
+from vcal.quickly import Point, quickly
+from vcal.secants import together
+
+
+def problem(residual, jacobian, precision):
+    """Points of min |residual(theta)|^2 + theta' L theta; `jacobian` is that of the model, which
+    is the reading less the residual.
+    """
+    points = []
+
+    def at(theta):
+        left = residual(theta)
+        points.append(
+            Point(
+                theta=theta,
+                precision=precision,
+                residual=left[:, None],
+                by_port=np.zeros((len(left), 1, 0)),
+                whitened=left,
+                rows=-jacobian(theta).T,
+            )
+        )
+        return points[-1]
+
+    return at, points
+
+
+def test_a_linear_problem_takes_one_step():
+    rng = np.random.default_rng(1)
+    a, y = rng.standard_normal((40, 5)), rng.standard_normal(40)
+    precision = np.array([0.0, 1.0, 4.0, 0.0, 2.0])
+    at, _ = problem(lambda x: y - a @ x, lambda _: -a, precision)
+    found, steps, ended = quickly(at, np.zeros(5), 1e-9)
+    both = np.concatenate([a, np.diag(np.sqrt(precision))])
+    expected = np.linalg.lstsq(both, np.concatenate([y, np.zeros(5)]))[0]
+    np.testing.assert_allclose(found.theta, expected, rtol=1e-12, atol=1e-12)
+    assert (steps, ended) == (1, True)
+    left = np.concatenate([y, np.zeros(5)]) - both @ expected
+    assert found.cost == pytest.approx(left @ left, rel=1e-12)
+    assert found.left < 1e-10
+
+
+def circle(seed, noise):
+    """Distances of points all around from a centre, measured badly: curved, with much left over."""
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(0.0, 2.0 * np.pi, 60)
+    points = np.column_stack([np.cos(angle), np.sin(angle)])
+    measured = 1.0 + noise * rng.standard_normal(60)
+
+    def residual(x):
+        return measured - np.linalg.norm(points - x, axis=1)
+
+    def jacobian(x):
+        away = points - x
+        return away / np.linalg.norm(away, axis=1)[:, None]
+
+    return residual, jacobian
+
+
+def test_curved_problems_with_large_residuals_end_where_scipy_does():
+    taken, alone, begin = 0, 0, np.array([0.2, -0.1])
+    for seed in range(8):
+        residual, jacobian = circle(seed, 0.6)
+        at, points = problem(residual, jacobian, np.zeros(2))
+        found, steps, ended = quickly(at, begin, 1e-8)
+        expected = least_squares(residual, begin, jac=jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-14)
+        assert ended
+        np.testing.assert_allclose(found.theta, expected.x, atol=1e-7)
+        assert steps == len(points) - 1
+        taken, x = taken + steps, begin
+        for _ in range(200):
+            step = np.linalg.lstsq(-jacobian(x), residual(x))[0]
+            if np.linalg.norm(jacobian(x) @ step) < 1e-8:
+                break
+            x, alone = x + step, alone + 1
+    # Gauss-Newton alone converges linearly.
+    assert taken < 0.8 * alone
+
+
+def test_what_is_badly_conditioned_is_left_alone():
+    rng = np.random.default_rng(2)
+    a, y = rng.standard_normal((40, 3)), rng.standard_normal(40)
+    for third in (a[:, 0] + 1e-8 * a[:, 2], 0.0 * a[:, 0], np.nan * a[:, 0]):
+        columns = np.column_stack([a[:, :2], third])
+        at, _ = problem(lambda x, c=columns: y - c @ x, lambda _, c=columns: -c, np.zeros(3))
+        found, steps, ended = quickly(at, np.zeros(3), 1e-6)
+        assert (steps, ended, found.certain) == (0, False, False)
+        np.testing.assert_array_equal(found.theta, 0.0)
+
+
+def test_what_runs_away_is_left_alone():
+    """exp(-x) falls for ever."""
+    at, points = problem(
+        lambda x: np.exp(-x) * np.ones(3),
+        lambda x: -np.exp(-x)[None] * np.ones((3, 1)),
+        np.zeros(1),
+    )
+    found, steps, ended = quickly(at, np.zeros(1), 1e-9)
+    assert not ended
+    assert found.cost < points[0].cost
+    assert steps < 20
+
+
+def test_without_parameters_there_is_nothing_to_do():
+    at, _ = problem(lambda _: np.ones(4), lambda _: np.zeros((4, 0)), np.zeros(0))
+    found, steps, ended = quickly(at, np.zeros(0), 1e-5)
+    assert (steps, ended, found.cost) == (0, True, 4.0)
+
+
+def test_steps_of_a_linear_iteration_taken_together_end_it():
+    """x -> x + B (c - x): after as many moves as there are directions the rest is known."""
+    rng = np.random.default_rng(3)
+    rate = np.diag([0.9, 0.5, 0.2])
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    b, c = turn @ rate @ turn.T, rng.standard_normal(3)
+    x, way, steps = np.zeros(3), [], []
+    for _ in range(4):
+        way, steps = [*way, x], [*steps, b @ (c - x)]
+        x = x + steps[-1]
+    moved, changed = np.diff(way, axis=0).T, np.diff(steps, axis=0).T
+    np.testing.assert_allclose(way[-1] + together(steps[-1], moved, changed), c, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory) -> dict[str, Known]:
+    return know_all(tmp_path_factory.mktemp("known"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_slopes_by_differences_are_the_derivatives(known, kind):
+    """Of every kind of candidate with a shape that moves, at a place between the steps of its scan,
+    some of them kinks.
+    """
+    it, seen = known[kind], set()
+    for effect in candidates(it.model, it.measurement, CATALOGUE.values())[0]:
+        moving = {p.name for p in effect.shapes if p.moves}
+        if not moving or effect.name in seen:
+            continue
+        seen.add(effect.name)
+        model = it.model.with_effects(effect)
+        place, shape = len(model.effects) - 1, {}
+        for name, grid in effect.scan(it.plan).items():
+            here = len(grid) // 2
+            other = max(here - 1, 0) if name in moving else here
+            shape[name] = float(0.63 * grid[here] + 0.37 * grid[other])
+        theta = np.zeros(len(model.entries))
+        theta[model.places[place]] = 1.0
+        shapes = {**model.shapes_at(it.plan), place: shape}
+        exact, nearly = (slopes(model, it.plan, shapes, theta, way) for way in (False, True))
+        assert len(exact) == len(nearly) == len(moving)
+        for one, other in zip(exact, nearly, strict=True):
+            np.testing.assert_array_equal(one.port, other.port)
+            largest = np.abs(one.values).max()
+            assert largest > 0.0
+            np.testing.assert_allclose(other.values, one.values, atol=1e-6 * largest, rtol=0)
+    assert seen

@@ -1,0 +1,166 @@
+"""Gauss-Newton where it converges quickly: step by step, and nothing is compiled for the size of a
+model.
+
+Most of the problems of a search are that: near their minimum already, and well conditioned. What
+is not is left to `vcal.least_squares`, from where this ended.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
+
+from .secants import together
+
+_MOST = 12
+"""Steps that are tried."""
+_QUICK = 0.5
+"""Share of what was left to the minimum that may be left after a step."""
+_SLOW = 4
+"""Steps that may leave more."""
+_LINEAR = 0.1
+"""Share of what was left that is left after a step, from which on steps are taken together."""
+_SECANTS = 3
+"""How many of the last ones are."""
+_LONGER = 5.0
+"""Most by which that lengthens a step."""
+_FLAT = 1e-6
+"""Curvature downwards, relative to that of the linear model, that may be rounding."""
+_ROUNDING = 1e-9
+"""Share of the cost by which it may rise: it is a sum of many squares."""
+_SQUARED = 1e6
+"""Bound of the condition number up to which a step may be found from J'J, as in
+`vcal.least_squares`."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """What is known about |W (y - h)|^2 + |L^(1/2) theta|^2 at one theta (k,)."""
+
+    theta: np.ndarray
+    precision: np.ndarray
+    """Diagonal of L."""
+    residual: np.ndarray
+    """y - h, (n, m), SI."""
+    by_port: np.ndarray
+    """dh/dports (n, m, p), not whitened."""
+    whitened: np.ndarray
+    """W (y - h), (n m)."""
+    rows: np.ndarray
+    """W dh/dtheta, one row per parameter (k, n m)."""
+
+    @cached_property
+    def squared(self) -> np.ndarray:
+        """J'J, without the prior."""
+        return self.rows @ self.rows.T
+
+    @cached_property
+    def cost(self) -> float:
+        """What is minimised, there."""
+        return float(self.whitened @ self.whitened + self.theta**2 @ self.precision)
+
+    @cached_property
+    def _triangle(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """R, the prior's rows included, and R^-T times the slope; None where the condition of R may
+        be too bad for it to be found from its square.
+        """
+        curvature = self.squared + np.diag(self.precision)
+        slope = self.rows @ self.whitened - self.precision * self.theta
+        norms = np.sqrt(np.diag(curvature))
+        if not (norms > 0.0).all() or not np.isfinite(norms.sum() + self.cost):
+            return None
+        if not len(norms):
+            return np.zeros((0, 0)), np.zeros(0)
+        try:
+            lower = cholesky(curvature / np.outer(norms, norms), lower=True)
+        except LinAlgError:
+            return None
+        inverse = solve_triangular(lower, np.eye(len(norms)), lower=True)
+        if not np.linalg.norm(lower) * np.linalg.norm(inverse) < _SQUARED:
+            return None
+        return lower.T * norms, inverse @ (slope / norms)
+
+    @property
+    def certain(self) -> bool:
+        """Whether a step from here can be found from J'J; all parameters are told then."""
+        return self._triangle is not None
+
+    def seen(self, moves: np.ndarray) -> np.ndarray:
+        """R times some moves (k, s): their lengths are what they change in the residual."""
+        assert self._triangle is not None
+        return self._triangle[0] @ moves
+
+    @property
+    def foretold(self) -> np.ndarray:
+        """R times the step to the minimum of the linear problem."""
+        assert self._triangle is not None
+        return self._triangle[1]
+
+    def move(self, seen: np.ndarray) -> np.ndarray:
+        """The move (k,) of which R times it is that."""
+        assert self._triangle is not None
+        return solve_triangular(self._triangle[0], seen)
+
+    @cached_property
+    def step(self) -> np.ndarray:
+        """To the minimum of the linear problem."""
+        return self.move(self.foretold)
+
+    @cached_property
+    def left(self) -> float:
+        """|J g|: how far that is, in standard uncertainties of a noise of one."""
+        return float(np.linalg.norm(self.foretold))
+
+    def ends(self, tolerance: float) -> bool:
+        """Whether it is that near to the minimum, in standard uncertainties by the scatter of the
+        residuals, or by their noise of one where that is larger.
+        """
+        used = max(int(np.count_nonzero(self.whitened)), 1)
+        return self.left <= tolerance * max(1.0, (self.cost / used) ** 0.5)
+
+
+def quickly(
+    at: Callable[[np.ndarray], Point], begin: np.ndarray, tolerance: float
+) -> tuple[Point, int, bool]:
+    """The last point of steps from `begin`, how many there were, and whether it is within the
+    tolerance (`Point.ends`) of a minimum. A few steps may bring little, or pass over a hill; all
+    others lower the cost, and halve what is left.
+    """
+    place, slow = at(begin), 0
+    before: list[Point] = []
+    for steps in range(_MOST):
+        if not place.certain:
+            return place, steps, False
+        if place.ends(tolerance):
+            return place, steps, True
+        after = at(place.theta + _onward(place, before))
+        if not after.certain:
+            return place, steps, False
+        lower = after.cost <= (1.0 + _ROUNDING) * place.cost
+        slow += not (lower and after.left <= _QUICK * place.left)
+        if slow > _SLOW:
+            return place, steps, False
+        before = [*before[1 - _SECANTS :], place] if lower and after.left < place.left else []
+        place = after
+    return place, _MOST, place.ends(tolerance)
+
+
+def _onward(place: Point, before: list[Point]) -> np.ndarray:
+    """The step from a place: where Gauss-Newton alone is slow, together with those of before
+    (`vcal.least_squares`), if the cost curves upwards along all of them.
+    """
+    if not before or place.left <= _LINEAR * before[-1].left:
+        return place.step
+    way = [*before, place]
+    moved = place.seen(np.diff([p.theta for p in way], axis=0).T)
+    changed = place.seen(np.diff([p.step for p in way], axis=0).T)
+    further = together(place.foretold, moved, changed)
+    # J'J times the change of a step is minus the Hessian times the move.
+    lengths = np.linalg.norm(moved, axis=0)
+    bends = -(moved.T @ changed) / np.outer(lengths, lengths)
+    upwards = np.linalg.eigvalsh(bends + bends.T)[0] > -_FLAT
+    if not upwards or np.linalg.norm(further) > _LONGER * place.left:
+        return place.step
+    return place.move(further)
