@@ -3,9 +3,11 @@
     minimise  |W (y - h(theta))|^2 + |L^(1/2) theta|^2
 
 h is the exact forward model, W whitens each row, theta is in units of the prior standard deviations
-(L: one for a proper prior, zero for a flat one). `optimistix` solves; the Jacobian is the port
-Jacobian times the effects' responses (`vcal.model`). Shape parameters are relinearised around the
-solver, so that a new effect, or a new shape, is only new data to a compiled solver.
+(L: one for a proper prior, zero for a flat one). The Jacobian is the port Jacobian, by automatic
+differentiation, times the effects' responses (`vcal.model`). Steps of Gauss-Newton that converge
+quickly need no other program than that, whatever the model (`vcal.gauss_newton`); what does not
+is solved by `optimistix` (`vcal.least_squares`). Shape parameters are relinearised around either,
+so that a new effect, or a new shape, is only new data to a compiled solver.
 """
 
 from dataclasses import dataclass
@@ -40,7 +42,7 @@ from .model import (
 )
 from .plan import Plan
 from .programs import outer_filter_jit
-from .quickly import Point, quickly
+from .gauss_newton import Point, quickly
 from .spatial import require_float64
 from .walk import SETTLED, Step, Walk
 

@@ -8,7 +8,7 @@ from known import KINDS, Known, know_all
 from vcal.effects.registry import CATALOGUE
 from vcal.linearised import slopes
 from vcal.loop.candidates import candidates
-from vcal.quickly import Point, quickly
+from vcal.gauss_newton import Point, quickly
 from vcal.secants import together
 
 
