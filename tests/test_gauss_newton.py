@@ -6,9 +6,9 @@ from scipy.optimize import least_squares
 
 from known import KINDS, Known, know_all
 from vcal.effects.registry import CATALOGUE
+from vcal.gauss_newton import Point, quickly
 from vcal.linearised import slopes
 from vcal.loop.candidates import candidates
-from vcal.gauss_newton import Point, quickly
 from vcal.secants import together
 
 

@@ -23,6 +23,7 @@ from .arrays import Array
 from .chain import Chain
 from .declared_noise import declared_whitener
 from .fit import Fit, entries
+from .gauss_newton import Point, quickly
 from .instruments.base import Instrument
 from .least_squares import Solution, Status, least_squares
 from .linearised import slopes
@@ -42,7 +43,6 @@ from .model import (
 )
 from .plan import Plan
 from .programs import outer_filter_jit
-from .gauss_newton import Point, quickly
 from .spatial import require_float64
 from .walk import SETTLED, Step, Walk
 
