@@ -26,9 +26,9 @@ def slopes(
     model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray, nearly: bool = False
 ) -> list[Terms]:
     """`shape_terms` of all effects; `nearly`, to eight digits, in a tenth of the time."""
-    found = []
+    found, amplitudes = [], len(model.entries)
     for i, own in enumerate(model.places):
-        first = len(model.entries) + len(found)
+        first = amplitudes + len(found)
         found += shape_terms(model, i, plan, shapes.get(i, {}), theta[own], plan, first, nearly)
     return found
 
@@ -52,7 +52,9 @@ def shape_terms(
     """
     one, found = model.effects[effect], []
     moving = [p for p in one.shapes if p.moves]
-    grids = one.scan(scanned) if moving else {}
+    if not moving:
+        return []
+    grids = one.scan(scanned)
     sizes = {
         a.name: a.mean * a.si + value * a.step
         for a, value in zip(one.amplitudes, theta, strict=False)

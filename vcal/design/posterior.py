@@ -39,16 +39,21 @@ def open_shapes(effect: Effect) -> set[str]:
     return {p.name for p in effect.shapes} - {name for name, *_ in effect.given}
 
 
-def _with_ports(
-    model: Model, plan: Plan
-) -> tuple[Float[Array, "n m k"], Float[Array, "n m"], Float[Array, "n m p"]]:
-    """`jacobian`, the readings at the nominal machine, and their derivative by its ports."""
+def check_shapes(model: Model) -> None:
+    """Raise `ValueError` for effects with shape parameters that are not declared."""
     for effect in model.effects:
         if loose := open_shapes(effect):
             raise ValueError(
                 f"effect {effect.key!r}: found the free shape parameter {min(loose)!r}, expected "
                 "declared ones, as a design is judged at the nominal machine"
             )
+
+
+def _with_ports(
+    model: Model, plan: Plan
+) -> tuple[Float[Array, "n m k"], Float[Array, "n m"], Float[Array, "n m p"]]:
+    """`jacobian`, the readings at the nominal machine, and their derivative by its ports."""
+    check_shapes(model)
     instrument = model.instrument
     still = jnp.zeros((plan.rows, len(model.layout)))
     readings, by_port = observe_with_jacobian(

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..model import Model
+from ..model import Model, compared_with_jacobian
 from ..plan import Plan
-from .posterior import jacobian, open_shapes
+from .posterior import check_shapes, open_shapes, slopes
 
 FREE = 1e-8
 """Singular value of columns of unit length below which a combination is not seen."""
@@ -53,7 +53,18 @@ def _rank(model: Model, plan: Plan, columns: Sequence[int]) -> Rank:
     """Of some of the amplitudes, by their places."""
     if not columns:
         return Rank(0, 0, ())
-    J = np.asarray(jacobian(model, plan))
+    check_shapes(model)
+    instrument, rows = model.instrument, plan.rows
+    # What the plan is fitted with afterwards is compiled here already.
+    _, by_port = compared_with_jacobian(
+        model.chain,
+        instrument,
+        plan,
+        instrument.rows(plan),
+        np.zeros((rows, len(instrument.readings))),  # type: ignore[arg-type]
+        np.zeros((rows, len(model.layout))),  # type: ignore[arg-type]
+    )
+    J = np.asarray(slopes(model.effects, model, plan, np.asarray(by_port)))  # type: ignore[arg-type]
     J = J.reshape(-1, J.shape[-1])[:, np.asarray(columns)]
     norms = np.linalg.norm(J, axis=0)
     J = J / np.where(norms > 0.0, norms, 1.0)

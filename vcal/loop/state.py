@@ -11,7 +11,7 @@ from scipy.special import gammaincc
 from ..declared_noise import declared_whitener
 from ..design import flat_rank
 from ..fit import Fit, undetermined
-from ..identify import identify
+from ..identify import NEARLY, identify
 from ..least_squares import Status
 from ..measurement import Measurement
 from ..model import Model
@@ -69,9 +69,8 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
         options |= {"theta": start.theta, "shapes": start.shapes}
     else:
         options["shapes"] = shapes_begun(model, measurement, keep, room)
-    fit = whole = identify(model, measurement, **options)
-    if free := _free(fit):
-        raise np.linalg.LinAlgError(f"no reading tells {' and '.join(free)} apart from the rest")
+    fit = whole = identify(model, measurement, tolerance=NEARLY, **options)
+    _check_told(fit)
     strays: list[Stray] = []
     moved: set[int] = set()
     for _ in range(_SEARCHES):
@@ -87,13 +86,16 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
             break
         options["keep"] = keep = keep.copy()
         keep[[s.row for s in found]] = False
-        fit = identify(model, measurement, **options)
+        fit = identify(model, measurement, tolerance=NEARLY, **options)
         if more := displaced(fit, [s.row for s in strays]):
             moved |= more
             strays = [s for s in strays if s.row not in more]
             options["keep"] = keep = keep.copy()
             keep[sorted(more)] = whole_keep[sorted(more)]
-            fit = identify(model, measurement, **options)
+            fit = identify(model, measurement, tolerance=NEARLY, **options)
+    options |= {"theta": fit.theta, "shapes": fit.shapes}
+    fit = identify(model, measurement, **options)
+    _check_told(fit)
     if far := stray_apart(fit, apart):
         strays += far
         measurement = dataclasses.replace(measurement, aside=_rows(measurement, far))
@@ -109,17 +111,19 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     return State(model, fit, scored, keep, sorted(strays, key=lambda s: s.row), noise)
 
 
-def _free(fit: Fit) -> list[str]:
-    """Parameters that neither the data nor a prior tell, by name, where that is why a fit ended
-    elsewhere than at a minimum: with nothing to hold them some run away, to where the readings seem
-    to tell them after all.
+def _check_told(fit: Fit) -> None:
+    """Raise `LinAlgError` for parameters that neither the data nor a prior tell, where that is why
+    a fit ended elsewhere than at a minimum: with nothing to hold them some run away, to where the
+    readings seem to tell them after all.
     """
+    free = []
     if fit.status == Status.SINGULAR:
-        return undetermined(fit)
-    if fit.converged:
-        return []
-    names = [f"{key} {p.name}" for key, p in fit.entries]
-    return [names[i] for i in flat_rank(fit.model, fit.measurement.plan).mixed]
+        free = undetermined(fit)
+    elif not fit.converged:
+        names = [f"{key} {p.name}" for key, p in fit.entries]
+        free = [names[i] for i in flat_rank(fit.model, fit.measurement.plan).mixed]
+    if free:
+        raise np.linalg.LinAlgError(f"no reading tells {' and '.join(free)} apart from the rest")
 
 
 def _stray(fit: Fit, options: dict) -> list[Stray]:
@@ -130,7 +134,7 @@ def _stray(fit: Fit, options: dict) -> list[Stray]:
     model, measurement = fit.model, fit.measurement
     if not (fit.clusters >= 0).any() and _quieter(fit):
         options = options | {"whitener": components(fit).whitener_alike}
-        fit = identify(model, measurement, **options)
+        fit = identify(model, measurement, tolerance=NEARLY, **options)
     return stray_rows(fit, partial(identify_robust, model, measurement, **options))
 
 
@@ -145,6 +149,7 @@ def at_declared(fit: Fit, state: State, room: int) -> Fit:
         shapes=fit.shapes,
         keep=state.keep,
         room=room,
+        tolerance=NEARLY,
     )
 
 
@@ -179,6 +184,7 @@ def without(state: State, place: int, room: int) -> Fit:
         whitener=fit.whitener,
         keep=state.keep,
         room=room,
+        tolerance=NEARLY,
     )
 
 
