@@ -14,12 +14,8 @@ from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from .secants import together
 
-_MOST = 12
-"""Steps that are tried."""
-_QUICK = 0.5
-"""Share of what was left to the minimum that may be left after a step."""
-_SLOW = 4
-"""Steps that may leave more."""
+_MOST = 20
+"""Steps that are tried: together they take less than to compile another solver."""
 _LINEAR = 0.1
 """Share of what was left that is left after a step, from which on steps are taken together."""
 _SECANTS = 3
@@ -28,8 +24,6 @@ _LONGER = 5.0
 """Most by which that lengthens a step."""
 _FLAT = 1e-6
 """Curvature downwards, relative to that of the linear model, that may be rounding."""
-_ROUNDING = 1e-9
-"""Share of the cost by which it may rise: it is a sum of many squares."""
 _SQUARED = 1e6
 """Bound of the condition number up to which a step may be found from J'J, as in
 `vcal.least_squares`."""
@@ -125,26 +119,24 @@ def quickly(
     at: Callable[[np.ndarray], Point], begin: np.ndarray, tolerance: float
 ) -> tuple[Point, int, bool]:
     """The last point of steps from `begin`, how many there were, and whether it is within the
-    tolerance (`Point.ends`) of a minimum. A few steps may bring little, or pass over a hill; all
-    others lower the cost, and halve what is left.
+    tolerance (`Point.ends`) of a minimum; else it is the lowest one, from where another solver may
+    go on.
     """
-    place, slow = at(begin), 0
+    place = lowest = at(begin)
     before: list[Point] = []
     for steps in range(_MOST):
         if not place.certain:
-            return place, steps, False
+            return lowest, steps, False
         if place.ends(tolerance):
             return place, steps, True
         after = at(place.theta + _onward(place, before))
-        if not after.certain:
-            return place, steps, False
-        lower = after.cost <= (1.0 + _ROUNDING) * place.cost
-        slow += not (lower and after.left <= _QUICK * place.left)
-        if slow > _SLOW:
-            return place, steps, False
-        before = [*before[1 - _SECANTS :], place] if lower and after.left < place.left else []
+        # Those of before a step that does not lead nearer are of another landscape.
+        nearer = after.certain and after.cost <= place.cost and after.left < place.left
+        before = [*before[1 - _SECANTS :], place] if nearer else []
         place = after
-    return place, _MOST, place.ends(tolerance)
+        if place.certain and place.cost < lowest.cost:
+            lowest = place
+    return lowest, _MOST, False
 
 
 def _onward(place: Point, before: list[Point]) -> np.ndarray:
