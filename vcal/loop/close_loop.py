@@ -54,7 +54,7 @@ def close_loop(
     alpha: float = 0.01,
     draws: int = 500,
     seed: int = 0,
-    max_effects: int = 10,
+    max_effects: int = 16,
     learn: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Closure:

@@ -20,7 +20,7 @@ class LoopSettings(BaseModel):
     """Identifiers of the effects to try; all of the catalogue by default."""
     draws: int = Field(default=500, ge=25, le=1_000_000)
     """Null draws behind a significance: fewer do not tell how rare the rarest of them is."""
-    max_effects: int = Field(default=10, ge=0)
+    max_effects: int = Field(default=16, ge=0)
     """Effects after which the loop stops."""
     learn: bool = False
     """Whether the families' sizes are learned for the final fit, after the search."""
