@@ -69,7 +69,7 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
         options |= {"theta": start.theta, "shapes": start.shapes}
     else:
         options["shapes"] = shapes_begun(model, measurement, keep, room)
-    fit = whole = identify(model, measurement, tolerance=NEARLY, **options)
+    fit = whole = identify(model, measurement, **options)
     _check_told(fit)
     strays: list[Stray] = []
     moved: set[int] = set()
@@ -93,9 +93,8 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
             options["keep"] = keep = keep.copy()
             keep[sorted(more)] = whole_keep[sorted(more)]
             fit = identify(model, measurement, tolerance=NEARLY, **options)
-    options |= {"theta": fit.theta, "shapes": fit.shapes}
-    fit = identify(model, measurement, **options)
-    _check_told(fit)
+    if strays or moved:
+        fit = identify(model, measurement, **options | {"theta": fit.theta, "shapes": fit.shapes})
     if far := stray_apart(fit, apart):
         strays += far
         measurement = dataclasses.replace(measurement, aside=_rows(measurement, far))
