@@ -681,7 +681,7 @@ def test_demo(tmp_path):
     assert errors["after"]["check_rms_um"] < 0.6 * errors["before"]["check_rms_um"]
     # Compiled programs were kept for the next run.
     kept = list((cache / "vcal").glob("*/*-cache"))
-    assert any("solve" in path.name for path in kept)
+    assert any("compared_with_jacobian" in path.name for path in kept)
 
 
 # --- the session ---------------------------------------------------------------------------------
