@@ -341,6 +341,20 @@ def test_a_rival_that_the_data_do_not_see_is_left_out(known):
     assert refit_all(state.fit, [peak], {"local_bump": 1}, state.fit.used, it.room) == []
 
 
+def test_parameters_that_are_the_same_and_have_no_prior_are_not_determined(known):
+    it = known["ball_array"]
+    fit = screened(it, noisy(it, 6)).fit
+    one, other = np.flatnonzero(fit.precision == 0.0)[[0, -1]]
+    alike = np.array(fit.jacobian)
+    alike[:, other] = 3.0 * alike[:, one]
+    assert fit.determined
+    assert not dataclasses.replace(fit, jacobian=alike).determined
+    # A prior of either tells them apart.
+    known_one = np.array(fit.precision)
+    known_one[other] = 1.0
+    assert dataclasses.replace(fit, jacobian=alike, precision=known_one).determined
+
+
 def test_placements_that_move_the_same_are_one_class(known):
     """A drift along X of any axis moves the tool alike; a drift of its yaw does not."""
     it = known["laser_tracker"]

@@ -20,6 +20,8 @@ HARDLY_TOLD = 0.05
 _UNSEEN = 1e-8
 """Information (per solver unit squared) that counts as none: a standard deviation of 1e4 units."""
 
+_ROUNDING = 1e-13
+"""Share of the information that may be rounding."""
 _LEFT = 0.05
 """Least share of the variance of a reading that counts as left beside the parameters: what is left
 of less tells nothing of what it was."""
@@ -76,11 +78,19 @@ class Fit:
 
     @property
     def determined(self) -> bool:
-        """Whether data and prior say anything of every parameter. They do not of the place of a
-        bump that lies between two readings.
+        """Whether data and prior tell every parameter. They say nothing of the place of a bump
+        that lies between two readings, nor tell that of a kink between two poses from the poses, or
+        two effects apart that are the same and have no prior.
         """
         seen = (self.jacobian**2).sum(0) + self.precision
-        return bool(seen.min(initial=math.inf) > _UNSEEN)
+        if not seen.min(initial=math.inf) > _UNSEEN:
+            return False
+        try:
+            pivots = np.diag(self.factor[0]) ** 2
+        except np.linalg.LinAlgError:
+            return False
+        # What is left of a parameter's information beside those before it.
+        return bool((pivots > _ROUNDING * seen).all())
 
     @cached_property
     def by_tool(self) -> np.ndarray:

@@ -84,7 +84,8 @@ def components(fit: Fit) -> Components:
     back = np.linalg.inv(fit.whitener[used])
     jacobian = back @ fit.jacobian.reshape(n, m, -1)[used]
     missing = absent(fit.model, fit.measurement.plan)
-    precision = fit.precision / _stretched(fit)
+    # A shape that the readings do not tell is somewhere in its scan.
+    precision = fit.within_scans / _stretched(fit)
     problem = _Problem(fit.residual[used], jacobian, fit.theta, precision, missing[used])
     whole, dof, level = problem.estimate(each.sum(0)[None], np.ones(1, bool))
     factors = np.full(len(each), whole[0])

@@ -55,7 +55,7 @@ def smallest_subset(
                 continue
             chosen = tuple(rivals[i] for i in places)
             fit = _together(base, chosen, keep, room)
-            if fit.converged and fit.determined and _regular(fit) and enough(fit):
+            if fit.converged and fit.determined and enough(fit):
                 found.append(Subset(chosen, fit))
         if found:
             noise = max(1.0, min(one.fit.chi2 / one.fit.dof for one in found)) ** 0.5
@@ -159,14 +159,6 @@ def _together(base: Fit, rivals: Sequence[Rival], keep: np.ndarray, room: int) -
         keep=keep,
         room=room,
     )
-
-
-def _regular(fit: Fit) -> bool:
-    """Whether two effects that are the same on these readings are told apart by their priors."""
-    try:
-        return bool(np.isfinite(fit.factor[0]).all())
-    except np.linalg.LinAlgError:
-        return False
 
 
 def _evidence(one: Subset, noise: float) -> float:
