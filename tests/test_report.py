@@ -999,7 +999,7 @@ def test_no_dot_is_behind_the_legend(kind):
     assert legend.x0 > 0.0 < legend.y0 and legend.x1 < drawn.bbox.x1
 
 
-@pytest.mark.parametrize("rounds", [7, 8, 11, 17])
+@pytest.mark.parametrize("rounds", [7, 8, 11, 17, 20])
 @pytest.mark.parametrize("minus_log_p", [50.0, 700.0, 6000.0])
 def test_texts_of_many_rounds_are_apart(rounds, minus_log_p):
     kinds = [KindResult("joint_compliance", [], 3, minus_log_p, 3.0, 0.0)]

@@ -13,6 +13,8 @@ _LETTERS = 72
 """That the headings of all panels hold, side by side."""
 _MANY = 8
 """Rounds from which there is no room for what all columns have alike in each of them."""
+_MOST = 12
+"""Rounds from which there is none for the zero either, where all bars begin."""
 
 
 def minus_log10_p(screening: Screening, kind: KindResult) -> float:
@@ -64,7 +66,10 @@ def search(screenings: Sequence[Screening], alpha: float) -> Figure:
         ticks = [t for t in (0, 1, 2, 5, 10, 30, 100, 300, 1000, 3000) if t <= 1.5 * largest]
         most = max(2, 4 - len(screenings) // _MANY, 12 // len(screenings))
         ticks = [ticks[k] for k in np.unique(np.linspace(0, len(ticks) - 1, most).astype(int))]
-        ax.set_xticks(ticks, [f"{t}" for t in ticks])
+        labels = [f"{t}" for t in ticks]
+        if len(screenings) >= _MOST:
+            labels[0] = ""
+        ax.set_xticks(ticks, labels)
         ax.set_xticks([], minor=True)
         ax.grid(axis="y", visible=False)
         if i:
