@@ -48,6 +48,8 @@ def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
     Raises `RuntimeError` where JAX runs in float32.
     """
     setups = [_setup(instrument) for instrument in starts()]
+    # Positions that are read back have effects of their own.
+    setups.append(_setup("reflectors", (("instrument.joints", "read"),)))
     wanting: list[tuple[Effect, Setup]] = []
     for setup in setups:
         for instance in _instances(effect, setup):
@@ -80,8 +82,8 @@ def _instances(effect: type[Effect], setup: Setup) -> list[Effect]:
 
 
 @functools.cache
-def _setup(instrument: str) -> Setup:
-    study = load_study(STARTS / instrument)
+def _setup(instrument: str, changed: tuple[tuple[str, str], ...] = ()) -> Setup:
+    study = load_study(STARTS / instrument, dict(changed))
     return study.model.setup(study.plan)
 
 
