@@ -19,6 +19,7 @@ from vcal.loop.empirical import Changing
 from vcal.loop.empirical.base import written
 from vcal.loop.empirical.product import about_the_middle
 from vcal.loop.rivals import Rival
+from vcal.loop.screen import Peak
 from vcal.plan import Plan
 from vcal.plots import changing_sizes
 from vcal.plots.changing import changing
@@ -50,7 +51,8 @@ def by(fit: Fit, effect: Effect, quantity: str) -> Rival:
     which = float(names.index((quantity, False)))
     shapes = {**fit.shapes, len(fit.model.effects): {"which": which}}
     model = fit.model.with_effects(description)
-    return Rival(description, identify(model, fit.measurement, shapes=shapes), 0.0, 0.0, 0.0)
+    there = Peak(description, {}, np.zeros(0), 0.0, 0.0, 0)
+    return Rival(there, identify(model, fit.measurement, shapes=shapes), 0.0, 0.0, 0.0)
 
 
 def peaks(spiked, placement="", **given) -> tuple[Fit, Effect]:

@@ -297,8 +297,8 @@ def test_the_order_of_peaks_has_no_say(tracker):
 def rival(chi2: float, weight: float, parameters: int, surprise: float = 0.0):
     """As much of a rival as the preference looks at, with odds of one beforehand."""
     fit = SimpleNamespace(chi2=chi2, dof=100.0)
-    effect = SimpleNamespace(parameters=(None,) * parameters)
-    return Rival(effect, fit, weight, 0.0, 0.0, surprise=surprise)
+    peak = SimpleNamespace(effect=SimpleNamespace(parameters=(None,) * parameters))
+    return Rival(peak, fit, weight, 0.0, 0.0, surprise=surprise)
 
 
 @pytest.mark.parametrize(

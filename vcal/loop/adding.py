@@ -1,6 +1,7 @@
 """Adding effects one after the other: what was tried, added, refused and left over."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +38,11 @@ class Added:
     gain: float
     trials: float
     """Effective number of independent trials in which it was found."""
+
+
+def place_of(item: Added, effects: Sequence[Effect]) -> int:
+    """Where among the effects of a model an added one is."""
+    return next(i for i, e in enumerate(effects) if e.alike(item.effect))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from ..instruments.conditions import file_column
 from ..learn import learned_sizes, with_sizes
 from ..measurement import CheckPoints, Measurement
 from ..model import Model
-from .adding import Added
+from .adding import Added, place_of
 from .begin import shapes_begun
 from .certainty import doubted
 from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
@@ -24,7 +24,7 @@ from .empirical import EMPIRICAL
 from .heldout import check_rms, fit_rms, heldout_rms
 from .loop_settings import checked, classes_of
 from .notes import Facts, notes
-from .search import Search, place_of
+from .search import Search
 from .state import (
     State,
     at_noise_found,
@@ -123,6 +123,7 @@ def close_loop(
                 run.refusal,
                 full,
             )
+        run.weigh_again(state)
     except KeyboardInterrupt:
         interrupted = True
     try:

@@ -34,7 +34,8 @@ that wrong. Nothing of it is forgiven."""
 class Rival:
     """A candidate after its non-linear refit."""
 
-    effect: Effect
+    peak: Peak
+    """What it was refitted from."""
     fit: Fit
     log_bayes: float
     """Gain in log evidence over the model without it."""
@@ -51,6 +52,10 @@ class Rival:
     """By how much the prior of its amplitudes is wider in `fit` than in `effect`, by which it is
     weighed.
     """
+
+    @property
+    def effect(self) -> Effect:
+        return self.peak.effect
 
     @property
     def leniency(self) -> float:
@@ -189,7 +194,7 @@ def refit_all(
         gain = fit.log_evidence(noise) + more - reference
         shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
         lost = float(surprise(*declared)) if size_told(*declared) <= _WIDEST else 0.0
-        rivals.append(Rival(peak.effect, fit, gain + shape, odds, bic, shape, lost, wider))
+        rivals.append(Rival(peak, fit, gain + shape, odds, bic, shape, lost, wider))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..effects.base import Effect
 from ..fit import Fit
 from ..identify import identify
-from .adding import Added, Adding, Kept
+from .adding import Added, Adding, Kept, place_of
 from .closure import Rejected, in_words
+from .hindsight import weighed_again
 from .rivals import Rival
 from .scales import over_scales
 from .screening import Screening
@@ -31,8 +31,9 @@ _QUICKER = 2.0
 _EXCHANGES = 1
 """How often one of several effects gives way to others that leave nothing unexplained."""
 _EXCHANGEABLE = 5
-"""Most effects of which one is exchanged, or looked for anew where something is left: of more, on
-data that hold yet others, it would take minutes, and something is left all the same.
+"""Most effects of which one is exchanged, or all are looked for anew where something is left: of
+more, on data that hold yet others, it would take minutes, and something is left all the same. Of
+those the ones are that their rivals outweigh beside what was found later.
 """
 _BARS = 1
 """How often each of several is not to be the answer, while others are searched for."""
@@ -61,8 +62,7 @@ class Search(Adding):
             reached(state := found)
         else:
             self.look_on(state)
-            if self.refused is not None:
-                return state
+        full = self.refused is not None and len(self.added(state)) >= most
         before = state
         if self.unexplained is not None:
             state = self.beside_empirical(state)
@@ -70,12 +70,17 @@ class Search(Adding):
             if several is not None:
                 reached(several)
                 return self.rounds(several, most, reached)
-        elif 1 < len(self.added(state)) <= (_EXCHANGEABLE if self.refused is not None else most):
-            for item in self.added(state):
-                reached(state := self.anew(state, item))
+        else:
+            few = self.refused is None or len(self.added(state)) <= _EXCHANGEABLE
+            each = few and not full
+            if not each:
+                self.weigh_again(state)
+            for item in self.added(state) if len(self.added(state)) > 1 else ():
+                if each or item.weighed.outweighed:
+                    reached(state := self.anew(state, item))
                 if self.unexplained is not None:
                     return state
-            if (others := self.exchanged(state, most)) is not None:
+            if each and (others := self.exchanged(state, most)) is not None:
                 reached(others)
                 return self.rounds(others, most, reached)
         reached(state)
@@ -311,6 +316,13 @@ class Search(Adding):
         self.screenings = list(kept.screenings)
         return found, screening
 
+    def weigh_again(self, state: State) -> None:
+        """Say of every effect what it may be instead beside those that were added after it."""
+        for item in self.added(state):
+            self.progress(f"weighing {item.effect.key} again")
+            now = replace(item, weighed=weighed_again(item, state, self.room))
+            self.history = [now if other is item else other for other in self.history]
+
     def prune(self, state: State, reached: Callable[[State], None]) -> State:
         """Try once to do without each added effect; the evidence decides."""
         for item in self.added(state)[:-1]:
@@ -371,11 +383,6 @@ def _no_worse(less: Fit, state: State, item: Added) -> bool:
 
 def _dropped(item: Added, reason: str) -> Rejected:
     return Rejected(item.effect.name, item.effect.placement, item.p_value, reason)
-
-
-def place_of(item: Added, effects: Sequence[Effect]) -> int:
-    """Where among the effects of a model an added one is."""
-    return next(i for i, e in enumerate(effects) if e.alike(item.effect))
 
 
 def _placed(items: Sequence[Added], fit: Fit) -> list[tuple[int, Rival]]:

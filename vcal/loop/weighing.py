@@ -47,6 +47,11 @@ class Weighed:
     that is; what others lose by being larger than expected apart.
     """
 
+    @property
+    def outweighed(self) -> bool:
+        """Whether another name is likelier than the best."""
+        return any(p > self.probability for *_, p in self.alternatives)
+
 
 def preferred(ranked: Sequence[Rival], odds: Mapping[int, float]) -> list[Rival]:
     """Rivals (with their log odds as of `Names.ranked`, most probable first) in the order in which
