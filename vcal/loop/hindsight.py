@@ -12,6 +12,9 @@ from .screen import Peak
 from .state import State, without
 from .weighing import Weighed, classes_of, weigh
 
+_FAR = 1e-3
+"""Probability in its round below which a rival was too far behind to catch up."""
+
 
 def weighed_again(item: Added, state: State, room: int) -> Weighed:
     """The rivals of an effect, weighed beside all other effects of a state.
@@ -24,7 +27,8 @@ def weighed_again(item: Added, state: State, room: int) -> Weighed:
     others = [e for i, e in enumerate(state.model.effects) if i != place]
     if not weighed.instead or not _more(others, weighed.best.fit.model.effects):
         return weighed
-    rivals = [r for _, r in weighed.instead if _more([r.effect], others)]
+    near = [r for share, r in weighed.instead if share > _FAR]
+    rivals = [r for r in near if _more([r.effect], others)]
     if not rivals:
         return weigh([[weighed.best]], weighed.best)
     base = without(state, place, room)
