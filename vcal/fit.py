@@ -19,6 +19,9 @@ HARDLY_TOLD = 0.05
 """Share of information below which the data have said practically nothing."""
 _UNSEEN = 1e-8
 """Information (per solver unit squared) that counts as none: a standard deviation of 1e4 units."""
+_FAINT = 1e-6
+"""Of a shape parameter, times the squared length of its scan: its whole scan explains the readings
+alike."""
 
 _ROUNDING = 1e-13
 """Share of the information that may be rounding."""
@@ -78,11 +81,10 @@ class Fit:
 
     @property
     def determined(self) -> bool:
-        """Whether data and prior tell every parameter. They say nothing of the place of a bump
-        that lies between two readings, nor tell that of a kink between two poses from the poses, or
-        two effects apart that are the same and have no prior.
+        """Whether data and prior tell every parameter, shapes by their scan. They do not tell two
+        effects apart that are the same and have no prior.
         """
-        seen = (self.jacobian**2).sum(0) + self.precision
+        seen = (self.jacobian**2).sum(0) + self.within_scans
         if not seen.min(initial=math.inf) > _UNSEEN:
             return False
         try:
@@ -122,12 +124,14 @@ class Fit:
 
     @cached_property
     def factor(self) -> tuple[np.ndarray, bool]:
-        """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`.
+        """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`; L with what is known of
+        shape parameters (`within_scans`): readings may tell nothing of the place of a kink between
+        two poses, or of a knee that is at loads between theirs.
 
         Raises `LinAlgError`, with their names, where neither readings nor priors tell parameters.
         """
         try:
-            return cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.precision))
+            return cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.within_scans))
         except np.linalg.LinAlgError as error:
             free = ", ".join(undetermined(self)[:6])
             raise np.linalg.LinAlgError(
@@ -141,10 +145,7 @@ class Fit:
         turned out to be. A shape parameter that they do not tell is somewhere in its scan, and no
         further off (`within_scans`).
         """
-        factor = self.factor
-        if not np.array_equal(self.within_scans, self.precision):
-            factor = cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.within_scans))
-        return cho_solve(factor, np.eye(len(self.theta)))
+        return cho_solve(self.factor, np.eye(len(self.theta)))
 
     @cached_property
     def within_scans(self) -> np.ndarray:
@@ -258,7 +259,7 @@ class Fit:
         """
         s2 = noise_scale**2
         proper = self.precision > 0
-        h = self.jacobian.T @ self.jacobian / s2 + np.diag(self.precision)
+        h = self.hessian(noise_scale)
         log_h = np.linalg.slogdet(h)[1]
         step = self.step_at(noise_scale)
         theta = self.theta + step
@@ -289,9 +290,17 @@ class Fit:
             step[:k] = np.linalg.solve(h, uphill)
         return step
 
+    def hessian(self, noise_scale: float = 1.0) -> np.ndarray:
+        """H = J'J / s^2 + L, with what the scans say of shape parameters (`within_scans`)."""
+        return self.jacobian.T @ self.jacobian / noise_scale**2 + np.diag(self.within_scans)
+
     def log_scan(self, place: int, h: np.ndarray) -> float:
         """What the shape parameters of the effect at `place` add to the log evidence with the
-        Hessian `h`, beside its determinant.
+        Hessian `h`, beside its determinant: of each the share of its scan, n steps, that explains
+        the readings, and no prior but that.
+
+        The readings alone tell it to 1/sigma^2 = 1/(H^-1)_kk - 12/n^2; the share is the area within
+        the scan of exp(-x^2 / 2 sigma^2), over n.
         """
         effect = self.model.effects[place]
         before = self.model.effects[:place]
@@ -303,13 +312,15 @@ class Fit:
             if p.moves:
                 unit = np.zeros(len(h))
                 unit[k] = 1.0
-                u = math.sqrt(2.0 * max(float(np.linalg.solve(h, unit)[k]), 1e-30))
+                variance = float(np.linalg.solve(h, unit)[k])
+                told = max(1.0 / variance - 12.0 / steps**2, _FAINT / steps**2)
+                u = math.sqrt(2.0 / told)
                 # Half a step more on either side: the prior is shared out evenly over the steps.
                 at = self.shapes[place][p.name]
                 order = np.argsort(grids[p.name])
                 below = 0.5 + float(np.interp(at, grids[p.name][order], np.arange(steps)[order]))
                 inside = 0.5 * (math.erf(below / u) + math.erf((steps - below) / u))
-                found += 0.5 * math.log(2 * math.pi) + math.log(inside)
+                found += math.log(math.sqrt(math.pi) * u * inside) - 0.5 * math.log(variance)
                 k += 1
         return found
 

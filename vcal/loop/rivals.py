@@ -206,7 +206,7 @@ def _over_the_scan(peak: Peak, fit: Fit, noise: float) -> float:
     place, moving = len(fit.model.effects) - 1, sum(p.moves for p in peak.effect.shapes)
     if not peak.effect.shapes:
         return 0.0
-    h = fit.jacobian.T @ fit.jacobian / noise**2 + np.diag(fit.precision)
+    h = fit.hessian(noise)
     covariance = np.linalg.inv(h)[len(h) - moving :, len(h) - moving :]
     if (np.diag(covariance) < 1.0).any():
         return 0.0

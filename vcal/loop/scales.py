@@ -96,7 +96,7 @@ def _seen(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Information and scores of some entries of theta, the others of the first k eliminated."""
     jacobian = fit.jacobian[:, :k]
-    h = jacobian.T @ jacobian / noise_scale**2 + np.diag(fit.precision[:k])
+    h = jacobian.T @ jacobian / noise_scale**2 + np.diag(fit.within_scans[:k])
     mine = np.arange(k)[entries]
     others = np.setdiff1d(np.arange(k), mine)
     across = h[np.ix_(others, mine)]

@@ -93,6 +93,9 @@ class _Sequence:
     """(n, m, k)."""
     theta: np.ndarray
     precision: np.ndarray
+    """Shape parameters within their scans."""
+    proper: np.ndarray
+    """Whether an amplitude has a prior, by which it is weighed."""
     counted: np.ndarray
     """Which readings there are (n, m)."""
 
@@ -121,7 +124,8 @@ class _Sequence:
             fit.whitened.reshape(n, m)[used],
             fit.jacobian.reshape(n, m, -1)[used],
             fit.theta,
-            fit.precision,
+            fit.within_scans,
+            fit.precision > 0.0,
             fit.counted[used],
         )
 
@@ -162,7 +166,7 @@ class _Sequence:
         factor = cho_factor(square / scale + np.diag(precision))
         delta = cho_solve(factor, cross / scale - precision * theta)
         rest = own - 2.0 * cross @ delta + delta @ square @ delta
-        proper = precision > 0
+        proper = self.proper[kept]
         return float(
             -0.5 * (rest / scale + (theta + delta) ** 2 @ precision)
             - 0.5 * (n * np.log(scale) + log_determinant)

@@ -83,7 +83,7 @@ class _Linear:
     @classmethod
     def of(cls, base: Fit, rivals: Sequence[Rival]) -> "_Linear":
         """At the minimum of the fit."""
-        root = np.sqrt(base.precision)
+        root = np.sqrt(base.within_scans)
         known = np.linalg.qr(np.vstack([base.jacobian, np.diag(root)]))[0]
 
         def beside(columns: np.ndarray) -> np.ndarray:
