@@ -133,7 +133,8 @@ def test_likelihood_of_correlated_noise_in_pieces(lengths):
     counted = np.ones((n, 3), bool)
     counted[:, 2] = False  # a reading that this data set does not have
     residual[:, 2] = 0.0
-    data = _Sequence(pieces, residual, np.zeros((n, 3, 1)), np.zeros(1), np.ones(1), counted)
+    known = np.zeros((n, 3, 1)), np.zeros(1), np.ones(1), np.ones(1, bool)
+    data = _Sequence(pieces, residual, *known, counted)
 
     def exact(phi: float, share: float) -> float:
         square = log_determinant = 0.0

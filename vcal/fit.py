@@ -82,11 +82,18 @@ class Fit:
     @property
     def determined(self) -> bool:
         """Whether data and prior tell every parameter, shapes by their scan. They do not tell two
-        effects apart that are the same and have no prior.
+        effects apart that are the same and have no prior; nor is a bump told that lies between two
+        readings, which see neither its place nor its size.
         """
-        seen = (self.jacobian**2).sum(0) + self.within_scans
+        information = (self.jacobian**2).sum(0)
+        seen = information + self.within_scans
         if not seen.min(initial=math.inf) > _UNSEEN:
             return False
+        for place, effect in enumerate(self.model.effects):
+            if any(p.moves for p in effect.shapes):
+                amplitudes, _ = self.places_of(place)
+                if not information[amplitudes].max(initial=0.0) > _UNSEEN:
+                    return False
         try:
             pivots = np.diag(self.factor[0]) ** 2
         except np.linalg.LinAlgError:

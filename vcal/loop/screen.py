@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.ndimage import maximum_filter
 
 from ..effects.base import Effect
@@ -27,6 +27,10 @@ _RESOLVED = 1e-5
 be the model's own curvature. Of a cross term a plan of a laser frame leaves a 50,000th part, which
 is many times the noise."""
 _CHUNK = 512
+_FAINT, _ROUNDING = 1e-6, 1e-9
+"""Share of what a scan says of a shape parameter, and of what readings tell of it, that count as
+nothing.
+"""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,14 @@ class Peak:
         return self.log_bayes + self.leniency
 
 
+def _free(fit: Fit) -> np.ndarray:
+    """The prior precision, of shape parameters as little as tells them at all: they may go further
+    than their scans.
+    """
+    told = np.maximum(_FAINT * fit.within_scans, _ROUNDING * (fit.jacobian**2).sum(0))
+    return np.where(np.arange(len(told)) < len(fit.model.entries), fit.precision, told)
+
+
 class Screen:
     """The fit in the form in which candidates are tested against it."""
 
@@ -66,7 +78,7 @@ class Screen:
         n, m = fit.residual.shape
         self.ports = np.einsum("nij,njp->nip", fit.whitener, fit.port_jacobian)
         self.jacobian = fit.jacobian.reshape(n, m, -1)
-        self.factor = fit.factor
+        self.factor = cho_factor(fit.jacobian.T @ fit.jacobian + np.diag(_free(fit)))
         # A shape parameter at the end of its scan would go further: what that leaves unexplained is
         # nothing that a candidate could explain.
         uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
