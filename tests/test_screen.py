@@ -341,6 +341,25 @@ def test_a_rival_that_the_data_do_not_see_is_left_out(known):
     assert refit_all(state.fit, [peak], {"local_bump": 1}, state.fit.used, it.room) == []
 
 
+def test_a_rival_whose_size_is_told_and_whose_shape_is_not_is_kept(tmp_path):
+    """A gear that has wound up at loads below those of any pose: by how much, but not when."""
+    it = Known("reflectors", tmp_path)
+    state = screened(it, noisy(it, 6))
+    tried, _ = candidates(it.model, it.measurement, [CATALOGUE["gear_wind_up"]])
+    effect = next(e for e in tried if e.placement == "J5")
+    knees = effect.scan(it.plan)["knee"]
+    peak = Peak(effect, {"knee": float(knees.min())}, np.array([0.1]), 0.0, 0.0, 1)
+    (rival,) = refit_all(state.fit, [peak], {"gear_wind_up": 1}, state.fit.used, it.room)
+    place = len(it.model.effects)
+    (size,), (knee,) = rival.fit.places_of(place)
+    information = (rival.fit.jacobian**2).sum(0)
+    assert information[knee] < 1e-8 < 1.0 < information[size]
+    assert rival.fit.determined and np.isfinite(rival.log_weight)
+    # It may be anywhere in its scan.
+    u = np.sqrt(rival.fit.planned_covariance[knee, knee])
+    assert u == pytest.approx(len(knees) / np.sqrt(12.0))
+
+
 def test_parameters_that_are_the_same_and_have_no_prior_are_not_determined(known):
     it = known["ball_array"]
     fit = screened(it, noisy(it, 6)).fit

@@ -340,10 +340,47 @@ def test_a_pitch_counts_where_it_lies_in_a_falling_scan(tracker):
         shapes={place: {"pitch": 0.01}},
         room=tracker.room,
     )
-    h = fit.jacobian.T @ fit.jacobian + np.diag(fit.precision)
     # In the middle of its scan, and well known: nothing of it lies outside.
     expected = 0.5 * np.log(2.0 * np.pi) - np.log(len(pitches))
-    assert fit.log_scan(place, h) == pytest.approx(expected, abs=1e-6)
+    assert fit.log_scan(place, fit.hessian()) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("told", [1.0, 1e-2, 1e-3, 1e-5, 0.0])
+def test_a_shape_counts_by_the_share_of_its_scan_that_explains_the_readings(tracker, told):
+    """However little they tell of it: against the integral over its prior, and without it where it
+    is known.
+    """
+    effect = bare(tracker, "screw_cyclic:X:sine_um=1,cosine_um=1,pitch_mm=10")
+    true = (("sine", 8.0, 0.0), ("cosine", 4.0, 0.0), ("pitch", 10.0, 0.0))
+    place, plan = len(tracker.model.effects), tracker.plan
+    fit = identify(
+        tracker.model.with_effects(effect),
+        noisy(tracker, 2, dataclasses.replace(effect, given=true)),
+        shapes={place: {"pitch": 0.01}},
+        room=tracker.room,
+    )
+    jacobian = np.array(fit.jacobian)
+    jacobian[:, -1] *= told
+    less = dataclasses.replace(fit, jacobian=jacobian)
+    known = dataclasses.replace(
+        fit,
+        model=tracker.model.with_effects(dataclasses.replace(effect, given=(true[-1],))),
+        jacobian=jacobian[:, :-1],
+        theta=fit.theta[:-1],
+        precision=fit.precision[:-1],
+    )
+    column, others = jacobian[:, -1], jacobian[:, :-1]
+    h = others.T @ others + np.diag(fit.precision[:-1])
+    own = column @ column - column @ others @ np.linalg.solve(h, others.T @ column)
+    pitches = effect.scan(plan)["pitch"]
+    steps = len(pitches)
+    at = np.interp(fit.shapes[place]["pitch"], pitches[::-1], np.arange(steps)[::-1])
+    x = np.linspace(-0.5, steps - 0.5, 2_000_001) - at
+    share = np.trapezoid(np.exp(-0.5 * own * x**2), x) / steps
+    assert less.log_evidence() - known.log_evidence() == pytest.approx(np.log(share), abs=1e-4)
+    assert less.determined
+    u = np.sqrt(less.planned_covariance[-1, -1])
+    assert u == pytest.approx(1.0 / np.sqrt(own + 12.0 / steps**2), rel=1e-6)
 
 
 # --- what is kept ---------------------------------------------------------------------------------
