@@ -51,9 +51,10 @@ class Search(Adding):
         self._bars = _BARS
 
     def rounds(self, state: State, most: int, reached: Callable[[State], None]) -> State:
-        """Add effects until nothing is to be added, or there are `most`; then look at them again,
-        unless more would be added if it might: beside what is missing each is part of something
-        else. What is `reached` on the way is told, and is never left without its fit.
+        """Add effects until nothing is to be added, or there are `most`; then look at them again:
+        at each, or, where more would be added if it might, at those that a rival outweighs. Beside
+        what is missing each is part of something else. What is `reached` on the way is told, and is
+        never left without its fit.
         """
         while len(self.added(state)) < most:
             found = self.step(state)
