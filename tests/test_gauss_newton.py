@@ -27,7 +27,7 @@ def problem(residual, jacobian, precision):
                 residual=left[:, None],
                 by_port=np.zeros((len(left), 1, 0)),
                 whitened=left,
-                rows=-jacobian(theta).T,
+                derive=lambda: -jacobian(theta).T,
             )
         )
         return points[-1]

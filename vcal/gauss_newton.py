@@ -6,7 +6,7 @@ is not is left to `vcal.least_squares`, from where this ended.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,8 @@ _LONGER = 5.0
 """Most by which that lengthens a step."""
 _FLAT = 1e-6
 """Curvature downwards, relative to that of the linear model, that may be rounding."""
+_SOME = 50
+"""Rows by which derivatives are compared."""
 _SQUARED = 1e6
 """Bound of the condition number up to which a step may be found from J'J, as in
 `vcal.least_squares`."""
@@ -42,8 +44,19 @@ class Point:
     """dh/dports (n, m, p), not whitened."""
     whitened: np.ndarray
     """W (y - h), (n m)."""
-    rows: np.ndarray
-    """W dh/dtheta, one row per parameter (k, n m)."""
+    derive: Callable[[], np.ndarray]
+    """Finds `rows`."""
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """W dh/dtheta, one row per parameter (k, n m)."""
+        return self.derive()
+
+    def beside(self, other: "Point") -> "Point":
+        """The same with the derivative of another point close by, and what follows from that."""
+        found = replace(self, derive=lambda: other.rows)
+        vars(found).update(squared=other.squared, _root=other._root)
+        return found
 
     @cached_property
     def squared(self) -> np.ndarray:
@@ -56,17 +69,16 @@ class Point:
         return float(self.whitened @ self.whitened + self.theta**2 @ self.precision)
 
     @cached_property
-    def _triangle(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """R, the prior's rows included, and R^-T times the slope; None where the condition of R may
-        be too bad for it to be found from its square.
+    def _root(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """R, the prior's rows included, its inverse with columns as of unit length, and their
+        lengths; None where the condition of R may be too bad for it to be found from its square.
         """
         curvature = self.squared + np.diag(self.precision)
-        slope = self.rows @ self.whitened - self.precision * self.theta
         norms = np.sqrt(np.diag(curvature))
-        if not (norms > 0.0).all() or not np.isfinite(norms.sum() + self.cost):
+        if not (norms > 0.0).all() or not np.isfinite(norms.sum()):
             return None
         if not len(norms):
-            return np.zeros((0, 0)), np.zeros(0)
+            return np.zeros((0, 0)), np.zeros((0, 0)), norms
         try:
             lower = cholesky(curvature / np.outer(norms, norms), lower=True)
         except LinAlgError:
@@ -74,28 +86,29 @@ class Point:
         inverse = solve_triangular(lower, np.eye(len(norms)), lower=True)
         if not np.linalg.norm(lower) * np.linalg.norm(inverse) < _SQUARED:
             return None
-        return lower.T * norms, inverse @ (slope / norms)
+        return lower.T * norms, inverse, norms
 
     @property
     def certain(self) -> bool:
         """Whether a step from here can be found from J'J; all parameters are told then."""
-        return self._triangle is not None
+        return np.isfinite(self.cost) and self._root is not None
 
     def seen(self, moves: np.ndarray) -> np.ndarray:
         """R times some moves (k, s): their lengths are what they change in the residual."""
-        assert self._triangle is not None
-        return self._triangle[0] @ moves
+        assert self._root is not None
+        return self._root[0] @ moves
 
-    @property
+    @cached_property
     def foretold(self) -> np.ndarray:
-        """R times the step to the minimum of the linear problem."""
-        assert self._triangle is not None
-        return self._triangle[1]
+        """R times the step to the minimum of the linear problem, R^-T times the slope."""
+        assert self._root is not None
+        _, inverse, norms = self._root
+        return inverse @ ((self.rows @ self.whitened - self.precision * self.theta) / norms)
 
     def move(self, seen: np.ndarray) -> np.ndarray:
         """The move (k,) of which R times it is that."""
-        assert self._triangle is not None
-        return solve_triangular(self._triangle[0], seen)
+        assert self._root is not None
+        return solve_triangular(self._root[0], seen)
 
     @cached_property
     def step(self) -> np.ndarray:
@@ -115,12 +128,23 @@ class Point:
         return self.left <= tolerance * max(1.0, (self.cost / used) ** 0.5)
 
 
+def _same_derivative(one: Point, other: Point, share: float) -> bool:
+    """Whether derivatives by the ports differ by less than a share, by some of the rows: by what
+    they differ the residual is then nearer to orthogonal than by so many standard uncertainties of
+    its scatter.
+    """
+    some = slice(None, None, max(1, len(one.by_port) // _SOME))
+    before, after = one.by_port[some], other.by_port[some]
+    return bool(np.linalg.norm(after - before) <= share * np.linalg.norm(before))
+
+
 def quickly(
-    at: Callable[[np.ndarray], Point], begin: np.ndarray, tolerance: float
+    at: Callable[[np.ndarray], Point], begin: np.ndarray, tolerance: float, alike: bool = False
 ) -> tuple[Point, int, bool]:
     """The last point of steps from `begin`, how many there were, and whether it is within the
     tolerance (`Point.ends`) of a minimum; else it is the lowest one, from where another solver may
-    go on.
+    go on. Where it is no matter (`alike`), the last one has the derivative of the one before it, if
+    it is a minimum by that.
     """
     place = lowest = at(begin)
     before: list[Point] = []
@@ -130,6 +154,11 @@ def quickly(
         if place.ends(tolerance):
             return place, steps, True
         after = at(place.theta + _onward(place, before))
+        if alike:
+            near = after.beside(place)
+            ends = near.certain and near.cost <= place.cost and near.ends(tolerance)
+            if ends and _same_derivative(place, after, tolerance):
+                return near, steps + 1, True
         # Those of before a step that does not lead nearer are of another landscape.
         nearer = after.certain and after.cost <= place.cost and after.left < place.left
         before = [*before[1 - _SECANTS :], place] if nearer else []

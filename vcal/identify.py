@@ -248,13 +248,14 @@ class _Solver:
     ) -> "_AtBest":
         """All amplitudes at their best at some shapes."""
         terms = self._terms(shapes)
-        point, steps, ended = quickly(partial(self._point, terms), begin, tolerance)
+        on_the_way = tolerance >= NEARLY
+        point, steps, ended = quickly(partial(self._point, terms), begin, tolerance, on_the_way)
         status, size = Status.CONVERGED, len(self.precision)
         rank = size
         if not ended:
             best, status, more, rank = self._compiled(terms, point.theta, begin, tolerance)
             point, steps = self._point(terms, best), steps + more
-        moving = slopes(self.model, self.measurement.plan, shapes, point.theta, tolerance >= NEARLY)
+        moving = slopes(self.model, self.measurement.plan, shapes, point.theta, on_the_way)
         along = concatenate(moving, self.measurement.rows, len(self.model.layout))
         along = along._replace(parameter=along.parameter - len(begin))
         by_port = np.matmul(self.whitener, point.by_port)
@@ -288,7 +289,7 @@ class _Solver:
             residual=residual,
             by_port=by_port,
             whitened=np.matmul(self.whitener, residual[:, :, None]).reshape(-1),
-            rows=_by_parameter(np.matmul(self.whitener, by_port), terms, len(theta)),
+            derive=lambda: _by_parameter(np.matmul(self.whitener, by_port), terms, len(theta)),
         )
 
     def _compiled(
