@@ -165,3 +165,32 @@ def test_slopes_by_differences_are_the_derivatives(known, kind):
             assert largest > 0.0
             np.testing.assert_allclose(other.values, one.values, atol=1e-6 * largest, rtol=0)
     assert seen
+
+
+@pytest.mark.parametrize(("bent", "same"), [(1e-4, True), (0.3, False)])
+def test_on_the_way_the_derivative_of_the_step_before_is_enough_where_it_is_the_same(bent, same):
+    """Of a line that is bent by so much on the way."""
+    a = np.array([1.0, 2.0, -1.0])
+    derived: list[float] = []
+
+    def at(theta: np.ndarray) -> Point:
+        x = float(theta[0])
+        slope = a * (1.0 + bent * x)
+
+        def derive() -> np.ndarray:
+            derived.append(x)
+            return slope[None, :]
+
+        left = a * (0.01 - 0.5 * bent * x**2 - x)
+        by_port = slope[:, None, None]
+        return Point(np.array([x]), np.zeros(1), left[:, None], by_port, left, derive)
+
+    begin = np.array([1.0])
+    found, steps, ended = quickly(at, begin, 1e-2, alike=True)
+    assert ended and steps >= 1
+    assert found.theta[0] == pytest.approx(0.01, abs=1e-2)
+    np.testing.assert_allclose(found.rows[0], a, rtol=1e-2)
+    assert (derived == [1.0]) == same
+    # What is reported has its own.
+    exact, *_ = quickly(at, begin, 1e-9)
+    assert derived[-1] == exact.theta[0]

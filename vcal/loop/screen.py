@@ -62,8 +62,8 @@ class Peak:
 
 
 def _free(fit: Fit) -> np.ndarray:
-    """The prior precision, of shape parameters as little as tells them at all: they may go further
-    than their scans.
+    """The prior precision, with just so much of shape parameters that they are told at all: they
+    may go further than their scans.
     """
     told = np.maximum(_FAINT * fit.within_scans, _ROUNDING * (fit.jacobian**2).sum(0))
     return np.where(np.arange(len(told)) < len(fit.model.entries), fit.precision, told)

@@ -32,8 +32,8 @@ _EXCHANGES = 1
 """How often one of several effects gives way to others that leave nothing unexplained."""
 _EXCHANGEABLE = 5
 """Most effects of which one is exchanged, or all are looked for anew where something is left: of
-more, on data that hold yet others, it would take minutes, and something is left all the same. Of
-those the ones are that their rivals outweigh beside what was found later.
+more, on data that hold yet others, it would take minutes, and something is left all the same; of
+those only what a rival outweighs, beside what was found later, is looked for anew.
 """
 _BARS = 1
 """How often each of several is not to be the answer, while others are searched for."""
@@ -319,8 +319,8 @@ class Search(Adding):
 
     def weigh_again(self, state: State) -> None:
         """Say of every effect what it may be instead beside those that were added after it."""
+        self.progress("weighing rivals again")
         for item in self.added(state):
-            self.progress(f"weighing {item.effect.key} again")
             now = replace(item, weighed=weighed_again(item, state, self.room))
             self.history = [now if other is item else other for other in self.history]
 
