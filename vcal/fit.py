@@ -138,7 +138,7 @@ class Fit:
         Raises `LinAlgError`, with their names, where neither readings nor priors tell parameters.
         """
         try:
-            return cho_factor(self.jacobian.T @ self.jacobian + np.diag(self.within_scans))
+            return cho_factor(self.hessian())
         except np.linalg.LinAlgError as error:
             free = ", ".join(undetermined(self)[:6])
             raise np.linalg.LinAlgError(
