@@ -29,16 +29,16 @@ import optimistix as optx
 from scipy.optimize import least_squares
 
 import vcal
-from vcal.basis import Fourier
-from vcal.batch import identify_one, prepare_batch
-from vcal.chain import chain_from_string
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
+from vcal.identification.batch import identify_one, prepare_batch
 from vcal.instruments.laser_tracker import LaserTracker
-from vcal.model import Model
-from vcal.noise import standard_normal
-from vcal.plan import Plan
-from vcal.simulate import draw, prepare
-from vcal.spatial import euler_xyz
+from vcal.machine.chain import chain_from_string
+from vcal.machine.error_functions import Fourier
+from vcal.machine.plan import Plan
+from vcal.model.forward import Model
+from vcal.model.simulate import draw, prepare
+from vcal.numerics.normal_draws import standard_normal
+from vcal.numerics.spatial import euler_xyz
 from vcal.uncertainty import ParameterErrors, monte_carlo
 from vcal.uncertainty.campaign import TOGETHER, side_by_side
 

@@ -22,15 +22,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import vcal
-from vcal.dynamics import (
-    Noise,
-    applied,
-    assemble,
-    campaign,
-    circle_set,
-    close,
-    run,
-)
+from vcal.dynamics import Noise, applied, assemble, campaign, circle_set, close, run
 from vcal.dynamics.bodies import Friction
 from vcal.dynamics.friction import Rubbing, rubbing, run_with_friction
 from vcal.reproduce.acceleration.measured import MATRIX_U

@@ -97,10 +97,10 @@ def load(case):
 def screened(study, fit, draws: int, seed: int):
     """The first screening of the loop, of a fit of the declared model."""
     import vcal
-    from vcal.loop.candidates import candidates
     from vcal.loop.empirical import EMPIRICAL
-    from vcal.loop.screen import Screen
-    from vcal.loop.screening import screen
+    from vcal.loop.screening.candidates import candidates
+    from vcal.loop.screening.score_test import Screen
+    from vcal.loop.screening.screening import screen
 
     tried, _ = candidates(study.model, study.measurement, vcal.CATALOGUE.values())
     empirical, _ = candidates(study.model, study.measurement, EMPIRICAL, tried)
@@ -118,8 +118,8 @@ def limit_of(entry, world, sized, kind) -> float:
     from scipy.special import gammainccinv
     from scipy.stats import ncx2
 
-    from vcal.identify import identify
-    from vcal.loop.heldout import folds_of
+    from vcal.identification.identify import identify
+    from vcal.loop.weighing.cross_validation import folds_of
 
     alone = replace(entry, kinds=(kind,), strays=0.0)
     made = make(alone, world, [sized], [kind.large], noise=0.0)
@@ -148,8 +148,8 @@ def limit_of(entry, world, sized, kind) -> float:
 def told(study, before, terms, keep):
     """The fit that was told the truth: `before` with the true effects added, free in size."""
     from vcal.effects import Setup, effect_class
-    from vcal.loop.rivals import refit
-    from vcal.loop.screen import Peak, Screen
+    from vcal.loop.screening.score_test import Peak, Screen
+    from vcal.loop.weighing.rivals import refit
 
     model, measurement = study.model, study.measurement
     setup = Setup(model.chain, model.layout, measurement.plan, model.effects,
@@ -175,7 +175,7 @@ def over_told(after, fit) -> float:
     """Chi-square with the declared noise of what was found, above that of the fit that was told,
     over the readings that both use.
     """
-    from vcal.identify import identify
+    from vcal.identification.identify import identify
 
     keep, room = after.used & fit.used, len(after.model.entries) + 16
     after, fit = (
@@ -191,7 +191,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
 
     import vcal
     from vcal.loop.close_loop import errors
-    from vcal.loop.heldout import folds_of
+    from vcal.loop.weighing.cross_validation import folds_of
 
     start = time.perf_counter()
     world = world_of(entry.instrument, seed)
@@ -275,8 +275,8 @@ def p_without(line: dict) -> float:
     """
     from power_cases import ENTRIES, drawn, make, noise_seed, world_of
 
-    from vcal.identify import identify
-    from vcal.loop.heldout import folds_of
+    from vcal.identification.identify import identify
+    from vcal.loop.weighing.cross_validation import folds_of
 
     entry, multiple, seed = ENTRIES[line["case"]], line["multiple"], line["seed"]
     world = world_of(entry.instrument, seed)

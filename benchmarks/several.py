@@ -105,7 +105,7 @@ def one_set(case: str, seed: int, limits: dict) -> dict | None:
     """Make a study of two data sets and close the loop on it; None where the size is not known."""
     import vcal
     from joint import write_joint
-    from vcal.loop.together import contradiction
+    from vcal.loop.notes import contradiction
 
     start = time.perf_counter()
     line: dict = {"case": case, "seed": seed}

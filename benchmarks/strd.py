@@ -20,7 +20,7 @@ import optimistix as optx
 from scipy.optimize import least_squares as scipy_least_squares
 
 import vcal
-from vcal.least_squares import Status, covariance, least_squares
+from vcal.numerics.least_squares import Status, covariance, least_squares
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "tests"))

@@ -13,7 +13,7 @@ import pytest
 import scipy.linalg  # noqa: F401  (so that its BLAS is there to be limited)
 from threadpoolctl import threadpool_limits
 
-from vcal.cli.folders import write_start
+from vcal.cli.start_studies import write_start
 
 jax.config.update("jax_enable_x64", True)
 

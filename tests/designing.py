@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 import vcal
 from vcal.cli import app
-from vcal.io.design import design_task
+from vcal.study.design.task import design_task
 
 SMALL = (
     "design.grid=[4,3,3]",

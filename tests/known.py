@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from oracle import make_case, write_study
 from vcal import CATALOGUE, Effect, Measurement, Model, load_study, predict
 from vcal.effects import Setup
-from vcal.io.simulated import parse_with
+from vcal.study.simulated import parse_with
 
 PLANS = {
     "laser_tracker": {"shape": (4, 4, 3)},

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 import vcal
-from vcal.chain import chain_from_string
 from vcal.instruments import Instrument
 from vcal.instruments.several import DataSet, several
-from vcal.loop.dependence import dependence, displacements
-from vcal.loop.unexplained import from_structure
-from vcal.plan import Plan
+from vcal.loop.outcome.unexplained import from_structure
+from vcal.loop.residuals.dependence import dependence, displacements
+from vcal.machine.chain import chain_from_string
+from vcal.machine.plan import Plan
+from vcal.machine.ports import group
 from vcal.plots.residuals import unexplained
-from vcal.ports import group
 
 ARM, SIGMA = 0.2, 0.5e-6
 CHAIN = chain_from_string("w X b Y Z t", {"X": (0.0, 1.0), "Y": (0.0, 0.6), "Z": (0.0, 0.5)})

@@ -15,9 +15,9 @@ from vcal.effects.base import Setup
 from vcal.effects.events import Jump
 from vcal.effects.thermal import Drift, WarmUp
 from vcal.effects.tracker import StationDrift, StationSettling
-from vcal.linearised import linearised_terms
-from vcal.model import port_values
-from vcal.report.compensation import effects_csv
+from vcal.identification.linearised import linearised_terms
+from vcal.model.forward import port_values
+from vcal.report.loop.tables import effects_csv
 
 OFF_THE_FLANGE = [0.06, -0.04, 0.05]
 

@@ -11,9 +11,6 @@ import pytest
 from scipy.spatial.transform import Rotation as Turn
 
 from vcal import Model
-from vcal.basis import Fourier, Legendre
-from vcal.batch import prepare_batch
-from vcal.chain import chain_from_string
 from vcal.design import (
     ArrayPoses,
     ArraySpace,
@@ -27,12 +24,15 @@ from vcal.design import (
     touches,
     volumetric_gram,
 )
-from vcal.design.ball_array import without_poses
+from vcal.design.spaces.ball_information import without_poses
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
+from vcal.identification.batch import prepare_batch
 from vcal.instruments.ball_array import BallArray
-from vcal.model import port_values, tool_points
-from vcal.plan import Plan
-from vcal.spatial import align_rigid
+from vcal.machine.chain import chain_from_string
+from vcal.machine.error_functions import Fourier, Legendre
+from vcal.machine.plan import Plan
+from vcal.model.forward import port_values, tool_points
+from vcal.numerics.spatial import align_rigid
 
 TRAVEL = {"X": (0.0, 1.2), "Y": (0.0, 0.8), "Z": (0.0, 0.6)}
 TOOL = (0.01, -0.02, 0.15)

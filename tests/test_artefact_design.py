@@ -5,19 +5,14 @@ import itertools
 import numpy as np
 import pytest
 
-from vcal.basis import Legendre
-from vcal.batch import prepare_batch
 from vcal.design import expected_rms, pairs_precision, touches, volumetric_gram
 from vcal.effects.geometric import ErrorMotion, GeometricErrors
+from vcal.identification.batch import prepare_batch
 from vcal.instruments.ball_shape import BallShape
-from vcal.model import Model
-from vcal.plan import Plan
-from vcal.reproduce.artefact_design.expected import (
-    bayes_um,
-    plain_least_squares,
-    posterior,
-    task,
-)
+from vcal.machine.error_functions import Legendre
+from vcal.machine.plan import Plan
+from vcal.model.forward import Model
+from vcal.reproduce.artefact_design.expected import bayes_um, plain_least_squares, posterior, task
 from vcal.reproduce.artefact_design.machines import calibrate, measured_by
 from vcal.reproduce.artefact_design.optimised import optimise
 from vcal.reproduce.artefact_design.searches import FREEDOMS

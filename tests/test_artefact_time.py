@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vcal.design import volumetric_gram
-from vcal.model import Model
+from vcal.model.forward import Model
 from vcal.reproduce.artefact_design.expected import bayes_um, task
 from vcal.reproduce.artefact_design.robust import AVERAGE, FAMILIES, Robust, robust
 from vcal.reproduce.artefact_design.searches import check_inside, with_spare

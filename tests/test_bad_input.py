@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vcal.errors import StudyError
-from vcal.io import load_study
+from vcal.study import load_study
 
 Change = Callable[[Path], None]
 FORM = re.compile(r"^\S+( \(override .*\))?, .+: found .+, expected .+; .+", re.DOTALL)

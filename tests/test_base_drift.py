@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from known import Known
 from vcal import identify, load_study
-from vcal.declared_noise import declared_covariances
 from vcal.instruments.base_drift import _RATIOS, BaseDrift, _costs
-from vcal.spatial import best_rigid
+from vcal.model.declared_noise import declared_covariances
+from vcal.numerics.spatial import best_rigid
 
 PLACES = np.array([[2.0, 0.5, -0.4], [2.9, 0.8, -0.6], [2.5, -0.2, -0.5], [2.2, 0.3, 0.6]])
 """Reflectors on the base, m."""

@@ -4,17 +4,18 @@ import tempfile
 
 import numpy as np
 import pytest
+from vcal.geometry.compensated import compensated_points
 
 from oracle import make_case, write_study
 from oracle.kinematics import Smooth
 from vcal import close_loop, identify, load_study
-from vcal.basis import Matern
-from vcal.declared_noise import declared_whitener
+from vcal.identification.robust import identify_robust
 from vcal.loop.close_loop import Closure
-from vcal.loop.heldout import compensated_points, foretold_rms
-from vcal.loop.stray import stray_rows
-from vcal.robust import identify_robust
-from vcal.spatial import align_rigid
+from vcal.loop.residuals.outliers import stray_rows
+from vcal.loop.weighing.cross_validation import foretold_rms
+from vcal.machine.error_functions import Matern
+from vcal.model.declared_noise import declared_whitener
+from vcal.numerics.spatial import align_rigid
 
 
 def study_of(case):

@@ -13,8 +13,8 @@ from test_own_instruments import BAR, circles, write_bar
 from vcal import close_loop, identify, load_study
 from vcal.cli.show import show_study
 from vcal.errors import StudyError
-from vcal.io.simulated import write_simulated
-from vcal.report.record import record
+from vcal.report.loop.record import record
+from vcal.study.simulated import write_simulated
 
 SHARE = 0.1
 BLANKS = ("", "nan", "NaN", " ")

@@ -11,10 +11,10 @@ import pytest
 
 from known import know_all
 from vcal import Measurement, StudyError, identify
-from vcal.batch import identify_alone, identify_one, prepare_batch
-from vcal.model import Model
-from vcal.programs import outer_jit
-from vcal.simulate import draw, draw_truth, prepare
+from vcal.identification.batch import identify_alone, identify_one, prepare_batch
+from vcal.model.forward import Model
+from vcal.model.simulate import draw, draw_truth, prepare
+from vcal.numerics.compiled import outer_jit
 from vcal.uncertainty import (
     ErrorMotionErrors,
     ParameterErrors,

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 import vcal
-import vcal.loop.recorded
 from known import Known
 from test_r_test import circles, write
 from vcal import CATALOGUE, Fit, Measurement, identify, load_study
 from vcal.effects.base import Effect, Fitted
 from vcal.effects.reversal import ReversalSpike
 from vcal.instruments.conditions import file_column
-from vcal.loop.dependence import bins
 from vcal.loop.empirical import Changing
 from vcal.loop.empirical.base import written
+from vcal.loop.empirical.covariates import angles_around
 from vcal.loop.empirical.product import about_the_middle
-from vcal.loop.rivals import Rival
-from vcal.loop.screen import Peak
-from vcal.plan import Plan
+from vcal.loop.residuals.dependence import bins
+from vcal.loop.screening.score_test import Peak
+from vcal.loop.weighing.rivals import Rival
+from vcal.machine.plan import Plan
 from vcal.plots import changing_sizes
 from vcal.plots.changing import changing
 
@@ -189,4 +189,8 @@ def test_an_angle_of_a_swivel_goes_not_round():
     }
     plan = Plan(("X",), np.linspace(0.0, 1.0, 240)[:, None], angles, {})
     assert file_column("move_J1", plan.axes)[0].endswith("_deg")
-    assert vcal.loop.recorded.angles_around(plan) == ["spindle_deg", "turned_rad", "table_deg"]
+    assert angles_around(plan) == [
+        "spindle_deg",
+        "turned_rad",
+        "table_deg",
+    ]

@@ -17,17 +17,21 @@ import pytest
 from typer.testing import CliRunner
 
 import vcal
-import vcal.cli.closing
+import vcal.cli.loop
 import vcal.cli.show
 import vcal.report
 from vcal.cli import app
-from vcal.cli.folders import example
 from vcal.cli.session import cache_folder, listen, working
+from vcal.cli.start_studies import example
 from vcal.design.spaces import SPACES, settings_of
 from vcal.instruments import INSTRUMENTS
 from vcal.instruments.laser_frame import SegmentSettings
-from vcal.io import load_study, read_table
-from vcal.io.settings import (
+from vcal.loop.outcome.closure import Errors
+from vcal.loop.weighing.cross_validation import Rms
+from vcal.plots import signatures
+from vcal.report.effects.page import effect_page
+from vcal.study import load_study, read_table
+from vcal.study.settings import (
     DataSettings,
     FourierSettings,
     JointSettings,
@@ -36,10 +40,6 @@ from vcal.io.settings import (
     MachineSettings,
     SmoothSettings,
 )
-from vcal.loop.closure import Errors
-from vcal.loop.heldout import Rms
-from vcal.plots import signatures
-from vcal.report.effect_page import effect_page
 
 DEMO = Path(vcal.__file__).parent / "demo"
 STARTS = (
@@ -627,7 +627,7 @@ def test_interrupted_before_there_is_anything(tmp_path, small_tracker_study, mon
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(vcal.cli.closing, "close_loop", interrupted)
+    monkeypatch.setattr(vcal.cli.loop, "close_loop", interrupted)
     shown = run("loop", small_tracker_study, "--out", tmp_path / "out", code=130)
     assert shown.stderr == "vcal: interrupted; nothing was written\n"
     assert not (tmp_path / "out").exists()
@@ -640,7 +640,7 @@ def test_interrupted_with_something_to_tell(tmp_path, small_tracker_study, monke
         return out / "index.html"
 
     closure = SimpleNamespace(interrupted=True, found="what is known")
-    monkeypatch.setattr(vcal.cli.closing, "close_loop", lambda *args, **kwargs: closure)
+    monkeypatch.setattr(vcal.cli.loop, "close_loop", lambda *args, **kwargs: closure)
     monkeypatch.setattr(vcal.report, "write_report", write)
     monkeypatch.setattr(vcal.cli.show, "show_closure", lambda closure: print("a sentence"))
     out = tmp_path / "out"
@@ -654,7 +654,7 @@ def test_an_output_that_cannot_be_written(small_tracker_study, monkeypatch):
     def unwritable(*args, **kwargs):
         raise PermissionError(13, "Permission denied", "/nowhere/out")
 
-    monkeypatch.setattr(vcal.cli.closing, "close_loop", unwritable)
+    monkeypatch.setattr(vcal.cli.loop, "close_loop", unwritable)
     told = refused("loop", small_tracker_study, "--out", small_tracker_study / "out")
     assert told == "vcal: /nowhere/out: Permission denied\n"
 

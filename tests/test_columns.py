@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from vcal import StudyError
-from vcal.chain import chain_from_string
-from vcal.cli.folders import STARTS, example
 from vcal.cli.show import show_study
+from vcal.cli.start_studies import STARTS, example
 from vcal.effects.registry import CATALOGUE
 from vcal.instruments import INSTRUMENTS
 from vcal.instruments.ball_array import _DERIVED
@@ -20,9 +19,10 @@ from vcal.instruments.conditions import (
     linear_plan,
     linear_plan_table,
 )
-from vcal.io import load_study, read_header, read_table, write_table
-from vcal.io.simulated import parse_with, write_simulated
-from vcal.loop.candidates import candidates
+from vcal.loop.screening.candidates import candidates
+from vcal.machine.chain import chain_from_string
+from vcal.study import load_study, read_header, read_table, write_table
+from vcal.study.simulated import parse_with, write_simulated
 
 LINEAR, ARM = ("X", "Y", "Z"), ("J1", "J2")
 MOTION = [f"{kind}_{axis}" for kind in ("dir", "a", "v", "since") for axis in LINEAR]

@@ -10,9 +10,9 @@ from test_r_test import SETUP, circles, write
 from vcal import StudyError
 from vcal.demo import starts
 from vcal.effects.registry import CATALOGUE
-from vcal.io import load_study, write_table
-from vcal.io.simulated import parse_every_with, parse_with, write_simulated
-from vcal.loop.candidates import candidates
+from vcal.loop.screening.candidates import candidates
+from vcal.study import load_study, write_table
+from vcal.study.simulated import parse_every_with, parse_with, write_simulated
 
 STARTS = Path(vcal.__file__).parent / "demo" / "start"
 MATRIX = "acceleration_crosstalk", "jerk_crosstalk", "snap_crosstalk"

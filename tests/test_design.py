@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 
 from vcal import Model, Plan, predict
-from vcal.basis import Legendre
-from vcal.batch import prepare_batch
-from vcal.chain import chain_from_string
 from vcal.design import (
     apportion,
     covariance,
@@ -25,9 +22,12 @@ from vcal.design.judged import error_motions, judge, straight_lines
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from vcal.effects.random import Repeatability
 from vcal.effects.thermal import WarmUp
+from vcal.identification.batch import prepare_batch
 from vcal.instruments.laser_frame import LaserFrame, beam_path
-from vcal.model import port_values, tool_points
-from vcal.simulate import prepare
+from vcal.machine.chain import chain_from_string
+from vcal.machine.error_functions import Legendre
+from vcal.model.forward import port_values, tool_points
+from vcal.model.simulate import prepare
 
 TRAVEL = {"X": (0.0, 0.3), "Y": (0.0, 0.2), "Z": (0.0, 0.25)}
 

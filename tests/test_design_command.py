@@ -11,12 +11,12 @@ import pytest
 import vcal
 from designing import FREE, declare, design, run, strict, task_of
 from vcal import Model
-from vcal.cli.folders import write_start
+from vcal.cli.start_studies import write_start
 from vcal.design import covariance, expected_rms, volumetric_gram
 from vcal.design.judged import grid_points
 from vcal.design.optimise import Compiled, optimise
 from vcal.design.spaces import SPACES
-from vcal.report.place import Place
+from vcal.report.html.folder import Place
 
 pytestmark = pytest.mark.usefixtures("kept_programs")
 

@@ -12,14 +12,14 @@ import vcal
 from designing import declare, design, strict, task_of
 from vcal import Model
 from vcal.design import covariance, expected_rms, volumetric_gram
-from vcal.design.following import CANDIDATES, follow
 from vcal.design.judged import grid_points
+from vcal.design.next_measurement import CANDIDATES, follow
 from vcal.design.optimise import Compiled
 from vcal.design.separation import ALPHA, Rival, Separation
-from vcal.io.separate import parse_rivals, rivals_of
-from vcal.loop.closure import FoundEffect
-from vcal.report.following_page import _conditions as conditions
-from vcal.report.following_page import carried_over
+from vcal.loop.outcome.closure import FoundEffect
+from vcal.report.design.next_page import _conditions as conditions
+from vcal.report.design.next_page import carried_over
+from vcal.study.design.rivals import parse_rivals, rivals_of
 
 pytestmark = pytest.mark.usefixtures("kept_programs")
 
@@ -191,7 +191,7 @@ class Step(vcal.Effect):
 
 @pytest.mark.campaign
 def test_an_effect_that_cannot_be_differentiated(few_points, tmp_path, monkeypatch):
-    monkeypatch.setattr("vcal.design.following.CANDIDATES", 4)
+    monkeypatch.setattr("vcal.design.next_measurement.CANDIDATES", 4)
     copy = declare(few_points, tmp_path, "")
     (copy / "mine.py").write_text(OWN, encoding="utf-8")
     own = ("--set", "model.effects_file=mine.py")

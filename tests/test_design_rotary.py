@@ -9,10 +9,10 @@ import vcal
 from conftest import TRACKER, write_csv
 from designing import design, run, strict, task_of
 from test_rotary import AXES, SETUP, point
-from vcal.chain import chain_from_string
 from vcal.design import covariance
 from vcal.design.optimise import Compiled
 from vcal.design.spaces.laser_tracker import work_space
+from vcal.machine.chain import chain_from_string
 
 pytestmark = pytest.mark.usefixtures("kept_programs")
 

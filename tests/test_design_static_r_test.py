@@ -12,11 +12,11 @@ from conftest import write_csv
 from designing import design, run, strict, task_of
 from test_rotary import AXES, point, positions
 from test_static_r_test import HEAD, INSTRUMENT, seen, still
-from vcal.chain import chain_from_string
 from vcal.design import covariance
-from vcal.design.following import follow
+from vcal.design.next_measurement import follow
 from vcal.design.optimise import Compiled, optimise
 from vcal.instruments.follow import carried_apart, followed
+from vcal.machine.chain import chain_from_string
 from vcal.uncertainty import ErrorMotionErrors, ParameterErrors, linearised
 from vcal.uncertainty.campaign import virtual_pair
 

@@ -5,19 +5,19 @@ import math
 
 import numpy as np
 import pytest
+from vcal.geometry.error_motions import error_motion_tables
 
 from known import Known
 from oracle import make_case, write_study
 from vcal import CheckPoints, Effect, Measurement, Model, close_loop, identify, load_study
-from vcal.fit import Fit
-from vcal.loop.doubt import Doubt
+from vcal.identification.fit import Fit
+from vcal.identification.model_averaging import Doubt
 from vcal.loop.empirical import Factor, Interaction
-from vcal.loop.heldout import check_rms
-from vcal.loop.rivals import Rival, refit_all
-from vcal.loop.screen import Screen
-from vcal.loop.weighing import CERTAIN, classes_of, weigh
+from vcal.loop.screening.score_test import Screen
+from vcal.loop.weighing.cross_validation import check_rms
+from vcal.loop.weighing.rivals import Rival, refit_all
+from vcal.loop.weighing.weighing import CERTAIN, classes_of, weigh
 from vcal.plots import error_field
-from vcal.report import error_motion_tables
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from vcal.chain import chain_from_string
 from vcal.dynamics.assemble import assemble
 from vcal.dynamics.bodies import GROUND, Body, Drive, Machine, Scale, Spring, ToolPoint
 from vcal.dynamics.closed_loop import (
@@ -29,6 +28,7 @@ from vcal.dynamics.gains import propose
 from vcal.dynamics.modes import check_supported, modes
 from vcal.dynamics.response import response
 from vcal.dynamics.setpoints import Limits, SetCircle, positioning
+from vcal.machine.chain import chain_from_string
 
 NONE = jnp.zeros(3)
 

@@ -28,18 +28,18 @@ from oracle.effects import (
     stretched_reach,
 )
 from vcal import CATALOGUE, load_study, predict
-from vcal.chain import chain_from_string
-from vcal.declared_noise import declared_whitener
 from vcal.demo import FOLDER
 from vcal.effects import Setup, wind_up
 from vcal.effects.arm import gravity_moments
 from vcal.effects.random import Repeatability
-from vcal.fit import shape_step
+from vcal.identification.fit import shape_step
+from vcal.identification.linearised import linearised_terms
 from vcal.instruments.reflectors import moves
-from vcal.linearised import linearised_terms
-from vcal.model import observe_with_jacobian, port_values, tool_points
-from vcal.plan import Plan
-from vcal.ports import PortLayout
+from vcal.machine.chain import chain_from_string
+from vcal.machine.plan import Plan
+from vcal.machine.ports import PortLayout
+from vcal.model.declared_noise import declared_whitener
+from vcal.model.forward import observe_with_jacobian, port_values, tool_points
 
 
 @pytest.fixture(scope="module")

@@ -15,15 +15,15 @@ from known import Known
 from oracle import make_case, write_study
 from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify, load_study
 from vcal.effects.registry import load_effects
-from vcal.loop.certainty import doubted
 from vcal.loop.close_loop import _separation
 from vcal.loop.empirical import EMPIRICAL, Harmonic, Interaction, Kink, LocalBump, Proportion, Since
-from vcal.loop.heldout import foretold, improvement
-from vcal.loop.rivals import Rival, refit_all
-from vcal.loop.scales import log_gain, log_mixture, over_scales
-from vcal.loop.screen import Screen
-from vcal.loop.weighing import Weighed, fits_better, in_doubt, outdoes
-from vcal.report.own_effect import own_effect
+from vcal.loop.screening.score_test import Screen
+from vcal.loop.screening.size_evidence import log_gain, log_mixture, over_scales
+from vcal.loop.search.certainty import doubted
+from vcal.loop.weighing.cross_validation import foretold, improvement
+from vcal.loop.weighing.rivals import Rival, refit_all
+from vcal.loop.weighing.weighing import Weighed, fits_better, in_doubt, outdoes
+from vcal.report.loop.own_effect import own_effect
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import pytest
 
 from known import Known
 from vcal import Measurement, close_loop, identify
-from vcal.loop.state import fitted
-from vcal.loop.steps import uncertainties
+from vcal.loop.search.certainty import uncertainties
+from vcal.loop.search.state import fitted
 
 
 @pytest.fixture(scope="module")

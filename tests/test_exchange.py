@@ -10,8 +10,6 @@ import pytest
 from scipy.spatial.transform import Rotation as Turn
 
 from vcal import Model
-from vcal.basis import Legendre
-from vcal.chain import chain_from_string
 from vcal.design import (
     ArrayPoses,
     array_curvature,
@@ -27,7 +25,9 @@ from vcal.design import (
 )
 from vcal.effects.geometric import ErrorMotion, GeometricErrors
 from vcal.instruments.ball_array import BallArray
-from vcal.plan import Plan
+from vcal.machine.chain import chain_from_string
+from vcal.machine.error_functions import Legendre
+from vcal.machine.plan import Plan
 
 N, M, PROBE = 4, 9, 5e-7
 TRAVEL = {"X": (0.0, 1.2), "Y": (0.0, 0.8), "Z": (0.0, 0.6)}

@@ -11,6 +11,7 @@ import vcal.reproduce.laser_frame.results as computing
 from vcal import Model, predict
 from vcal.design import covariance, expanded
 from vcal.errors import StudyError
+from vcal.model.simulate import draw, prepare
 from vcal.reproduce import reproduction
 from vcal.reproduce.laser_frame import better as search
 from vcal.reproduce.laser_frame.better import Better, Step, segments_along
@@ -34,7 +35,6 @@ from vcal.reproduce.laser_frame.setting import (
 )
 from vcal.reproduce.laser_frame.table_four import PRINTED, distance, exchanged, variants
 from vcal.reproduce.laser_frame.verification import verification
-from vcal.simulate import draw, prepare
 
 LEVER = Lever.seen()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vcal import Model, predict
-from vcal.basis import Legendre
+from vcal.machine.error_functions import Legendre
 from vcal.reproduce.laser_frame.seen import seen
 from vcal.reproduce.laser_frame.setting import (
     DEGREES,

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from vcal.chain import chain_from_string
 from vcal.dynamics import Controller, assemble, close, run
 from vcal.dynamics.bodies import GROUND, Body, Drive, Friction, Machine, Scale, Spring, ToolPoint
 from vcal.dynamics.friction import rubbing, run_with_friction
 from vcal.errors import StudyError
-from vcal.io.machine import load_machine
+from vcal.machine.chain import chain_from_string
 from vcal.reproduce.acceleration.setting import DESCRIPTION
+from vcal.study.dynamic_machine import load_machine
 
 NONE = jnp.zeros(3)
 RUB = Friction("Z", "Z", NONE, 150.0, 200.0, 2e-3, 5e-6, 800.0)

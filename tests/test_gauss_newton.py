@@ -6,10 +6,10 @@ from scipy.optimize import least_squares
 
 from known import KINDS, Known, know_all
 from vcal.effects.registry import CATALOGUE
-from vcal.gauss_newton import Point, quickly
-from vcal.linearised import slopes
-from vcal.loop.candidates import candidates
-from vcal.secants import together
+from vcal.identification.linearised import slopes
+from vcal.loop.screening.candidates import candidates
+from vcal.numerics.anderson import together
+from vcal.numerics.gauss_newton import Point, quickly
 
 
 def problem(residual, jacobian, precision):

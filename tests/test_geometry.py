@@ -9,8 +9,8 @@ import pytest
 from known import Known
 from oracle import compose, error_motions
 from vcal import identify
-from vcal.loop.doubt import Doubt
-from vcal.report import geometric_tests
+from vcal.geometry.acceptance import geometric_tests
+from vcal.identification.model_averaging import Doubt
 from vcal.uncertainty import LineErrors
 from vcal.uncertainty.campaign import virtual_pair
 from vcal.uncertainty.linear import linearised

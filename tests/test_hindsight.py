@@ -8,13 +8,12 @@ import pytest
 
 from known import Known
 from vcal import Measurement, identify
-from vcal.loop.adding import Added
-from vcal.loop.hindsight import weighed_again
-from vcal.loop.rivals import Rival, refit_all
-from vcal.loop.screen import Screen
-from vcal.loop.search import Search
-from vcal.loop.state import State, fitted
-from vcal.loop.weighing import classes_of, weigh
+from vcal.loop.screening.score_test import Screen
+from vcal.loop.search.forward_selection import Added
+from vcal.loop.search.search import Search, weighed_again
+from vcal.loop.search.state import State, fitted
+from vcal.loop.weighing.rivals import Rival, refit_all
+from vcal.loop.weighing.weighing import classes_of, weigh
 
 INSTANCES = {"backlash": 3, "lateral_reversal": 6, "screw_other": 3}
 """How many places of each kind a round would have tried."""

@@ -14,23 +14,23 @@ from scipy.stats import f as fisher
 from known import Known
 from oracle import make_case, write_study
 from vcal import CATALOGUE, Measurement, close_loop, load_study
-from vcal.declared_noise import declared_covariances
 from vcal.demo import FOLDER
-from vcal.identify import identify
-from vcal.least_squares import Status
-from vcal.loop.candidates import candidates
-from vcal.loop.chance import minus_log_beta_tail
-from vcal.loop.components import components
-from vcal.loop.confounded import confounded, unrecorded_time
+from vcal.identification.identify import identify
+from vcal.identification.robust import identify_robust
 from vcal.loop.empirical import Kink
-from vcal.loop.heldout import foretold, heldout_residuals
-from vcal.loop.screen import Screen
-from vcal.loop.screening import screen
-from vcal.loop.serial import _PHI, _SHARE, _Sequence, serial
-from vcal.loop.state import fitted
-from vcal.loop.stray import at_an_end, displaced, scattered, stray_apart, stray_rows
-from vcal.robust import identify_robust
-from vcal.simulate import simulate
+from vcal.loop.residuals.autocorrelation import _PHI, _SHARE, _Sequence, serial
+from vcal.loop.residuals.confounded import confounded, unrecorded_time
+from vcal.loop.residuals.outliers import at_an_end, displaced, scattered, stray_apart, stray_rows
+from vcal.loop.residuals.variance_components import components
+from vcal.loop.screening.candidates import candidates
+from vcal.loop.screening.score_test import Screen
+from vcal.loop.screening.screening import screen
+from vcal.loop.screening.significance import minus_log_beta_tail
+from vcal.loop.search.state import fitted
+from vcal.loop.weighing.cross_validation import foretold, heldout_residuals
+from vcal.model.declared_noise import declared_covariances
+from vcal.model.simulate import simulate
+from vcal.numerics.least_squares import Status
 
 FACTORS = np.array([1.0, 0.7, 2.5])
 
@@ -532,7 +532,7 @@ def test_what_looking_everywhere_costs_is_paid_once(tracker):
 def test_what_does_not_hold_on_other_readings_is_no_name(tracker, monkeypatch):
     """A significant effect that held-out readings refuse leaves something unexplained."""
     measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
-    loop = importlib.import_module("vcal.loop.round")
+    loop = importlib.import_module("vcal.loop.search.round")
     monkeypatch.setattr(loop, "improvement", lambda before, after, noise: (-1.0, 1.0))
     closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
     assert (closure.verdict, closure.effects) == ("unexplained", [])
@@ -542,7 +542,7 @@ def test_what_does_not_hold_on_other_readings_is_no_name(tracker, monkeypatch):
 
 def test_what_cannot_be_fitted_leaves_something_unexplained(tracker, monkeypatch):
     measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
-    rivals = importlib.import_module("vcal.loop.rivals")
+    rivals = importlib.import_module("vcal.loop.weighing.rivals")
 
     def unfinished(*args):
         return dataclasses.replace(refit(*args), status=Status.STEP_LIMIT)
@@ -560,7 +560,8 @@ def test_a_description_that_cannot_be_fitted_leaves_something_unexplained(tracke
     kink = Kink(port="EZX", unit="um", placement="X",
                 given=(("slope", 20.0, 0.0), ("at", 1000.0, 0.0)))  # fmt: skip
     measurement = with_noise(tracker, white(tracker, 22), kink)
-    loop, rivals = (importlib.import_module(f"vcal.loop.{name}") for name in ("adding", "rivals"))
+    loop = importlib.import_module("vcal.loop.search.forward_selection")
+    rivals = importlib.import_module("vcal.loop.weighing.rivals")
 
     def unfinished(*args):
         return dataclasses.replace(refit(*args), status=Status.STEP_LIMIT)
@@ -579,7 +580,7 @@ def test_a_description_that_cannot_be_fitted_leaves_something_unexplained(tracke
 def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch):
     """Held-out readings that refuse the likeliest effect, but not the next, tell of a third."""
     measurement = with_noise(tracker, white(tracker, 22), tracker.effect("backlash:Y:size_um=12"))
-    loop = importlib.import_module("vcal.loop.round")
+    loop = importlib.import_module("vcal.loop.search.round")
     hold = loop.improvement
 
     def refusing(before, after, noise):

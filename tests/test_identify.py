@@ -10,11 +10,11 @@ from scipy.optimize import least_squares
 from known import PLANS, Known
 from oracle import TABLE, as_study, lmmse, make_case, write_study
 from vcal import Measurement, Model, identify, load_study, predict
-from vcal.declared_noise import declared_whitener
-from vcal.fit import null_directions
+from vcal.identification.fit import null_directions
 from vcal.instruments.ball_array import ArtefactPoses
-from vcal.loop.heldout import check_rms, heldout_residuals, rms
-from vcal.simulate import simulate
+from vcal.loop.weighing.cross_validation import check_rms, heldout_residuals, rms
+from vcal.model.declared_noise import declared_whitener
+from vcal.model.simulate import simulate
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import pytest
 import vcal
 from vcal import Measurement, close_loop
 from vcal.demo import FOLDER
-from vcal.plan import Plan, joined
-from vcal.simulate import simulate
+from vcal.machine.plan import Plan, joined
+from vcal.model.simulate import simulate
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vcal.kept import Kept
+from vcal.numerics.identity_cache import Kept
 
 
 def test_the_very_same_objects_give_the_same_result():

@@ -18,13 +18,13 @@ from oracle import (
     rotation_matrix,
     tool_point,
 )
-from vcal.basis import Constant, Fourier, Legendre, Matern
-from vcal.chain import chain_from_dh, chain_from_string
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError, link_errors
-from vcal.model import effect_terms, port_values, tool_points
-from vcal.plan import Plan
-from vcal.ports import PortLayout, group
-from vcal.spatial import (
+from vcal.machine.chain import chain_from_dh, chain_from_string
+from vcal.machine.error_functions import Constant, Fourier, Legendre, Matern
+from vcal.machine.plan import Plan
+from vcal.machine.ports import PortLayout, group
+from vcal.model.forward import effect_terms, port_values, tool_points
+from vcal.numerics.spatial import (
     align_rigid,
     axis_rotation,
     best_rigid,

@@ -9,19 +9,19 @@ from scipy.spatial.transform import Rotation as Turn
 
 from known_files import BOX, FRAME, write_frame
 from vcal import StudyError, close_loop, load_study, predict
-from vcal.basis import Legendre
-from vcal.chain import chain_from_string
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from vcal.effects.laser_frame import FrameExpansion, HeadExpansion, PsdLinearity, Refraction
 from vcal.instruments.laser_frame import LaserFrame, beam_path, filter_shift, safe_filter_shift
 from vcal.instruments.psd_map import PsdMap
-from vcal.io import read_table, write_table
-from vcal.loop.unexplained import Interval, Unexplained
-from vcal.model import Model, observe_all
-from vcal.plan import Plan
+from vcal.loop.outcome.unexplained import Interval, Unexplained
+from vcal.machine.chain import chain_from_string
+from vcal.machine.error_functions import Legendre
+from vcal.machine.plan import Plan
+from vcal.model.forward import Model, observe_all
 from vcal.plots.views import effect_view
 from vcal.report import record
-from vcal.report.page import page
+from vcal.report.loop.page import page
+from vcal.study import read_table, write_table
 
 TRAVEL = {"X": (0.0, 0.184), "Y": (0.0, 0.167), "Z": (0.0, 0.35)}
 THIRTEEN = ("EYX", "EZX", "EXY", "EZY", "EXZ", "EYZ", "EXX", "EYY", "EAX", "EBY")

@@ -8,9 +8,9 @@ import pytest
 import vcal
 from oracle import make_case, write_study
 from vcal.distributions import Normal
-from vcal.learn import learned_sizes, with_sizes
-from vcal.loop.heldout import check_rms
-from vcal.robust import identify_robust
+from vcal.identification.family_sizes import learned_sizes, with_sizes
+from vcal.identification.robust import identify_robust
+from vcal.loop.weighing.cross_validation import check_rms
 
 
 @pytest.fixture(scope="module")

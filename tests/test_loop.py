@@ -10,11 +10,11 @@ import pytest
 from known import LATERAL, PLANS, Known
 from oracle import make_case, tool_point, tracker_readings, write_study
 from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify, load_study
-from vcal.loop.dependence import dependence
 from vcal.loop.empirical import EMPIRICAL, Proportion
-from vcal.loop.loop_settings import checked, classes_of
-from vcal.loop.unexplained import Refused, _from_dependence, from_structure
-from vcal.report.own_effect import own_effect
+from vcal.loop.outcome.unexplained import Refused, _from_dependence, from_structure
+from vcal.loop.residuals.dependence import dependence
+from vcal.loop.settings import checked, classes_of
+from vcal.report.loop.own_effect import own_effect
 
 STAGES = ("screening", "refitting", "adding", "describing")
 

@@ -29,9 +29,8 @@ from vcal.dynamics.gains import propose
 from vcal.dynamics.response import harmonics, response
 from vcal.dynamics.unknowns import CentreShift, DampingFactor, Delay, DriveFactor, SpringFactor
 from vcal.errors import StudyError
-from vcal.io.machine import load_machine
-from vcal.least_squares import Status
-from vcal.programs import outer_filter_jit, outer_jit
+from vcal.numerics.compiled import outer_filter_jit, outer_jit
+from vcal.numerics.least_squares import Status
 from vcal.reproduce.acceleration.measured import MATRIX_U, fit_matrix, measure
 from vcal.reproduce.acceleration.moves import compensated, positioned
 from vcal.reproduce.acceleration.setting import (
@@ -45,6 +44,7 @@ from vcal.reproduce.acceleration.setting import (
     described,
     real,
 )
+from vcal.study.dynamic_machine import load_machine
 
 TEXT = DESCRIPTION.read_text(encoding="utf-8")
 

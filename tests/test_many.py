@@ -5,7 +5,7 @@ import pytest
 
 from oracle import make_case, write_study
 from vcal import CATALOGUE, close_loop, load_study
-from vcal.loop.components import components
+from vcal.loop.residuals.variance_components import components
 
 
 def closed(folder, seed: int, *effects: dict, instrument: str = "laser_tracker", **options):

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vcal.chain import chain_from_string
-from vcal.design import drawn_errors, expected_error, gram_for, volumetric_gram
+from vcal.design import gram_for, volumetric_gram
 from vcal.effects.base import Setup
 from vcal.effects.sag import PayloadSag
-from vcal.model import Model
-from vcal.plan import Plan
+from vcal.machine.chain import chain_from_string
+from vcal.machine.plan import Plan
+from vcal.model.forward import Model
 from vcal.reproduce.artefact_design.expected import bayes_um, task
 from vcal.reproduce.artefact_design.influences import (
     SIZES,
@@ -25,6 +25,7 @@ from vcal.reproduce.artefact_design.setting import TRAVEL, ball_line, outer_face
 from vcal.reproduce.artefact_design.stylus import SIDE_M, with_star
 from vcal.reproduce.artefact_design.sweep import designs
 from vcal.reproduce.artefact_design.sweep import exact as exact_sweep
+from vcal.uncertainty.mismatch import drawn_errors, expected_error
 from vcal.uncertainty.programs import Programs
 
 

@@ -1,20 +1,17 @@
 """The forward model: derivatives, compilation, and instruments against the oracle."""
 
-import importlib
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import vcal.model as forward
+import vcal.identification.identify as engine
+import vcal.model.forward as forward
 from known import KINDS, Known, know_all
 from oracle import Tracker, tool_point, tracker_readings, write_study
 from vcal import Measurement, Plan, close_loop, identify, load_study, predict
-from vcal.model import observe_all, observe_row, observe_with_jacobian
-from vcal.simulate import prepare, simulate
-
-engine = importlib.import_module("vcal.identify")  # vcal.identify is the function in it
+from vcal.model.forward import observe_all, observe_row, observe_with_jacobian
+from vcal.model.simulate import prepare, simulate
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,15 @@ import typing
 import numpy as np
 import pytest
 
-import vcal.cli.closing
+import vcal.cli.loop
 from designing import run
-from vcal.cli.closing import close_study
+from vcal.cli.loop import close_study
 from vcal.effects.registry import load_effects
 from vcal.errors import StudyError
-from vcal.io import load_study
-from vcal.io.simulated import parse_with
-from vcal.measurement import Measurement
-from vcal.report.place import Place
+from vcal.model.measurement import Measurement
+from vcal.report.html.folder import Place
+from vcal.study import load_study
+from vcal.study.simulated import parse_with
 
 OWN = '''\
 import vcal
@@ -230,7 +230,7 @@ def test_a_file_in_the_folder_of_the_report(small_tracker_study, monkeypatch):
     def unexpected(*args, **kwargs):
         raise AssertionError("the loop was run")
 
-    monkeypatch.setattr(vcal.cli.closing, "close_loop", unexpected)
+    monkeypatch.setattr(vcal.cli.loop, "close_loop", unexpected)
     out = small_tracker_study / "out"
 
     def make(work):
@@ -282,7 +282,7 @@ def test_equations_without_a_solution_may_be_due_to_either_file(small_tracker_st
     def unsolvable(*args, **kwargs):
         raise np.linalg.LinAlgError("not positive definite")
 
-    monkeypatch.setattr(vcal.cli.closing, "close_loop", unsolvable)
+    monkeypatch.setattr(vcal.cli.loop, "close_loop", unsolvable)
     study = load_study(small_tracker_study)
     with pytest.raises(StudyError) as caught:
         close_study(study, study.measurement, lambda text: None)

@@ -12,16 +12,16 @@ import pytest
 import vcal
 from conftest import write_csv
 from designing import run
-from vcal.cli.folders import STARTS
+from vcal.cli.start_studies import STARTS
 from vcal.effects import CATALOGUE
 from vcal.errors import StudyError
 from vcal.instruments import INSTRUMENTS
-from vcal.io import load_study
-from vcal.io.own_code import Trial
-from vcal.io.own_trial import check_clusters
-from vcal.io.simulated import parse_with, write_simulated
-from vcal.loop.chance import LEAST_NOISE
-from vcal.loop.state import fitted
+from vcal.loop.screening.significance import LEAST_NOISE
+from vcal.loop.search.state import fitted
+from vcal.study import load_study
+from vcal.study.plugins.instrument_trial import check_clusters
+from vcal.study.plugins.trial import Trial
+from vcal.study.simulated import parse_with, write_simulated
 
 EXAMPLE = Path(__file__).parent / "own_instrument"
 BAR = (EXAMPLE / "ball_bar.py").read_text(encoding="utf-8")

@@ -21,7 +21,7 @@ from power_cases import (
 )
 
 from vcal import close_loop
-from vcal.identify import identify
+from vcal.identification.identify import identify
 
 SEED = 20_000
 ALONE = sorted(name for name, entry in ENTRIES.items() if entry.group == "catalogue")

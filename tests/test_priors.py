@@ -26,10 +26,10 @@ from vcal.distributions import (
     Triangular,
     Uniform,
 )
-from vcal.parameters import Prior
-from vcal.prior import Amplitudes
-from vcal.programs import outer_jit
-from vcal.simulate import draw, draw_scatter, ideal_readings, prepare
+from vcal.machine.parameters import Prior
+from vcal.model.prior import Amplitudes
+from vcal.model.simulate import draw, draw_scatter, ideal_readings, prepare
+from vcal.numerics.compiled import outer_jit
 from vcal.uncertainty import ErrorMotionErrors, linearised, virtual_pair
 from vcal.uncertainty.linear import sources
 from vcal.uncertainty.quantities import State

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vcal import programs
-from vcal.arrays import namespace
-from vcal.programs import outer_filter_jit, outer_jit
+from vcal.numerics import compiled as programs
+from vcal.numerics.arrays import namespace
+from vcal.numerics.compiled import outer_filter_jit, outer_jit
 
 
 @pytest.fixture

@@ -9,22 +9,22 @@ import pytest
 import vcal
 from oracle import PLANES, measure_circles
 from vcal import Measurement, close_loop, load_study, predict
-from vcal.circles import fit_circle
 from vcal.dynamics import measured_phasors
 from vcal.dynamics.evaluate import evaluate, even_ellipse
 from vcal.effects.base import Fitted
 from vcal.effects.registry import load_effects
 from vcal.effects.reversal import ReversalSpike
 from vcal.errors import StudyError
-from vcal.identify import identify
+from vcal.identification.identify import identify
 from vcal.instruments.several import DataSet, several
-from vcal.io import write_table
-from vcal.io.simulated import write_simulated
-from vcal.loop.dependence import dependence
 from vcal.loop.empirical import Changing, Harmonic
-from vcal.loop.vibration import vibration
+from vcal.loop.residuals.dependence import dependence
+from vcal.loop.residuals.vibration import vibration
+from vcal.machine.circles import fit_circle
 from vcal.plots import changing_sizes
-from vcal.report.own_effect import own_effect
+from vcal.report.loop.own_effect import own_effect
+from vcal.study import write_table
+from vcal.study.simulated import write_simulated
 
 E = np.array([[0.9, 0.1, -1.55], [0.05, 0.6, 0.3], [-0.4, 0.2, 1.1]])
 """um s^2/m."""
@@ -475,7 +475,8 @@ def test_a_vibration_is_told_by_its_frequency_in_time(tmp_path):
     assert found.amplitude_um == pytest.approx(0.5, rel=0.1) and found.share > 0.5
     assert closure.verdict == "unexplained" and "a vibration of 37 Hz in every" in closure.sentence
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("vcal.loop.vibration._AT_ONCE", 3_000)  # a few frequencies at a time
+        # a few frequencies at a time
+        patch.setattr("vcal.loop.residuals.vibration._AT_ONCE", 3_000)
         assert vibration(closure.after) == found
 
 

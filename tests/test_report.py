@@ -19,33 +19,36 @@ from vcal import CATALOGUE, StudyError, close_loop, identify, load_study, plots
 from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
 from vcal.effects.data_set import OfDataSet
+from vcal.geometry.acceptance import geometric_tests
+from vcal.identification.model_averaging import Doubt
 from vcal.instruments.ball_array import BallCalibration
 from vcal.instruments.conditions import file_column
-from vcal.io.simulated import parse_with
-from vcal.io.study import looked_for
-from vcal.loop.candidates import Untestable
-from vcal.loop.closure import Rejected
-from vcal.loop.components import Component
-from vcal.loop.doubt import Doubt
 from vcal.loop.empirical import LocalBump
-from vcal.loop.recorded import correlation
-from vcal.loop.screen import Peak
-from vcal.loop.screening import KindResult, Screening
-from vcal.loop.stray import Stray
-from vcal.loop.unexplained import Interval, Unexplained
-from vcal.plan import Plan, joined
+from vcal.loop.empirical.covariates import correlation
+from vcal.loop.outcome.closure import Rejected
+from vcal.loop.outcome.unexplained import Interval, Unexplained
+from vcal.loop.residuals.outliers import Stray
+from vcal.loop.residuals.variance_components import Component
+from vcal.loop.screening.candidates import Untestable
+from vcal.loop.screening.score_test import Peak
+from vcal.loop.screening.screening import KindResult, Screening
+from vcal.machine.plan import Plan, joined
 from vcal.plots.residuals import _means as means
 from vcal.plots.residuals import before_after, unexplained_views
 from vcal.plots.search import search
 from vcal.plots.style import AFTER, BEFORE, DOTS, column_label, figure, grid, ticks_apart
 from vcal.plots.views import View, effect_view, residual_without
-from vcal.report import check_folder, geometric_tests, record, text, write, write_report
-from vcal.report.compensation import effects_csv
-from vcal.report.derived import in_short, parameters
-from vcal.report.own_effect import own_effect
-from vcal.report.page import _tried as tried
-from vcal.report.page import page
-from vcal.report.pictures import Picture, pictures
+from vcal.report import check_folder, record, write_report
+from vcal.report.html import text
+from vcal.report.loop import write
+from vcal.report.loop.derived import in_short, parameters
+from vcal.report.loop.own_effect import own_effect
+from vcal.report.loop.page import _tried as tried
+from vcal.report.loop.page import page
+from vcal.report.loop.pictures import Picture, pictures
+from vcal.report.loop.tables import effects_csv
+from vcal.study.simulated import parse_with
+from vcal.study.study import looked_for
 
 SEARCHED = ("backlash", "lateral_reversal", "screw_cyclic", "thermal_tilt", "artefact_bending")
 
@@ -773,7 +776,7 @@ def test_many_declared_values_are_told_in_short(closed, monkeypatch, capsys):
     listed = [(p.name, 0.8 * (p.name == "2.X"), "um", 0.1) for p in array.parameters]
     play = closure.effects[0].effect
     told = [(array, listed), (play, [("size", 12.98, "um", 0.21)])]
-    for module in ("vcal.cli.show", "vcal.report.page"):
+    for module in ("vcal.cli.show", "vcal.report.loop.page"):
         monkeypatch.setattr(f"{module}.declared", lambda _: told)
     short = "ball_calibration: 9 declared values; the fit moved 2.X most, by 1.60 of its sigma"
     show_closure(closure)

@@ -12,10 +12,10 @@ from scipy.stats import maxwell, rayleigh
 from typer.testing import CliRunner
 
 import vcal.reproduce.tracker_verification.results as computing
-from vcal.batch import prepare_batch
 from vcal.cli import app
 from vcal.errors import StudyError
-from vcal.model import observe_all, tool_columns, tool_points_with_jacobian
+from vcal.identification.batch import prepare_batch
+from vcal.model.forward import observe_all, tool_columns, tool_points_with_jacobian
 from vcal.reproduce import REPRODUCTIONS, reproduction
 from vcal.reproduce.tracker_verification.compared import normal_length
 from vcal.reproduce.tracker_verification.family import find_family

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation as Scipy
 from scipy.stats import kstest
 
-from vcal.chain import chain_from_dh, chain_from_string
-from vcal.noise import standard_normal
-from vcal.rigid import IDENTITY, Rotation, Vector, about, exp, left_jacobian
+from vcal.machine.chain import chain_from_dh, chain_from_string
+from vcal.numerics.normal_draws import standard_normal
+from vcal.numerics.rigid import IDENTITY, Rotation, Vector, about, exp, left_jacobian
 
 CHAINS = {
     "table": chain_from_string("w X b Y Z t"),

@@ -13,13 +13,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vcal
-from vcal.basis import Matern
-from vcal.chain import chain_from_string
 from vcal.effects import CATALOGUE, Setup
 from vcal.errors import StudyError
+from vcal.geometry.acceptance import geometric_tests
+from vcal.machine.chain import chain_from_string
+from vcal.machine.error_functions import Matern
+from vcal.model.simulate import simulate
 from vcal.plots import effect_view
-from vcal.report import geometric_tests
-from vcal.simulate import simulate
 
 CHAIN = "w C A b Y X Z t"
 AXES = "XYZAC"

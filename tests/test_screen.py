@@ -11,15 +11,15 @@ from scipy.stats import binom, chi2
 
 from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, identify
-from vcal.loop.candidates import candidates
-from vcal.loop.chance import corrected, effective_trials, minus_log_chi2_tail
+from vcal.identification.robust import identify_robust
 from vcal.loop.empirical import EMPIRICAL, LocalBump
-from vcal.loop.rivals import refit, refit_all
-from vcal.loop.screen import Peak, Screen, largest
-from vcal.loop.screening import screen
-from vcal.loop.stray import stray_rows
-from vcal.loop.weighing import classes_of, weigh
-from vcal.robust import identify_robust
+from vcal.loop.residuals.outliers import stray_rows
+from vcal.loop.screening.candidates import candidates
+from vcal.loop.screening.score_test import Peak, Screen, largest
+from vcal.loop.screening.screening import screen
+from vcal.loop.screening.significance import corrected, effective_trials, minus_log_chi2_tail
+from vcal.loop.weighing.rivals import refit, refit_all
+from vcal.loop.weighing.weighing import classes_of, weigh
 
 FEW = ("backlash", "lateral_reversal", "thermal_offset", "thermal_tilt", "drift", "cross_axis")
 

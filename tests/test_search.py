@@ -8,28 +8,27 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import vcal.loop.search
+import vcal.loop.search.search
 from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, Prior, close_loop, identify, predict
 from vcal.distributions import Normal
-from vcal.loop import screen as screening
-from vcal.loop.adding import Added
-from vcal.loop.candidates import candidates
-from vcal.loop.certainty import doubted
 from vcal.loop.close_loop import still_rejected
-from vcal.loop.closure import FoundEffect, Rejected
-from vcal.loop.dependence import dependence
-from vcal.loop.heldout import heldout_rms, improvement
-from vcal.loop.rivals import refit_all
-from vcal.loop.round import unlikely
-from vcal.loop.scan import Responses
-from vcal.loop.screen import Peak, Screen
-from vcal.loop.screening import screen
-from vcal.loop.search import Search
-from vcal.loop.shortlist import shortlist
-from vcal.loop.state import fitted
-from vcal.loop.unexplained import from_structure
-from vcal.loop.weighing import Names, preferred, weigh
+from vcal.loop.outcome.closure import FoundEffect, Rejected
+from vcal.loop.outcome.unexplained import from_structure
+from vcal.loop.residuals.dependence import dependence
+from vcal.loop.screening import score_test as screening
+from vcal.loop.screening.candidates import candidates
+from vcal.loop.screening.responses import Responses
+from vcal.loop.screening.score_test import Peak, Screen
+from vcal.loop.screening.screening import screen
+from vcal.loop.search.certainty import doubted
+from vcal.loop.search.forward_selection import Added
+from vcal.loop.search.round import shortlist, unlikely
+from vcal.loop.search.search import Search
+from vcal.loop.search.state import fitted
+from vcal.loop.weighing.cross_validation import heldout_rms, improvement
+from vcal.loop.weighing.rivals import refit_all
+from vcal.loop.weighing.weighing import Names, preferred, weigh
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +174,7 @@ def test_a_handful_of_numbers_depends_on_nothing(tracker):
 
 def test_no_covariate_that_varies_is_no_dependence(tracker, monkeypatch):
     fit = identify(tracker.model, noisy(tracker, 1), room=tracker.room)
-    monkeypatch.setattr("vcal.loop.dependence.distinct_covariates", lambda plan: {})
+    monkeypatch.setattr("vcal.loop.residuals.dependence.distinct_covariates", lambda plan: {})
     found = dependence(fit, 20, 0)
     assert found == ([], [], False, 1.0)
 
@@ -399,7 +398,7 @@ def test_an_interruption_leaves_what_is_in_the_model(tracker, monkeypatch):
 
     reached = []
     with monkeypatch.context() as patch:
-        patch.setattr(vcal.loop.search, "fitted", interrupted)
+        patch.setattr(vcal.loop.search.search, "fitted", interrupted)
         with pytest.raises(KeyboardInterrupt):
             run.prune(state, reached.append)
     assert run.rejected == [] and reached == []
@@ -570,7 +569,7 @@ def test_a_run_of_circles_alone_can_name(tmp_path):
 @pytest.mark.parametrize(("left", "kept"), [(300.0, True), (100.0, False)])
 def test_a_search_anew_does_not_end_with_less(monkeypatch, left, kept):
     """Where a description ends the search anew that leaves more than what was there, that stays."""
-    module = importlib.import_module("vcal.loop.search")
+    module = importlib.import_module("vcal.loop.search.search")
     monkeypatch.setattr(module, "without", lambda *args: SimpleNamespace(
         converged=True, model=None, measurement=None))  # fmt: skip
     bare = SimpleNamespace(fit="bare")
@@ -601,7 +600,7 @@ def test_a_search_anew_takes_the_same_effect_at_a_better_moment(monkeypatch, lef
     """It may have begun at a wrong one, beside what was not yet known; of the readings, those count
     that both fits use.
     """
-    module = importlib.import_module("vcal.loop.search")
+    module = importlib.import_module("vcal.loop.search.search")
     monkeypatch.setattr(module, "without", lambda *args: SimpleNamespace(
         converged=True, model=None, measurement=None))  # fmt: skip
     monkeypatch.setattr(module, "fitted", lambda *args: None)
@@ -646,7 +645,7 @@ def named(key: str) -> SimpleNamespace:
 
 def of_names(monkeypatch, state, item) -> Search:
     """A search whose states are but the names in them."""
-    module = importlib.import_module("vcal.loop.search")
+    module = importlib.import_module("vcal.loop.search.search")
 
     def without(state, place, room):
         left = (*state.names[:place], *state.names[place + 1 :])
@@ -771,7 +770,7 @@ def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, mo
     one does not hold, neither does what fits as it does; one that holds and makes too little of a
     difference is no reason against another.
     """
-    module = importlib.import_module("vcal.loop.adding")
+    module = importlib.import_module("vcal.loop.search.forward_selection")
     run = searching(tracker)
     state = fitted(tracker.model, noisy(tracker, 3), None, tracker.room)
     large, expected = (
@@ -818,8 +817,8 @@ def test_what_can_be_done_without_makes_room(tracker, monkeypatch):
         if dropped:
             return prune(self, state, reached)
         dropped.append(self.added(state)[0])
-        less = vcal.loop.search.without(
-            state, vcal.loop.search._place(state, dropped[0]), self.room
+        less = vcal.loop.search.search.without(
+            state, vcal.loop.search.search._place(state, dropped[0]), self.room
         )
         return self._drop(dropped[0], less, "for trial")
 

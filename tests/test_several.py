@@ -11,26 +11,24 @@ import pytest
 
 from joint import alone, at_temperatures, write_joint
 from oracle import as_study, make_case, tool_point
-from vcal import (
-    CATALOGUE,
-    Measurement,
-    StudyError,
-    close_loop,
-    identify,
-    load_study,
-    predict,
-)
+from vcal import CATALOGUE, Measurement, StudyError, close_loop, identify, load_study, predict
 from vcal.demo import FOLDER
 from vcal.effects.data_set import OfDataSet
 from vcal.effects.geometric import GeometricErrors
 from vcal.effects.r_test import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
-from vcal.io.simulated import parse_with, write_simulated
-from vcal.loop.candidates import candidates
-from vcal.loop.certainty import doubted
-from vcal.loop.closure import Errors
-from vcal.loop.dependence import dependence
-from vcal.loop.heldout import (
+from vcal.loop.empirical.covariates import distinct_covariates
+from vcal.loop.notes import _elsewhere, _few_check_points, _worse, contradiction
+from vcal.loop.notes import alone as alone_fit
+from vcal.loop.outcome.closure import Errors
+from vcal.loop.outcome.unexplained import from_structure
+from vcal.loop.residuals.dependence import dependence
+from vcal.loop.residuals.outliers import stray_rows
+from vcal.loop.screening.candidates import candidates
+from vcal.loop.screening.score_test import Screen
+from vcal.loop.search.certainty import doubted
+from vcal.loop.search.state import chi2_per_dof, fitted
+from vcal.loop.weighing.cross_validation import (
     Rms,
     check_rms,
     folds_of,
@@ -39,17 +37,10 @@ from vcal.loop.heldout import (
     rms_fall,
     weighted_squares,
 )
-from vcal.loop.notes import _elsewhere, _few_check_points, _worse
-from vcal.loop.recorded import distinct_covariates
-from vcal.loop.screen import Screen
-from vcal.loop.state import chi2_per_dof, fitted
-from vcal.loop.stray import stray_rows
-from vcal.loop.together import alone as alone_fit
-from vcal.loop.together import contradiction
-from vcal.loop.unexplained import from_structure
-from vcal.plan import DATA_SET, of_set
+from vcal.machine.plan import DATA_SET, of_set
+from vcal.numerics.spatial import align_rigid
 from vcal.report import write_report
-from vcal.spatial import align_rigid
+from vcal.study.simulated import parse_with, write_simulated
 from vcal.uncertainty import ParameterErrors, linearised
 from vcal.uncertainty.campaign import virtual_pair
 

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize_scalar
+from vcal.geometry.compensated import compensated_points
 
 from known import Known
 from vcal import Effect, Measurement, Parameter, Plan, identify
 from vcal.effects.cyclic import ScrewCyclic
-from vcal.fit import shape_step
+from vcal.identification.fit import shape_step
+from vcal.identification.shape_steps import Step, Walk
 from vcal.loop.empirical import Kink
-from vcal.loop.heldout import compensated_points
-from vcal.walk import Step, Walk
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ import pytest
 from vcal import StudyError, identify, load_study, predict
 from vcal.design.judged import grid_points
 from vcal.effects.base import Setup
-from vcal.io.simulated import parse_with, write_simulated
-from vcal.model import Model
-from vcal.simulate import (
+from vcal.model.forward import Model
+from vcal.model.simulate import (
     Truth,
+    conditions_at,
     draw,
     draw_truth,
     prepare,
@@ -22,7 +22,7 @@ from vcal.simulate import (
     simulate,
     true_tool_points,
 )
-from vcal.uncertainty.quantities import conditions_at
+from vcal.study.simulated import parse_with, write_simulated
 
 KEY = jax.random.key(3)
 

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 import vcal
 from test_rotary import BALLS, SETUP, TOOL, errors_of, frame, point, positions
-from vcal.batch import identify_alone, identify_one, prepare_batch
-from vcal.chain import chain_from_string
 from vcal.errors import StudyError
-from vcal.model import Model
-from vcal.simulate import simulate
+from vcal.identification.batch import identify_alone, identify_one, prepare_batch
+from vcal.machine.chain import chain_from_string
+from vcal.model.forward import Model
+from vcal.model.simulate import simulate
 
 PROBES = np.array([[0.8, 0.0, 0.6], [-0.4, 0.69, 0.6], [-0.4, -0.69, 0.6]])
 INSTRUMENT = """

@@ -16,8 +16,8 @@ import pytest
 from jax.numpy import arctan, cos, exp, pi, sin
 from scipy.optimize import curve_fit
 
-from vcal.least_squares import Status, covariance, least_squares
-from vcal.programs import known_options
+from vcal.numerics.compiled import known_options
+from vcal.numerics.least_squares import Status, covariance, least_squares
 
 SETS = json.loads((Path(__file__).parent / "strd" / "strd.json").read_text(encoding="utf-8"))
 

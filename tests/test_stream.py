@@ -14,10 +14,10 @@ import pytest
 
 import vcal
 from vcal.uncertainty import Field, Output, numerical_tolerance, stream
+from vcal.uncertainty.adaptive import step_size
 from vcal.uncertainty.checkpoint import STATE
 from vcal.uncertainty.intervals import coverage_interval, interval_ranks
-from vcal.uncertainty.sketch import quantile_ranks, sketch_of
-from vcal.uncertainty.steps import step_size
+from vcal.uncertainty.quantile_counts import quantile_ranks, sketch_of
 
 OUTPUTS = [Output("a"), Output("b", (2,))]
 FIELDS = [Field("map", (4, 3), (0.025, 0.5, 0.975))]

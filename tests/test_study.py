@@ -8,10 +8,10 @@ import pytest
 
 from vcal.effects import CATALOGUE
 from vcal.errors import StudyError
-from vcal.identify import identify
+from vcal.identification.identify import identify
 from vcal.instruments import INSTRUMENTS
-from vcal.io import load_study, read_table, write_table
-from vcal.loop.heldout import foretold
+from vcal.loop.weighing.cross_validation import foretold
+from vcal.study import load_study, read_table, write_table
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 PRACTICE = sorted((DATA / "practice").glob("[01][0-9]_*"))

@@ -8,10 +8,10 @@ import pytest
 
 from known import Known
 from vcal import Measurement, identify
-from vcal.loop.rivals import refit_all
-from vcal.loop.screen import Screen
-from vcal.loop.state import chi2_per_dof
-from vcal.loop.subsets import _Linear, _together, smallest_subset
+from vcal.loop.screening.score_test import Screen
+from vcal.loop.search.state import chi2_per_dof
+from vcal.loop.weighing.rivals import refit_all
+from vcal.loop.weighing.subsets import _Linear, _together, smallest_subset
 
 EFFECTS = (
     "backlash:X",

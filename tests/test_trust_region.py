@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from vcal.least_squares import Status
-from vcal.trust_region import within_prior
+from vcal.numerics.least_squares import Status
+from vcal.numerics.trust_region import within_prior
 
 
 def curved(z, data):

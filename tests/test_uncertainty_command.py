@@ -17,14 +17,14 @@ from typer.testing import CliRunner
 
 import vcal
 from vcal.cli import app
-from vcal.cli.virtual import parse_draws
-from vcal.model import port_values, tool_points
+from vcal.cli.uncertainty import parse_draws
+from vcal.model.forward import port_values, tool_points
+from vcal.model.simulate import conditions_at
 from vcal.report import Badge, Picture, Section, Table, Tile, sheet
-from vcal.report.place import Place
-from vcal.report.uncertainty_page import _badge, _volumetric
-from vcal.report.uncertainty_pictures import virtual_pictures
-from vcal.report.uncertainty_record import sentence
-from vcal.uncertainty.quantities import conditions_at
+from vcal.report.html.folder import Place
+from vcal.report.uncertainty.page import _badge, _volumetric
+from vcal.report.uncertainty.pictures import virtual_pictures
+from vcal.report.uncertainty.record import sentence
 from vcal.uncertainty.virtual import Scalar, VirtualCalibration, virtual_calibration
 
 SETUP = """\
@@ -395,7 +395,7 @@ def test_interrupted_before_there_is_anything(study, tmp_path, monkeypatch):
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vcal.cli.virtual.virtual_calibration", interrupted)
+    monkeypatch.setattr("vcal.cli.uncertainty.virtual_calibration", interrupted)
     out = tmp_path / "deep" / "out"
     shown = run("uncertainty", study, "--out", out, code=130)
     assert shown.stderr == "vcal: interrupted; nothing was written\n"

@@ -9,14 +9,14 @@ from scipy.spatial.transform import Rotation
 from known import Known
 from oracle import example_arm, make_case, write_study
 from vcal import StudyError, load_study
-from vcal.chain import chain_from_dh, chain_from_string
-from vcal.design.ball_array import ArrayPoses, derived
+from vcal.design.spaces.ball_information import ArrayPoses, derived
 from vcal.effects import Setup
 from vcal.effects.arm import gravity_moments
 from vcal.effects.sag import PayloadSag
-from vcal.model import effect_terms, port_values, tool_points
-from vcal.plan import Plan
-from vcal.ports import PortLayout
+from vcal.machine.chain import chain_from_dh, chain_from_string
+from vcal.machine.plan import Plan
+from vcal.machine.ports import PortLayout
+from vcal.model.forward import effect_terms, port_values, tool_points
 
 TRAVEL = {"X": (0.0, 0.8), "Y": (0.0, 0.6), "Z": (0.0, 0.5)}
 LYING = Rotation.from_euler("X", -90, degrees=True).as_matrix()

@@ -5,8 +5,8 @@ import pytest
 
 from test_r_test import circles, write
 from vcal import StudyError
-from vcal.io import load_study, read_table, write_table
-from vcal.io.simulated import write_simulated
+from vcal.study import load_study, read_table, write_table
+from vcal.study.simulated import write_simulated
 
 UNIX = 1700000000.0
 

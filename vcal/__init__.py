@@ -5,7 +5,7 @@ what was commanded, and under which conditions, to what the instrument read. The
 package are uses of that one function.
 """
 
-from .starting import starting
+from .startup import starting
 
 # Most of the time that a command takes to start.
 with starting():
@@ -13,15 +13,15 @@ with starting():
 
     from .effects import CATALOGUE, Effect, register
     from .errors import StudyError
-    from .fit import Fit
-    from .identify import identify
-    from .io import Study, load_study
+    from .identification.fit import Fit
+    from .identification.identify import identify
     from .loop.close_loop import close_loop
-    from .loop.closure import Closure
-    from .measurement import CheckPoints, Measurement
-    from .model import Model, predict
-    from .parameters import Parameter, Prior
-    from .plan import Plan
+    from .loop.outcome.closure import Closure
+    from .machine.parameters import Parameter, Prior
+    from .machine.plan import Plan
+    from .model.forward import Model, predict
+    from .model.measurement import CheckPoints, Measurement
+    from .study import Study, load_study
 
 __version__ = "0.1.0"
 

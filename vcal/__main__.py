@@ -2,7 +2,7 @@
 
 import gc
 
-from .starting import starting
+from .startup import starting
 
 
 def main() -> None:

@@ -24,8 +24,8 @@ from vcal.instruments import (
     linear_plan,
     linear_plan_table,
 )
-from vcal.ports import group
-from vcal.rigid import Vector
+from vcal.machine.ports import group
+from vcal.numerics.rigid import Vector
 
 
 class BallBarSettings(InstrumentSettings):

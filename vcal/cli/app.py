@@ -139,7 +139,7 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
     from .. import load_study
     from ..errors import StudyError
     from ..report import check_folder, write_report
-    from .closing import close_study
+    from .loop import close_study
     from .show import show_closure
 
     check_folder(out)  # before the work, not after it
@@ -177,7 +177,7 @@ def init(
     ] = "laser_tracker",
 ) -> None:
     """Write a commented study folder to start from."""
-    from .folders import write_start
+    from .start_studies import write_start
 
     names = write_start(instrument, folder)
     typer.echo(f"Wrote {folder}: {', '.join(names)}.")
@@ -211,7 +211,7 @@ def simulate(
     """Make data as of a machine drawn from its priors, at the positions of a study."""
     start()
     from .. import load_study
-    from ..io.simulated import parse_every_with, write_simulated
+    from ..study.simulated import parse_every_with, write_simulated
 
     with working("simulating"):
         study = load_study(setup, override or [])
@@ -261,7 +261,7 @@ def uncertainty(
     OUT/draws, from where the same command goes on; that folder goes when the report is complete.
     """
     start()
-    from .virtual import run_virtual
+    from .uncertainty import run_virtual
 
     command = ["vcal", "uncertainty", str(setup), "--out", str(out), "--draws", draws]
     command += ["--seed", str(seed), "--noise-factor", f"{noise_factor:g}"]
@@ -408,12 +408,12 @@ def effects(
 ) -> None:
     """List the effects of the catalogue, or explain one."""
     from ..effects import CATALOGUE, effect_class
-    from .folders import example
     from .show import show_catalogue, show_effect
+    from .start_studies import example
 
     chosen = list(CATALOGUE.values()) if name is None else [effect_class(name)]
     if out is not None:
-        from ..report.effect_page import write_effects
+        from ..report.effects.page import write_effects
 
         start()
         page = write_effects(chosen, {e.name: example(e) for e in chosen}, out)

@@ -5,18 +5,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..design.following import follow
-from ..design.optimise import optimise
-from ..design.seen import seen
+from ..design.next_measurement import follow
+from ..design.optimise import optimise, seen
 from ..design.separation import Separation
 from ..errors import StudyError
-from ..io import Study, load_study
-from ..io.design import check_designed, design_task
-from ..io.separate import Wanted, parse_rivals, rivals_of
-from ..report.design import check_design_folder, write_design, write_following
-from ..report.design_record import design_sentence
-from ..report.following_page import carried_over, following_sentence
-from .closing import close_study
+from ..report.design.next_page import carried_over, following_sentence
+from ..report.design.record import design_sentence
+from ..report.design.write import check_design_folder, write_design, write_following
+from ..study import Study, load_study
+from ..study.design.rivals import Wanted, parse_rivals, rivals_of
+from ..study.design.task import check_designed, design_task
+from .loop import close_study
 
 _MORE = {"pose": 1, "point": 10}
 """Groups of the next measurement, where the study does not say."""

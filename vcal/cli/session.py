@@ -17,7 +17,7 @@ import typer
 
 from .. import enable_float64
 from ..errors import StudyError
-from ..io.own_code import told
+from ..study.plugins.trial import told
 
 MISTAKE = 2
 """Exit code where the input cannot be used."""

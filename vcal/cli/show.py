@@ -10,28 +10,21 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ..chain import Joint
 from ..effects.base import Effect, Setup
 from ..instruments.conditions import file_name, inside_name
-from ..io import Study, read_header
-from ..io.declared import choices
-from ..io.messages import shown
-from ..io.study import DataSet, looked_for
-from ..loop.candidates import candidates
-from ..loop.closure import Closure, Errors
-from ..loop.confounded import confounding
-from ..loop.heldout import Rms
-from ..measurement import Measurement, rows_in_words
-from ..plan import Plan
-from ..report.derived import (
-    FEW,
-    Listed,
-    declared,
-    in_short,
-    missing_columns,
-    parameters,
-)
-from ..report.text import COVERAGE, probability, with_uncertainty
+from ..loop.outcome.closure import Closure, Errors
+from ..loop.residuals.confounded import confounding
+from ..loop.screening.candidates import candidates
+from ..loop.weighing.cross_validation import Rms
+from ..machine.chain import Joint
+from ..machine.plan import Plan
+from ..model.measurement import Measurement, rows_in_words
+from ..report.html.text import COVERAGE, probability, with_uncertainty
+from ..report.loop.derived import FEW, Listed, declared, in_short, missing_columns, parameters
+from ..study import Study, read_header
+from ..study.declared_effects import choices
+from ..study.messages import shown
+from ..study.study import DataSet, looked_for
 
 _MOST = 6
 _FEW_RIVALS, _TOLD = 3, 0.05

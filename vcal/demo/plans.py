@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..chain import chain_from_string
 from ..instruments.laser_frame import beam_path
-from ..io import write_table
-from ..spatial import euler_xyz
+from ..machine.chain import chain_from_string
+from ..numerics.spatial import euler_xyz
+from ..study import write_table
 
 Columns = dict[str, np.ndarray]
 

@@ -1,8 +1,35 @@
 """Measurements designed before they are made: what they will leave uncertain, and its gradient."""
 
-from .array_space import ArraySpace, Candidate, spread
+from ..geometry.volumetric import (
+    Displacements,
+    Gram,
+    displacements,
+    expected_rms,
+    gram_for,
+    volumetric_gram,
+)
+from ..identification.posterior import (
+    covariance,
+    curvature,
+    expanded,
+    information,
+    inverse,
+    jacobian,
+    precision,
+)
+from ..identification.rank import Rank, flat_rank, rank_of
 from .average import Average, weigh_average
-from .ball_array import (
+from .criteria import CRITERIA, Criterion, Judged
+from .exchange import Choice, exchange
+from .minimax import Minimax, minimax
+from .next_measurement import Following, follow
+from .optimise import Designed, Task, optimise
+from .plan_space import DesignSettings, PlanSpace, Subject
+from .search import Found, search
+from .separation import Rival, Separation
+from .spaces import SPACES
+from .spaces.array_bounds import ArraySpace, Candidate, spread
+from .spaces.ball_information import (
     ArrayPoses,
     PoseInformation,
     Touches,
@@ -11,26 +38,6 @@ from .ball_array import (
     pairs_precision,
     pose_information,
     touches,
-)
-from .criteria import CRITERIA, Criterion, Judged
-from .exchange import Choice, exchange
-from .following import Following, follow
-from .minimax import Minimax, minimax
-from .mismatch import Left, drawn_errors, expected_error, fitted_places
-from .optimise import Designed, Task, optimise
-from .plan_space import DesignSettings, PlanSpace, Subject
-from .posterior import covariance, curvature, expanded, information, inverse, jacobian, precision
-from .rank import Rank, flat_rank, rank_of
-from .search import Found, search
-from .separation import Rival, Separation
-from .spaces import SPACES
-from .volume import (
-    Displacements,
-    Gram,
-    displacements,
-    expected_rms,
-    gram_for,
-    volumetric_gram,
 )
 from .weights import Weights, apportion, weigh
 
@@ -50,7 +57,6 @@ __all__ = [
     "Found",
     "Gram",
     "Judged",
-    "Left",
     "Minimax",
     "PlanSpace",
     "PoseInformation",
@@ -67,12 +73,9 @@ __all__ = [
     "covariance",
     "curvature",
     "displacements",
-    "drawn_errors",
     "exchange",
     "expanded",
-    "expected_error",
     "expected_rms",
-    "fitted_places",
     "flat_rank",
     "follow",
     "gram_for",

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
-from ..catalogue import Catalogue
-from ..model import Model
-from .posterior import expanded
-from .volume import Gram, expected_rms
+from ..geometry.volumetric import Gram, expected_rms
+from ..identification.posterior import expanded
+from ..model.forward import Model
+from ..numerics.arrays import Array
+from ..registry import Catalogue
 
 MICRO = 1e-6
 _POWER = 24.0

@@ -6,15 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..chain import Chain
-from ..model import Model
-from ..plan import Plan
-from ..ports import COMPONENTS
-from ..simulate import scattered, travels
-from ..straight_lines import StraightLines
-from ..uncertainty.quantities import conditions_at
+from ..geometry.straight_lines import StraightLines
+from ..geometry.volumetric import displacements, volumetric_gram
+from ..machine.chain import Chain
+from ..machine.plan import Plan
+from ..machine.ports import COMPONENTS
+from ..model.forward import Model
+from ..model.simulate import conditions_at, scattered, travels
 from .criteria import ErrorMotion, Judged
-from .volume import displacements, volumetric_gram
 
 NODES = 21
 """Positions along every axis at which the uncertainty of its error motions is asked for."""

@@ -14,8 +14,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
-from ..programs import outer_jit
+from ..numerics.arrays import Array
+from ..numerics.compiled import outer_jit
 
 
 @dataclass(frozen=True)

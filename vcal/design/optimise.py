@@ -9,15 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
 from ..errors import StudyError
-from ..programs import outer_jit
+from ..geometry.volumetric import expected_rms
+from ..identification.posterior import eliminated, inverse
+from ..identification.rank import rank_of
+from ..model.forward import Model
+from ..numerics.arrays import Array
+from ..numerics.compiled import outer_jit
 from .criteria import MICRO, Criterion, Judged, averaged
 from .judged import prior_covariance
 from .plan_space import NOT_TRACED, PlanSpace, starts_of
-from .posterior import eliminated, inverse
 from .search import Found, search
-from .volume import expected_rms
 
 _FITS_M = 1e-9
 _TOLERANCE = 1e-5
@@ -241,3 +243,28 @@ def _value(values) -> Value:
     criterion, aligned, raw, courses = values
     largest = np.array([np.asarray(c).max() for c in courses])
     return Value(float(criterion), float(aligned), float(raw), largest)
+
+
+class Seen(NamedTuple):
+    """Rank of all readings by all amplitudes and unknown poses, without any prior."""
+
+    columns: int
+    rank: int
+    unseen: tuple[str, ...]
+    """Errors and effects that are part of what no reading shows."""
+
+
+def seen(task: Task, placed: Any) -> Seen:
+    """Of a plan, by the study's own family."""
+    space, model = task.space, task.families[0].model
+    plan, instrument = space.plan(placed), space.instrument(placed)
+    nuisances = [e for e in instrument.effects(plan) if e.kind == "nuisance"]
+    whole = Model(model.chain, instrument, (*model.effects, *nuisances))
+    found = rank_of(whole, plan)
+    names = []
+    for i in found.mixed:
+        entry = whole.entries[i]
+        if i < len(model.entries):
+            own = entry.parameter.name.split(".")[0]
+            names.append(own if entry.key == "geometric" else entry.key)
+    return Seen(found.columns, found.rank, tuple(dict.fromkeys(names)))

@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..arrays import Array
-from ..catalogue import Catalogue
-from ..chain import Chain
 from ..errors import StudyError
 from ..instruments.base import TableInstrument
-from ..model import Model
-from ..plan import Plan
-from ..programs import outer_jit
+from ..machine.chain import Chain
+from ..machine.plan import Plan
+from ..model.forward import Model
+from ..numerics.arrays import Array
+from ..numerics.compiled import outer_jit
+from ..registry import Catalogue
 
 Goal = Literal["volume", "largest", "determinant"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from ..programs import outer_jit
+from ..numerics.compiled import outer_jit
 
 
 @dataclass(frozen=True)

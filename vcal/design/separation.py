@@ -19,12 +19,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtri, chndtr
 
-from ..arrays import Array
 from ..effects.base import Effect
 from ..errors import StudyError
-from ..model import Model
+from ..identification.posterior import eliminated
+from ..model.forward import Model
+from ..numerics.arrays import Array
 from .plan_space import PlanSpace, Varied
-from .posterior import eliminated
 
 ALPHA = 0.01
 """Share of measurements without A in which the test may fire."""

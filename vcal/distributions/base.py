@@ -17,8 +17,8 @@ from jax.scipy.special import ndtr
 from jax.typing import ArrayLike
 from jaxtyping import Float, PRNGKeyArray
 
-from ..arrays import Array
-from ..record import Record
+from ..numerics.arrays import Array
+from ..numerics.record import Record
 from .scores import score_coefficients
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Float, PRNGKeyArray
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .base import Univariate, degrees, demand, finite, number, ordered
 from .registry import register
 

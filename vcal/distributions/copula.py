@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .base import Multivariate, Univariate, in_float64
 from .matrix import correlation_matrix, square_root
 from .registry import register

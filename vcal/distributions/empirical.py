@@ -9,7 +9,7 @@ import numpy as np
 from jax.scipy.special import ndtri
 from jaxtyping import Float, PRNGKeyArray
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .base import Univariate, counts, in_float64, number
 from .registry import register
 from .scores import step_coefficients

@@ -9,7 +9,7 @@ from jax.scipy.special import gammainc
 from jax.typing import ArrayLike
 from jaxtyping import Float, PRNGKeyArray
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .base import Univariate, degrees, demand, number, ordered, positive
 from .inverse import gamma_log_quantile
 from .registry import register

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from ..arrays import Array
-from ..catalogue import nearest
-from ..record import Record
+from ..numerics.arrays import Array
+from ..numerics.record import Record
+from ..registry import nearest
 from .base import Distribution
 from .copula import GaussianCopula
 

@@ -22,7 +22,7 @@ from jax.nn import softplus
 from jax.scipy.special import betainc, gammainc, gammaincc, gammaln, ndtri
 from jaxtyping import Bool, Float
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 
 _STEPS = 8
 # Leading terms of the tails are exact where x (or 1 - x) is this far below its natural scale.

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .base import Multivariate, counts, demand, in_float64, number, positive
 from .matrix import covariance_matrix, square_root
 from .registry import register

@@ -10,7 +10,7 @@ from jax.scipy.special import ndtr, ndtri
 from jax.typing import ArrayLike
 from jaxtyping import Float, PRNGKeyArray
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .base import Univariate, degrees, demand, finite, number, positive
 from .inverse import (
     beta_logit_quantile,

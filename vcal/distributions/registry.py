@@ -3,8 +3,8 @@
 import inspect
 from typing import Any
 
-from ..catalogue import Catalogue, nearest
 from ..errors import StudyError
+from ..registry import Catalogue, nearest
 from .base import Distribution
 
 CATALOGUE: Catalogue[type[Distribution]] = Catalogue("distribution")

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 
 # Beyond 37 the normal tail is below the smallest normal float64, and a quantile of it infinite.
 _REACH = 37.0

@@ -9,7 +9,7 @@ from jax.scipy.special import gammainc, gammaln, ndtr, ndtri, xlogy
 from jax.typing import ArrayLike
 from jaxtyping import Float, PRNGKeyArray
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .base import Univariate, degrees, finite, number, ordered, positive
 from .inverse import beta_logit_quantile, beta_tails, gamma_log_quantile, log_beta
 from .registry import register

@@ -20,15 +20,7 @@ from .identify import Identified, identify_machine, task
 from .modes import Modes, check_supported, modes
 from .response import response
 from .setpoints import Limits, Profile, SetCircle, circle_set, positioning
-from .unknowns import (
-    CentreShift,
-    DampingFactor,
-    Delay,
-    DriveFactor,
-    SpringFactor,
-    Unknown,
-    applied,
-)
+from .unknowns import CentreShift, DampingFactor, Delay, DriveFactor, SpringFactor, Unknown, applied
 
 __all__ = [
     "Body",

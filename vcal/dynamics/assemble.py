@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
-from ..spatial import require_float64, skew
+from ..numerics.arrays import Array
+from ..numerics.spatial import require_float64, skew
 from .bodies import GROUND, Machine
 
 

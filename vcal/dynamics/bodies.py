@@ -8,8 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from ..arrays import Array
-from ..chain import Chain
+from ..machine.chain import Chain
+from ..numerics.arrays import Array
 
 GROUND = "ground"
 """What a foundation stands on."""

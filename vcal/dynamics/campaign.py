@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..arrays import Array
-from ..least_squares import Status
+from ..numerics.arrays import Array
+from ..numerics.least_squares import Status
 from .assemble import assemble
 from .bodies import Machine
 from .circles import Phasors, set_phasors

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ..arrays import Array
 from ..instruments.r_test import PLANES, RTest
-from ..measurement import Measurement
+from ..model.measurement import Measurement
+from ..numerics.arrays import Array
 from .closed_loop import ClosedLoop, steady
 from .setpoints import SetCircle
 

@@ -20,7 +20,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Bool, Complex, Float
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .assemble import Structure
 from .control import Controller
 

@@ -9,7 +9,7 @@ the tool point against the scales is E a.
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .assemble import Structure
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .assemble import Structure
 
 

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from ..circles import fit_circle
 from ..instruments.r_test import RTest
-from ..measurement import Measurement
+from ..machine.circles import fit_circle
+from ..model.measurement import Measurement
 
 _AXES = "XYZ"
 Acceleration = Literal["nominal", "actual"]

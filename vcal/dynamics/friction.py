@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .assemble import Structure, assemble, between
 from .bodies import Machine
 from .closed_loop import PENDING, Response, set_points

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .assemble import Structure
 from .closed_loop import check_sampled, close
 from .control import Controller

@@ -19,10 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ..arrays import Array
-from ..least_squares import Status
-from ..programs import outer_filter_jit
-from ..trust_region import Found, within_prior
+from ..numerics.arrays import Array
+from ..numerics.compiled import outer_filter_jit
+from ..numerics.least_squares import Status
+from ..numerics.trust_region import Found, within_prior
 from .assemble import Structure, assemble
 from .bodies import Machine
 from .circles import Phasors, answers

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 from .assemble import Structure
 from .control import Controller
 

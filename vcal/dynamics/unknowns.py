@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from ..arrays import Array
-from ..catalogue import nearest
+from ..numerics.arrays import Array
+from ..registry import nearest
 from .bodies import Machine, Scalar
 from .control import Controller
 

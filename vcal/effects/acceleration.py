@@ -12,10 +12,10 @@ from typing import ClassVar
 import equinox as eqx
 import numpy as np
 
-from ..arrays import Array, namespace
-from ..circles import squared_pace
-from ..parameters import Parameter
-from ..plan import Plan, of_set
+from ..machine.circles import squared_pace
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan, of_set
+from ..numerics.arrays import Array, namespace
 from .base import Effect, Response, Setup
 from .registry import register
 

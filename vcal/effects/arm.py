@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation as Turn
 
-from ..arrays import Array, namespace
-from ..chain import Chain
-from ..kept import Kept
-from ..parameters import Parameter
-from ..plan import Plan
-from ..record import Record
+from ..machine.chain import Chain
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array, namespace
+from ..numerics.identity_cache import Kept
+from ..numerics.record import Record
 from .base import Effect, Response, Setup
 from .registry import register
 

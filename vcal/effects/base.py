@@ -16,12 +16,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..arrays import Array
-from ..chain import Chain
-from ..parameters import Parameter, Prior
-from ..plan import Plan
-from ..ports import PortLayout
-from ..record import Record
+from ..machine.chain import Chain
+from ..machine.parameters import Parameter, Prior
+from ..machine.plan import Plan
+from ..machine.ports import PortLayout
+from ..numerics.arrays import Array
+from ..numerics.record import Record
 
 Response = Mapping[tuple[str, str], Float[Array, "..."]]
 """(port, amplitude) -> deviation of that port per SI unit of that amplitude, one value per row."""

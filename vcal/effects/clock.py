@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import Array
-from ..plan import Plan
+from ..machine.plan import Plan
+from ..numerics.arrays import Array
 from .base import Setup
 
 

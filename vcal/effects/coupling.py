@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping
 import equinox as eqx
 import numpy as np
 
-from ..arrays import Array
-from ..parameters import Parameter
-from ..plan import Plan
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array
 from .base import Effect, Response, Setup
 from .registry import register
 

@@ -7,9 +7,9 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from ..arrays import Array, namespace
-from ..parameters import Parameter
-from ..plan import Plan
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array, namespace
 from .base import Effect, Response, Setup, along
 from .registry import register
 

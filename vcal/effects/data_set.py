@@ -6,10 +6,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool
 
-from ..arrays import Array, namespace
-from ..parameters import Parameter
-from ..plan import Plan, of_set
-from ..ports import PortLayout
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan, of_set
+from ..machine.ports import PortLayout
+from ..numerics.arrays import Array, namespace
 from .base import Effect, Response, Setup
 
 

@@ -6,13 +6,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array, namespace
-from ..basis import Basis, Constant, Legendre
-from ..chain import Chain
 from ..distributions import Univariate
-from ..parameters import Parameter
-from ..plan import Plan
-from ..record import Record
+from ..machine.chain import Chain
+from ..machine.error_functions import Basis, Constant, Legendre
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array, namespace
+from ..numerics.record import Record
 from .base import Effect, Response, Setup
 from .registry import register
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Mapping
 
-from ..arrays import Array, namespace
-from ..parameters import Parameter
-from ..plan import Plan
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array, namespace
 from .base import Effect, Response, Setup
 from .registry import register
 

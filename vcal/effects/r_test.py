@@ -6,9 +6,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array, namespace
-from ..parameters import Parameter
-from ..plan import Plan
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array, namespace
 from .acceleration import paces_differ
 from .base import Effect, Response, Setup
 from .registry import register

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ..catalogue import Catalogue, run_file
+from ..registry import Catalogue, run_file
 from .base import Effect
 
 CATALOGUE: Catalogue[type[Effect]] = Catalogue("effect")

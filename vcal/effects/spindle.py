@@ -5,10 +5,10 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array, namespace
-from ..parameters import Parameter
-from ..plan import Plan
-from ..record import Record
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array, namespace
+from ..numerics.record import Record
 from .base import Effect, Response, Setup
 from .registry import register
 

@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator, Mapping
 import equinox as eqx
 import numpy as np
 
-from ..arrays import Array, namespace
-from ..chain import Chain
-from ..parameters import Parameter
-from ..plan import Plan
+from ..machine.chain import Chain
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array, namespace
 from .base import Effect, Response, Setup, across, along
 from .clock import TIME, Clock, beginning, clock
 from .registry import register

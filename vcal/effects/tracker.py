@@ -4,10 +4,10 @@ from collections.abc import Iterable, Mapping
 
 import equinox as eqx
 
-from ..arrays import Array, namespace
-from ..parameters import Parameter
-from ..plan import Plan
-from ..ports import COMPONENTS
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..machine.ports import COMPONENTS
+from ..numerics.arrays import Array, namespace
 from .base import Effect, Response, Setup
 from .clock import TIME, Clock, beginning, clock
 from .registry import register

@@ -6,10 +6,10 @@ from typing import get_args
 import equinox as eqx
 import numpy as np
 
-from ..arrays import Array, namespace
-from ..chain import Chain
-from ..parameters import Parameter
-from ..plan import Plan
+from ..machine.chain import Chain
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array, namespace
 from .arm import Load, gravity_arms, stretched
 from .base import Effect, Response, Setup
 from .registry import register

@@ -7,15 +7,15 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..arrays import Array
-from ..chain import Chain
 from ..effects.base import Artefact, Effect, Response
 from ..errors import RowError, StudyError
-from ..parameters import Parameter
-from ..plan import Plan
-from ..ports import COMPONENTS, group
-from ..rigid import Rotation, Scalar, Vector
-from ..spatial import best_rigid
+from ..machine.chain import Chain
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..machine.ports import COMPONENTS, group
+from ..numerics.arrays import Array
+from ..numerics.rigid import Rotation, Scalar, Vector
+from ..numerics.spatial import best_rigid
 from .base import (
     LARGEST_NOISE,
     SMALLEST_NOISE,

@@ -6,11 +6,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
 from ..effects.base import Effect, Response
-from ..parameters import Parameter
-from ..plan import Plan
-from ..spatial import rigid_columns
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array
+from ..numerics.spatial import rigid_columns
 
 
 class BallShape(Effect):

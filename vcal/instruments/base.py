@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..arrays import Array
-from ..catalogue import Catalogue
-from ..chain import Chain
 from ..effects.base import Artefact, Effect
-from ..plan import Plan
-from ..record import Record
-from ..rigid import Rotation, Scalar, Vector
+from ..machine.chain import Chain
+from ..machine.plan import Plan
+from ..numerics.arrays import Array
+from ..numerics.record import Record
+from ..numerics.rigid import Rotation, Scalar, Vector
+from ..registry import Catalogue
 
 
 class Column(BaseModel):

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from ..spatial import best_rigid
+from ..numerics.spatial import best_rigid
 
 _RATIOS = np.r_[0.0, np.geomspace(1e-6, 1e6, 49)]
 _KNOCKED = 5.0

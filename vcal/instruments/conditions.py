@@ -12,8 +12,8 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from ..chain import Chain
-from ..plan import Plan
+from ..machine.chain import Chain
+from ..machine.plan import Plan
 from .base import Instrument
 
 GROUPS = ("point", "pose", "ball", "run", "segment")

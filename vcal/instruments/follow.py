@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..arrays import Array
-from ..chain import Chain
 from ..errors import RowError
-from ..plan import Plan
+from ..machine.chain import Chain
+from ..machine.plan import Plan
+from ..numerics.arrays import Array
 from .conditions import LINEAR, file_column
 
 _MOST_OFF = 0.02

@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..arrays import Array
 from ..effects.base import Effect, Response
-from ..parameters import Parameter
-from ..plan import Plan
-from ..ports import COMPONENTS
-from ..rigid import Rotation, Scalar, Vector, exp
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..machine.ports import COMPONENTS
+from ..numerics.arrays import Array
+from ..numerics.rigid import Rotation, Scalar, Vector, exp
 
 
 def pose_parameters(prefix: str = "") -> tuple[Parameter, ...]:

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..chain import Chain
 from ..effects.base import Effect
 from ..effects.thermal import REFERENCE_DEGC
 from ..errors import KeyedError, RowError, StudyError
-from ..plan import Plan
-from ..ports import group
-from ..rigid import Rotation, Scalar, Vector
+from ..machine.chain import Chain
+from ..machine.plan import Plan
+from ..machine.ports import group
+from ..numerics.rigid import Rotation, Scalar, Vector
 from .base import (
     LARGEST_NOISE,
     SMALLEST_NOISE,

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from ..arrays import Array
-from ..chain import Chain
 from ..effects.base import Effect
-from ..plan import Plan
-from ..ports import group
-from ..rigid import Rotation, Scalar, Vector
-from ..spatial import best_rigid, euler_xyz
+from ..machine.chain import Chain
+from ..machine.plan import Plan
+from ..machine.ports import group
+from ..numerics.arrays import Array
+from ..numerics.rigid import Rotation, Scalar, Vector
+from ..numerics.spatial import best_rigid, euler_xyz
 from .base import (
     LARGEST_NOISE,
     SMALLEST_NOISE,

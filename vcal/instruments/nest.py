@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, model_validator
 
-from ..arrays import Array
 from ..effects.base import Effect, Response
-from ..parameters import Parameter
-from ..plan import Plan
-from ..record import Record
-from ..rigid import Scalar, Vector
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..numerics.arrays import Array
+from ..numerics.record import Record
+from ..numerics.rigid import Scalar, Vector
 from .base import LARGEST_NOISE, SMALLEST_NOISE, Column, InstrumentSettings
 
 COORDINATES = ("x_ext_mm", "y_ext_mm", "z_ext_mm")

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import RowError, StudyError
-from ..record import Record
+from ..numerics.record import Record
 from .base import Column, Loader
 
 

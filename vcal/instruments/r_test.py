@@ -14,22 +14,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import Field
 
-from ..chain import Chain
-from ..circles import Circle, fit_circle
 from ..effects.base import Effect
 from ..effects.r_test import ProbeMatrix, middle_of_runs
 from ..errors import RowError
-from ..plan import Plan
-from ..ports import group
-from ..rigid import Rotation, Scalar, Vector
-from .base import (
-    LARGEST_NOISE,
-    Column,
-    Loader,
-    Ports,
-    TableInstrument,
-    register,
-)
+from ..machine.chain import Chain
+from ..machine.circles import Circle, fit_circle
+from ..machine.plan import Plan
+from ..machine.ports import group
+from ..numerics.rigid import Rotation, Scalar, Vector
+from .base import LARGEST_NOISE, Column, Loader, Ports, TableInstrument, register
 from .conditions import linear_plan, linear_plan_table
 from .follow import check_moves
 from .nest import COORDINATES, PROBES, Nest, NestSettings, PlaceOfRuns, reading_columns

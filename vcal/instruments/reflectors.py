@@ -12,15 +12,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import Field
 
-from ..arrays import Array, namespace
-from ..chain import Chain
 from ..effects.base import Effect, Response
 from ..errors import KeyedError, RowError
-from ..parameters import Parameter
-from ..plan import Plan
-from ..ports import COMPONENTS, group
-from ..rigid import Rotation, Scalar, Vector
-from ..spatial import best_rigid
+from ..machine.chain import Chain
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..machine.ports import COMPONENTS, group
+from ..numerics.arrays import Array, namespace
+from ..numerics.rigid import Rotation, Scalar, Vector
+from ..numerics.spatial import best_rigid
 from .base import (
     LARGEST_NOISE,
     SMALLEST_NOISE,

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import Array
-from ..chain import Chain
 from ..effects.base import Effect
 from ..effects.clock import CLOCKS
 from ..effects.data_set import OfDataSet
-from ..plan import Plan, joined, of_set
-from ..rigid import Rotation, Scalar, Vector
+from ..machine.chain import Chain
+from ..machine.plan import Plan, joined, of_set
+from ..numerics.arrays import Array
+from ..numerics.rigid import Rotation, Scalar, Vector
 from .base import Instrument, Ports, TableInstrument
 
 

@@ -14,14 +14,14 @@ import equinox as eqx
 import numpy as np
 from pydantic import Field
 
-from ..arrays import Array
-from ..chain import Chain
 from ..effects.base import Effect, Response
 from ..errors import KeyedError, RowError
-from ..parameters import Parameter
-from ..plan import Plan
-from ..ports import group
-from ..rigid import Rotation, Scalar, Vector
+from ..machine.chain import Chain
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..machine.ports import group
+from ..numerics.arrays import Array
+from ..numerics.rigid import Rotation, Scalar, Vector
 from .base import LARGEST_NOISE, Column, Loader, Ports, TableInstrument, register
 from .conditions import ROTARY, file_column, linear_plan, linear_plan_table
 from .follow import cause

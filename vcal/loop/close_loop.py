@@ -9,34 +9,26 @@ from threadpoolctl import threadpool_limits
 from ..effects.base import Effect
 from ..effects.clock import CLOCKS
 from ..effects.registry import CATALOGUE
-from ..fit import Fit
-from ..identify import identify
+from ..identification.family_sizes import learned_sizes, with_sizes
+from ..identification.fit import Fit, declared_residual
+from ..identification.identify import identify
+from ..identification.model_averaging import Doubt
 from ..instruments.conditions import file_column
-from ..learn import learned_sizes, with_sizes
-from ..measurement import CheckPoints, Measurement
-from ..model import Model
-from .adding import Added, place_of
-from .begin import shapes_begun
-from .certainty import doubted
-from .closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
-from .doubt import Doubt
+from ..model.forward import Model
+from ..model.measurement import CheckPoints, Measurement
 from .empirical import EMPIRICAL
-from .heldout import check_rms, fit_rms, heldout_rms
-from .loop_settings import checked, classes_of
 from .notes import Facts, notes
-from .search import Search
-from .state import (
-    State,
-    at_noise_found,
-    chi2_per_dof,
-    fitted,
-    scales_told,
-)
-from .steps import uncertainties
-from .unexplained import from_structure
-from .vibration import vibration
-from .weighing import CERTAIN, Weighed
-from .whitened import declared_residual
+from .outcome.closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
+from .outcome.unexplained import from_structure
+from .residuals.vibration import vibration
+from .search.certainty import doubted, uncertainties
+from .search.forward_selection import Added, place_of
+from .search.initial_shapes import shapes_begun
+from .search.search import Search
+from .search.state import State, at_noise_found, chi2_per_dof, fitted, scales_told
+from .settings import checked, classes_of
+from .weighing.cross_validation import check_rms, fit_rms, heldout_rms
+from .weighing.weighing import CERTAIN, Weighed
 
 _ROOM = 16
 """Parameters that added effects may have before the solver must be compiled anew."""

@@ -7,11 +7,11 @@ import numpy as np
 import scipy.linalg
 from matplotlib.figure import Figure
 
-from ..fit import Fit
+from ..identification.fit import Fit
 from ..instruments.conditions import in_file
-from ..loop.dependence import bins
 from ..loop.empirical import Changing
-from ..loop.rivals import Rival
+from ..loop.residuals.dependence import bins
+from ..loop.weighing.rivals import Rival
 from .style import AFTER, BEFORE, INK, column_label, figure, grid, pretty_unit, titled
 from .views import column_of
 

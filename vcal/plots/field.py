@@ -10,16 +10,12 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from ..fit import Fit
-from ..loop.doubt import Doubt, of_doubts
-from ..loop.heldout import (
-    compensated_in_blocks,
-    compensated_points,
-    heldout_residuals,
-    squared_errors,
-)
-from ..measurement import CheckPoints
-from ..spatial import align_rigid
+from ..geometry.compensated import compensated_in_blocks, compensated_points
+from ..identification.fit import Fit
+from ..identification.model_averaging import Doubt, of_doubts
+from ..loop.weighing.cross_validation import heldout_residuals, squared_errors
+from ..model.measurement import CheckPoints
+from ..numerics.spatial import align_rigid
 from .mid_planes import PLANES, PlaneRow, colour_bar, mid_planes
 from .style import (
     AFTER,

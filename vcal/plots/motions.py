@@ -1,41 +1,12 @@
 """Identified error motions with their uncertainty."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..geometry.error_motions import ErrorMotionTable
 from .style import AFTER, DOTS, INK, figure, grid, pretty_unit, ticks_apart, titled
-
-
-@dataclass(frozen=True)
-class ErrorMotionTable:
-    """One error motion, or one location error, as identified, on a grid."""
-
-    name: str
-    """ISO 230-1 name, such as ``"EXY"`` or ``"EC0Y"``."""
-    axis: str
-    unit: str
-    """``"um"`` or ``"urad"``."""
-    position: np.ndarray
-    """In `position_unit`; empty for a location error, which has no position."""
-    position_unit: str
-    """``"mm"`` or ``"deg"``."""
-    value: np.ndarray
-    """In `unit`, one per position; one for a location error."""
-    u: np.ndarray
-    """Standard uncertainty, in `unit`."""
-    prior: np.ndarray
-    """Standard deviation before the measurement, in `unit`."""
-
-    information: np.ndarray
-    """Share of the information that came from the data: 1 - variance / prior variance."""
-
-    @property
-    def constant(self) -> bool:
-        """Whether it is one number, whatever the position."""
-        return bool(np.ptp(self.value) == 0.0 and np.ptp(self.u) == 0.0)
 
 
 def error_motions(tables: Sequence[ErrorMotionTable]) -> Figure:

@@ -8,11 +8,11 @@ from matplotlib.figure import Figure
 from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
-from ..fit import Fit
+from ..identification.fit import Fit
 from ..instruments.conditions import in_file
-from ..loop.dependence import bins, displacements
-from ..loop.recorded import correlation, distinct_covariates
-from ..loop.unexplained import Unexplained, way
+from ..loop.empirical.covariates import correlation, distinct_covariates
+from ..loop.outcome.unexplained import Unexplained, way
+from ..loop.residuals.dependence import bins, displacements
 from .changing import changing
 from .style import (
     AFTER,

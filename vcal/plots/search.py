@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..loop.screening import KindResult, Screening
+from ..loop.screening.screening import KindResult, Screening
 from .style import AFTER, BEFORE, DOTS, INK, figure, grid, titled, width_of
 
 _LETTERS = 72

@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..effects.base import Effect, Setup
-from ..model import tool_points_with_jacobian
-from ..plan import Plan
-from ..ports import PortLayout
+from ..machine.plan import Plan
+from ..machine.ports import PortLayout
+from ..model.forward import tool_points_with_jacobian
 from .style import AFTER, FIELD, column_label, figure, grid, plain, pretty_unit, titled
 from .views import column_of, described, values_of
 

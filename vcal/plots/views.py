@@ -7,11 +7,11 @@ import numpy as np
 
 from ..effects.base import Effect
 from ..effects.thermal import REFERENCE_DEGC
-from ..fit import Fit
+from ..identification.fit import Fit
 from ..instruments.conditions import file_column, in_file
-from ..loop.dependence import bins, displacements
-from ..loop.unexplained import way
-from ..plan import Plan
+from ..loop.outcome.unexplained import way
+from ..loop.residuals.dependence import bins, displacements
+from ..machine.plan import Plan
 from .style import column_label, pretty_unit
 
 _CLEAR = 0.5

@@ -1,13 +1,14 @@
 """Reports: a page to read, a record for programs, tables, pictures."""
 
-from .compensation import compensation_csv, effects_csv, error_motion_tables
-from .geometry import GeometricTest, geometric_tests
-from .picture import Picture
-from .record import SCHEMA, record
-from .sheet import Badge, Section, Table, Tile, sheet
-from .uncertainty import DRAWS, check_virtual_folder, write_virtual
-from .uncertainty_record import VIRTUAL_SCHEMA, sentence, virtual_record
-from .write import check_folder, write_report
+from ..geometry.acceptance import GeometricTest, geometric_tests
+from ..geometry.error_motions import error_motion_tables
+from .html.picture import Picture
+from .html.sheet import Badge, Section, Table, Tile, sheet
+from .loop.record import SCHEMA, record
+from .loop.tables import compensation_csv, effects_csv
+from .loop.write import check_folder, write_report
+from .uncertainty.record import VIRTUAL_SCHEMA, sentence, virtual_record
+from .uncertainty.write import DRAWS, check_virtual_folder, write_virtual
 
 __all__ = [
     "DRAWS",

@@ -7,12 +7,12 @@ from typing import Any, Generic, TypeVar
 
 from matplotlib.figure import Figure
 
-from ..catalogue import nearest
 from ..errors import StudyError
 from ..plots import png
+from ..registry import nearest
 from ..report import Picture
-from ..report.place import Place
-from ..report.record import plain, versions
+from ..report.html.folder import Place
+from ..report.loop.record import plain, versions
 
 Progress = Callable[[str], None]
 """progress(what is being done)."""

@@ -1,11 +1,13 @@
 """Uncertainty: by the GUM, by Monte Carlo, and how far the two agree."""
 
+from .adaptive import Adaptive, Precision, numerical_tolerance
 from .budget import Budget
 from .campaign import Campaign, monte_carlo, virtual_pair
 from .compare import Attained, Comparison, attained_coverage, compare
 from .ensemble import Ensemble, FieldResult
 from .functions import propagate_distributions
 from .linear import Linearised, linearised
+from .mismatch import Left, drawn_errors, expected_error, fitted_places
 from .outputs import Field, Output
 from .programs import Programs
 from .propagate import propagate
@@ -17,15 +19,7 @@ from .quantities import (
     Quantity,
     VolumetricErrors,
 )
-from .regions import (
-    Box,
-    Ellipsoid,
-    coverage_box,
-    coverage_ellipsoid,
-    normal_box,
-    normal_ellipsoid,
-)
-from .steps import Adaptive, Precision, numerical_tolerance
+from .regions import Box, Ellipsoid, coverage_box, coverage_ellipsoid, normal_box, normal_ellipsoid
 from .stream import stream
 from .table import budget_table, comparison_table
 
@@ -42,6 +36,7 @@ __all__ = [
     "Field",
     "FieldResult",
     "Linearised",
+    "Left",
     "LineErrors",
     "Measure",
     "Output",
@@ -56,6 +51,9 @@ __all__ = [
     "comparison_table",
     "coverage_box",
     "coverage_ellipsoid",
+    "drawn_errors",
+    "expected_error",
+    "fitted_places",
     "linearised",
     "monte_carlo",
     "normal_box",

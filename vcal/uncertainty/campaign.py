@@ -21,14 +21,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import Array
-from ..batch import identify_alone, identify_damped, identify_one, prepare_batch
-from ..chain import Chain
+from ..identification.batch import identify_alone, identify_damped, identify_one, prepare_batch
 from ..instruments.base import Instrument
-from ..model import Model, Shapes
-from ..plan import Plan
-from ..programs import outer_jit
-from ..simulate import draw, prepare
+from ..machine.chain import Chain
+from ..machine.plan import Plan
+from ..model.forward import Model, Shapes
+from ..model.simulate import draw, prepare
+from ..numerics.arrays import Array
+from ..numerics.compiled import outer_jit
 from .ensemble import Ensemble
 from .intervals import Kind
 from .outputs import Field, Output

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import betaincinv
 
+from .adaptive import Precision, numerical_tolerance
 from .budget import Budget
 from .ensemble import Ensemble
 from .intervals import Kind, check_coverage
-from .steps import Precision, numerical_tolerance
 
 Verdict = Literal["passed", "failed", "undecided"]
 

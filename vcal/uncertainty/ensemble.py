@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from .adaptive import Adaptive, Precision, Steps, step_size
 from .intervals import Kind, check_coverage, coverage_interval
-from .sketch import Column, quantile_ranks
-from .steps import Adaptive, Precision, Steps, step_size
+from .quantile_counts import Column, quantile_ranks
 from .summary import FieldSummary, Summary
 
 

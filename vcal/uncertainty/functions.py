@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray, UInt32
 
-from ..arrays import Array
 from ..distributions import Inputs
-from ..spatial import require_float64
+from ..numerics.arrays import Array
+from ..numerics.spatial import require_float64
 from .ensemble import Ensemble
 from .intervals import Kind
 from .propagate import Function, named, outputs_of

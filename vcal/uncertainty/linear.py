@@ -21,10 +21,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..arrays import Array
-from ..model import effect_terms, observe_with_jacobian, port_values
-from ..programs import outer_jit
-from ..simulate import ideal_readings
+from ..model.forward import effect_terms, observe_with_jacobian, port_values
+from ..model.simulate import ideal_readings
+from ..numerics.arrays import Array
+from ..numerics.compiled import outer_jit
 from .budget import Budget, Source
 from .outputs import Output
 from .quantities import Measure, Pair, State

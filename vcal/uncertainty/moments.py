@@ -7,7 +7,7 @@ from the mean and so does not lose digits where the spread is small against the 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .sketch import slices
+from .quantile_counts import slices
 
 
 class Moments:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
+from ..numerics.arrays import Array
 
 
 @dataclass(frozen=True)

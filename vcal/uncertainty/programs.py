@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects.base import Effect
-from ..programs import outer_jit
+from ..numerics.compiled import outer_jit
 
 
 class Programs:

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..arrays import Array
-from ..catalogue import nearest
 from ..distributions import Inputs, Univariate
-from ..spatial import require_float64
+from ..numerics.arrays import Array
+from ..numerics.spatial import require_float64
+from ..registry import nearest
 from .budget import Budget, Source
 from .intervals import check_coverage
 from .outputs import Output, labels_of

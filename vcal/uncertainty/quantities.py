@@ -9,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
-from ..batch import Batch
-from ..chain import Chain
-from ..model import Model, tool_columns
-from ..plan import Plan
-from ..port_map import PortMap, port_map
-from ..ports import COMPONENTS
-from ..simulate import Simulator, travels
-from ..spatial import rigid_basis
-from ..straight_lines import StraightLines
+from ..geometry.straight_lines import StraightLines
+from ..identification.batch import Batch
+from ..machine.chain import Chain
+from ..machine.plan import Plan
+from ..machine.ports import COMPONENTS
+from ..model.forward import Model, tool_columns
+from ..model.port_map import PortMap, port_map
+from ..model.simulate import Simulator, conditions_at, travels
+from ..numerics.arrays import Array
+from ..numerics.spatial import rigid_basis
 from .outputs import Field, Output
 
 _MICRO = 1e-6
@@ -311,8 +311,3 @@ def _rms(size: Float[Array, " n"]) -> Float[Array, ""]:
 
 
 # --- plans ---
-
-
-def conditions_at(plan: Plan, position: Float[np.ndarray, "n axes"]) -> Plan:
-    """Other positions under the conditions of the middle row of a plan (`Plan.elsewhere`)."""
-    return plan.elsewhere(position, np.full(len(position), plan.rows // 2))

@@ -21,13 +21,13 @@ import jax
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..arrays import Array
 from ..errors import StudyError
+from ..numerics.arrays import Array
+from .adaptive import step_size
 from .checkpoint import STATE, Checkpoint
 from .ensemble import Ensemble, ensemble_of
 from .intervals import Kind, check_coverage
 from .outputs import Field, Output, check_declared
-from .steps import step_size
 from .summary import Declared, Summary
 
 Evaluate = Callable[..., Mapping[str, Array]]

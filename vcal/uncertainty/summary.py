@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
+from ..numerics.arrays import Array
+from .adaptive import Steps
 from .intervals import Kind
 from .moments import Moments, Spread, restored_moments, restored_spread
 from .outputs import Field, Output, check_names, field_rows, labels_of, scalar_rows
-from .sketch import Sketch, quantile_ranks, sketch_of
-from .steps import Steps
+from .quantile_counts import Sketch, quantile_ranks, sketch_of
 
 _PILOT = 10_000
 """Draws that lay out the bins of the scalar outputs."""

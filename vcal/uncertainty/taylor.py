@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..arrays import Array
-from ..programs import outer_filter_jit
+from ..numerics.arrays import Array
+from ..numerics.compiled import outer_filter_jit
 
 Vector = Callable[[Float[Array, " k"]], Float[Array, " m"]]
 """All outputs in a row, of all inputs in a row."""

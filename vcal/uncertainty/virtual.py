@@ -20,13 +20,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..arrays import Array
-from ..chain import Chain
-from ..fit import Learnt, entries, null_directions
-from ..model import Model
-from ..parameters import Parameter
-from ..plan import Plan
-from ..simulate import scattered, travels
+from ..identification.fit import Learnt, entries, null_directions
+from ..machine.chain import Chain
+from ..machine.parameters import Parameter
+from ..machine.plan import Plan
+from ..model.forward import Model
+from ..model.simulate import scattered, travels
+from ..numerics.arrays import Array
+from .adaptive import Precision
 from .campaign import Campaign, monte_carlo
 from .compare import Comparison, compare
 from .ensemble import Ensemble, FieldResult
@@ -41,7 +42,6 @@ from .quantities import (
     State,
     VolumetricErrors,
 )
-from .steps import Precision
 from .stream import Progress
 
 MOST = 1_000_000

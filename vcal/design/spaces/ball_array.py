@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from ...arrays import Array
-from ...chain import Chain
 from ...instruments.ball_array import BallArray
-from ...model import Model
-from ...plan import Plan
-from ..array_space import ArraySpace
-from ..ball_array import (
+from ...machine.chain import Chain
+from ...machine.plan import Plan
+from ...model.forward import Model
+from ...numerics.arrays import Array
+from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m, register
+from .array_bounds import ArraySpace
+from .ball_information import (
     DERIVED,
     LOOSE_M,
     ArrayPoses,
@@ -27,7 +28,6 @@ from ..ball_array import (
     probed,
     without_poses,
 )
-from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m, register
 
 _OF_SHAPE = ("along_beam", "tilt")
 """Covariates that hang on the direction of the artefact's long axis."""

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import model_validator
 
-from ...arrays import Array
-from ...chain import Chain
 from ...instruments.laser_tracker import LaserTracker
-from ...model import tool_points
+from ...machine.chain import Chain
+from ...model.forward import tool_points
+from ...numerics.arrays import Array
 from ..plan_space import Subject, register
 from .points import Placed, PointsDesign, PointSpace, check_bounds
 

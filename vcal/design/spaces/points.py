@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from ...arrays import Array
-from ...chain import Chain
+from ...identification.posterior import whitened
 from ...instruments.base import TableInstrument
-from ...model import Model
-from ...plan import Plan
+from ...machine.chain import Chain
+from ...machine.plan import Plan
+from ...model.forward import Model
+from ...numerics.arrays import Array
 from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m
-from ..posterior import whitened
 
 _SHARE = 0.15
 """How far a start is scattered, as a share of the travel."""

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...arrays import Array
-from ...chain import Chain
 from ...instruments.reflectors import Reflectors, moves
+from ...machine.chain import Chain
+from ...numerics.arrays import Array
 from ..plan_space import register
 from .points import Placed, PointsDesign, PointSpace
 

@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import model_validator
 
-from ...arrays import Array
-from ...chain import Chain
 from ...instruments.follow import carried_apart, followed
 from ...instruments.static_r_test import StaticRTest
-from ...model import Model
+from ...machine.chain import Chain
+from ...model.forward import Model
+from ...numerics.arrays import Array
 from ..plan_space import Subject, Varied, register
 from .points import Placed, PointsDesign, PointSpace, check_bounds
 

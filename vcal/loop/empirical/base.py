@@ -10,8 +10,8 @@ import equinox as eqx
 import numpy as np
 
 from ...effects.base import Effect, Setup
-from ...parameters import Parameter
-from ...plan import Plan
+from ...machine.parameters import Parameter
+from ...machine.plan import Plan
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from ...arrays import Array
 from ...effects.base import Effect, Response, Setup
 from ...effects.registry import CATALOGUE
-from ...parameters import Parameter
-from ...plan import Plan
-from ..recorded import distinct_covariates, has_zero
+from ...machine.parameters import Parameter
+from ...machine.plan import Plan
+from ...numerics.arrays import Array
 from .base import Code, Empirical, Read
+from .covariates import distinct_covariates, has_zero
 from .product import Factor, about_the_middle, quantities
 
 _MOST = 9

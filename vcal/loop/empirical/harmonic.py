@@ -5,12 +5,12 @@ from collections.abc import Iterable, Mapping
 import equinox as eqx
 import numpy as np
 
-from ...arrays import Array, namespace
 from ...effects.base import Effect, Response, Setup
-from ...parameters import Parameter
-from ...plan import Plan
-from ..recorded import angles_around, in_rad
+from ...machine.parameters import Parameter
+from ...machine.plan import Plan
+from ...numerics.arrays import Array, namespace
 from .base import Code, Empirical, Read
+from .covariates import angles_around, in_rad
 
 CIRCLE = "circle_angle"
 """The covariate that says where on its circle the tool is."""

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...arrays import Array, namespace
 from ...effects.base import Response
-from ...parameters import Parameter
-from ...plan import Plan
+from ...machine.parameters import Parameter
+from ...machine.plan import Plan
+from ...numerics.arrays import Array, namespace
 from .base import Code, Empirical, Interval, Read, written
 
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import equinox as eqx
 import numpy as np
 
-from ...arrays import Array
 from ...effects.base import Effect, Response, Setup
-from ...parameters import Parameter
-from ...plan import Plan
-from ..recorded import angles_around, distinct_covariates
+from ...machine.parameters import Parameter
+from ...machine.plan import Plan
+from ...numerics.arrays import Array
 from .base import Code, Empirical, Read, written
+from .covariates import angles_around, distinct_covariates
 
 
 @dataclass(frozen=True)

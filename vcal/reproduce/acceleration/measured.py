@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...chain import Chain
 from ...dynamics.closed_loop import ClosedLoop, run_circle
 from ...dynamics.evaluate import Evaluated, evaluate
 from ...dynamics.setpoints import SetCircle
 from ...effects.acceleration import AccelerationCrosstalk
-from ...identify import identify
+from ...identification.identify import identify
 from ...instruments.r_test import RTest, RTestSettings
-from ...measurement import Measurement
-from ...model import Model
+from ...machine.chain import Chain
+from ...model.forward import Model
+from ...model.measurement import Measurement
 from .setting import DEVICE_U_UM, EXTERNAL_UM, INTERNAL_UM, RADIUS_M, RANGE_MM, SAMPLES
 
 _OFFSET_M = 5e-6

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from ...report import Picture, Section, Table, Tile, sheet
-from ...report.text import COVERAGE, DASH, number, percent, rounded, unit
+from ...report.html.text import COVERAGE, DASH, number, percent, rounded, unit
 from ..registry import Row
 from .results import Results, element, exz_of_the_circle, single_circle_U, true_z
 from .setting import (

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...arrays import Array
 from ...dynamics.assemble import assemble
 from ...dynamics.bodies import Machine
 from ...dynamics.campaign import Campaign, Noise, campaign
@@ -22,6 +21,7 @@ from ...dynamics.identify import Identified, identify_machine, task
 from ...dynamics.modes import modes
 from ...dynamics.setpoints import circle_set
 from ...dynamics.unknowns import SpringFactor, applied
+from ...numerics.arrays import Array
 from .measured import MATRIX_U, Joint, RTestRun, both_ways, fit_matrix, measure
 from .moves import Compensated, Positioning, compensated, positioned
 from .setting import (

@@ -21,7 +21,7 @@ from ...dynamics.unknowns import (
     Unknown,
     applied,
 )
-from ...io.machine import Described, load_machine
+from ...study.dynamic_machine import Described, load_machine
 
 DESCRIPTION = Path(__file__).with_name("machine.toml")
 AXES = ("X", "Y", "Z")

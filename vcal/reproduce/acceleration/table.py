@@ -2,7 +2,7 @@
 
 import math
 
-from ...report.text import number
+from ...report.html.text import number
 from ..registry import Row
 from .results import Results, element, exz_of_the_circle, single_circle_U
 from .setting import (

@@ -16,8 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...arrays import Array
-from ...basis import Legendre
 from ...design import (
     ArrayPoses,
     Gram,
@@ -32,7 +30,9 @@ from ...design import (
 )
 from ...effects.geometric import ErrorMotion, GeometricErrors
 from ...instruments.ball_array import BallArray
-from ...model import Model
+from ...machine.error_functions import Legendre
+from ...model.forward import Model
+from ...numerics.arrays import Array
 from .setting import PAIR_UM, PROBE_UM, TRAVEL, Family, Known, grid_points, machine
 
 ORDERS = (1, 2, 3, 4, 5)

@@ -11,14 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...design import ArrayPoses, Left, expected_error, gram_for, volumetric_gram
+from ...design import ArrayPoses, gram_for, volumetric_gram
 from ...effects.artefact import ArtefactBending, ArtefactExpansion
 from ...effects.base import Effect
 from ...effects.sag import PayloadSag
 from ...effects.thermal import ScaleGrowth, ThermalTilt
 from ...instruments.ball_array import BallArray
-from ...model import Model
-from ...plan import Plan
+from ...machine.plan import Plan
+from ...model.forward import Model
+from ...uncertainty.mismatch import Left, expected_error
 from .expected import Task
 from .machines import Machines, calibrate_as, measured_by
 from .setting import TRAVEL, Known, grid_points

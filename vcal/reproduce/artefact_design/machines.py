@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...arrays import Array
-from ...design import ArrayPoses, displacements, fitted_places
+from ...design import ArrayPoses, displacements
 from ...instruments.ball_array import ArtefactPoses, BallArray
 from ...instruments.ball_shape import BallShape
-from ...model import Model
-from ...plan import Plan
+from ...machine.plan import Plan
+from ...model.forward import Model
+from ...numerics.arrays import Array
 from ...uncertainty import Campaign, Measure, Output, Quantity, monte_carlo
+from ...uncertainty.mismatch import fitted_places
 from ...uncertainty.programs import Programs
 from ...uncertainty.quantities import Pair, State
 from .expected import Task, precision_of

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...report import Picture, Section, Table, Tile, sheet
-from ...report.text import DASH, number, percent, unit
+from ...report.html.text import DASH, number, percent, unit
 from ..registry import Row
 from .influences import AIR_K, LOAD_KG, SIZES, TAU_H, WARM_K
 from .results import Results

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...design import ArrayPoses
 from ...effects.geometric import GeometricErrors
-from ...prior import Amplitudes
+from ...model.prior import Amplitudes
 from ...uncertainty.programs import Programs
 from .expected import Plain, Task, bayes_um, plain_least_squares, task
 from .influences import Cost, costs

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...arrays import Array
 from ...design import (
     ArrayPoses,
     ArraySpace,
@@ -29,6 +28,7 @@ from ...design import (
     spread,
     touches,
 )
+from ...numerics.arrays import Array
 from .expected import Task, precision_of
 from .setting import PROBE_UM, TOOL, TRAVEL, Known
 

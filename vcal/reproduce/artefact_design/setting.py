@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...basis import Fourier, unit_uniform
-from ...chain import Chain, chain_from_string
 from ...design import ArrayPoses
 from ...effects.geometric import ErrorMotion, GeometricErrors, LocationError
-from ...plan import Plan
+from ...machine.chain import Chain, chain_from_string
+from ...machine.error_functions import Fourier, unit_uniform
+from ...machine.plan import Plan
 
 CHAIN = "w b X Y Z t"
 TRAVEL: Mapping[str, tuple[float, float]] = {"X": (0.0, 3.0), "Y": (0.0, 1.5), "Z": (0.0, 1.3)}

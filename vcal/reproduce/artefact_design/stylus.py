@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...arrays import Array
 from ...design import ArrayPoses, ArraySpace, expected_rms, search, spread
+from ...numerics.arrays import Array
 from .expected import Task, bayes_um, posterior
 from .setting import TOOL, TRAVEL, Known
 

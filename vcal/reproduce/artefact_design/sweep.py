@@ -10,7 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from ...design import ArrayPoses, drawn_errors, gram_for
+from ...design import ArrayPoses, gram_for
+from ...uncertainty.mismatch import drawn_errors
 from ...uncertainty.programs import Programs
 from .expected import Plain, Task, bayes_um, best_plain
 from .machines import Machines, calibrate, measured_by

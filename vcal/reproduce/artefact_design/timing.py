@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...arrays import Array
 from ...design import (
     ArrayPoses,
     PoseInformation,
@@ -23,7 +22,8 @@ from ...design import (
     touches,
     weigh_average,
 )
-from ...spatial import rotation
+from ...numerics.arrays import Array
+from ...numerics.spatial import rotation
 from .expected import Task, bayes_um, precision_of
 from .searches import FREEDOMS, Searches
 from .setting import KNOWN, NOMINAL, POSES, PROBE_UM, TOOL, TRAVEL, Known, ball_line, placed

@@ -21,7 +21,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...arrays import Array
 from ...design import (
     apportion,
     covariance,
@@ -34,9 +33,10 @@ from ...design import (
     weigh,
 )
 from ...instruments.laser_frame import Segment
-from ...model import Model
-from ...plan import Plan
-from ...programs import outer_jit
+from ...machine.plan import Plan
+from ...model.forward import Model
+from ...numerics.arrays import Array
+from ...numerics.compiled import outer_jit
 from .defined import Asked
 from .recipe import Lever
 from .setting import (

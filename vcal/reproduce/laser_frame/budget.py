@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from ...arrays import Array
 from ...distributions import Inputs, Normal, Uniform
 from ...instruments.laser_frame import filter_shift, safe_filter_shift
+from ...numerics.arrays import Array
 from ...uncertainty import Budget, propagate
 
 SIGMAS = 3.0**0.5

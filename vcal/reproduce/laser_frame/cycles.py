@@ -13,21 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ...effects.base import Effect
-from ...model import Model
+from ...model.forward import Model
 from ...uncertainty import Campaign, monte_carlo
 from .defined import Asked, LinearErrors
 from .influences import under_conditions
 from .recipe import Lever, largest, recipe
-from .setting import (
-    OTHERS,
-    THIRTEEN,
-    WIDE_M,
-    Layout,
-    ReadingNoise,
-    errors,
-    frame_setup,
-    sizes,
-)
+from .setting import OTHERS, THIRTEEN, WIDE_M, Layout, ReadingNoise, errors, frame_setup, sizes
 
 Machine = Literal["none", "thirteen", "all"]
 """What is drawn: no errors at all, the thirteen, or all twenty-one."""

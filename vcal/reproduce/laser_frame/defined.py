@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...arrays import Array
-from ...chain import Chain
 from ...effects.geometric import GeometricErrors, LocationError
-from ...model import Model, tool_points_with_jacobian
-from ...ports import PortLayout
+from ...machine.chain import Chain
+from ...machine.ports import PortLayout
+from ...model.forward import Model, tool_points_with_jacobian
+from ...numerics.arrays import Array
 from ...uncertainty.outputs import Field, Output
 from ...uncertainty.quantities import Measure, Pair, Quantity, State
 from .recipe import PLANES, SIGNS, Recipe

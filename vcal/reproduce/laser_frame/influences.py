@@ -23,8 +23,8 @@ from ...effects.laser_frame import (
     Refraction,
     ToolInterface,
 )
-from ...parameters import Prior
-from ...plan import Plan
+from ...machine.parameters import Prior
+from ...machine.plan import Plan
 from .budget import Facts, refraction
 from .setting import HEAD_K, TRAVEL, Layout, ReadingNoise, way_of_light
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ...basis import Legendre
 from ...design import jacobian, rank_of
-from ...design.rank import FREE
-from ...model import Model
+from ...identification.rank import FREE
+from ...machine.error_functions import Legendre
+from ...model.forward import Model
 from .setting import (
     DEGREES,
     OTHERS,

@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...arrays import Array
-from ...basis import Legendre
-from ...chain import Chain, chain_from_string
 from ...effects.base import Effect, Response
 from ...effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from ...instruments.laser_frame import LaserFrame, Segment, beam_path
-from ...parameters import Parameter
-from ...plan import Plan
+from ...machine.chain import Chain, chain_from_string
+from ...machine.error_functions import Legendre
+from ...machine.parameters import Parameter
+from ...machine.plan import Plan
+from ...numerics.arrays import Array
 from .budget import PSD_RANGES, Facts, point_u
 
 CHAIN = "w b X Y Z t"

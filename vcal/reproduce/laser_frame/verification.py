@@ -13,17 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...arrays import Array
-from ...chain import chain_from_string
 from ...effects.base import Effect, Response, across
 from ...effects.reversal import LateralReversal
-from ...identify import identify
+from ...identification.identify import identify
 from ...instruments.laser_frame import LaserFrame
-from ...model import Model
-from ...parameters import Parameter
-from ...plan import Plan
-from ...programs import outer_jit
-from ...simulate import draw_scatter, ideal_readings, prepare, simulate
+from ...machine.chain import chain_from_string
+from ...machine.parameters import Parameter
+from ...machine.plan import Plan
+from ...model.forward import Model
+from ...model.simulate import draw_scatter, ideal_readings, prepare, simulate
+from ...numerics.arrays import Array
+from ...numerics.compiled import outer_jit
 from .setting import (
     CHAIN,
     OTHERS,

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import brentq
 
-from ...arrays import Array
-from ...model import tool_columns
-from ...port_map import port_map
+from ...model.forward import tool_columns
+from ...model.port_map import port_map
+from ...numerics.arrays import Array
 from .setting import Family, Setting, machine
 
 _MACHINES = 12_000

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...arrays import Array
-from ...chain import Chain
-from ...model import tool_columns
-from ...plan import Plan
-from ...port_map import PortMap
-from ...spatial import rigid_basis
+from ...machine.chain import Chain
+from ...machine.plan import Plan
+from ...model.forward import tool_columns
+from ...model.port_map import PortMap
+from ...numerics.arrays import Array
+from ...numerics.spatial import rigid_basis
 from ...uncertainty.outputs import Field, Output
 from ...uncertainty.quantities import Measure, Pair, State
 

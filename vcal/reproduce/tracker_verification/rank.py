@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ...batch import Batch, prepare_batch
-from ...model import Model
+from ...identification.batch import Batch, prepare_batch
+from ...model.forward import Model
 from .setting import Family, Setting, machine
 
 _ZERO = 1e-9

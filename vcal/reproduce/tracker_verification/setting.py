@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from ...basis import Legendre
-from ...chain import chain_from_string
 from ...effects.base import Setup
 from ...effects.geometric import ErrorMotion, GeometricErrors, LocationError
 from ...effects.random import Repeatability
@@ -18,9 +16,11 @@ from ...effects.thermal import REFERENCE_DEGC, ScaleGrowth
 from ...instruments.base import Instrument
 from ...instruments.frame import Station
 from ...instruments.laser_tracker import LaserTracker, LaserTrackerSettings
-from ...model import Model
-from ...plan import Plan
-from ...ports import COMPONENTS
+from ...machine.chain import chain_from_string
+from ...machine.error_functions import Legendre
+from ...machine.plan import Plan
+from ...machine.ports import COMPONENTS
+from ...model.forward import Model
 
 CHAIN = "XFYZ"
 AREA_MM = 400.0

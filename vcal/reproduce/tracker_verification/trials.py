@@ -18,10 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
-from ...arrays import Array
-from ...batch import Batch, identify_one
-from ...programs import outer_jit
-from ...simulate import Simulator, draw
+from ...identification.batch import Batch, identify_one
+from ...model.simulate import Simulator, draw
+from ...numerics.arrays import Array
+from ...numerics.compiled import outer_jit
 from ...uncertainty.campaign import virtual_pair
 from ...uncertainty.ensemble import Ensemble
 from ...uncertainty.linear import Linearised, linearised

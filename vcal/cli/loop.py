@@ -1,0 +1,49 @@
+"""Closing the loop as a study file asks for it."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..loop.close_loop import close_loop
+from ..loop.outcome.closure import Closure
+from ..loop.screening.candidates import candidates
+from ..model.measurement import Measurement
+from ..study import Study
+from ..study.messages import listed, refusal
+
+
+def close_study(study: Study, measurement: Measurement, progress: Callable[[str], None]) -> Closure:
+    """Close the loop on a measurement with the study's model, check points and settings.
+
+    Raises `StudyError` where the data can say nothing about the effects that were asked for, and
+    where the readings do not determine what has to be found with every fit.
+    """
+    found, missing = candidates(study.model, measurement, study.tried)
+    if study.options.effects and not found:
+        reasons = {f"{item.effect}: {item.reason}" for item in missing}
+        raise refusal(
+            study.path.name,
+            "key loop.effects",
+            f"none that could be tested ({'; '.join(sorted(reasons)) or 'no place for them'})",
+            "at least one for which the data have what it needs",
+            "record it, or name other effects",
+        )
+    try:
+        return close_loop(
+            study.model,
+            measurement,
+            check=study.check,
+            effects=study.tried,
+            **study.options.model_dump(exclude={"effects"}),
+            progress=progress,
+        )
+    except np.linalg.LinAlgError as error:
+        raise refusal(
+            listed([*(one.file for one in study.sets), study.path.name]),
+            "columns of positions and readings, tables instrument and model",
+            f"equations that have no solution ({error})",
+            "readings that follow the positions, and declared noise, errors and effects of the "
+            "size that they have, all in the units of their names",
+            "compare the first rows with what was measured, and the declared sizes with the "
+            "machine; numbers many powers of ten apart are such a case",
+        ) from error

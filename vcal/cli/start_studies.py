@@ -1,0 +1,101 @@
+"""The studies to start from that come with the package, and what they tell of an effect."""
+
+import dataclasses
+import functools
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..demo import STARTS, starts
+from ..effects import CATALOGUE
+from ..effects.base import Effect, Setup
+from ..errors import StudyError
+from ..machine.plan import Plan
+from ..registry import nearest
+from ..study import load_study
+from ..study.declared_effects import beside
+from ..study.folder import made_whole, require_empty
+from ..study.messages import listed
+
+
+def write_start(instrument: str, out: Path) -> list[str]:
+    """Copy the study to start from for an instrument to `out`; names of the files written.
+
+    Raises `StudyError` for an instrument without one, and where `out` is there and not empty.
+    """
+    known = starts()
+    if instrument not in known:
+        raise StudyError(
+            f"--instrument: found {instrument!r}{nearest(instrument, known)}, expected one of "
+            f"{listed(known)}; correct the name"
+        )
+    require_empty(out)
+    names = []
+    with made_whole(out) as work:
+        for entry in (STARTS / instrument).iterdir():
+            shutil.copyfile(entry, work / entry.name)
+            names.append(entry.name)
+    return sorted(names)
+
+
+def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
+    """An instance of an effect on a bundled study where it has a place and the columns that it
+    needs, if need be with such columns added, or beside other effects; None if there is no such
+    place.
+
+    Raises `RuntimeError` where JAX runs in float32.
+    """
+    setups = [_setup(instrument) for instrument in starts()]
+    # Positions that are read back have effects of their own.
+    setups.append(_setup("reflectors", (("instrument.joints", "read"),)))
+    wanting: list[tuple[Effect, Setup]] = []
+    for setup in setups:
+        for instance in _instances(effect, setup):
+            if setup.plan.has(*instance.needs):
+                return instance, setup
+            wanting.append((instance, setup))
+    for instance, setup in wanting:
+        fuller = dataclasses.replace(setup, plan=_with_columns(setup.plan, instance.needs))
+        for found in _instances(effect, fuller):
+            if fuller.plan.has(*found.needs):
+                return found, fuller
+    for setup in setups:
+        others = (next(iter(_instances(one, setup)), None) for one in CATALOGUE.values())
+        together = beside(setup, *(one for one in others if one is not None))
+        for instance in _instances(effect, together):
+            if setup.plan.has(*instance.needs):
+                return instance, together
+    return None
+
+
+def _instances(effect: type[Effect], setup: Setup) -> list[Effect]:
+    """Those with a place there; of a class without candidates the one there is, where its ports
+    are.
+    """
+    if effect.candidates.__func__ is not Effect.candidates.__func__:  # type: ignore[attr-defined]
+        return list(effect.candidates(setup))
+    instance = effect()
+    ports = {port for port, _ in instance.response(setup.plan, {})}
+    return [instance] if ports <= {*setup.layout.names} else []
+
+
+@functools.cache
+def _setup(instrument: str, changed: tuple[tuple[str, str], ...] = ()) -> Setup:
+    study = load_study(STARTS / instrument, dict(changed))
+    return study.model.setup(study.plan)
+
+
+def _with_columns(plan: Plan, needs: Sequence[str]) -> Plan:
+    """The plan with what it lacks: usual values, so that an effect has something to act on."""
+    share = np.arange(plan.rows) / plan.rows
+    usual = {
+        "speed_rpm": 6000.0 * ((share > 0.1) & (share < 0.6)),
+        "approach_rad": 2.0 * np.pi * np.mod(0.381966 * np.arange(plan.rows), 1.0),
+        "payload_kg": 40.0 * np.round(share * 4.0) / 4.0,
+        "t": 10.0 * np.arange(plan.rows),
+    }
+    other = np.sin(2.399963 * np.arange(plan.rows))
+    added = {name: usual.get(name, other) for name in needs if not plan.has(name)}
+    return Plan(plan.axes, plan.position, {**plan.covariates, **added}, plan.groups)

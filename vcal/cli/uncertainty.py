@@ -1,0 +1,189 @@
+"""What `vcal uncertainty` does: from its arguments to the report."""
+
+import contextlib
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from ..errors import StudyError
+from ..model.forward import Model
+from ..report import DRAWS, check_virtual_folder, sentence, write_virtual
+from ..study import Study, load_study
+from ..study.messages import refusal
+from ..study.simulated import check_noise_factor, parse_every_with
+from ..uncertainty.virtual import check_keys, virtual_calibration
+
+_FEWEST = 11
+"""Fewer draws have no interval of 95 %."""
+_MOST = 2**32
+"""Draws have indices of 32 bits."""
+
+
+class Done(NamedTuple):
+    """How it ended."""
+
+    page: Path
+    sentence: str
+    interrupted: bool
+
+
+def run_virtual(
+    setup: Path,
+    out: Path,
+    *,
+    draws: str,
+    effects: Sequence[str],
+    seed: int,
+    noise_factor: float,
+    digits: Literal[1, 2],
+    overrides: Sequence[str],
+    command: str,
+) -> Done:
+    """Read a study, judge its plan and write the report into `out`.
+
+    An unfinished campaign is kept in a folder ``draws`` in `out`, which goes when the report is
+    complete. Raises `StudyError` for what cannot be used, before anything is written, and for an
+    unfinished campaign with other settings.
+    """
+    began = time.perf_counter()
+    number = parse_draws(draws)
+    check_noise_factor(noise_factor)
+    check_virtual_folder(out)
+    study = load_study(setup, overrides)
+    _check_shapes(study)
+    truth = _truth(study, effects)
+    settings: dict[str, Any] = {
+        "draws": number,
+        "seed": seed,
+        "with": list(effects),
+        "noise_factor": noise_factor,
+        "digits": digits,
+    }
+    with _campaign(out) as folder, drawing() as (step, progress):
+        result = virtual_calibration(
+            truth,
+            study.model,
+            study.plan,
+            draws=number,
+            seed=seed,
+            noise_factor=noise_factor,
+            digits=digits,
+            folder=folder,
+            progress=progress,
+            step=step,
+        )
+        step("writing the report")
+        seconds = time.perf_counter() - began
+        page = write_virtual(
+            result, study, out, settings=settings, command=command, seconds=seconds
+        )
+    if not result.ensemble.interrupted:
+        shutil.rmtree(folder)
+    return Done(page, sentence(result), result.ensemble.interrupted)
+
+
+def parse_draws(text: str) -> int | Literal["adaptive"]:
+    """The number of draws that a user asks for; raises `StudyError` for anything else."""
+    if text == "adaptive":
+        return "adaptive"
+    try:
+        number = int(text)
+    except ValueError:
+        number = 0
+    if not _FEWEST <= number <= _MOST:
+        raise refusal(
+            "--draws",
+            "value",
+            repr(text),
+            f"a whole number from {_FEWEST} to 2^32, or 'adaptive'",
+            "correct it",
+        )
+    return number
+
+
+def _check_shapes(study: Study) -> None:
+    """What is fitted is judged at the nominal machine, where an effect of no size has no shape."""
+    for effect in study.model.effects:
+        sizes = effect.amplitudes
+        declared = {name for name, *_ in effect.given}
+        for p in effect.shapes:
+            if p.moves and p.name not in declared and not any(size.mean for size in sizes):
+                raise refusal(
+                    study.path.name,
+                    f"[[model.effect]] {effect.key}, key {p.label}",
+                    f"no value, and no {' or '.join(size.label for size in sizes)} from which a "
+                    f"measurement would tell {p.name}",
+                    "one of them, as the uncertainty is that near the declared values",
+                    f"give {p.label}, or a size with its sigma",
+                )
+
+
+def _truth(study: Study, effects: Sequence[str]) -> Model:
+    """The declared model with the effects that are there but not fitted."""
+    model = study.model
+    found = parse_every_with(effects, study.catalogue, model.setup(study.plan), study.files)
+    for i, (text, effect) in enumerate(zip(effects, found, strict=True)):
+        try:
+            check_keys(model.with_effects(*found[: i + 1]))
+        except ValueError:
+            raise StudyError(
+                f"--with {text}: found {effect.key!r} a second time, expected an effect that is "
+                "neither declared in the study nor given before; leave it out"
+            ) from None
+    return model.with_effects(*found)
+
+
+@contextlib.contextmanager
+def _campaign(out: Path) -> Iterator[Path]:
+    """The folder of the campaign in `out`; gone afterwards, with `out`, where nothing was kept."""
+    missing = [p for p in (out, *out.absolute().parents) if not p.exists()]
+    folder = out / DRAWS
+    try:
+        yield folder
+    except BaseException:
+        for path in (folder, *missing):
+            with contextlib.suppress(OSError):
+                path.rmdir()
+        raise
+
+
+@contextlib.contextmanager
+def drawing() -> Iterator[tuple[Callable[[str], None], Callable[[int, int], None]]]:
+    """Show on a terminal how far the draws are: functions to call with the step, and with the
+    draws that are done and are to be done.
+
+    Quiet where stderr is not a terminal. Nothing of it remains on the screen.
+    """
+    if not sys.stderr.isatty():
+        yield lambda step: None, lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading the study", total=None)
+
+        def step(text: str) -> None:
+            bar.update(task, description=text)
+
+        def progress(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield step, progress

@@ -1,0 +1,75 @@
+"""What a plan tells apart without any prior, and what it does not."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..machine.plan import Plan
+from ..model.forward import Model, compared_with_jacobian
+from .posterior import check_shapes, open_shapes, slopes
+
+FREE = 1e-8
+"""Singular value of columns of unit length below which a combination is not seen."""
+_PART = 1e-3
+"""Share in an unseen combination from which a parameter counts as part of it."""
+
+
+class Rank(NamedTuple):
+    """Rank of the derivative of all readings by all amplitudes."""
+
+    columns: int
+    rank: int
+    mixed: tuple[int, ...]
+    """Places of the amplitudes (`Model.entries`) that are part of what no reading shows."""
+
+
+def rank_of(model: Model, plan: Plan) -> Rank:
+    """Rank at the nominal machine. Raises as `jacobian` does."""
+    return _rank(model, plan, range(len(model.entries)))
+
+
+def flat_rank(model: Model, plan: Plan) -> Rank:
+    """The same of the amplitudes without a prior alone. What has one is known beside them, and
+    takes nothing away from what the readings say of them.
+
+    Effects with shape parameters that are not declared are left out: where they are, their
+    amplitudes may be told.
+    """
+    flat = [
+        i
+        for i, entry in enumerate(model.entries)
+        if not entry.parameter.informed and not open_shapes(model.effects[entry.effect])
+    ]
+    kept = sorted({model.entries[i].effect for i in flat})
+    less = Model(model.chain, model.instrument, [model.effects[i] for i in kept])
+    # Places in the whole model of the amplitudes that are left.
+    own = [i for i, entry in enumerate(model.entries) if entry.effect in kept]
+    found = _rank(less, plan, [own.index(i) for i in flat])
+    return found._replace(mixed=tuple(own[i] for i in found.mixed))
+
+
+def _rank(model: Model, plan: Plan, columns: Sequence[int]) -> Rank:
+    """Of some of the amplitudes, by their places."""
+    if not columns:
+        return Rank(0, 0, ())
+    check_shapes(model)
+    instrument, rows = model.instrument, plan.rows
+    # What the plan is fitted with afterwards is compiled here already.
+    _, by_port = compared_with_jacobian(
+        model.chain,
+        instrument,
+        plan,
+        instrument.rows(plan),
+        np.zeros((rows, len(instrument.readings))),  # type: ignore[arg-type]
+        np.zeros((rows, len(model.layout))),  # type: ignore[arg-type]
+    )
+    J = np.asarray(slopes(model.effects, model, plan, np.asarray(by_port)))  # type: ignore[arg-type]
+    J = J.reshape(-1, J.shape[-1])[:, np.asarray(columns)]
+    norms = np.linalg.norm(J, axis=0)
+    J = J / np.where(norms > 0.0, norms, 1.0)
+    _, sizes, vt = np.linalg.svd(J, full_matrices=len(J) < J.shape[1])
+    rank = int((sizes > FREE).sum())
+    parts = np.abs(vt[rank:]).max(0, initial=0.0)
+    mixed = tuple(columns[i] for i in np.flatnonzero(parts > _PART).tolist())
+    return Rank(J.shape[1], rank, mixed)

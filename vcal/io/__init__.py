@@ -1,6 +1,0 @@
-"""The edge to files: study folders in, tables in and out; every mistake told in one message."""
-
-from .study import Study, load_study
-from .table import Table, read_header, read_table, write_table
-
-__all__ = ["Study", "Table", "load_study", "read_header", "read_table", "write_table"]

@@ -1,0 +1,99 @@
+"""Everything that was recorded and that a residual may depend on."""
+
+import numpy as np
+
+from ...effects.clock import CLOCKS
+from ...instruments.conditions import file_column
+from ...machine.plan import Plan, of_set
+
+_SAME = 0.9999
+"""Correlation from which two columns count as the same."""
+_UNITS = {"_deg": np.pi / 180.0, "_rad": 1.0}
+"""Ends of the names of columns of angles, and their factors to rad."""
+_GAP = 0.25
+"""Share of a turn that may be missing in angles that go round."""
+_SEAM = 2.0
+"""How much wider than the others the gap may be at which angles within one turn begin anew."""
+
+
+def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
+    """Axes, covariates and groups by their names inside vcal; of columns that are the same but for
+    scale and offset only the first.
+
+    What only the rows of one data set have is nan in the others; the axes are there for all rows
+    and for those of every data set.
+    """
+    tables = [plan.axes, plan.covariates, plan.groups]
+    names = [name for table in tables for name in table]
+    names += [of_set(one, axis) for one in plan.sets for axis in plan.axes]
+    distinct: dict[str, np.ndarray] = {}
+    directions: list[tuple[np.ndarray, np.ndarray]] = []
+    for name in names:
+        x = plan.values(name)
+        there = np.isfinite(x)
+        if name.rpartition(":")[2] == "point" or not there.any() or np.ptp(x[there]) == 0:
+            continue
+        direction = _direction(x[there])
+        if not any(
+            np.array_equal(there, others) and abs(direction @ other) >= _SAME
+            for others, other in directions
+        ):
+            distinct[name] = x
+            directions.append((there, direction))
+    return distinct
+
+
+def angles_around(plan: Plan) -> list[str]:
+    """Covariates that are angles, by the units in the names of their columns, and go round. What a
+    joint has travelled since the pose before is no place on a turn.
+    """
+    return [
+        name
+        for name, x in distinct_covariates(plan).items()
+        if name in plan.covariates
+        and not name.startswith("move_")
+        and np.isfinite(x).all()
+        and file_column(name, plan.axes)[0][-4:] in _UNITS
+        and _goes_round(x * in_rad(plan, name))
+    ]
+
+
+def has_zero(plan: Plan, name: str) -> bool:
+    """Whether the zero of a quantity is that of nature: not that of positions, of clocks, of
+    numbers of runs, and of temperatures in degC.
+    """
+    if name in plan.axes or name in plan.groups or name in CLOCKS:
+        return False
+    return not file_column(name, plan.axes)[0].endswith("_degC")
+
+
+def _goes_round(angle: np.ndarray) -> bool:
+    """Whether angles (n,) in rad are places all around a turn, not those of a swivel with stops."""
+    turn = 2.0 * np.pi
+    places = np.unique(np.mod(angle, turn))
+    widest = np.diff(places, append=places[0] + turn).max()
+    if widest >= _GAP * turn:
+        return False
+    seam = turn - np.ptp(angle)
+    return seam <= _SEAM * np.diff(np.unique(angle)).max()
+
+
+def in_rad(plan: Plan, name: str) -> float:
+    """Factor that turns the values of a covariate that is an angle into rad, by the unit in the
+    name of its column.
+    """
+    column, factor = file_column(name, plan.axes)
+    return factor * _UNITS[column[-4:]]
+
+
+def correlation(x: np.ndarray, y: np.ndarray) -> float:
+    """Size of the correlation of two columns; zero where one of them does not vary."""
+    if np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
+        return 0.0
+    return float(abs(_direction(x) @ _direction(y)))
+
+
+def _direction(x: np.ndarray) -> np.ndarray:
+    """A column without its offset, of unit length."""
+    centred = x - x.mean()
+    return centred / np.linalg.norm(centred)

@@ -1,0 +1,1 @@
+"""What closing the loop returns: the closure, and what no effect explains."""

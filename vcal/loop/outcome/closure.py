@@ -1,0 +1,309 @@
+"""What closing the loop found: numbers and names only, from which pages and files are made."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from ...effects.base import Effect
+from ...identification.fit import Fit
+from ...identification.model_averaging import Doubt
+from ...instruments.conditions import file_column, in_file
+from ...model.measurement import CheckPoints
+from ..empirical import Empirical
+from ..residuals.outliers import Stray
+from ..residuals.variance_components import Component
+from ..residuals.vibration import Vibration
+from ..screening.candidates import Untestable
+from ..screening.screening import Screening
+from ..weighing.cross_validation import Rms
+from .unexplained import Unexplained, way
+
+Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
+
+
+_LOUDER, _SURELY = 1.5, 3.0
+"""Scatter over what is declared, and standard uncertainties of that, from which the verdict tells
+it."""
+_MOST_OF_IT = 0.5
+"""Share of a reading's scatter from which a vibration is all that is said of the rest."""
+_A_PART = 0.05
+"""Share of what remains from which a covariate is told with noise that is correlated in time."""
+
+
+@dataclass(frozen=True)
+class SetErrors:
+    """How wrong a model is on the readings of one data set of several."""
+
+    heldout: Rms
+    fit: Rms
+    chi2_per_dof: float
+    """Against the declared noise."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """How wrong a model is."""
+
+    check: Rms | None
+    """Volumetric error at the check points after rigid alignment; None without check data. What an
+    effect may be instead, and what is unexplained, is part of its uncertainty."""
+    check_raw: Rms | None
+    heldout: Rms
+    fit: Rms
+    chi2_per_dof: float
+    """Against the declared noise."""
+    sets: Mapping[str, SetErrors] = field(default_factory=dict)
+    """The same by data set, where there are several."""
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect the loop added."""
+
+    effect: Effect
+    status: Literal["named", "ambiguous"]
+    placement: str
+    """Its place; a class of equivalent placements is written ``"X|Y|Z"``."""
+    parameters: list[tuple[str, float, str, float]]
+    """(name, value, unit, standard uncertainty), from the final fit, which has it at the placement
+    of `effect`: at another one of its class they may have another size and sign."""
+    p_value: float
+    log_evidence: float
+    delta_bic: float
+    heldout_gain: float
+    """Share by which the held-out rms fell when it was added, of several data sets that where it
+    fell most; an effect of the instrument of one has that of its own."""
+    equivalent: list[str]
+    alternatives: list[tuple[str, str, float]]
+    separation: str
+    """The measurement that would separate it from its rivals, in words; empty if none is needed."""
+
+    @property
+    def joint(self) -> bool:
+        """Whether its place is one of several that the data do not tell apart."""
+        return self.placement != self.effect.placement
+
+    @property
+    def name(self) -> str:
+        """Its name and place, with effects of other kinds that the data cannot tell from it."""
+        own = f"{self.effect.name} {self.placement}".strip()
+        others = [key for key in self.equivalent if key.split(" ")[0] != self.effect.name]
+        return f"{own} (for these data the same as {', '.join(others)})" if others else own
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """An effect that was tried and not added."""
+
+    effect: str
+    placement: str
+    p_value: float
+    reason: str
+
+
+def in_words(effect: Effect) -> str:
+    """What an empirical description is: ``"local error"``."""
+    return effect.summary.removeprefix("empirical: ")
+
+
+def outdone_by(effect: Effect) -> str:
+    """Why nothing else is added where an empirical description ends the search."""
+    return f"an empirical description ({in_words(effect)}) describes the residual better"
+
+
+def _and(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+@dataclass(frozen=True)
+class Closure:
+    """The result of `close_loop`."""
+
+    verdict: Verdict | None
+    """None where the search was interrupted before it had found anything."""
+    effects: list[FoundEffect]
+    errors: Mapping[Literal["uncompensated", "before", "after"], Errors]
+    before: Fit = field(repr=False)
+    after: Fit = field(repr=False)
+    nominal: Fit = field(repr=False)
+    """The nominal machine with only the nuisances fitted."""
+    doubts: Sequence[Doubt] = field(repr=False)
+    """What each of `effects` may be instead; then what describes what is unexplained."""
+    check: CheckPoints | None = field(repr=False)
+    unexplained: Unexplained | None
+    suspected: list[Stray]
+    rejected: list[Rejected]
+    untestable: list[Untestable]
+    unseen: list[str]
+    """Effects that the declared model already spans on this plan."""
+    screenings: list[Screening] = field(repr=False)
+    noise_scale: float
+    """Root of chi2 per degree of freedom at the end, where it differs from one significantly."""
+    noise_components: tuple[Component, ...]
+    """Noise found of every kind of reading; empty where the readings of a row are clustered."""
+    settings: Mapping[str, Any]
+    noise_scales: Mapping[str, float] = field(default_factory=dict)
+    """The same of every data set by its name, one or several."""
+    noise_uneven: bool = False
+    """Whether the kinds of reading scatter differently from one another, in parts of what is
+    declared; the fit after closing the loop then goes by `noise_components`.
+    """
+    interrupted: bool = False
+    vibration: Vibration | None = None
+    """Of what is left, where runs of several paces tell it."""
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def variance(self) -> dict[str, float]:
+        """Shares of the whitened variance that the declared model leaves: what the named effects
+        take of it, what the empirical description would, the declared noise, and the rest.
+        """
+        before, after = (self.errors[name].chi2_per_dof for name in ("before", "after"))
+        before = max(before, after)  # with other weights, the declared chi2 is not at its minimum
+        noise = min(1.0, after)
+        what, described = self.unexplained, 0.0
+        if what is not None and what.empirical is not None:
+            described = what.share_of_variance * (after - noise)
+        elif what is not None:
+            best = max([*what.shares, *(share for *_, share in what.products)], default=0.0)
+            described = min(best * after, after - noise)
+        return {
+            "named effects": (before - after) / before,
+            "description": described / before,
+            "noise": noise / before,
+            "rest": (after - noise - described) / before,
+        }
+
+    @property
+    def searched(self) -> list[str]:
+        """Those of the effects asked for that were screened: that have a place on this instrument,
+        find the columns they need, and are not spanned by the declared model.
+        """
+        screened = {kind.kind for screening in self.screenings for kind in screening.kinds}
+        return [name for name in self.settings.get("effects", ()) if name in screened]
+
+    @property
+    def passed_over(self) -> list[Rejected]:
+        """Kinds of effects that were significant in some round, the last of which counts, but were
+        neither added nor worth a refit, so that `rejected` has none of them.
+        """
+        known = {f.effect.name for f in self.effects} | {r.effect for r in self.rejected}
+        found: dict[str, Rejected] = {}
+        for i, screening in enumerate(self.screenings):
+            for kind in screening.kinds:
+                p_value, best = screening.corrected(kind), kind.peaks[0].effect
+                told = kind.kind in known or isinstance(best, Empirical)
+                if p_value <= self.settings["alpha"] and not told:
+                    why = self._why_passed_over(i)
+                    found[kind.kind] = Rejected(kind.kind, best.placement, p_value, why)
+        return list(found.values())
+
+    def _why_passed_over(self, number: int) -> str:
+        """Why the rest of a round, from 0, was not looked at."""
+        if number < len(self.screenings) - 1:
+            return "not significant any more beside what was added"
+        if self.interrupted:
+            return "the search was interrupted"
+        if self.screenings[number].added is not None:
+            return "less likely than what was added"
+        if self.full:
+            return "no more effects may be added (max_effects)"
+        if self.unexplained is not None and self.unexplained.empirical is not None:
+            return outdone_by(self.unexplained.empirical.effect)
+        return "its evidence is far behind that of others"
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        names = [e.name for e in self.effects]
+        listed = _and(names)
+        if self.interrupted:
+            return f"Interrupted before the search ended; found by then: {listed or 'nothing'}."
+        tried = set(self.settings.get("effects", ()))
+        tested = {kind.kind for screening in self.screenings for kind in screening.kinds}
+        if self.verdict == "nothing_missing" and tried and tested and not tried & tested:
+            return "Nothing could be tested: the data say nothing about any effect that was tried."
+        if self.louder:
+            return (
+                f"No effect was found, but {self._scatter()} times as declared: the noise is "
+                "larger than was declared, or something is missing that nothing tried describes."
+            )
+        if self.verdict == "nothing_missing":
+            return "The declared model explains the measurement: nothing is missing."
+        if self.verdict == "named":
+            return f"The declared model lacked {listed}."
+        if self.verdict == "ambiguous":
+            likely = all(
+                2.0 * p < 1.0 for found in self.effects for *_, p in found.alternatives
+            )  # else a rival is the likelier one
+            how = "most likely" if likely else "it may be"
+            return f"The declared model lacks something: {how} {listed}, but not for certain."
+        found = f"Found {listed}; the rest is unexplained" if names else "Unexplained"
+        limit = ", and no more effects may be added (max_effects)" if self.full else ""
+        return f"{found}{limit}: {self._remainder()}."
+
+    @property
+    def louder(self) -> dict[str, float]:
+        """Where no effect was found: what scatters far more than declared, by the kind of reading
+        or the data set (all: without a name), in units of what is declared.
+        """
+        if self.verdict != "nothing_missing":
+            return {}
+        if self.noise_scale >= _LOUDER and not self.noise_uneven:
+            return {"": self.noise_scale}
+        parts = {
+            part.name: part.factor
+            for part in self.noise_components
+            if part.factor >= _LOUDER and part.factor - 1.0 > _SURELY * part.u
+        }
+        sets = {name: scale for name, scale in self.noise_scales.items() if scale >= _LOUDER}
+        return parts or sets
+
+    def _scatter(self) -> str:
+        """What `louder` says, up to "times as declared"."""
+        (name, factor), *others = self.louder.items()
+        first = f"{name} scatters {factor:.2g}" if name else f"the readings scatter {factor:.2g}"
+        return _and([first, *(f"{other} {factor:.2g}" for other, factor in others)])
+
+    @property
+    def full(self) -> bool:
+        """Whether the limit of effects, and no description, ended the search."""
+        described = self.unexplained is not None and self.unexplained.empirical is not None
+        return not described and len(self.effects) >= self.settings["max_effects"]
+
+    def _remainder(self) -> str:
+        swings = self.vibration
+        if swings is None:
+            return self._described()
+        # That of one data set says nothing of what the others leave.
+        most = swings.share > _MOST_OF_IT and not swings.data_set
+        return swings.words if most else f"{self._described()}; {swings.words}"
+
+    def _described(self) -> str:
+        what = self.unexplained
+        if what is None or not what.depends_on:
+            return "no covariate orders it"
+        axes = self.after.measurement.plan.axes
+        columns = [file_column(name, axes)[0] for name in what.depends_on[:2]]
+        on = " times ".join(columns if what.joint else columns[:1])
+        along = f" {way(what.direction)}" if what.direction != "mixed" else ""
+        described = what.empirical.effect if what.empirical is not None else None
+        if isinstance(described, Empirical) and described.unit == "urad":
+            along = f" by the rotation {described.port}"
+        if what.where:
+            place = what.where[0]
+            column, given = file_column(place.covariate, axes)[0], self.after.measurement.plan
+            low, high = (
+                in_file(place.covariate, v, given, self.after.model.instrument)
+                for v in (place.low, place.high)
+            )
+            said = what.words or "an error"
+            of = f" with {columns[0]}" if columns[0] != column else ""
+            return f"{said}{along}{of} where {column} is {low:.4g} to {high:.4g}"
+        if what.words and what.empirical is None:
+            share = what.shares[0]
+            part = f", {100.0 * share:.0f} % of it with {columns[0]}" if share >= _A_PART else ""
+            return f"{what.words}{along}{part}"
+        if what.words:
+            return f"{what.words}{along} ({on})"
+        return f"it depends on {on}"

@@ -1,0 +1,269 @@
+"""What remains and has no name: along which covariate, where, in which direction, how large."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...effects.base import Effect
+from ...identification.fit import Fit, declared_chi2
+from ..empirical import Empirical, Interval
+from ..residuals.autocorrelation import Serial
+from ..residuals.dependence import Dependence, dependence, displacements
+from ..weighing.rivals import Rival
+
+_CLEARLY = 1.2
+"""What a covariate must describe of the variance, over what an empirical effect does, to be told
+first: that says where."""
+_AS_NOISE = "noise that is correlated in time, or a drift"
+_MOSTLY = 2.0
+"""Share of the variance that persists from reading to reading, over what the best covariate
+describes, from which no covariate is told alone: all that changes slowly describes some."""
+_SPREAD = 25.0
+"""chi2 per degree of freedom, against the declared noise, from which something must be missing even
+if nothing that is recorded tells it; noise that is declared too small is no such thing.
+"""
+_BY_CHANCE = 0.01
+"""Probability from which what is this large for another reason depends on no covariate: the best of
+all that were recorded always describes a little."""
+_LAST_LOOK = 0.25
+"""Share of alpha that the last look at what remains may spend beside the search."""
+_BEYOND = "what is beyond the declared noise"
+_BY_THE_BEST = "what the column or product that tells most describes"
+"""Of the residual, what is told in size and share where nothing describes it."""
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """A residual that no effect that was tried explains."""
+
+    depends_on: list[str]
+    """Covariates, most telling first."""
+    shares: list[float]
+    """Share of the residual's variance each of them describes alone, corrected for chance."""
+    where: list[Interval]
+    direction: str
+    """``"X"``, ``"Y"``, ``"Z"`` at the tool point, or ``"mixed"``; ``"A"``, ``"B"``, ``"C"`` where
+    only angles were read.
+    """
+    size_um: float
+    share_of_variance: float
+    p_value: float
+    reason: str
+    words: str = ""
+    """What it is: the empirical description, or noise, where there is one."""
+    empirical: Rival | None = None
+    """The empirical description, where there is one."""
+    products: tuple[tuple[str, str, float], ...] = ()
+    """Pairs of covariates whose product describes some of it, with its share, largest first."""
+    joint: bool = False
+    """Whether it is the product of two that it depends on first of all."""
+    size_is: str = ""
+    """What `size_um` is, in words."""
+    share_is: str = ""
+    """What `share_of_variance` is a share of, in words."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """An effect, or a description, that was significant in the last round, and did not hold."""
+
+    effect: Effect
+    p_value: float
+    """Corrected for the search."""
+    reason: str
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        return self.effect.words if isinstance(self.effect, Empirical) else self.effect.key
+
+
+def main_direction(vectors: np.ndarray, ways: str) -> str:
+    """The one of three ways that carries more than 60 % of the squared length, or ``"mixed"``."""
+    squares = (vectors**2).sum(0)
+    if squares.sum() == 0:
+        return "mixed"
+    i = int(np.argmax(squares))
+    return ways[i] if squares[i] > 0.6 * squares.sum() else "mixed"
+
+
+def way(letter: str) -> str:
+    """One of `Fit.ways` in words: ``"along X"``, ``"about X"``."""
+    turn = "ABC".find(letter)
+    return f"along {letter}" if turn < 0 else f"about {'XYZ'[turn]}"
+
+
+def described(
+    fit: Fit,
+    tested: Fit,
+    best: Rival,
+    p_value: float,
+    chi2_per_dof: float,
+    alpha: float,
+    draws: int,
+    seed: int,
+) -> Unexplained:
+    """The description where the `best` empirical one explains more than every effect that was
+    tried: by that or, where it leaves something and they describe clearly more, by a covariate
+    or a product of two. `tested` is the fit with the noise to test by.
+    """
+    told = dependence(tested, draws, seed)
+    local = _from_empirical(fit, best, p_value, told)
+    spread = _from_dependence(fit, told, chi2_per_dof, alpha)
+    if spread is None or dependence(best.fit, draws, seed).p_value > alpha:
+        return local
+    without, beyond = _beyond_noise(fit, best.fit)
+    by_it = local.share_of_variance * max(beyond / without, 0.0)
+    return spread if _best(spread) > _CLEARLY * by_it else local
+
+
+def _best(what: Unexplained) -> float:
+    return max([*what.shares, *(share for *_, share in what.products)], default=0.0)
+
+
+def _beyond_noise(fit: Fit, described: Fit) -> tuple[float, float]:
+    """Chi-square of a fit, and how much of it is beyond the noise: as declared, or as little as a
+    description leaves. That of the fits themselves may be as large as all that is left.
+    """
+    without, left = declared_chi2(fit), declared_chi2(described)
+    return without, without - fit.dof * min(1.0, left / described.dof)
+
+
+def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> Unexplained:
+    effect = best.effect
+    assert isinstance(effect, Empirical)
+    plan, shape = fit.measurement.plan, best.fit.shapes.get(len(fit.model.effects), {})
+    added = best.fit.model.places[-1]
+    step = best.fit.jacobian[:, added] @ best.fit.theta[added]
+    n, m = fit.residual.shape
+    moved = np.zeros((n, m))
+    used = fit.used
+    moved[used] = np.linalg.solve(fit.whitener[used], step.reshape(n, m)[used][:, :, None])[:, :, 0]
+    vectors = displacements(fit, moved)[used]
+    words = effect.said(shape)
+    shares = dict(told.single)
+    depends_on = list(dict.fromkeys([*effect.depends_on(plan, shape), *shares]))
+    without, beyond = _beyond_noise(fit, best.fit)
+    drop = (without - declared_chi2(best.fit)) / max(beyond, without / fit.dof)
+    return Unexplained(
+        depends_on=depends_on,
+        shares=[shares.get(name, 0.0) for name in depends_on],
+        where=list(effect.intervals(plan, shape)),
+        direction=main_direction(vectors, fit.ways),
+        size_um=float(np.linalg.norm(vectors, axis=1).max() * 1e6),
+        share_of_variance=float(min(drop, 1.0)),
+        p_value=p_value,
+        reason=f"{words} describes the residual better than every effect that was tried",
+        words=words,
+        empirical=best,
+        products=tuple(told.products),
+        joint=effect.joint,
+        size_is="largest displacement of the tool point by the description",
+        share_is="of χ² beyond the noise, what the description takes",
+    )
+
+
+def from_structure(
+    fit: Fit,
+    chi2_per_dof: float,
+    alpha: float,
+    draws: int,
+    seed: int,
+    correlated: Serial | None = None,
+    refused: Refused | None = None,
+    full: bool = False,
+) -> Unexplained | None:
+    """The description where the residual depends on covariates, is correlated in time, or is far
+    larger than declared; or where an effect was significant and was `refused`. `full`: the search
+    ended because no more effects may be added.
+    """
+    told = dependence(fit, draws, seed)
+    return _from_dependence(fit, told, chi2_per_dof, alpha, correlated, refused, full)
+
+
+def _from_dependence(
+    fit: Fit,
+    told: Dependence,
+    chi2_per_dof: float,
+    alpha: float,
+    correlated: Serial | None = None,
+    refused: Refused | None = None,
+    full: bool = False,
+) -> Unexplained | None:
+    spread = chi2_per_dof > _SPREAD
+    if spread and told.p_value > _BY_CHANCE:
+        told = Dependence([], [], False, told.p_value)
+    quiet = told.p_value > _LAST_LOOK * alpha and not spread and correlated is None
+    if quiet and refused is None:
+        return None
+    shares = dict(told.single)
+    if told.joint and not quiet:
+        # A product shows in neither alone: both of it come first.
+        first, second, _ = told.products[0]
+        shares = _ahead(shares, (first, second))
+    if correlated is not None and not shares and fit.measurement.plan.has("t"):
+        shares = {"t": 0.0}
+    only = refused if quiet else None
+    if only is not None:
+        # Nothing else is significant: neither a product nor what a column tells by itself.
+        shares = _ahead(shares, only.effect.betrayed_by)
+    best = max([*shares.values(), *(share for *_, share in told.products)], default=0.0)
+    vectors = displacements(fit)[fit.used]
+    excess = max(1.0 - 1.0 / chi2_per_dof, 0.0)
+    size = math.sqrt((vectors**2).sum(1).mean() * (excess if spread else best))
+    words = ""
+    if correlated is not None and correlated.share > _MOSTLY * best:
+        words = _AS_NOISE
+    elif only is not None:
+        words = f"what looks like {only.words}, which is not certain"
+    if full and refused is not None:
+        reason = f"{refused.words} is significant, but no more effects may be added (max_effects)"
+    elif full:
+        reason = "no more effects may be added (max_effects), and none is significant in the rest"
+    else:
+        reason = _reason(spread, best, correlated, only)
+    return Unexplained(
+        depends_on=list(shares),
+        shares=list(shares.values()),
+        where=[],
+        direction=main_direction(vectors, fit.ways),
+        size_um=size * 1e6,
+        share_of_variance=excess if spread else best,
+        p_value=only.p_value if only is not None else told.p_value,
+        reason=reason,
+        words=words,
+        products=tuple(told.products),
+        joint=told.joint and not quiet,
+        size_is=f"rms displacement of the tool point, {_BEYOND if spread else _BY_THE_BEST}",
+        share_is=f"of the variance of the residual, {_BEYOND if spread else _BY_THE_BEST}",
+    )
+
+
+def _ahead(shares: dict[str, float], names: Iterable[str]) -> dict[str, float]:
+    """The shares with those of some covariates first."""
+    ahead = {name: shares.get(name, 0.0) for name in names}
+    return ahead | {name: s for name, s in shares.items() if name not in ahead}
+
+
+def _reason(spread: bool, best: float, correlated: Serial | None, only: Refused | None) -> str:
+    """Why something is unexplained, where there is room for further effects. `only`: an effect
+    that was refused where nothing else is significant.
+    """
+    if correlated is not None:
+        return (
+            f"readings that follow each other are alike: {100 * correlated.share:.0f} % of the "
+            f"scatter persists over some {correlated.length:.0f} readings, as noise that is "
+            "correlated in time does, or a drift that no effect that was tried has"
+        )
+    if only is not None:
+        return f"{only.words} is significant, but {only.reason}"
+    if spread and best < 0.1:
+        return (
+            "the residual is far larger than the declared noise, and no single covariate "
+            "describes a tenth of it: spread"
+        )
+    if spread:
+        return "the residual is far larger than the declared noise and depends on covariates"
+    return "the residual depends on covariates in a way that no effect that was tried has"

@@ -1,0 +1,1 @@
+"""Tests of residuals: dependence, autocorrelation, vibration, variance components, outliers."""

@@ -1,0 +1,96 @@
+"""Covariates of which no reading tells which mattered: they went together, or only one is known."""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from ...instruments.conditions import file_column
+from ...machine.plan import Plan
+from ..screening.candidates import Untestable
+
+_TOGETHER = 0.95
+"""Least correlation of covariates that count as one."""
+_CLOSELY = 0.9
+"""The same of what a plan should not let go together, while that can be changed."""
+_SEQUENCE = ("order", "pose", "run")
+"""What counts up with time."""
+
+
+def confounded(plan: Plan, names: Iterable[str]) -> list[str]:
+    """Sentences on what went together with any of `names`: time, temperatures, sequence."""
+    conditions = {
+        name: np.asarray(x, float)
+        for name, x in plan.covariates.items()
+        if name == "t" or name.startswith("T_")
+    }
+    conditions |= {
+        name: np.asarray(plan.groups[name], float)
+        for name in ("run", "pose")
+        if name in plan.groups
+    }
+    conditions = _varied(conditions)
+    found, told = [], set()
+    for name in names:
+        if name not in conditions or name in told:
+            continue
+        linked = _linked(name, conditions, _TOGETHER)
+        told |= {name, *linked}
+        if linked:
+            columns = [file_column(n, plan.axes)[0] for n in (name, *linked)]
+            found.append(
+                f"the columns {', '.join(columns[:-1])} and {columns[-1]} went together "
+                f"(correlation {min(linked.values()):.2f} or more): what depends on one of them "
+                "looks as if it depended on the others; vary them independently to tell"
+            )
+    return found
+
+
+def confounding(plan: Plan, names: Iterable[str]) -> list[str]:
+    """Sentences on which of these covariates follow a position or another covariate, before
+    anything is measured or looked for.
+    """
+    names = list(names)
+    positions = {axis: np.asarray(plan.x(axis), float) for axis in plan.axes}
+    known = _varied(positions | {n: np.asarray(plan.covariates[n], float) for n in names})
+    found, told = [], set()
+    for name in names:
+        if name not in known or name in told:
+            continue
+        linked = _linked(name, known, _CLOSELY)
+        told |= {name, *linked} - positions.keys()
+        if linked:
+            column = file_column(name, plan.axes)[0]
+            each = [f"{file_column(n, plan.axes)[0]} ({r:.2f})" for n, r in linked.items()]
+            do = "measure in random order" if linked.keys() & positions.keys() else "vary them"
+            found.append(
+                f"{column} follows {', '.join(each)}: what depends on one looks as if it depended "
+                f"on the other{'s' * (len(each) > 1)}; {do} to tell them apart"
+            )
+    return found
+
+
+def _varied(known: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {n: x for n, x in known.items() if np.isfinite(x).all() and np.ptp(x) > 0.0}
+
+
+def _linked(name: str, known: Mapping[str, np.ndarray], least: float) -> dict[str, float]:
+    """Others with their correlation with one, where it is as large as that."""
+    linked = {
+        other: abs(float(np.corrcoef(known[name], x)[0, 1]))
+        for other, x in known.items()
+        if other != name
+    }
+    return {other: r for other, r in linked.items() if r >= least}
+
+
+def unrecorded_time(plan: Plan, name: str, untestable: Iterable[Untestable]) -> list[str]:
+    """That what depends on the sequence may depend on time, where nobody recorded the time."""
+    wanting = {u.effect for u in untestable if [missing for missing, _ in u.missing] == ["t"]}
+    if name not in _SEQUENCE or not wanting:
+        return []
+    column, time = (file_column(n, plan.axes)[0] for n in (name, "t"))
+    return [
+        f"what depends on {column} may depend on time, which was not recorded: "
+        f"{', '.join(sorted(wanting))} could not be tested; record the time of every reading "
+        f"(column {time})"
+    ]

@@ -1,0 +1,95 @@
+"""Which effects could be missing: every class of the catalogue, at every place it could sit."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from ...effects.base import Effect, Fitted
+from ...effects.data_set import in_setup
+from ...identification.fit import Fit
+from ...machine.plan import Plan
+from ...model.forward import Model
+from ...model.measurement import Measurement
+
+
+@dataclass(frozen=True)
+class Untestable:
+    """An effect that could not be tested on this data, and why."""
+
+    effect: str
+    placement: str
+    reason: str
+    missing: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Covariates that it needs and the data sets that lack each: none of these where there is only
+    one data set, or where all have it and do not share it.
+    """
+
+
+def candidates(
+    model: Model,
+    measurement: Measurement,
+    classes: Iterable[type[Effect]],
+    beside: Iterable[Effect] = (),
+    fit: Fit | None = None,
+) -> tuple[list[Effect], list[Untestable]]:
+    """Instances the data can speak about, and those it cannot for want of a covariate; `beside` are
+    others that are tried, `fit` is what was found of those of the model.
+    """
+    plan = measurement.plan
+    used = frozenset(name for effect in beside for name in effect.needs)
+    setup = replace(model.setup(plan), used=used, fitted=_fitted(fit) if fit else ())
+    present = {_identity(effect) for effect in model.effects}
+    found, missing = [], {}
+    for cls in classes:
+        if cls.kind != "systematic":
+            continue
+        for effect in in_setup(cls, setup):
+            if _identity(effect) in present:
+                continue
+            absent = [name for name in effect.needs if not plan.has(name)]
+            if absent:
+                missing[effect.name, effect.placement] = [_wanting(plan, name) for name in absent]
+            else:
+                found.append(effect)
+    return found, [
+        Untestable(name, place, "; ".join(_reasons(wanted, plan.sets)), tuple(wanted))
+        for (name, place), wanted in missing.items()
+    ]
+
+
+def _fitted(fit: Fit) -> tuple[Fitted, ...]:
+    found = []
+    for place, effect in enumerate(fit.model.effects):
+        if effect.kind == "systematic":
+            values = {p.name: float(v) * p.si for _, p, v, _ in fit.values_of(place) if not p.shape}
+            shape = {name: float(v) for name, v in fit.shapes.get(place, {}).items()}
+            found.append(Fitted(effect, shape, values))
+    return tuple(found)
+
+
+def _wanting(plan: Plan, name: str) -> tuple[str, tuple[str, ...]]:
+    """A covariate that is not there, and the data sets that lack it."""
+    owner, _, plain = name.partition(":")
+    return (plain, (owner,)) if owner in plan.sets else (name, plan.lacking(name))
+
+
+def _reasons(wanted: list[tuple[str, tuple[str, ...]]], sets: tuple[str, ...]) -> list[str]:
+    """Why covariates are not there, in words: one reason for those that the same data sets lack."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for name, lacking in wanted:
+        alike.setdefault(lacking, []).append(name)
+    reasons = []
+    for lacking, names in alike.items():
+        listed = ", ".join(names)
+        if not sets or lacking == sets:
+            reasons.append(f"the data have no {listed}")
+        elif not lacking:
+            reasons.append(f"the data sets do not share their {listed}")
+        else:
+            reasons.append(
+                f"{' and '.join(lacking)} {'have' if lacking[1:] else 'has'} no {listed}"
+            )
+    return reasons
+
+
+def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
+    return effect.name, effect.placement, tuple(p.name for p in effect.parameters)

@@ -1,0 +1,99 @@
+"""The steps of an effect's scan, and what it does to the machine at each of them."""
+
+import itertools
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from ...effects.base import Effect
+from ...machine.plan import Plan
+
+_ROOM = 2**28
+"""Most bytes that are kept of what effects do."""
+
+Response = list[tuple[str, tuple[int, ...], np.ndarray]]
+"""Port, amplitudes that disturb it (a), and by how much in solver units: (g, a, n)."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The steps of an effect's scan: all combinations of values of its shape parameters."""
+
+    names: list[str]
+    lengths: tuple[int, ...]
+    mesh: np.ndarray
+    """(steps, shape parameters); one step where there are none."""
+
+    @classmethod
+    def of(cls, effect: Effect, plan: Plan) -> "Scan":
+        """That of an effect on a plan."""
+        grids = effect.scan(plan)
+        mesh = np.array(list(itertools.product(*grids.values()))) if grids else np.zeros((1, 0))
+        return cls(list(grids), tuple(len(grid) for grid in grids.values()), mesh)
+
+    def grid(self, rows: slice) -> dict[str, np.ndarray]:
+        """Values of each shape parameter at some of the steps."""
+        return {name: self.mesh[rows, i] for i, name in enumerate(self.names)}
+
+    def parts(self, most: int) -> list[slice]:
+        """All steps in order, `most` or fewer at a time."""
+        return [slice(i, min(i + most, len(self.mesh))) for i in range(0, len(self.mesh), most)]
+
+
+def filled(scans: Iterable[tuple[int, Scan]], most: int) -> Iterator[list[tuple[int, slice]]]:
+    """Parts of all scans in order, whose and which, as many as have `most` steps together. A scan
+    is always parted in the same places, whatever is beside it.
+    """
+    together, steps = [], 0
+    for i, scan in scans:
+        for part in scan.parts(most):
+            size = part.stop - part.start
+            if together and steps + size > most:
+                yield together
+                together, steps = [], 0
+            together.append((i, part))
+            steps += size
+    if together:
+        yield together
+
+
+class Responses:
+    """What effects do to the rows of a plan, kept from one screening to the next while there is
+    room: most candidates are the same ones in every round.
+    """
+
+    def __init__(self, plan: Plan, room: int = _ROOM):
+        self.plan, self._room = plan, room
+        self._kept: dict[tuple, Response] = {}
+
+    def of(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> Response:
+        """Of an effect at values of its shape parameters (g,) each; one g where it has none."""
+        amplitudes = {p.name: (k, p.step) for k, p in enumerate(effect.amplitudes)}
+        shape = {name: values[:, None] for name, values in grid.items()}
+        size = len(next(iter(grid.values()))) if grid else 1
+        ports: dict[str, list[tuple[int, float, np.ndarray]]] = {}
+        for (port, name), phi in effect.response(self.plan, shape).items():
+            ports.setdefault(port, []).append((*amplitudes[name], np.asarray(phi)))
+        found = []
+        for port, moved in ports.items():
+            values = np.empty((size, len(moved), self.plan.rows))
+            for i, (_, step, phi) in enumerate(moved):
+                np.multiply(phi, step, out=values[:, i])
+            found.append((port, tuple(k for k, _, _ in moved), values))
+        return found
+
+    def scanned(self, effect: Effect, scan: Scan, rows: slice) -> Response:
+        """The same at some steps of a scan of it, which is the same whenever it is asked for."""
+        leaves, structure = jax.tree.flatten(effect)
+        values = tuple(np.asarray(leaf).tobytes() for leaf in leaves)
+        key = structure, values, rows.start, rows.stop
+        if (kept := self._kept.get(key)) is not None:
+            return kept
+        found = self.of(effect, scan.grid(rows))
+        size = sum(phi.nbytes for *_, phi in found)
+        if size <= self._room:
+            self._kept[key] = found
+            self._room -= size
+        return found

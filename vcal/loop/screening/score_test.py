@@ -1,0 +1,469 @@
+"""Screening: how much every candidate would explain, without a refit, and what that is worth.
+
+At the fit, with whitened residual r, Jacobian J, prior precision L and H = J'J + L, a candidate
+with columns C has the score s = C'r and the information G = C'C - C'J H^-1 J'C; s'G^-1 s is the
+drop of the cost if it were added. The same statistic is computed for residuals drawn under the
+hypothesis that nothing is missing, r* = e - J H^-1 (J'e + L^(1/2) z): noise *and* parameters from
+their prior.
+"""
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.ndimage import maximum_filter
+
+from ...effects.base import Effect
+from ...identification.fit import Fit
+from .responses import Response, Responses, Scan, filled
+from .significance import SILENT, minus_log_beta_tail
+from .size_evidence import leniency, log_mixture, surprise
+
+_RESOLVED = 1e-5
+"""Share of a candidate's columns that must be independent of the model for it to count: less may
+be the model's own curvature. Of a cross term a plan of a laser frame leaves a 50,000th part, which
+is many times the noise."""
+_CHUNK = 512
+_FAINT, _ROUNDING = 1e-6, 1e-9
+"""Share of what a scan says of a shape parameter, and of what readings tell of it, that count as
+nothing.
+"""
+
+
+@dataclass(frozen=True)
+class Peak:
+    """One candidate at one point of its scan."""
+
+    effect: Effect
+    shape: Mapping[str, float]
+    amplitudes: np.ndarray
+    """Linear estimate, in solver units."""
+    statistic: float
+    """Drop of the cost, in units of the noise variance found."""
+    log_bayes: float
+    """Linear estimate of the gain in log evidence over the present model, all steps of the scan
+    taken together that lie closer to this peak than to another one.
+    """
+    rank: int
+    log_share: float = 0.0
+    """By how much that is more than that of the best shape alone: the share of the scan that
+    explains the residual as well, so never above zero where the scan resolves the peak.
+    """
+    leniency: float = 0.0
+    """What its size being larger than expected costs `log_bayes` beyond what it may."""
+
+    @property
+    def log_bayes_at_its_size(self) -> float:
+        """`log_bayes` as rivals are weighed."""
+        return self.log_bayes + self.leniency
+
+
+def _free(fit: Fit) -> np.ndarray:
+    """The prior precision, with just so much of shape parameters that they are told at all: they
+    may go further than their scans.
+    """
+    told = np.maximum(_FAINT * fit.within_scans, _ROUNDING * (fit.jacobian**2).sum(0))
+    return np.where(np.arange(len(told)) < len(fit.model.entries), fit.precision, told)
+
+
+class Screen:
+    """The fit in the form in which candidates are tested against it."""
+
+    def __init__(self, fit: Fit, draws: int, seed: int, responses: Responses | None = None):
+        self.fit = fit
+        self.responses = Responses(fit.measurement.plan, 0) if responses is None else responses
+        n, m = fit.residual.shape
+        self.ports = np.einsum("nij,njp->nip", fit.whitener, fit.port_jacobian)
+        self.jacobian = fit.jacobian.reshape(n, m, -1)
+        self.factor = cho_factor(fit.jacobian.T @ fit.jacobian + np.diag(_free(fit)))
+        # A shape parameter at the end of its scan would go further: what that leaves unexplained is
+        # nothing that a candidate could explain.
+        uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
+        further = cho_solve(self.factor, uphill)
+        self.residual = (fit.whitened - fit.jacobian @ further).reshape(n, m)
+        lower = np.tril(self.factor[0]) if self.factor[1] else np.triu(self.factor[0]).T
+        # H^-1 = whitening whitening', so that J'C times it has the projection's inner product.
+        self.whitening = solve_triangular(lower, np.eye(len(lower)), lower=True).T
+        # The same for the nuisances alone, which may take up nearly all of a candidate's columns.
+        self.flat = fit.precision == 0
+        self.whitening_flat = np.linalg.pinv(np.linalg.qr(fit.jacobian[:, self.flat], mode="r"))
+        self.dof = fit.dof
+        self.chi2 = fit.chi2
+        self.count = float(fit.counted.sum() - self.flat.sum())
+        cost = self._cost(fit.chi2, float(fit.theta**2 @ fit.precision))
+        self.cost = max(cost, SILENT * self.count)
+        used = fit.counted.reshape(-1)
+        rng = np.random.default_rng(seed)
+        noise = rng.standard_normal((n * m, draws)) * used[:, None]
+        prior = rng.standard_normal((len(fit.theta), draws)) * np.sqrt(fit.precision)[:, None]
+        moved = cho_solve(self.factor, fit.jacobian.T @ noise + prior)
+        null = noise - fit.jacobian @ moved
+        beside = prior - fit.precision[:, None] * moved
+        self.null_cost = self._cost((null**2).sum(0), (beside**2).sum(0))
+        self.null = null.reshape(n, m, draws).astype(np.float32)
+        self._contracted: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._products: dict[tuple[int, int], np.ndarray] = {}
+
+    def _cost(self, chi2, prior):
+        """What a drop is a share of: squares of readings and of the prior, which counts as much as
+        the noise that was found, if not less than declared. What is beyond any prior, stretched by
+        something that is missing, counts as it does in a drop.
+        """
+        expected = np.minimum(prior, float(np.count_nonzero(self.fit.precision)))
+        return chi2 + np.maximum(chi2 / self.dof, 1.0) * expected + (prior - expected)
+
+    def contract(self, port: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residual (n), null residuals (n, draws) and Jacobian (n, k) seen through one port."""
+        if port not in self._contracted:
+            g = self.ports[:, :, port]
+            self._contracted[port] = (
+                np.einsum("nm,nm->n", g, self.residual),
+                np.einsum("nm,nmd->nd", g.astype(np.float32), self.null, optimize=True),
+                np.einsum("nm,nmk->nk", g, self.jacobian, optimize=True),
+            )
+        return self._contracted[port]
+
+    def columns(self, effect: Effect, shape: Mapping[str, float]) -> np.ndarray:
+        """Whitened columns C of a candidate in solver units: (n m, amplitudes)."""
+        n, m, _ = self.ports.shape
+        columns = np.zeros((n, m, len(effect.amplitudes)))
+        grid = {k: np.array([v]) for k, v in shape.items()}
+        for port, k, phi in self._ports(self.responses.of(effect, grid)):
+            columns[:, :, k] += self.ports[:, :, port, None] * phi[0].T[:, None, :]
+        return columns.reshape(n * m, -1)
+
+    def _ports(self, response: Response) -> list[tuple[int, tuple[int, ...], np.ndarray]]:
+        layout = self.fit.model.layout
+        return [(layout.index(port), amplitudes, phi) for port, amplitudes, phi in response]
+
+    def information(self, columns: np.ndarray) -> np.ndarray:
+        """G = C'C - C'J H^-1 J'C for whitened columns (n m, c)."""
+        projected = self.fit.jacobian.T @ columns
+        return columns.T @ columns - projected.T @ cho_solve(self.factor, projected)
+
+    def tests(self, effects: Sequence[Effect]) -> list["Tested | None"]:
+        """Statistics of candidates, each over its whole scan; None where the model spans it.
+
+        Steps of the scans of all effects that have as many amplitudes are tested together.
+        """
+        scans = [Scan.of(effect, self.fit.measurement.plan) for effect in effects]
+        alike: dict[int, list[int]] = {}
+        for i, effect in enumerate(effects):
+            alike.setdefault(len(effect.amplitudes), []).append(i)
+        tested: list[Tested | None] = [None] * len(effects)
+        for amplitudes, members in alike.items():
+            own: dict[int, list[Drops]] = {i: [] for i in members}
+            for together in filled([(i, scans[i]) for i in members], _CHUNK // amplitudes or 1):
+                responses = [
+                    (rows.stop - rows.start, self.responses.scanned(effects[i], scans[i], rows))
+                    for i, rows in together
+                ]
+                drops = self._drops(amplitudes, responses)
+                for (i, _), found in zip(together, drops, strict=True):
+                    own[i].append(found)
+            whole = [Drops.joined(own[i]) for i in members]
+            for i, drops, evidence in zip(members, whole, self._evidence(whole), strict=True):
+                if drops.rank.max() > 0:
+                    tested[i] = Tested(effects[i], scans[i], drops, *evidence)
+        return tested
+
+    def refine(self, peak: Peak, rounds: int = 3) -> Peak:
+        """The peak moved to the best point between its neighbours in the scan (no refit)."""
+        grids = dict(effect_grids(peak.effect, self.fit))
+        names = [p.name for p in peak.effect.shapes if p.smooth]
+        # Without a derivative: all values there are between the neighbours.
+        between = {}
+        for name, edges in peak.effect.edges(self.fit.measurement.plan).items():
+            every = 0.5 * (edges[1:] + edges[:-1])
+            if len(every) > len(grids[name]):
+                low, high = _neighbours(grids[name], peak.shape[name])
+                between[name] = every[(every >= low) & (every <= high)]
+                grids[name] = every
+        if not names and not between:
+            return peak
+        shape = dict(peak.shape)
+        width = {
+            n: float(np.abs(np.gradient(grids[n]))[np.argmin(np.abs(grids[n] - shape[n]))])
+            if len(grids[n]) > 1
+            else 0.0
+            for n in names
+        }
+        offset = math.log(math.prod(len(grid) for grid in grids.values()))
+        best = peak
+        for _ in range(rounds if names else 1):
+            axes = [
+                np.clip(shape[n] + width[n] * np.linspace(-1, 1, 9), grids[n].min(), grids[n].max())
+                if n in names
+                else between.get(n, np.array([shape[n]]))
+                for n in shape
+            ]
+            mesh = np.array(list(itertools.product(*axes)))
+            grid = {n: mesh[:, i] for i, n in enumerate(shape)}
+            drops = self._at(peak.effect, grid)
+            ((bayes, costs),) = self._evidence([drops])
+            i = int(np.argmax(np.where(drops.rank > 0, bayes, -np.inf)))
+            shape = {n: float(mesh[i, k]) for k, n in enumerate(shape)}
+            width = {n: w / 4.0 for n, w in width.items()}
+            together = max(peak.log_bayes, float(bayes[i]) - offset)
+            at_size = max(peak.log_bayes_at_its_size, float(bayes[i] + costs[i]) - offset)
+            best = Peak(
+                peak.effect,
+                shape,
+                drops.amplitudes[i],
+                float(drops.stat[i]),
+                together,
+                int(drops.rank[i]),
+                together - float(bayes[i]),
+                max(at_size - together, 0.0),
+            )
+        return best
+
+    def log_bayes(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Gain in log evidence with these values of its shape parameters (g,) each."""
+        size = len(next(iter(grid.values())))
+        pieces = [
+            self._at(effect, {n: v[i : i + _CHUNK] for n, v in grid.items()})
+            for i in range(0, size, _CHUNK)
+        ]
+        return self._evidence([Drops.joined(pieces)])[0][0]
+
+    def _at(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> "Drops":
+        """What an effect would explain, without what it would of null residuals."""
+        size, response = len(next(iter(grid.values()))), self.responses.of(effect, grid)
+        return self._drops(len(effect.amplitudes), [(size, response)], null=False)[0]
+
+    def _sums(self, c: int, responses: Sequence[tuple[int, Response]], null: bool):
+        """C'r (g, c), C'J (g, c, k), C'C (g, c, c) and C'r* (g, c, draws) of all steps."""
+        first = np.cumsum([0, *(size for size, _ in responses)])
+        k, draws = self.jacobian.shape[2], self.null.shape[2] if null else 0
+        s, cj, cc = (np.zeros((first[-1], c, *more)) for more in ((), (k,), (c,)))
+        s_null = np.zeros((first[-1], c, draws), np.float32)
+        through: dict[tuple[int, tuple[int, ...]], list[tuple[np.ndarray, np.ndarray]]] = {}
+        for begin, (size, response) in zip(first[:-1], responses, strict=True):
+            rows = np.arange(begin, begin + size)
+            ports = self._ports(response)
+            for port, a, phi in ports:
+                through.setdefault((port, a), []).append((rows, phi))
+            for (p, a, fa), (q, b, fb) in itertools.combinations_with_replacement(ports, 2):
+                both = (fa * self._both(p, q)) @ fb.transpose(0, 2, 1)
+                at = rows[:, None, None]
+                cc[at, np.array(a)[:, None], np.array(b)] += both
+                if p != q:
+                    cc[at, np.array(b)[:, None], np.array(a)] += both.transpose(0, 2, 1)
+        # What goes through the same port is one product of matrices, whosever it is.
+        for (port, a), parts in through.items():
+            r, drawn, j = self.contract(port)
+            at = np.concatenate([rows for rows, _ in parts])[:, None], np.array(a)
+            phi = np.concatenate([phi for _, phi in parts]) if len(parts) > 1 else parts[0][1]
+            flat = phi.reshape(-1, phi.shape[2])
+            s[at] += (flat @ r).reshape(phi.shape[:2])
+            cj[at] += (flat @ j).reshape(*phi.shape[:2], k)
+            if null:
+                s_null[at] += (flat.astype(np.float32) @ drawn).reshape(*phi.shape[:2], draws)
+        return s, cj, cc, s_null
+
+    def _drops(
+        self, c: int, responses: Sequence[tuple[int, Response]], null: bool = True
+    ) -> list["Drops"]:
+        """What effects of `c` amplitudes would explain, each at its own steps, by their number and
+        what the effect does there.
+        """
+        s, cj, cc, s_null = self._sums(c, responses, null)
+        sizes = [size for size, _ in responses]
+        first = np.cumsum([0, *sizes])
+        half = (cj.reshape(-1, cj.shape[2]) @ self.whitening).reshape(cj.shape)
+        g = cc - half @ half.transpose(0, 2, 1)
+        # Scaled by what flat nuisances leave: a pose may take up all but 1e-5 of a column, and the
+        # rest still be many times the noise. A column that is zero on this plan (no point under a
+        # bump), or that they take up entirely, is not seen.
+        whole = np.einsum("gaa->ga", cc)
+        taken = cj[:, :, self.flat] @ self.whitening_flat
+        left = whole - np.einsum("gak,gak->ga", taken, taken)
+        most = np.repeat(np.maximum.reduceat(whole.max(1), first[:-1]), sizes)
+        seen = (whole > 1e-18 * np.maximum(most, 1e-60)[:, None]) & (left > 1e-8 * whole)
+        scale = np.where(seen, np.sqrt(np.maximum(left, 0.0)), 1.0)
+        scaled = g / scale[:, :, None] / scale[:, None, :]
+        values, vectors = np.linalg.eigh(scaled * seen[:, :, None] * seen[:, None, :])
+        kept = values > _RESOLVED
+        inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
+        rank = kept.sum(1)
+        root = vectors * np.sqrt(inverse)[:, None, :] / scale[:, :, None]
+        t = np.einsum("gab,ga->gb", root, s)
+        stat = np.einsum("gb,gb->g", t, t)
+        amplitudes = np.einsum("gab,gb->ga", root, t)
+        by_rank: list[dict[int, np.ndarray]] = [{} for _ in sizes]
+        owner = np.repeat(np.arange(len(sizes)), sizes)
+        # For one rank, -ln p grows with the drop: only the largest drop of a draw is needed.
+        for r in np.unique(rank[rank > 0]).tolist() if null else ():
+            rows = np.flatnonzero(rank == r)
+            drawn = root[rows].astype(np.float32).transpose(0, 2, 1) @ s_null[rows]
+            drop = np.einsum("gbd,gbd->gd", drawn, drawn)
+            owners, begin = np.unique(owner[rows], return_index=True)
+            for i, most in zip(owners, np.maximum.reduceat(drop, begin), strict=True):
+                by_rank[i][r] = most
+        return [
+            Drops(stat[i:j], rank[i:j], amplitudes[i:j], g[i:j], s[i:j], most)
+            for i, j, most in zip(first[:-1], first[1:], by_rank, strict=True)
+        ]
+
+    def _both(self, p: int, q: int) -> np.ndarray:
+        """By how much a reading's square grows with what two ports do to it at once (n)."""
+        if (p, q) not in self._products:
+            self._products[p, q] = np.einsum("nm,nm->n", self.ports[:, :, p], self.ports[:, :, q])
+        return self._products[p, q]
+
+    def _evidence(self, of: Sequence["Drops"]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """At every step of each scan the gain in log evidence, and what the size there costs it
+        beyond what it may (`scales.leniency`): marginal likelihood of a linear model, at the noise
+        that the best of the scan leaves.
+        """
+        sizes = [len(drops.stat) for drops in of]
+        noise = [self._noise(drops) for drops in of]
+        every = np.repeat(noise, sizes)
+        g = np.concatenate([drops.information for drops in of]) / every[:, None, None]
+        s = np.concatenate([drops.scores for drops in of]) / every[:, None]
+        values, vectors = np.linalg.eigh(g)
+        model = np.maximum(values, 0.0), np.einsum("gab,ga->gb", vectors, s)
+        ends = np.cumsum(sizes)[:-1]
+        gains = log_mixture(*model)
+        # No size gains more than the drop says: what the model beside hardly leaves of a candidate
+        # is in no drop, but may look as large as it likes.
+        most = 0.5 * np.concatenate([drops.stat for drops in of]) / every - gains
+        costs = np.minimum(leniency(surprise(*model)), np.maximum(most, 0.0))
+        return list(zip(np.split(gains, ends), np.split(costs, ends), strict=True))
+
+    def _noise(self, drops: "Drops") -> float:
+        """Variance of the noise that the best of a scan leaves, in units of that of the fit."""
+        return max((self.chi2 - float(drops.stat.max())) / self.dof, 1.0)
+
+    def rarest(self, drops: Mapping[int, np.ndarray], cost) -> np.ndarray:
+        """-ln p of the rarest of the largest drops of each rank."""
+        return np.max([self.minus_log_p(drop, cost, rank) for rank, drop in drops.items()], axis=0)
+
+    def minus_log_p(self, stat, cost, rank) -> np.ndarray:
+        """-ln p of a drop `stat` of a cost, studentised: of chance, its share is distributed as
+        Beta(rank/2, (n - rank)/2), with n readings less the parameters of flat prior. Noise
+        declared too small or too large then changes nothing.
+        """
+        return minus_log_beta_tail(stat / cost, self.count, rank)
+
+    def rarity_of(self, peak: Peak) -> float:
+        """-ln p of a peak by itself."""
+        return float(self.minus_log_p(peak.statistic, self.cost, peak.rank))
+
+
+def _neighbours(grid: np.ndarray, value: float) -> tuple[float, float]:
+    """The steps of a scan before and after the one nearest to a value."""
+    order = np.sort(grid)
+    i = int(np.argmin(np.abs(order - value)))
+    return float(order[max(i - 1, 0)]), float(order[min(i + 1, len(order) - 1)])
+
+
+def effect_grids(effect: Effect, fit: Fit) -> Mapping[str, np.ndarray]:
+    """The scan of an effect on the plan of a fit."""
+    return effect.scan(fit.measurement.plan)
+
+
+@dataclass(frozen=True)
+class Drops:
+    """What an effect would explain at some steps of its scan (g)."""
+
+    stat: np.ndarray
+    """Drop of the cost (g)."""
+    rank: np.ndarray
+    """Amplitudes that are seen (g)."""
+    amplitudes: np.ndarray
+    information: np.ndarray
+    scores: np.ndarray
+    null: Mapping[int, np.ndarray]
+    """Largest drop of each null residual (draws), by rank."""
+
+    @classmethod
+    def joined(cls, parts: Sequence["Drops"]) -> "Drops":
+        """All steps together."""
+        if len(parts) == 1:
+            return parts[0]
+        fields = ("stat", "rank", "amplitudes", "information", "scores")
+        rows = [np.concatenate([getattr(part, name) for part in parts]) for name in fields]
+        return cls(*rows, null=largest(part.null for part in parts))
+
+
+def largest(drops: Iterable[Mapping[int, np.ndarray]]) -> dict[int, np.ndarray]:
+    """The largest of each rank."""
+    found: dict[int, np.ndarray] = {}
+    for each in drops:
+        for rank, drop in each.items():
+            found[rank] = np.maximum(found[rank], drop) if rank in found else drop
+    return found
+
+
+@dataclass(frozen=True)
+class Tested:
+    """A candidate that the model does not span, over its whole scan."""
+
+    effect: Effect
+    scan: Scan
+    drops: Drops
+    bayes: np.ndarray
+    """Gain in log evidence at every step."""
+    leniency: np.ndarray
+    """What the size there costs it beyond what it may."""
+
+    def largest(self) -> dict[int, np.ndarray]:
+        """The largest drop of each rank."""
+        drops = self.drops
+        ranks = np.unique(drops.rank[drops.rank > 0]).tolist()
+        return {rank: drops.stat[drops.rank == rank].max() for rank in ranks}
+
+    def peaks(self, most: int) -> list[Peak]:
+        """The best local maxima of the statistic over the scan: from its slopes a fit would only
+        run to the same.
+        """
+        drops, names = self.drops, self.scan.names
+        grid = np.indices(self.scan.lengths).reshape(len(names), len(drops.stat)).T
+        chosen: list[int] = []
+        choice = any(p.choice for p in self.effect.shapes)
+        apart = 0 if choice else 2
+        left = drops.rank > 0
+        if names and not choice:
+            over = np.where(left, drops.stat, -np.inf).reshape(self.scan.lengths)
+            left &= (over == maximum_filter(over, 3, mode="nearest")).reshape(-1)
+        while left.any() and len(chosen) < most:
+            i = int(np.argmax(np.where(left, drops.stat, -np.inf)))
+            chosen.append(i)
+            left &= (np.abs(grid - grid[i]) > apart).any(1)
+        steps = math.log(len(self.scan.mesh))
+        spreads = self._spreads(self.bayes, grid, chosen)
+        # Of all steps too: the sizes of those that the evidence is of may be smaller.
+        with_leniency = self._spreads(self.bayes + self.leniency, grid, chosen)
+        return [
+            Peak(
+                effect=self.effect,
+                shape={n: float(self.scan.mesh[i, k]) for k, n in enumerate(names)},
+                amplitudes=drops.amplitudes[i],
+                statistic=float(drops.stat[i]),
+                log_bayes=float(self.bayes[i]) + spread - steps,
+                rank=int(drops.rank[i]),
+                log_share=spread - steps,
+                leniency=max(float(self.leniency[i]) + more - spread, 0.0),
+            )
+            for i, spread, more in zip(chosen, spreads, with_leniency, strict=True)
+        ]
+
+    def _spreads(self, bayes: np.ndarray, grid: np.ndarray, chosen: list[int]) -> list[float]:
+        """How much more log evidence the steps about each peak have together than the peak.
+
+        A step that is better than the peak next to it is on the slope of a higher one, and counts
+        there.
+        """
+        if not self.scan.names or any(p.choice for p in self.effect.shapes):
+            return [0.0] * len(chosen)
+        away = np.abs(grid[:, None, :] - grid[chosen]).max(-1)
+        away[bayes[:, None] > bayes[chosen]] += len(grid)
+        nearest = away.argmin(1)
+        over = np.where(self.drops.rank > 0, bayes - bayes[chosen][nearest], -np.inf)
+        together = np.bincount(nearest, np.exp(np.minimum(over, 700.0)), minlength=len(chosen))
+        return np.log(together).tolist()

@@ -1,0 +1,111 @@
+"""Screening of all candidates: the best of each kind of effect, and what that is worth.
+
+The largest of each kind is corrected for the search within that kind first, then over the kinds.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...effects.base import Effect
+from .score_test import Peak, Screen, Tested, largest
+from .significance import corrected, effective_trials
+
+
+@dataclass(frozen=True)
+class KindResult:
+    """The best of one kind of effect, corrected for the whole search within the kind."""
+
+    kind: str
+    peaks: list[Peak]
+    instances: int
+    """How many places and components were tried."""
+    minus_log_p: float
+    """Uncorrected."""
+    trials: float
+    """Effective number of independent trials in the search."""
+    p_value: float
+    """Corrected within the kind."""
+
+
+@dataclass(frozen=True)
+class Screening:
+    """Everything a screening found."""
+
+    kinds: list[KindResult]
+    p_value: float
+    """Of the best kind, corrected over all kinds."""
+    trials: float
+    noise_scale: float
+    """Root of chi2 per degree of freedom, after the best candidate's share was taken out."""
+    unseen: list[Effect]
+    """Candidates whose columns the declared model already spans."""
+    added: Effect | None = None
+    """What was added after it, whether that stayed or not."""
+    told: Mapping[str, float] = field(default_factory=dict)
+    """Corrected p-value, by kind, of what was added or describes what is left: of its own shape,
+    which may be between the steps of a scan."""
+
+    def corrected(self, kind: KindResult) -> float:
+        """p-value of a kind's best candidate, corrected over all kinds too."""
+        return float(corrected(_minus_log_corrected(kind), self.trials))
+
+    def corrected_as(self, kind: str, minus_log_p: float) -> float:
+        """p-value of any candidate of a kind, corrected within the kind and over all kinds."""
+        it = next(found for found in self.kinds if found.kind == kind)
+        within = float(corrected(minus_log_p, it.trials))
+        return self.corrected(replace(it, minus_log_p=minus_log_p, p_value=within))
+
+    @property
+    def peaks(self) -> list[Peak]:
+        """All peaks, best evidence first."""
+        found = [peak for kind in self.kinds for peak in kind.peaks]
+        return sorted(found, key=lambda peak: -peak.log_bayes)
+
+
+def screen(state: Screen, effects: Sequence[Effect], *, peaks: int = 10) -> Screening:
+    """Test all candidates against a fit; see the module's description for the method.
+
+    `peaks` is how many maxima of a scan are kept.
+    """
+    groups: dict[str, list[Tested]] = {}
+    unseen = []
+    for effect, tested in zip(effects, state.tests(effects), strict=True):
+        if tested is None:
+            unseen.append(effect)
+        else:
+            groups.setdefault(effect.name, []).append(tested)
+    kinds, null, best_drop = [], [], 0.0
+    for kind, members in groups.items():
+        kind_null = state.rarest(largest(t.drops.null for t in members), state.null_cost)
+        trials = effective_trials(kind_null)
+        best = float(state.rarest(largest(t.largest() for t in members), state.cost))
+        found = sorted(
+            (peak for t in members for peak in t.peaks(peaks)), key=lambda peak: -peak.log_bayes
+        )
+        best_drop = max(best_drop, *(peak.statistic for peak in found))
+        kinds.append(
+            KindResult(kind, found, len(members), best, trials, float(corrected(best, trials)))
+        )
+        null.append(-np.log(np.maximum(corrected(kind_null, trials), 1e-300)))
+    if not kinds:
+        return Screening([], 1.0, 0.0, math.sqrt(state.chi2 / state.dof), unseen)
+    over_kinds = np.max(null, axis=0)
+    trials = effective_trials(over_kinds)
+    best = max(_minus_log_corrected(kind) for kind in kinds)
+    return Screening(
+        kinds=sorted(kinds, key=lambda kind: -_minus_log_corrected(kind)),
+        p_value=float(corrected(best, trials)),
+        trials=trials,
+        noise_scale=math.sqrt(max(state.chi2 - best_drop, 0.0) / state.dof),
+        unseen=unseen,
+    )
+
+
+def _minus_log_corrected(kind: KindResult) -> float:
+    """-ln of the corrected p-value, also where that underflows."""
+    if kind.p_value > 1e-290:
+        return -math.log(kind.p_value)
+    return kind.minus_log_p - math.log(kind.trials)

@@ -1,0 +1,276 @@
+"""Adding effects one after the other: what was tried, added, refused and left over."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...effects.base import Effect
+from ...identification.fit import Fit
+from ...model.forward import Model
+from ...model.measurement import Measurement
+from ..empirical import EMPIRICAL, Empirical
+from ..outcome.closure import Rejected, outdone_by
+from ..outcome.unexplained import Refused, Unexplained, described
+from ..screening.candidates import Untestable, candidates
+from ..screening.responses import Responses
+from ..screening.score_test import Screen
+from ..screening.screening import Screening, screen
+from ..weighing.rivals import WIDENINGS, WIDER, Rival, widened
+from ..weighing.weighing import Weighed, preferred, weigh
+from .round import Round
+from .state import State, chi2_per_dof, fitted
+
+_CONTRADICTED = math.log(5.0)
+"""Log odds of an effect that is refused over the next, from which that one is no name either: what
+fits as the one and holds as the other is something else."""
+_NO_MINIMUM = "its fit does not end in a minimum"
+
+
+@dataclass(frozen=True)
+class Added:
+    """An effect that was added, and what spoke for it."""
+
+    effect: Effect
+    weighed: Weighed
+    p_value: float
+    gain: float
+    trials: float
+    """Effective number of independent trials in which it was found."""
+
+
+def place_of(item: Added, effects: Sequence[Effect]) -> int:
+    """Where among the effects of a model an added one is."""
+    return next(i for i, e in enumerate(effects) if e.alike(item.effect))
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What rounds change, as it was before them."""
+
+    history: tuple[Added, ...]
+    rejected: tuple[Rejected, ...]
+    screenings: tuple[Screening, ...]
+    refused: Effect | None
+    unexplained: Unexplained | None
+    description: Rival | None
+    description_trials: float
+    outdone: tuple[Rejected, ...]
+
+
+class Adding:
+    """Rounds of a search, each of which adds one effect or ends it."""
+
+    def __init__(self, check, classes, alpha, draws, seed, room, progress):
+        self.check, self.classes, self.alpha = check, classes, alpha
+        self.draws, self.seed, self.room, self.progress = draws, seed, room, progress
+        self.history: list[Added] = []
+        """Whatever was added, whether it stayed or not."""
+        self.rejected: list[Rejected] = []
+        self.untestable: list[Untestable] = []
+        self.screenings: list[Screening] = []
+        self.unexplained: Unexplained | None = None
+        self.refused: Effect | None = None
+        """What was significant in the last round, and did not hold."""
+        self._barred: frozenset[str] = frozenset()
+        """Names that are not to be candidates."""
+        self._describing = True
+        """Whether empirical descriptions are candidates."""
+        self._description: Rival | None = None
+        self._description_trials = 1.0
+        """The one that ended the search, in whatever words what is unexplained is told."""
+        self._outdone: list[Rejected] = []
+        """What was rejected for its sake."""
+        self._responses: Responses | None = None
+        """What candidates do on the plan, kept from round to round."""
+
+    def added(self, state: State) -> list[Added]:
+        """What was added and is in the model as far as it has come."""
+        found = []
+        for effect in state.model.effects:
+            mine = [item for item in self.history if item.effect.alike(effect)]
+            found += mine[-1:]
+        return found
+
+    def step(self, state: State) -> State | None:
+        """One round: None where nothing (more) is to be added."""
+        number = len(self.added(state)) + 1
+        screen_state, screening = self._screened(state)
+        if screening.p_value > self.alpha:
+            return None
+        self.progress(f"round {number}: refitting the best candidates")
+        found = Round.of(state, screen_state, screening, self.alpha, self.room)
+        if several := found.hidden_by_each_other():
+            first, size = several.rivals[0], len(several.rivals)
+            self.progress(f"round {number}: adding {first.effect.key}, one of {size}")
+            return self._add(found, first, None)
+        if found.outdone():
+            self._described(found, self.seed + number)
+            return None
+        refused = self._unfitted(found)
+        odds, significant = found.odds, found.significant
+        untried = {id(rival) for rival in significant}
+        small: set[int] = set()
+        for rival in preferred(significant, odds):
+            untried.discard(id(rival))
+            # One that holds, and makes too little of a difference, contradicts no other.
+            likeliest = next(one for one, _ in found.ranked if id(one) not in small)
+            if why := found.unlikely(rival):
+                self._reject(found, rival, why)
+                continue
+            why = found.fails(rival)
+            behind = odds[id(likeliest)] - odds[id(rival)]
+            if not why and behind > _CONTRADICTED and id(likeliest) not in untried:
+                significant_itself = found.p_value(likeliest) <= self.alpha
+                held = "does not hold" if significant_itself else "is not significant itself"
+                why = f"a far likelier one {held}"
+            if not why and (why := found.too_little(rival)):
+                small.add(id(rival))
+            if not why:
+                self.progress(f"round {number}: adding {rival.effect.key}")
+                return self._add(found, rival, found.description)
+            self._reject(found, rival, why)
+            refused = refused or rival.effect
+        self.refused = refused
+        return None
+
+    def look_on(self, state: State) -> None:
+        """What is significant where no more effects may be added: the first of it is refused, a
+        description only where no effect is significant.
+        """
+        _, screening = self._screened(state)
+        best = [k.peaks[0].effect for k in screening.kinds if screening.corrected(k) <= self.alpha]
+        if best:
+            effects = (effect for effect in best if not isinstance(effect, Empirical))
+            self.refused = next(effects, best[0])
+
+    @property
+    def refusal(self) -> Refused | None:
+        """What `refused` is, with the p-value and the reason that are told of it."""
+        effect = self.refused
+        if effect is None:
+            return None
+        for told in self.rejected:
+            if (told.effect, told.placement) == (effect.name, effect.placement):
+                return Refused(effect, told.p_value, told.reason)
+        tested = (
+            screening.corrected(kind)
+            for screening in reversed(self.screenings)
+            for kind in screening.kinds
+            if kind.kind == effect.name
+        )
+        return Refused(effect, next(tested, math.nan), _NO_MINIMUM)
+
+    def _screened(self, state: State) -> tuple[Screen, Screening]:
+        """The screening of one round."""
+        number = len(self.added(state)) + 1
+        fit, measurement = state.scored, state.fit.measurement
+        self.progress(f"round {number}: screening")
+        tried, self.untestable = candidates(state.model, measurement, self.classes)
+        kinds = EMPIRICAL if self._describing else ()
+        beside = [*state.model.effects, *tried]
+        empirical, _ = candidates(state.model, measurement, kinds, beside, state.fit)
+        tried = [effect for effect in tried if effect.key not in self._barred]
+        if self._responses is None or self._responses.plan is not measurement.plan:
+            self._responses = Responses(measurement.plan)
+        screen_state = Screen(fit, self.draws, self.seed + number, self._responses)
+        screening = screen(screen_state, [*tried, *empirical])
+        self.screenings.append(screening)
+        self.refused = None
+        return screen_state, screening
+
+    def _add(self, found: Round, rival: Rival, described: Rival | None) -> State:
+        """The state with one effect more."""
+        measurement = found.state.fit.measurement
+        weighed, gain = weigh(found.classes_with(rival), rival, described), found.gain(rival)
+        after = found.at_declared(rival.fit)
+        refitted = self._fitted(rival.fit.model, measurement, after)
+        effect, p, trials = refitted.model.effects[-1], found.p_value(rival), found.trials(rival)
+        self.screenings[-1] = replace(found.screening, added=effect, told={effect.name: p})
+        # Last, so that an interruption leaves no effect without its fit.
+        self.history.append(Added(effect, weighed, p, gain, trials))
+        return refitted
+
+    def _described(self, found: Round, seed: int) -> None:
+        """End the search with the empirical description of a round."""
+        best, state = found.description, found.state
+        assert best is not None
+        self._description, self._description_trials = best, found.trials(best)
+        p = found.p_value(best)
+        self.screenings[-1] = replace(found.screening, told={best.effect.name: p})
+        self.unexplained = described(
+            found.fit,
+            state.scored,
+            best,
+            p,
+            chi2_per_dof(state.fit),
+            self.alpha,
+            self.draws,
+            seed,
+        )
+        known = len(self.rejected)
+        for rival in found.significant:
+            self._reject(found, rival, outdone_by(best.effect))
+        self._outdone = self.rejected[known:]
+
+    def _unfitted(self, found: Round) -> Effect | None:
+        """The first of the significant kinds of which no refit ended in a minimum: none can be held
+        against readings.
+        """
+        screening = found.screening
+        p_values = {kind.kind: screening.corrected(kind) for kind in screening.kinds}
+        fitted_kinds, first = {r.effect.name for r in found.rivals}, None
+        for peak in found.peaks:
+            effect, p = peak.effect, p_values[peak.effect.name]
+            if p > self.alpha or effect.name in fitted_kinds:
+                continue
+            first = first or effect
+            if not isinstance(effect, Empirical):
+                self._refuse(effect, p, _NO_MINIMUM)
+        return first
+
+    def _fitted(self, model: Model, measurement: Measurement, start: Fit) -> State:
+        """The state of a model, with a wider prior of its last effect where that is larger than
+        expected: it would be taken for smaller than it is, and the rest of it for something else.
+        """
+        last, left, state = len(model.effects) - 1, WIDENINGS, None
+        while True:
+            effect = model.effects[last]
+            size = np.abs(start.theta[start.places_of(last)[0]]).max()
+            while left and size > 1.0 and (grown := widened(effect, WIDER)) is not effect:
+                effect, size, left = grown, size / WIDER, left - 1
+            if state is not None and effect is model.effects[last]:
+                return state
+            if effect is not model.effects[last]:
+                model = model.without(last).with_effects(effect)
+            state = fitted(model, measurement, start, self.room)
+            start = state.fit
+
+    def _kept(self) -> Kept:
+        """What an attempt changes, to restore it where nothing comes of it."""
+        return Kept(
+            history=tuple(self.history),
+            rejected=tuple(self.rejected),
+            screenings=tuple(self.screenings),
+            refused=self.refused,
+            unexplained=self.unexplained,
+            description=self._description,
+            description_trials=self._description_trials,
+            outdone=tuple(self._outdone),
+        )
+
+    def _restore(self, kept: Kept) -> None:
+        self.history, self.rejected = list(kept.history), list(kept.rejected)
+        self.screenings, self.refused = list(kept.screenings), kept.refused
+        self.unexplained, self._description = kept.unexplained, kept.description
+        self._description_trials = kept.description_trials
+        self._outdone = list(kept.outdone)
+
+    def _reject(self, found: Round, rival: Rival, reason: str) -> None:
+        self._refuse(rival.effect, found.p_value(rival), reason)
+
+    def _refuse(self, effect: Effect, p_value: float, reason: str) -> None:
+        name, place = effect.name, effect.placement
+        if not any((r.effect, r.placement) == (name, place) for r in self.rejected):
+            self.rejected.append(Rejected(name, place, p_value, reason))

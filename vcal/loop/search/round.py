@@ -1,0 +1,338 @@
+"""One round of the search: what was significant, refitted and weighed before something is added."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...identification.fit import Fit, declared_chi2
+from ..empirical import Empirical
+from ..residuals.autocorrelation import persists
+from ..screening.score_test import Peak, Screen
+from ..screening.screening import Screening
+from ..weighing.cross_validation import (
+    foretold_fall,
+    improvement,
+    rms_fall,
+    told_by_one_fold,
+    weighted_squares,
+)
+from ..weighing.rivals import Rival, refit_all
+from ..weighing.subsets import MOST, Subset, smallest_subset
+from ..weighing.weighing import Names, classes_of, outdoes
+from .state import State, at_declared, chi2_per_dof, rescored
+
+_MARGIN = 30.0
+_CLOSE = 8.0
+"""Candidates whose linear log evidence is further behind the best than `_MARGIN` are not refined,
+further than `_CLOSE` after that not refitted: their weight is below one in a thousand."""
+_REFITS = 12
+"""Most that are refitted."""
+
+
+def shortlist(
+    state: Screen, worth: Sequence[Peak], others: Sequence[Peak], instances: Mapping[str, int]
+) -> list[Peak]:
+    """The peaks to refit: what made each kind significant, and others close enough to be rivals,
+    after their shapes were moved to the best point between the steps of the scan. `instances` tells
+    how many places and components of each kind were tried.
+    """
+    if not worth:
+        return []
+    least = max(p.log_bayes_at_its_size for p in worth) - _MARGIN
+    near = [p for p in worth if p.log_bayes_at_its_size > least]
+    ids = {id(p) for p in near}
+    near += [p for p in others if id(p) not in ids and p.log_bayes_at_its_size > least]
+    # Of the empirical descriptions only the best of each kind: many are alike.
+    empirical: dict[str, Peak] = {}
+    for peak in others:
+        if isinstance(peak.effect, Empirical):
+            best = empirical.setdefault(peak.effect.name, peak)
+            if peak.log_bayes_at_its_size > best.log_bayes_at_its_size:
+                empirical[peak.effect.name] = peak
+    rarest = {p.effect.name: p for p in sorted(worth, key=state.rarity_of)}
+    significant = [p for p in rarest.values() if p.log_bayes_at_its_size > least]
+    near = [p for p in near if not isinstance(p.effect, Empirical)]
+    near += [p for p in empirical.values() if p.log_bayes_at_its_size > least]
+    ids = {id(p) for p in near}
+    near += [p for p in significant if id(p) not in ids]
+
+    def weight(peak: Peak) -> float:
+        odds = math.log(peak.effect.odds / instances[peak.effect.name])
+        return peak.log_bayes_at_its_size + odds
+
+    moved = {id(p): state.refine(p) for p in near}
+    refined = sorted(moved.values(), key=weight, reverse=True)
+    most = weight(refined[0])
+    close = [p for p in refined if weight(p) > most - _CLOSE]
+    # The best of every kind first: many places of one kind may be alike.
+    firsts = sorted({p.effect.name: p for p in reversed(close)}.values(), key=weight, reverse=True)
+    ids = {id(p) for p in firsts}
+    chosen = [*firsts, *(p for p in close if id(p) not in ids)][:_REFITS]
+    # A run of worthless rivals must not hide the next significant candidate, should the best fail.
+    chosen += [p for p in refined if weight(p) <= most - _CLOSE][: max(0, 2 - len(chosen))]
+    # Whatever is likelier: what is significant, and is not added, has to have a reason.
+    ids = {id(p) for p in chosen}
+    chosen += [moved[id(p)] for p in significant if id(moved[id(p)]) not in ids]
+    return sorted(chosen, key=weight, reverse=True)
+
+
+_PRACTICAL = 0.02
+"""Least fall of the held-out rms, in lengths or in units of the noise, that counts where the fit is
+far worse than the noise, and what remains is no white noise: chance alignments with what is not
+modelled are then significant without being real."""
+_POOR = 2.0
+"""Chi-square per degree of freedom from which a fit is far worse than the noise."""
+_BEYOND_NOISE = 5.0
+"""Standard deviations of chi-square by which a fit leaves more than the declared noise."""
+_PLAINLY = 3.0
+"""How many times what is more than the noise is so beyond doubt, before a fit with that noise."""
+_SOMETHING = 1.0
+"""Chi-square by which a description leaves less than there was, to be one."""
+_BEHIND = 4
+"""Most kinds that are refitted although their evidence is far behind."""
+_HOPELESS = 0.3
+"""Share of what the best effect leaves beyond the noise from which several that leave it by a
+linear fit are not refitted: they would not leave noise."""
+_UNLIKELIER = "the readings are no likelier with it than without"
+_UNEXPECTED = "it is far larger than expected, which its evidence does not make up for"
+
+
+@dataclass(frozen=True)
+class Round:
+    """The candidates of one round, refitted and weighed against each other."""
+
+    state: State
+    fit: Fit
+    """What they are weighed against: the state's fit for tests and evidence."""
+    screening: Screening
+    peaks: list[Peak]
+    """Which were refitted."""
+    rivals: list[Rival]
+    """What came of it, most probable first, descriptions among them."""
+    p_values: dict[int, float]
+    """Corrected p-value of every rival, by the id of its effect."""
+    classes: list[list[Rival]]
+    """Effects that the data cannot tell apart, together."""
+    ranked: list[tuple[Rival, float]]
+    """Effects with their log odds, the most probable name first."""
+    structured: bool
+    """Whether the best fit leaves more than the declared noise, and what remains is not white."""
+    behind: list[Rival]
+    """Significant kinds whose evidence is far behind, where that is so."""
+    alpha: float
+    room: int
+    _declared: dict[int, tuple[Fit, Fit]] = field(default_factory=dict, init=False, repr=False)
+
+    @classmethod
+    def of(
+        cls, state: State, screen: Screen, screening: Screening, alpha: float, room: int
+    ) -> "Round":
+        """Refit and weigh what a screening found significant, and what may be a rival of that."""
+        fit = state.scored
+        instances = {kind.kind: kind.instances for kind in screening.kinds}
+        significant = {k.kind for k in screening.kinds if screening.corrected(k) <= alpha}
+        worth = [p for p in screening.peaks if p.effect.name in significant]
+        peaks = shortlist(screen, worth, screening.peaks, instances)
+        rivals = refit_all(fit, peaks, instances, state.keep, room)
+        if rivals and (better := rescored(state, rivals[0].fit, room)) is not fit:
+            fit = better
+            rivals = refit_all(fit, peaks, instances, state.keep, room)
+        classes = classes_of(fit, [r for r in rivals if not isinstance(r.effect, Empirical)])
+        ranked = Names.of(classes).ranked() if classes else []
+        behind = []
+        structured = bool(rivals) and _structured(state, _best(rivals).fit, room)
+        if structured:
+            others = _of_other_kinds(worth, rivals, min(_BEHIND, max(0, MOST - len(classes))))
+            behind = refit_all(fit, others, instances, state.keep, room)
+        # The p-value of a kind is that of its best candidate, which need not be this one.
+        tested = [*screening.peaks, *peaks]
+        p_values = {
+            id(r.effect): screening.corrected_as(
+                r.effect.name, max(screen.rarity_of(p) for p in tested if p.effect is r.effect)
+            )
+            for r in [*rivals, *behind]
+        }
+        return cls(
+            state, fit, screening, peaks, rivals, p_values, classes, ranked, structured, behind,
+            alpha, room
+        )  # fmt: skip
+
+    @property
+    def odds(self) -> dict[int, float]:
+        """Log odds of the effects, by the id of the rival."""
+        return {id(rival): odds for rival, odds in self.ranked}
+
+    @property
+    def significant(self) -> list[Rival]:
+        """Effects that are significant themselves, the most probable name first."""
+        return [rival for rival, _ in self.ranked if self.p_value(rival) <= self.alpha]
+
+    @property
+    def leads(self) -> list[Rival]:
+        """The first of every name that is significant: what the readings cannot tell apart once."""
+        names = {id(r): members[0].effect.key for members in self.classes for r in members}
+        found: dict[str, Rival] = {}
+        for rival in self.significant:
+            found.setdefault(names[id(rival)], rival)
+        return list(found.values())
+
+    @property
+    def description(self) -> Rival | None:
+        """The most probable empirical description that is significant, and describes something: of
+        what the plan hardly sees, chance may be rare and its fit leaves all that there was.
+        """
+        found = (r for r in self.rivals if isinstance(r.effect, Empirical))
+        telling = (r for r in found if self.fit.chi2 - r.fit.chi2 > _SOMETHING)
+        return next((r for r in telling if self.p_value(r) <= self.alpha), None)
+
+    def p_value(self, rival: Rival) -> float:
+        """Corrected for the search."""
+        return self.p_values[id(rival.effect)]
+
+    def trials(self, rival: Rival) -> float:
+        """Effective number of independent trials in which a rival was found."""
+        kinds = self.screening.kinds
+        its = next(kind.trials for kind in kinds if kind.kind == rival.effect.name)
+        return self.screening.trials * its
+
+    def outdone(self) -> bool:
+        """Whether an empirical description is preferred to every effect."""
+        best, odds = self.description, self.odds
+        return best is not None and outdoes(best, [(r, odds[id(r)]) for r in self.significant])
+
+    def at_declared(self, fit: Fit) -> Fit:
+        """A fit of this round, with the declared noise."""
+        if id(fit) not in self._declared:
+            # The fit is kept with it, so that its id stays its own.
+            self._declared[id(fit)] = fit, at_declared(fit, self.state, self.room)
+        return self._declared[id(fit)][1]
+
+    def gain(self, rival: Rival) -> float:
+        """Fall of the held-out rms, in lengths, as a share."""
+        return rms_fall(self.state.fit, self.at_declared(rival.fit), self._rows(rival))
+
+    def unlikely(self, rival: Rival) -> str:
+        """Why the evidence of an effect is too little; empty where it is not."""
+        return unlikely(rival, self.odds[id(rival)], len(self.screening.kinds)) or ""
+
+    def fails(self, rival: Rival) -> str:
+        """Why an effect does not hold on readings it was not fitted to; empty where it does."""
+        noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
+        fall, error = improvement(self.fit, rival.fit, noise)
+        if _in_the_prior(self.fit, rival.fit, noise):
+            return ""
+        if fall <= (self._chosen(rival) if self._in_one_fold(rival) else error):
+            return "held-out readings are not foretold better beyond uncertainty"
+        return ""
+
+    def too_little(self, rival: Rival) -> str:
+        """Why an effect that holds makes too little of a difference on readings it was not fitted
+        to, where the fit is poor and nearly anything fits a part of the rest; empty where it is
+        enough. Rows that are never fitted may hardly see it, as those at the end of a warming up:
+        what counts is the best of these, by length and by noise, and of all that is foretold.
+        """
+        noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
+        if not self._poor(rival.fit) or _in_the_prior(self.fit, rival.fit, noise):
+            return ""
+        share = self.gain(rival)
+        weighted = rms_fall(self.fit, rival.fit, self._rows(rival), weighted_squares)
+        if max(share, weighted, foretold_fall(self.fit, rival.fit, noise)) >= _PRACTICAL:
+            return ""
+        way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
+        return f"held-out rms {way}"
+
+    def hidden_by_each_other(self) -> Subset | None:
+        """Significant effects that together leave no more than noise where everything alone,
+        descriptions too, leaves more: what seems likeliest alone may be a part of all of them.
+        """
+        names = [*self.leads, *self.behind][:MOST]
+        if not self.structured or len(names) < 2:
+            return None
+        alone = _best(self.rivals)
+
+        def enough(fit: Fit) -> bool:
+            return not _structured(self.state, fit, self.room)
+
+        beyond = declared_chi2(alone.fit) / alone.fit.dof - 1.0
+        noise = _BEYOND_NOISE * math.sqrt(2.0 / self.fit.dof)
+        most = self.fit.dof * (1.0 + max(_HOPELESS * beyond, 2.0 * noise))
+        found = smallest_subset(self.fit, names, enough, most, self.state.keep, self.room)
+        if found is None:
+            return None
+        noise = math.sqrt(max(1.0, found.fit.chi2 / found.fit.dof))
+        fall, error = improvement(self.fit, found.fit, noise)
+        return found if fall > error else None
+
+    def classes_with(self, rival: Rival) -> list[list[Rival]]:
+        """The classes, and one more for a rival that is in none of them."""
+        among = any(one is rival for members in self.classes for one in members)
+        return self.classes if among else [*self.classes, [rival]]
+
+    def _in_one_fold(self, rival: Rival) -> bool:
+        return told_by_one_fold(rival.fit, len(rival.fit.model.effects) - 1)
+
+    def _chosen(self, rival: Rival) -> float:
+        """What a moment or a pitch owes, in deviance, to having been chosen by the readings that
+        are foretold: those of one fold, whose sum has no scatter to be judged by.
+        """
+        scan = rival.effect.scan(self.fit.measurement.plan) if rival.effect.shapes else {}
+        return 2.0 * math.fsum(math.log(len(grid)) for grid in scan.values())
+
+    def _rows(self, rival: Rival) -> np.ndarray:
+        # The readings of another instrument are no witness for an effect of this one.
+        return np.asarray(rival.effect.rows(self.state.fit.measurement.plan))
+
+    def _poor(self, fit: Fit) -> bool:
+        """Whether a fit is far worse than the declared noise, and what remains no white noise."""
+        return _beyond(self.state, self.at_declared(fit), _POOR)
+
+
+def _structured(state: State, fit: Fit, room: int) -> bool:
+    """Whether a fit leaves more than the declared noise, and what remains is no white noise."""
+    limit = 1.0 + _BEYOND_NOISE * math.sqrt(2.0 / fit.dof)
+    if declared_chi2(fit) <= _PLAINLY * limit * fit.dof:
+        fit = at_declared(fit, state, room)
+    return _beyond(state, fit, limit)
+
+
+def _beyond(state: State, fit: Fit, limit: float) -> bool:
+    return chi2_per_dof(fit) > limit and (state.noise is None or persists(fit))
+
+
+def _best(rivals: Sequence[Rival]) -> Rival:
+    return min(rivals, key=lambda rival: rival.fit.chi2)
+
+
+def _of_other_kinds(peaks: Sequence[Peak], rivals: Sequence[Rival], most: int) -> list[Peak]:
+    """The best peaks of as many kinds that have no rival."""
+    known, best = {r.effect.name for r in rivals}, {}
+    for peak in sorted(peaks, key=lambda p: -p.log_bayes_at_its_size):
+        if peak.effect.name not in known and not isinstance(peak.effect, Empirical):
+            best.setdefault(peak.effect.name, peak)
+    return list(best.values())[:most]
+
+
+def unlikely(rival: Rival, odds: float, kinds: int) -> str | None:
+    """Why the evidence of an effect, with these log odds of its name, is too little; else None.
+
+    What looking everywhere costs is in the p-value, and is not to be paid twice: the readings must
+    be likelier with it than without. A size that had to be forgiven makes chance as good a reason,
+    and needs evidence for all `kinds` of effects together.
+    """
+    evidence = odds - rival.leniency - rival.log_prior
+    if evidence <= 0.0:
+        return _UNLIKELIER
+    if rival.leniency > 0.0 and evidence <= math.log(kinds):
+        return _UNEXPECTED
+    return None
+
+
+def _in_the_prior(before: Fit, after: Fit, noise: float) -> bool:
+    """Whether it is what was declared, more than the readings, that an effect is at odds without:
+    other parameters had taken its part, far from what is known of them, and foretell as well.
+    """
+    data = (before.chi2 - after.chi2) / noise**2
+    prior = float(before.theta**2 @ before.precision - after.theta**2 @ after.precision)
+    return prior > data

@@ -1,0 +1,296 @@
+"""How far the loop has come: the model, its fits, and what they say of the noise."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.special import gammaincc
+
+from ...identification.fit import Fit, declared_chi2, undetermined
+from ...identification.identify import NEARLY, identify
+from ...identification.rank import flat_rank
+from ...identification.robust import identify_robust
+from ...model.declared_noise import declared_whitener
+from ...model.forward import Model
+from ...model.measurement import Measurement
+from ...numerics.least_squares import Status
+from ..residuals.outliers import Stray, displaced, scattered, stray_apart, stray_rows
+from ..residuals.variance_components import Components, components
+from ..screening.significance import LEAST_NOISE, TOLD
+from ..weighing.cross_validation import folds_of
+from .initial_shapes import shapes_begun
+
+_SEARCHES = 4
+"""Stray readings hide others: how often they are looked for anew without those found."""
+
+
+@dataclass(frozen=True)
+class State:
+    """The model as far as the loop has come."""
+
+    model: Model
+    fit: Fit
+    """With the declared noise."""
+    scored: Fit
+    """With the noise that the readings show, for tests and evidence, where it differs from the
+    declared one in more than its size: the covariance of clustered readings, variance components
+    that are not alike; else the same."""
+    keep: np.ndarray
+    strays: list[Stray]
+    noise: Components | None
+    """None for clustered readings."""
+
+    @property
+    def as_declared(self) -> bool:
+        """Whether tests and evidence are with the declared noise."""
+        return self.scored is self.fit
+
+    @property
+    def remaining(self) -> Fit:
+        """The fit whose residual is looked at for what has no name: that of `scored`, but for
+        clustered readings, where every reading of a row is looked at by itself.
+        """
+        return self.fit if self.noise is None else self.scored
+
+
+def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int) -> State:
+    """Fit, leave out stray readings, and fit again with the noise that the readings show.
+
+    Raises `LinAlgError` where parameters without a proper prior are not determined.
+    """
+    measurement = dataclasses.replace(measurement, aside=None)
+    _, apart = folds_of(model, measurement)
+    whole_keep = keep = ~apart
+    options: dict = {"keep": keep, "room": room}
+    if start is not None:
+        options |= {"theta": start.theta, "shapes": start.shapes}
+    else:
+        options["shapes"] = shapes_begun(model, measurement, keep, room)
+    fit = whole = identify(model, measurement, **options)
+    _check_told(fit)
+    strays: list[Stray] = []
+    moved: set[int] = set()
+    for _ in range(_SEARCHES):
+        options |= {"theta": fit.theta, "shapes": fit.shapes}
+        found = [s for s in _stray(fit, options) if s.row not in moved]
+        if not found:
+            break
+        strays += found
+        if not scattered(whole, [s.row for s in strays]):
+            # One after the other they turn out to be something systematic.
+            strays, fit, keep = [], whole, whole_keep
+            options |= {"theta": fit.theta, "shapes": fit.shapes, "keep": keep}
+            break
+        options["keep"] = keep = keep.copy()
+        keep[[s.row for s in found]] = False
+        fit = identify(model, measurement, tolerance=NEARLY, **options)
+        if more := displaced(fit, [s.row for s in strays]):
+            moved |= more
+            strays = [s for s in strays if s.row not in more]
+            options["keep"] = keep = keep.copy()
+            keep[sorted(more)] = whole_keep[sorted(more)]
+            fit = identify(model, measurement, tolerance=NEARLY, **options)
+    if strays or moved:
+        fit = identify(model, measurement, **options | {"theta": fit.theta, "shapes": fit.shapes})
+    if far := stray_apart(fit, apart):
+        strays += far
+        measurement = dataclasses.replace(measurement, aside=_rows(measurement, far))
+        fit = dataclasses.replace(fit, measurement=measurement)
+    scored, noise = fit, None
+    if (fit.clusters >= 0).any():
+        for _ in range(2):
+            scored = identify(model, measurement, whitener=_clustered_whitener(scored), **options)
+    else:
+        noise = components(fit)
+        if noise.uneven or _quieter(fit):
+            scored = identify(model, measurement, whitener=_found_whitener(noise, noise), **options)
+    return State(model, fit, scored, keep, sorted(strays, key=lambda s: s.row), noise)
+
+
+def _check_told(fit: Fit) -> None:
+    """Raise `LinAlgError` for parameters that neither the data nor a prior tell, where that is why
+    a fit ended elsewhere than at a minimum: with nothing to hold them some run away, to where the
+    readings seem to tell them after all.
+    """
+    free = []
+    if fit.status == Status.SINGULAR:
+        free = undetermined(fit)
+    elif not fit.converged:
+        names = [f"{key} {p.name}" for key, p in fit.entries]
+        free = [names[i] for i in flat_rank(fit.model, fit.measurement.plan).mixed]
+    if free:
+        raise np.linalg.LinAlgError(f"no reading tells {' and '.join(free)} apart from the rest")
+
+
+def _stray(fit: Fit, options: dict) -> list[Stray]:
+    """Stray readings of a fit with these options of `identify`; by the noise that there is where
+    that is less than declared, or what is known of the parameters would push some rows further out
+    than noise does.
+    """
+    model, measurement = fit.model, fit.measurement
+    if not (fit.clusters >= 0).any() and _quieter(fit):
+        options = options | {"whitener": components(fit).whitener_alike}
+        fit = identify(model, measurement, tolerance=NEARLY, **options)
+    return stray_rows(fit, partial(identify_robust, model, measurement, **options))
+
+
+def at_declared(fit: Fit, state: State, room: int) -> Fit:
+    """A fit of tests and evidence, with the declared noise."""
+    if state.as_declared:
+        return fit
+    return identify(
+        fit.model,
+        fit.measurement,
+        theta=fit.theta,
+        shapes=fit.shapes,
+        keep=state.keep,
+        room=room,
+        tolerance=NEARLY,
+    )
+
+
+def rescored(state: State, best: Fit, room: int) -> Fit:
+    """The state's fit for tests and evidence, with the noise that a better model leaves: what is
+    missing makes components uneven, and must not count as noise where rivals are weighed. It is
+    the one there is where there are no components, or they are as declared.
+    """
+    if state.as_declared or state.noise is None:
+        return state.scored
+    return identify(
+        state.model,
+        best.measurement,
+        theta=state.scored.theta,
+        shapes=state.scored.shapes,
+        whitener=_found_whitener(components(best), state.noise),
+        keep=state.keep,
+        room=room,
+    )
+
+
+def without(state: State, place: int, room: int) -> Fit:
+    """The fit for tests and evidence without the effect at that position."""
+    fit = state.scored
+    kept = np.delete(np.arange(len(state.model.entries)), state.model.places[place])
+    shapes = {i - (i > place): shape for i, shape in fit.shapes.items() if i != place}
+    return identify(
+        state.model.without(place),
+        fit.measurement,
+        theta=fit.theta[kept],
+        shapes=shapes,
+        whitener=fit.whitener,
+        keep=state.keep,
+        room=room,
+        tolerance=NEARLY,
+    )
+
+
+def _rows(measurement: Measurement, strays: list[Stray]) -> np.ndarray:
+    found = np.zeros(measurement.rows, bool)
+    found[[s.row for s in strays]] = True
+    return found
+
+
+def _quieter(fit: Fit) -> bool:
+    """Whether the readings scatter less than declared by more than chance: what is known of the
+    parameters then holds them against readings that know better, and what that leaves is no error
+    of the machine.
+    """
+    return noise_scale(fit, np.ones(fit.measurement.rows, bool)) < 1.0
+
+
+def _found_whitener(noise: Components, of: Components) -> np.ndarray:
+    """W of every row with that noise: by component, or by one factor where `of` is even."""
+    return noise.whitener if of.uneven else noise.whitener_alike
+
+
+def _clustered_whitener(fit: Fit) -> np.ndarray:
+    """W of every row from the covariance the readings of one row show in the residuals.
+
+    For rows whose readings share errors that are not modelled (`Instrument.clusters`): in units of
+    the declared noise of every row, C = (1 - a) S + a f 1 with S = sum r r' / (rows - parameters
+    per reading) and f the mean of its diagonal. a is what chance has in how S differs from f, so
+    that as many rows decide for S as it takes, and where nothing is shared what is declared stays
+    (Ledoit, Wolf, J. Multivariate Anal. 88, 2004, 365). The parameters are shared out evenly over
+    all rows. Too few rows to tell a covariance have the declared one, and the size of none is below
+    the least noise.
+    """
+    used, clusters = fit.used, fit.clusters
+    found = np.array(declared_whitener(fit.model, fit.measurement))
+    for k in np.unique(clusters[clusters >= 0]):
+        mine = clusters == k
+        here = np.flatnonzero(mine & used)
+        if not len(here):
+            continue
+        present = np.flatnonzero(fit.counted[here[0]])
+        rows, m = len(here), len(present)
+        if rows <= m or fit.chi2_and_dof(mine)[1] < TOLD:
+            continue
+        r = np.einsum("nij,nj->ni", found[np.ix_(here, present, present)],
+                      fit.residual[np.ix_(here, present)])  # fmt: skip
+        taken = len(fit.theta) * (rows / used.sum())
+        r *= math.sqrt(rows / max(rows - taken / m, m + 1.0))
+        s = r.T @ r / rows
+        same = np.trace(s) / m * np.eye(m)
+        chance = ((np.einsum("ni,nj->nij", r, r) - s) ** 2).sum() / rows**2
+        share = min(chance / max(((s - same) ** 2).sum(), 1e-300), 1.0)
+        c = (1.0 - share) * s + share * same
+        c += max(LEAST_NOISE**2 - np.trace(c) / m, 0.0) * np.eye(m)
+        block = np.ix_(np.flatnonzero(mine), present, present)
+        found[block] = np.linalg.cholesky(np.linalg.inv(c)).T @ found[block]
+    return found
+
+
+def chi2_per_dof(fit: Fit) -> float:
+    """chi2 per degree of freedom against the declared noise."""
+    return declared_chi2(fit) / fit.dof
+
+
+def noise_scale(fit: Fit, rows: np.ndarray) -> float:
+    """Root of chi2/dof of these rows where that is not chance (p < 1e-3), else one."""
+    chi2, dof = (fit.chi2, fit.dof) if rows.all() else fit.chi2_and_dof(rows)
+    if dof <= 0.0:
+        return 1.0
+    p = gammaincc(0.5 * dof, 0.5 * chi2)
+    ratio = math.sqrt(chi2 / dof)
+    return ratio if p < 1e-3 or p > 1.0 - 1e-3 else 1.0
+
+
+def noise_scales(fit: Fit) -> dict[str, float]:
+    """That of every data set by its name, one or several."""
+    return {name: noise_scale(fit, rows) for name, rows in fit.measurement.plan.parts.items()}
+
+
+def scales_told(state: State) -> tuple[float, dict[str, float]]:
+    """`noise_scale` of all readings and of every data set. Of readings that are quieter than
+    declared the declared noise leaves too little: what is known of the parameters then hides more.
+    """
+    fit, noise = state.fit, state.noise
+    whole, each = noise_scale(fit, np.ones(fit.measurement.rows, bool)), noise_scales(fit)
+    if noise is None or noise.uneven or state.as_declared:
+        return whole, each
+    return noise.factor, {name: f if f >= 1.0 else noise.factor for name, f in each.items()}
+
+
+def at_noise_found(state: State, room: int) -> Fit:
+    """The fit with the noise that was found instead of the one declared, where it is larger."""
+    fit = state.fit
+    if state.noise is not None and state.noise.uneven:
+        whitener = state.noise.whitener_at_least_declared
+    else:
+        scale = np.ones(len(fit.whitener))
+        for name, found in noise_scales(fit).items():
+            scale[fit.measurement.plan.parts[name]] = max(found, 1.0)
+        if (scale == 1.0).all():
+            return fit
+        whitener = fit.whitener / scale[:, None, None]
+    return identify(
+        fit.model,
+        fit.measurement,
+        theta=fit.theta,
+        shapes=fit.shapes,
+        whitener=whitener,
+        keep=state.keep,
+        room=room,
+    )

@@ -1,0 +1,1 @@
+"""Weighing: candidates refitted, compared by evidence and by readings that were held out."""

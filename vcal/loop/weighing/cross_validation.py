@@ -1,0 +1,361 @@
+"""Errors a fit makes on readings it has not seen, and on independent check points."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from ...geometry.compensated import compensated_points
+from ...identification.fit import Fit
+from ...identification.model_averaging import Doubt
+from ...identification.shape_steps import SETTLED
+from ...model.forward import Model
+from ...model.measurement import CheckPoints, Measurement
+from ...numerics.spatial import align_rigid
+
+_BLOCK, _BLOCKS = 8, 25
+"""Least rows of a block that is foretold as one, and about how many blocks a fold may have."""
+_FEW = 12
+"""Folds from which the scatter over them tells how certain a sum over them is."""
+_ALL = 0.99
+"""Share of what tells an effect from which one fold is all of it."""
+
+
+@dataclass(frozen=True)
+class Rms:
+    """A root mean square with its standard uncertainty, um."""
+
+    value: float
+    u: float
+
+
+def folds_of(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """Fold of every row (n,), -1 where it is never held out, and the rows (n,) that are never
+    fitted, without those that are set aside.
+    """
+    folds, apart = model.instrument.folds(measurement.plan)
+    apart = np.broadcast_to(apart, folds.shape) & (folds >= 0)
+    folds = np.where(apart, -1, folds)
+    return folds, apart if measurement.aside is None else apart & ~measurement.aside
+
+
+def heldout_residuals(fit: Fit) -> np.ndarray:
+    """Residuals (n, m), SI, of every row predicted without its fold; nan where never held out.
+
+    Folds that rotate are left out by the exact downdate of the linearised problem,
+    d = -(H - J_g'J_g)^-1 J_g'r_g; parameters with a flat prior that only this fold can see (the
+    pose of an artefact) are then re-estimated from the fold with all others fixed. Folds that were
+    never fitted are predicted as they are.
+    """
+    folds, apart = folds_of(fit.model, fit.measurement)
+    n, m = fit.residual.shape
+    found = np.full((n, m), np.nan)
+    found[apart] = fit.residual[apart]
+    jacobian = fit.jacobian.reshape(n, m, -1)
+    total = fit.jacobian.T @ fit.jacobian
+    # A shape parameter that only the fold can see stays within its scan.
+    precision = fit.within_scans
+    whitened = (fit.whitened - fit.jacobian @ _left(fit, total, precision)).reshape(n, m)
+    for fold in np.unique(folds[folds >= 0]):
+        rows = np.flatnonzero((folds == fold) & fit.used)
+        if not len(rows):
+            continue
+        j = jacobian[rows].reshape(-1, jacobian.shape[2])
+        r = whitened[rows].reshape(-1)
+        basis, own = _own(j, total, precision)
+        j, common = j @ basis, ~own
+        rest = basis.T @ total @ basis - j.T @ j
+        h = rest[np.ix_(common, common)] + np.diag(precision[common])
+        # Stationarity of the whole fit: the gradient of the rest is minus that of the fold. The
+        # fold's own parameters leave the rest untouched.
+        delta = -cho_solve(cho_factor(h), j[:, common].T @ r)
+        predicted = r - j[:, common] @ delta
+        if own.any():
+            q, _ = np.linalg.qr(j[:, own])
+            predicted = predicted - q @ (q.T @ predicted)
+        unwhiten = np.linalg.inv(fit.whitener[rows])
+        found[rows] = np.einsum("nij,nj->ni", unwhiten, predicted.reshape(len(rows), m))
+    return found
+
+
+def _own(
+    inside: np.ndarray, total: np.ndarray, precision: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Combinations (k, k) of the parameters, of those without a prior in place of these, and which
+    of them only this fold tells (k,): of its Jacobian `inside` (r, k) and the information of all.
+    """
+    flat = precision == 0
+    basis, own = np.eye(len(total)), np.zeros(len(total), bool)
+    if flat.any():
+        block = np.ix_(flat, flat)
+        diagonal = np.diag(total)[flat]
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+        rest = total[block] - inside[:, flat].T @ inside[:, flat]
+        values, vectors = np.linalg.eigh(rest * scale[:, None] * scale)
+        basis[block] = scale[:, None] * vectors
+        own[flat] = values <= 1e-9
+    return basis, own
+
+
+def _left(fit: Fit, total: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """The step that is left to the minimum where a fit came as near as it goes, else none: at the
+    end of a scan, or at a corner, there is no step to take.
+
+    A parameter that one fold sees alone is free without it: what little pull is left at its place,
+    and is none of the rest, would move it anywhere.
+    """
+    uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
+    step = np.linalg.solve(total + np.diag(precision), uphill)
+    return step if uphill @ step < SETTLED else np.zeros(len(step))
+
+
+def squared_errors(fit: Fit, residuals: np.ndarray) -> np.ndarray:
+    """Mean squared length of the points of every row, m^2; nan rows are left out."""
+    instrument, plan = fit.model.instrument, fit.measurement.plan
+    squares = (residuals * instrument.lengths(plan, fit.measurement.readings)) ** 2
+    told = np.isfinite(squares).all(1)
+    readings = instrument.present(plan)[told].sum(1)
+    return squares[told].sum(1) * instrument.dimensions(plan)[told] / readings
+
+
+def rms(squares: np.ndarray, shared: np.ndarray | None = None) -> Rms:
+    """Root of the mean of squared errors (m^2) with the uncertainty from their scatter, um.
+
+    Errors with the same number in `shared` (n,) have something in common: where there are enough of
+    such groups the scatter is that of the groups' sums, as of a sample of clusters.
+    """
+    if not len(squares):
+        return Rms(math.nan, math.nan)
+    value = math.sqrt(squares.mean())
+    scatter = squares.std() / math.sqrt(len(squares))
+    if shared is not None:
+        found, place = np.unique(shared, return_inverse=True)
+        if (groups := len(found)) >= _FEW:
+            sums = np.bincount(place, squares - squares.mean())
+            scatter = math.sqrt(groups / (groups - 1) * (sums @ sums)) / len(squares)
+    u = scatter / (2.0 * value) if value > 0 else 0.0
+    return Rms(value * 1e6, u * 1e6)
+
+
+def fit_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
+    """3-D rms of the residuals of the rows that were fitted, um; of `rows` (n,) only."""
+    return rms(squared_errors(fit, np.where((fit.used & rows)[:, None], fit.residual, np.nan)))
+
+
+def heldout_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
+    """3-D rms of the held-out residuals, um; of `rows` (n,) only. What is foretold as one, and the
+    rows of one pose or run, share what is wrong with it.
+    """
+    plan = fit.measurement.plan
+    kept = np.broadcast_to(rows, fit.used.shape)[:, None]
+    residual = np.where(kept, heldout_residuals(fit), np.nan)
+    common = [folds_of(fit.model, fit.measurement)[0]]
+    common += [np.asarray(plan.groups[name]) for name in ("pose", "run") if name in plan.groups]
+    _, shared = np.unique(np.column_stack(common), axis=0, return_inverse=True)
+    return rms(squared_errors(fit, residual), shared.ravel()[np.isfinite(residual).all(1)])
+
+
+def check_rms(fit: Fit, check: CheckPoints, doubts: Sequence[Doubt] = ()) -> tuple[Rms, Rms]:
+    """rms volumetric error at the check points: after the best rigid alignment, and raw, um.
+
+    The uncertainty joins the scatter over the points, what the posterior of the parameters passes
+    on, and by how much the rms would be another one with other names of the effects in `doubts`.
+    """
+    points, jacobian = compensated_points(fit, check.plan)
+
+    def errors(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        raw = check.tool_point - points
+        return align_rigid(check.tool_point, raw), raw
+
+    found = [rms((error**2).sum(1)) for error in errors(points)]
+    doubted = np.zeros(2)
+    for doubt in doubts:
+        named = compensated_points(doubt.found, check.plan)[0]
+        for probability, other in doubt.others:
+            moved = points + compensated_points(other, check.plan)[0] - named
+            left = (rms((error**2).sum(1)) for error in errors(moved))
+            change = [a.value - b.value for a, b in zip(left, found, strict=True)]
+            doubted += probability * np.square(change)
+    covariance = fit.covariance
+    results = []
+    for error, here, more in zip(errors(points), found, np.sqrt(doubted), strict=True):
+        passed = 0.0
+        if here.value > 0:
+            gradient = np.einsum("ni,nik->k", error, jacobian) / (len(error) * here.value * 1e-6)
+            passed = math.sqrt(gradient @ covariance @ gradient) * 1e6
+        results.append(Rms(here.value, math.hypot(here.u, passed, more)))
+    return results[0], results[1]
+
+
+def foretold_rms(fit: Fit, check: CheckPoints) -> float:
+    """The rms volumetric error after alignment that is expected at the check points, um: what the
+    readings leave open of the errors that were declared.
+    """
+    points, jacobian = compensated_points(fit, check.plan)
+    moved = align_rigid(points, jacobian).reshape(-1, len(fit.theta))
+    return math.sqrt(float(((moved @ fit.covariance) * moved).sum()) / len(points)) * 1e6
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """What a fit without its fold foretells for every block of readings."""
+
+    deviance: np.ndarray
+    """-2 ln of the density of the readings, up to a constant of the readings alone (blocks)."""
+    squares: np.ndarray
+    """The part of it that is their distance from what is foretold, d'C^-1 d (blocks)."""
+    folds: np.ndarray
+    """The fold of every block; negative for rows that are never fitted, one block each."""
+
+
+def foretold(fit: Fit, noise: float = 1.0) -> Foretold:
+    """How well a fit foretells every block of readings without its fold.
+
+    Blocks of a fold are foretold one after the other, each from the other folds and the blocks
+    before it: d'C^-1 d + ln det C with the whitened residual d = r - J_b x, x = -H_s^-1 J_f'r_f,
+    and its covariance C = 1 + J_b H_s^-1 J_b'; H_s is the information of what is known by then and
+    J_f'r_f what the rest of the fold would add. What is foretold badly for want of information
+    counts little, unlike in a square. Parameters with a flat prior that only this fold can see are
+    projected out of it, as a whole. Rows that are never fitted are taken as they are, and those
+    beside them as folds that follow each other: a few poses at the end are few to tell by. `noise`
+    multiplies the noise of the fit.
+    """
+    plan = fit.measurement.plan
+    folds, apart = folds_of(fit.model, fit.measurement)
+    folds = _beside(folds, apart, fit)
+    n, m = fit.residual.shape
+    jacobian = fit.jacobian.reshape(n, m, -1) / noise
+    whitened = fit.whitened.reshape(n, m) / noise
+    total = np.einsum("nmk,nml->kl", jacobian, jacobian, optimize=True)
+    precision = fit.within_scans
+    # The fit is the best one at its own noise, not at `noise` times that.
+    step = fit.step_at(noise) + _left(fit, fit.jacobian.T @ fit.jacobian, precision)
+    whitened = whitened - jacobian @ step
+    squares: list[float] = []
+    volumes: list[float] = []
+    where: list[int] = []
+    for fold in np.unique(folds[folds >= 0]):
+        rows = np.flatnonzero((folds == fold) & fit.used)
+        if not len(rows):
+            continue
+        basis, own = _own(jacobian[rows].reshape(-1, jacobian.shape[2]), total, precision)
+        turned, common = jacobian[rows] @ basis, ~own
+        inside = turned.reshape(-1, jacobian.shape[2])
+        rest = basis.T @ total @ basis - inside.T @ inside
+        known = rest[np.ix_(common, common)] + np.diag(precision[common])
+        size = len(rows) if own.any() else max(_BLOCK, -(-len(rows) // _BLOCKS))
+        ahead = inside[:, common].T @ whitened[rows].reshape(-1)
+        for start in range(0, len(rows), size):
+            part = rows[start : start + size]
+            j = turned[start : start + size].reshape(-1, jacobian.shape[2])
+            r = whitened[part].reshape(-1)
+            lower = np.linalg.cholesky(known)
+            left = solve_triangular(lower, j[:, common].T, lower=True)
+            d = r + left.T @ solve_triangular(lower, ahead, lower=True)
+            if own.any():
+                q, _ = np.linalg.qr(j[:, own])
+                d, left = d - q @ (q.T @ d), left - (left @ q) @ q.T
+            # C = 1 + left' left has as many eigenvalues other than one as there are parameters.
+            c = np.linalg.cholesky(np.eye(len(left)) + left @ left.T)
+            z = solve_triangular(c, left @ d, lower=True)
+            squares.append(float(d @ d - z @ z))
+            volumes.append(2.0 * float(np.log(np.diag(c)).sum()))
+            where.append(int(fold))
+            known = known + j[:, common].T @ j[:, common]
+            ahead = ahead - j[:, common].T @ r
+    for inside in plan.parts.values():
+        rows = np.flatnonzero(apart & inside)
+        if len(rows):
+            # They have no weight of their own: take that of the fitted ones.
+            typical = np.median(fit.whitener[fit.used & inside], axis=0) / noise
+            squares += list(((fit.residual[rows] @ typical.T) ** 2).sum(1))
+            volumes += [0.0] * len(rows)
+            where += [-1 - int(row) for row in rows]
+    return Foretold(np.add(squares, volumes), np.array(squares), np.array(where))
+
+
+def _beside(folds: np.ndarray, apart: np.ndarray, fit: Fit) -> np.ndarray:
+    """The folds (n,), and more of the fitted rows of a data set some of which are never fitted, of
+    as many rows each as these, in the order in which they were taken.
+    """
+    found, plan = np.array(folds), fit.measurement.plan
+    taken = next((plan.values(name) for name in ("t", "pose") if plan.has(name)), found * 0)
+    in_time = np.argsort(taken, kind="stable")
+    for inside in plan.parts.values():
+        rows = in_time[(fit.used & inside & (folds < 0))[in_time]]
+        if (held := int((apart & inside).sum())) and len(rows):
+            count = max(round(len(rows) / held), 2)
+            found[rows] = found.max() + 1 + np.arange(len(rows)) * count // len(rows)
+    return found
+
+
+def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, float]:
+    """Fall of the deviance of what is `foretold` from one fit to another of the same readings with
+    the same weights, and its standard error from its scatter over folds, or over blocks where there
+    are few.
+    """
+    a, b = (foretold(fit, noise) for fit in (before, after))
+    fall = a.deviance - b.deviance
+    groups = a.folds
+    if len(np.unique(groups)) < _FEW:
+        groups = np.arange(len(fall))
+    sums = np.array([fall[groups == g].sum() for g in np.unique(groups)])
+    error = math.sqrt(len(sums)) * sums.std(ddof=1) if len(sums) > 1 else math.inf
+    return float(fall.sum()), float(error)
+
+
+def foretold_fall(before: Fit, after: Fit, noise: float = 1.0) -> float:
+    """Fall of the root mean square distance of all readings from what is `foretold` of them, as a
+    share: of those that are never fitted, and of those beside them.
+    """
+    a, b = (foretold(fit, noise).squares.sum() for fit in (before, after))
+    return 1.0 - math.sqrt(b / a)
+
+
+def told_by_one_fold(fit: Fit, effect: int) -> bool:
+    """Whether only one fold tells the effect at that place of the model, as it does of a jump
+    within a run where every run has an offset of its own: what the flat parameters of the others
+    take up is no part of it.
+    """
+    folds, _ = folds_of(fit.model, fit.measurement)
+    n, m = fit.residual.shape
+    flat, mine = fit.precision == 0, fit.places_of(effect)[0]
+    q, r = np.linalg.qr(fit.jacobian[:, flat])
+    q = q[:, np.abs(np.diag(r)) > 1e-9 * np.abs(np.diag(r)).max(initial=0.0)]
+    own = fit.jacobian[:, mine]
+    squares = ((own - q @ (q.T @ own)) ** 2).sum(1).reshape(n, m).sum(1)
+    by_fold = [squares[folds == fold].sum() for fold in np.unique(folds)]
+    return len(by_fold) > 1 and max(by_fold) > _ALL * sum(by_fold)
+
+
+def weighted_squares(fit: Fit, residuals: np.ndarray) -> np.ndarray:
+    """Sum of squares of every row in units of the noise of the fit; nan rows are left out."""
+    told = np.isfinite(residuals).all(1)
+    whitener = np.array(fit.whitener)
+    for inside in fit.measurement.plan.parts.values():
+        if (fitted := fit.used & inside).any():
+            # Rows that are never fitted have no weight of their own.
+            whitener[~fit.used & inside] = np.median(whitener[fitted], axis=0)
+    whitened = np.einsum("nij,nj->ni", whitener[told], residuals[told])
+    return (whitened**2).sum(1)
+
+
+def rms_fall(
+    before: Fit,
+    after: Fit,
+    rows: np.ndarray | bool = True,
+    squares: Callable[[Fit, np.ndarray], np.ndarray] = squared_errors,
+) -> float:
+    """Fall of the held-out rms as a share, of several data sets that where it fell most, if they
+    have any of `rows` (n,); of other `squares` than those of lengths.
+    """
+    a, b = heldout_residuals(before), heldout_residuals(after)
+    shares = [-math.inf]
+    for inside in before.measurement.plan.parts.values():
+        left, right = (np.where(inside[:, None], residual, np.nan) for residual in (a, b))
+        if (inside & rows).any() and np.isfinite(left).any():
+            was, now = rms(squares(before, left)), rms(squares(after, right))
+            shares.append(1.0 - now.value / was.value)
+    return max(shares)

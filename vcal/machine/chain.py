@@ -1,0 +1,436 @@
+"""Serial kinematic chains of prismatic and revolute joints.
+
+Conventions (stated here once): frames are right-handed; error = actual - nominal. A prismatic joint
+translates by its position along its nominal direction plus its error translation, then rotates by
+its error rotation about its own moving frame, then comes what it carries. A joint on the workpiece
+side moves against its own command, and its errors live in its own frame all the same. A rotary axis
+(ISO 230-1) is displaced by its error translation, tilted by its error rotation about its reference
+point, and turns about the axis that is there: its errors are seen from what carries it and do not
+turn with it. A revolute joint (standard DH) rotates by theta + q about z, then comes the error
+twist, then d, a, alpha: its errors turn with it.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation as Rotations
+
+from ..numerics.arrays import Array
+from ..numerics.record import Record
+from ..numerics.rigid import (
+    ARRAYS,
+    COMPONENTS,
+    ORIGIN,
+    Algebra,
+    Rotation,
+    Scalar,
+    Vector,
+    left_jacobian,
+    left_jacobian_matrix,
+    like,
+    spun,
+)
+
+_DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+_ABOUT = dict(zip("ABC", _DIRECTIONS.values(), strict=True))
+"""Nominal directions of rotary axes: A turns about X, B about Y, C about Z (ISO 841)."""
+UPRIGHT = "+Z"
+"""The axis that points against gravity where nothing is said."""
+
+
+class Joint(Record):
+    """One joint: what it does nominally, and where its six error ports act."""
+
+    name: str = eqx.field(static=True)
+    kind: Literal["prismatic", "rotary", "revolute"] = eqx.field(static=True)
+    """A linear axis, a rotary axis of a machine tool, or a joint of an arm."""
+    side: Literal["tool", "workpiece"] = eqx.field(static=True)
+    direction: Float[Array, "3"]
+    """Nominal direction of travel or of rotation, in the joint's own frame."""
+    before: Float[Array, "4 4"]
+    """Fixed transformation in front of the motion."""
+    after: Float[Array, "4 4"]
+    """Fixed transformation behind the error twist (the link)."""
+    travel: Float[Array, "2"]
+    """Lowest and highest position, m or rad; infinite where not declared."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether its position is an angle."""
+        return self.kind != "prismatic"
+
+    @property
+    def around(self) -> bool:
+        """Whether it turns all the way round, so that its errors come round with it."""
+        low, high = np.asarray(self.travel)
+        return self.turns and bool(high - low >= 2.0 * np.pi * (1.0 - 1e-9))
+
+    @property
+    def sign(self) -> float:
+        """+1 where the joint moves with its command, -1 on the workpiece side."""
+        return 1.0 if self.side == "tool" else -1.0
+
+
+class _Hinge(NamedTuple):
+    """Where the motion and the errors of one joint act, in the bed's frame."""
+
+    drive: Vector
+    """Direction of its motion."""
+    base: Vector
+    """A point on its axis."""
+    frame: Rotation
+    """Frame in which its error translation acts."""
+    origin: Vector
+    """Point about which its error rotation turns."""
+
+
+class Chain(Record):
+    """The joints from the workpiece to the tool, split at the bed.
+
+    `tool_side` and `workpiece_side` are ordered from the bed outwards and index `joints`.
+    """
+
+    joints: tuple[Joint, ...]
+    tool_side: tuple[int, ...] = eqx.field(static=True)
+    workpiece_side: tuple[int, ...] = eqx.field(static=True)
+    tool_offset: Float[Array, "3"]
+    """From the last joint's frame to the tool point, m."""
+    text: str = eqx.field(static=True, default="")
+    """The chain as it was declared, for reports."""
+    up: tuple[float, float, float] = eqx.field(static=True, default=(0.0, 0.0, 1.0))
+    """Unit vector against gravity in the frame of the bed, or of an arm's base."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of a plan's columns."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def travel(self) -> Float[np.ndarray, "axes 2"]:
+        """Lowest and highest position of every axis, m or rad; infinite where not declared."""
+        return np.stack([joint.travel for joint in self.joints])
+
+    def joint(self, name: str) -> Joint:
+        """A joint by name."""
+        return self.joints[self.axes.index(name)]
+
+    def pose(
+        self, q: Sequence[Scalar], twists: Sequence[Sequence[Scalar]]
+    ) -> tuple[Rotation, Vector]:
+        """Pose of the last joint's frame in the workpiece frame, T = T_w^-1 T_t, for one row.
+
+        `q` are the axis positions, `twists` six errors per joint. The derivative is that of a
+        serial chain: every motion moves what it carries by a translation, or by w x (p - origin).
+        Raises `NotImplementedError` where it is differentiated by the chain's own dimensions.
+        """
+        return _pose(self, tuple(q), tuple(tuple(twist) for twist in twists))
+
+    def pose_as_arrays(
+        self, q: Float[Array, " axes"], twists: Float[Array, "axes 6"]
+    ) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
+        """`pose` in arrays: R (3, 3) and t (3,)."""
+        rt, pt, _ = self._walk(self.tool_side, q, twists, ARRAYS)
+        rw, pw, _ = self._walk(self.workpiece_side, q, twists, ARRAYS)
+        return rw.T @ rt, rw.T @ (pt - pw)
+
+    def jacobian(
+        self, q: Float[Array, " axes"], twists: Float[Array, "axes 6"], offset: Float[Array, "3"]
+    ) -> tuple[Array, Array, Array, Array]:
+        """`pose` in arrays and its derivative by the twists, for a point of the last joint's frame.
+
+        R (3, 3), the point t + R offset (3,), what moves it (3, 6 axes) and what turns R (3, 6
+        axes; dR = skew(w) R), all in the workpiece frame: the geometric Jacobian of a serial chain,
+        of which every column is read off where its joint stands.
+        """
+        rt, pt, tool = self._walk(self.tool_side, q, twists, ARRAYS)
+        rw, pw, work = self._walk(self.workpiece_side, q, twists, ARRAYS)
+        point = pt + rt @ offset
+        moved, turned = (
+            [jnp.zeros((3, 6))] * len(self.joints),
+            [jnp.zeros((3, 6))] * len(self.joints),
+        )
+        sides = ((self.tool_side, tool, 1.0), (self.workpiece_side, work, -1.0))
+        for side, hinges, sign in sides:
+            for i, hinge in zip(side, hinges, strict=True):
+                frame = sign * jnp.asarray(hinge.frame)
+                spin = frame @ left_jacobian_matrix(twists[i][3:])
+                arm = jnp.cross(spin, point - hinge.origin, axisa=0, axisb=0, axisc=0)
+                moved[i] = jnp.concatenate([frame, arm], 1)
+                turned[i] = jnp.concatenate([jnp.zeros((3, 3)), spin], 1)
+        back = rw.T
+        return (
+            back @ rt,
+            back @ (point - pw),
+            back @ jnp.concatenate(moved, 1),
+            back @ jnp.concatenate(turned, 1),
+        )
+
+    def _walk(
+        self, side: Sequence[int], q: Any, twists: Any, algebra: Algebra = COMPONENTS
+    ) -> tuple[Any, Any, list[_Hinge]]:
+        """Pose of the last frame of one side in the bed's frame, and the joints on the way."""
+        r, t = algebra.identity, algebra.origin
+        hinges = []
+        for i in side:
+            joint, twist = self.joints[i], twists[i]
+            turn, shift = algebra.placement(joint.before)
+            base, r = t + r @ shift, r @ turn
+            direction = algebra.vector(joint.direction)
+            drive = r @ (direction * joint.sign)
+            if joint.kind == "prismatic":
+                t = base + drive * q[i]
+            elif joint.kind == "revolute":
+                t, r = base, r @ algebra.about(direction, joint.sign * q[i])
+            else:
+                t = base
+            t = t + r @ algebra.vector(twist[:3])
+            tilted = r @ algebra.exp(algebra.vector(twist[3:]))
+            if joint.kind == "rotary":
+                drive, base = tilted @ (direction * joint.sign), t
+            hinges.append(_Hinge(drive, base, r, t))
+            r = tilted
+            if joint.kind == "rotary":
+                r = r @ algebra.about(direction, joint.sign * q[i])
+            turn, shift = algebra.placement(joint.after)
+            t, r = t + r @ shift, r @ turn
+        return r, t, hinges
+
+    def _velocity(
+        self,
+        side: Sequence[int],
+        hinges: Sequence[_Hinge],
+        point: Vector,
+        twists: Sequence[Sequence[Scalar]],
+        dq: Sequence[Scalar],
+        dtwists: Sequence[Sequence[Scalar]],
+    ) -> tuple[Vector, Vector]:
+        """Displacement of a point carried by one side, and the rotation with it."""
+        moved, turned = ORIGIN, ORIGIN
+        for i, hinge in zip(side, hinges, strict=True):
+            spin = hinge.drive * dq[i]
+            if self.joints[i].kind == "prismatic":
+                moved = moved + spin
+            else:
+                moved, turned = moved + spin.cross(point - hinge.base), turned + spin
+            moved = moved + hinge.frame @ Vector.of(dtwists[i][:3])
+            w = hinge.frame @ left_jacobian(Vector.of(twists[i][3:]), Vector.of(dtwists[i][3:]))
+            moved, turned = moved + w.cross(point - hinge.origin), turned + w
+        return moved, turned
+
+    @property
+    def arm(self) -> bool:
+        """Whether it is an arm of revolute joints, the errors of whose links are not small."""
+        return any(joint.kind == "revolute" for joint in self.joints)
+
+    @property
+    def linear(self) -> bool:
+        """Whether no axis turns."""
+        return not any(joint.turns for joint in self.joints)
+
+    def tool_point(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3"]:
+        """Nominal tool point in the workpiece frame, m."""
+        rt, pt = self._nominal(self.tool_side, q)
+        rw, pw = self._nominal(self.workpiece_side, q)
+        return np.einsum("nji,nj->ni", rw, pt + rt @ np.asarray(self.tool_offset) - pw)
+
+    def turn(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3 3"]:
+        """Nominal rotation from the bed's frame to that of the workpiece."""
+        return np.swapaxes(self._nominal(self.workpiece_side, q)[0], 1, 2)
+
+    def _nominal(
+        self, side: Sequence[int], q: Float[np.ndarray, "n axes"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """`_walk` without errors, all rows at once: R (n, 3, 3) and t (n, 3).
+
+        In numpy: the first call of every operation of jax takes a compilation, a hundred here.
+        """
+        q = np.asarray(q, float)
+        r, t = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+        for i in side:
+            joint = self.joints[i]
+            before, after = np.asarray(joint.before), np.asarray(joint.after)
+            motion = q[:, i, None] * np.asarray(joint.direction) * joint.sign
+            t, r = t + r @ before[:3, 3], r @ before[:3, :3]
+            if joint.turns:
+                r = r @ Rotations.from_rotvec(motion).as_matrix()
+            else:
+                t = t + np.einsum("nij,nj->ni", r, motion)
+            t, r = t + r @ after[:3, 3], r @ after[:3, :3]
+        return r, t
+
+    def frames(self, q: Float[Array, " axes"]) -> tuple[Array, Array]:
+        """Nominal frame of every joint before its motion, in the bed frame: R (axes, 3, 3) and
+        origin (axes, 3); for gravity torques.
+        """
+        still = jnp.zeros((len(self.joints), 6))
+        rotations: list[Array] = [jnp.eye(3)] * len(self.joints)
+        origins: list[Array] = [jnp.zeros(3)] * len(self.joints)
+        for side in (self.tool_side, self.workpiece_side):
+            for k, i in enumerate(side):
+                r, t, _ = self._walk(side[:k], q, still, ARRAYS)
+                before = self.joints[i].before
+                rotations[i], origins[i] = r @ before[:3, :3], t + r @ before[:3, 3]
+        return jnp.stack(rotations), jnp.stack(origins)
+
+
+@eqx.filter_custom_jvp
+def _pose(chain: Chain, q, twists):
+    rt, pt, _ = chain._walk(chain.tool_side, q, twists)
+    rw, pw, _ = chain._walk(chain.workpiece_side, q, twists)
+    return rw.T @ rt, rw.T @ (pt - pw)
+
+
+@_pose.def_jvp
+def _(primals, tangents):
+    chain, q, twists = primals
+    if jax.tree.leaves(tangents[0]):
+        raise NotImplementedError(
+            "the pose of a chain has no derivative with respect to the chain's own dimensions; "
+            "give them as errors, or differentiate Chain.pose_as_arrays"
+        )
+    # What is not varied has no tangent, and drops out of the expression.
+    still = lambda v: 0.0 if v is None else v  # noqa: E731
+    dq = jax.tree.map(still, tangents[1], is_leaf=lambda v: v is None)
+    dtwists = jax.tree.map(still, tangents[2], is_leaf=lambda v: v is None)
+    rt, pt, tool = chain._walk(chain.tool_side, q, twists)
+    rw, pw, work = chain._walk(chain.workpiece_side, q, twists)
+    moved, turned = chain._velocity(chain.tool_side, tool, pt, twists, dq, dtwists)
+    back, undone = chain._velocity(chain.workpiece_side, work, pt, twists, dq, dtwists)
+    r, t = rw.T @ rt, rw.T @ (pt - pw)
+    slopes = spun(r, rw.T @ (turned - undone)), rw.T @ (moved - back)
+    # A component that does not change is a number; its tangent must look like the component.
+    return (r, t), jax.tree.map(like, slopes, (r, t))
+
+
+def chain_from_string(
+    text: str,
+    travel: Mapping[str, Sequence[float]] | None = None,
+    tool_offset_m: Sequence[float] = (0.0, 0.0, 0.0),
+    rotary_m: Mapping[str, Sequence[float]] | None = None,
+    up: str = UPRIGHT,
+) -> Chain:
+    """A machine tool from its ISO 10791-6 description, such as ``"w X b Y Z t"`` or, with rotary
+    axes A, B or C, ``"w C A b X Y Z t"``.
+
+    Everything between ``b`` (bed) and ``t`` (tool) carries the tool, everything between ``w``
+    (workpiece) and ``b`` carries the workpiece. The seeds' way to write the same without spaces
+    and with ``F`` or ``b`` for the bed (``"XFYZ"``) is understood too. `travel` is in m or rad;
+    `rotary_m` gives a point on every rotary axis with all axes at zero, m: its reference point,
+    about which it tilts. The frame of the machine is the one in which the tool point is then at the
+    tool offset. `up` is the axis that points against gravity, ``"+Y"`` where the spindle is
+    horizontal.
+
+    Raises `ValueError` if the string does not start at ``w`` and end at ``t`` with one bed in
+    between, or names an axis twice, or one that is none of X, Y, Z, A, B and C; if `rotary_m`
+    does not say where one of its rotary axes is, or says so of another.
+    """
+    letters = re.findall(r"[A-Za-z]\d*", text)
+    if letters and letters[0] != "w" and letters[-1] != "t":
+        letters = ["w", *letters, "t"]
+    letters = ["b" if letter in ("b", "F") else letter for letter in letters]
+    expected = "expected 'w', the table's axes, 'b', the tool's axes, 't', such as 'w X b Y Z t'"
+    if len(letters) < 4 or letters[0] != "w" or letters[-1] != "t" or letters.count("b") != 1:
+        raise ValueError(f"chain {text!r}: {expected}")
+    axes = [letter for letter in letters[1:-1] if letter != "b"]
+    for axis in axes:
+        if axis not in _DIRECTIONS and axis not in _ABOUT:
+            raise ValueError(
+                f"chain {text!r}: axis {axis!r} is none of the linear axes X, Y, Z and the rotary "
+                f"axes A, B, C; {expected}"
+            )
+        if axes.count(axis) > 1:
+            raise ValueError(f"chain {text!r}: axis {axis!r} appears twice; {expected}")
+    places = dict(rotary_m or {})
+    for axis in sorted({*places} | {*axes} & {*_ABOUT}):
+        if axis not in places or axis not in axes or axis not in _ABOUT:
+            raise ValueError(
+                f"chain {text!r}: found the rotary axis {axis!r} only in "
+                f"{'the chain' if axis not in places else 'what says where rotary axes are'}, "
+                "expected every rotary axis of the chain, and where it is; add or remove it"
+            )
+    bed = letters.index("b")
+    order = sorted(axes, key=lambda axis: (axis in _ABOUT, axis))
+    joints = []
+    for axis in order:
+        before, after = np.eye(4), np.eye(4)
+        if axis in _ABOUT:
+            before[:3, 3] = places[axis]
+            after[:3, 3] = -before[:3, 3]
+        joints.append(
+            Joint(
+                name=axis,
+                kind="rotary" if axis in _ABOUT else "prismatic",
+                side="workpiece" if letters.index(axis) < bed else "tool",
+                direction=np.asarray({**_DIRECTIONS, **_ABOUT}[axis]),
+                before=before,
+                after=after,
+                travel=np.asarray((travel or {}).get(axis, (-np.inf, np.inf)), float),
+            )
+        )
+    return Chain(
+        joints=tuple(joints),
+        tool_side=tuple(order.index(a) for a in letters[bed + 1 : -1]),
+        workpiece_side=tuple(order.index(a) for a in reversed(letters[1:bed])),
+        tool_offset=np.asarray(tool_offset_m, float),
+        text=" ".join(letters) + _standing(up),
+        up=_upward(up),
+    )
+
+
+def _upward(up: str) -> tuple[float, float, float]:
+    sign = -1.0 if up[0] == "-" else 1.0
+    x, y, z = (0.0 if v == 0.0 else sign * v for v in _DIRECTIONS[up[1]])
+    return x, y, z
+
+
+def _standing(up: str) -> str:
+    return "" if up == UPRIGHT else f", {up} up"
+
+
+def chain_from_dh(
+    rows: Sequence[Mapping[str, float | str]],
+    tool_offset_m: Sequence[float] = (0.0, 0.0, 0.0),
+    up: str = UPRIGHT,
+) -> Chain:
+    """A chain from standard Denavit-Hartenberg rows, base to flange.
+
+    Each row: ``type`` (``"revolute"`` or ``"prismatic"``), ``a``, ``d`` (m), ``alpha``, ``theta``
+    (rad); the joint variable is added to theta or to d. T = Rz(theta) Tz(d) Tx(a) Rx(alpha). The
+    error twist acts behind the joint's motion and before the link. Optional ``low`` and ``high``
+    bound the joint variable. Joints are named J1, J2, ... `up` is the axis of the base that points
+    against gravity, ``"-Z"`` for an arm that hangs.
+    """
+    joints = []
+    for i, row in enumerate(rows):
+        a, d = float(row.get("a", 0.0)), float(row.get("d", 0.0))
+        alpha, theta = float(row.get("alpha", 0.0)), float(row.get("theta", 0.0))
+        before, after = np.eye(4), np.eye(4)
+        ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+        before[:3, :3] = [[ct, -st, 0.0], [st, ct, 0.0], [0.0, 0.0, 1.0]]
+        after[:3, 3] = a, 0.0, d
+        after[:3, :3] = [[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]]
+        joints.append(
+            Joint(
+                name=f"J{i + 1}",
+                kind="prismatic" if row["type"] == "prismatic" else "revolute",
+                side="tool",
+                direction=np.asarray(_DIRECTIONS["Z"]),
+                before=before,
+                after=after,
+                travel=np.asarray([row.get("low", -np.inf), row.get("high", np.inf)], float),
+            )
+        )
+    return Chain(
+        joints=tuple(joints),
+        tool_side=tuple(range(len(joints))),
+        workpiece_side=(),
+        tool_offset=np.asarray(tool_offset_m, float),
+        text=f"{len(joints)} joints, standard DH" + _standing(up),
+        up=_upward(up),
+    )

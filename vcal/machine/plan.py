@@ -1,0 +1,256 @@
+"""What was commanded, and under which conditions: one row per observation."""
+
+from collections.abc import Collection, Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..numerics.arrays import Array, array, arrays, known, namespace
+from ..numerics.record import Record
+
+DATA_SET = "data_set"
+"""Group with the place of every row's data set in `Plan.sets`."""
+
+
+def of_set(name: str, what: str) -> str:
+    """What belongs to one data set only, by its name there: ``"tracker:azimuth"``."""
+    return f"{name}:{what}"
+
+
+class Plan(Record):
+    """Positions and conditions of all observations of a run, in the order of time.
+
+    A pytree of arrays with a leading row axis (n). A covariate that was not recorded is absent; an
+    effect that needs it then cannot be tested, and says so.
+    """
+
+    axes: tuple[str, ...] = eqx.field(static=True)
+    """Names of the joints, in the order of the columns of `position`."""
+    position: Float[Array, "n axes"] = eqx.field(converter=array)
+    """Axis positions, m or rad. Commanded, or found (ball array), or read back (arm)."""
+    covariates: Mapping[str, Float[Array, " n"]] = eqx.field(converter=arrays, default_factory=dict)
+    """Everything else that was recorded, SI, by name: ``"dir_X"`` (+1, -1), ``"t"`` (s),
+    ``"T_X"``, ``"T_air"`` (degC), ``"commanded_J1"``, ``"read_J1"`` (rad), ..."""
+    groups: Mapping[str, Int[Array, " n"]] = eqx.field(converter=arrays, default_factory=dict)
+    """Group indices by name: ``"pose"``, ``"ball"``, ``"run"``, ``"segment"``."""
+    sets: tuple[str, ...] = eqx.field(static=True, default=())
+    """Names of the data sets whose rows stand one after the other; none where there is only one.
+
+    What all of them share goes by its own name. What only some of them have, or what only means
+    something to the instrument of one, goes by `of_set`, and is nan in the rows of the others
+    (group indices: -1).
+    """
+    numbers: Int[Array, " n"] | None = None
+    """Number of every row in its table, from 1, where rows of that are left out; else None."""
+
+    def __check_init__(self) -> None:
+        if not known(self.position):
+            return
+        if self.position.ndim != 2 or self.position.shape[1] != len(self.axes):
+            raise ValueError(
+                f"plan: found positions of shape {self.position.shape}, expected (rows, "
+                f"{len(self.axes)}), one column for each of the axes {', '.join(self.axes)}; "
+                "correct the positions or the axes"
+            )
+        finite = np.isfinite(np.asarray(self.position))
+        if not finite.all():
+            row, column = np.argwhere(~finite)[0]
+            raise ValueError(
+                f"plan: found the position {self.position[row, column]} of {self.axes[column]} in "
+                f"row {row}, expected a finite number; correct it, or leave the row out"
+            )
+        own = {} if self.numbers is None else {"numbers": self.numbers}
+        tables = ("covariate", self.covariates), ("group", self.groups), ("column", own)
+        for what, table in tables:
+            for name, values in table.items():
+                if known(values) and values.shape != (self.rows,):
+                    raise ValueError(
+                        f"plan: found the {what} {name!r} of shape {values.shape}, expected "
+                        f"({self.rows},), one value for each of the {self.rows} positions; give "
+                        "as many"
+                    )
+
+    @property
+    def rows(self) -> int:
+        """Number of observations."""
+        return self.position.shape[0]
+
+    def x(self, axis: str) -> Float[Array, " n"]:
+        """Position of one axis."""
+        return self.position[:, self.axes.index(axis)]
+
+    def covariate(self, name: str) -> Float[Array, " n"]:
+        """A recorded covariate by name; `KeyError` where it was not recorded."""
+        return self.covariates[name]
+
+    def values(self, name: str) -> Float[np.ndarray, " n"]:
+        """Values of an axis, covariate or group index, nan in rows of data sets without it.
+
+        By the name of one data set (`of_set`) also what all share, in the rows of that one only.
+        Raises `KeyError` where it was not recorded.
+        """
+        key = self._key(name)
+        if key in self.axes:
+            found = np.asarray(self.x(key), float)
+        elif key in self.covariates:
+            found = np.asarray(self.covariates[key], float)
+        else:
+            found = np.asarray(self.groups[key], float)
+        owner = name.partition(":")[0]
+        return np.where(self.in_set(owner), found, np.nan) if owner in self.sets else found
+
+    def has(self, *names: str) -> bool:
+        """Whether all of these covariates, groups or axes were recorded, in all rows or, by a name
+        of `of_set`, in those of one data set.
+        """
+        known = {*self.covariates, *self.groups, *self.axes}
+        return all(self._key(name) in known for name in names)
+
+    def _key(self, name: str) -> str:
+        """The name under which something stands that is asked for as one data set's own."""
+        owner, _, plain = name.partition(":")
+        if owner in self.sets and name not in self.covariates and name not in self.groups:
+            return plain
+        return name
+
+    def with_position(self, position: Float[Array, "n axes"]) -> "Plan":
+        """The same plan at other axis positions."""
+        return Plan(self.axes, position, self.covariates, self.groups, self.sets, self.numbers)
+
+    def elsewhere(self, position: Float[Array, "m axes"], rows: Int[Array, " m"]) -> "Plan":
+        """Other positions, each under the conditions of one of the rows; groups are dropped.
+
+        Positions that were commanded and read move with the position: by how much they differ
+        from it is a condition, where they were is not.
+        """
+        found = {name: np.asarray(values)[rows] for name, values in self.covariates.items()}
+        moved = position - np.asarray(self.position)[rows]
+        for i, axis in enumerate(self.axes):
+            for name in {f"commanded_{axis}", f"read_{axis}"} & set(found):
+                found[name] = found[name] + moved[:, i]
+        return Plan(self.axes, position, found)
+
+    def take(self, rows) -> "Plan":
+        """The given rows only."""
+        pick = lambda table: {k: jnp.asarray(v)[rows] for k, v in table.items()}  # noqa: E731
+        return Plan(
+            self.axes,
+            self.position[rows],
+            pick(self.covariates),
+            pick(self.groups),
+            self.sets,
+            None if self.numbers is None else self.numbers[rows],
+        )
+
+    # --- several data sets ----------------------------------------------------------------------
+    def in_set(self, name: str) -> Bool[np.ndarray, " n"]:
+        """The rows of one data set."""
+        return np.asarray(self.groups[DATA_SET]) == self.sets.index(name)
+
+    @property
+    def parts(self) -> dict[str, Bool[np.ndarray, " n"]]:
+        """The rows of every data set by its name; all under no name where there is one only."""
+        if not self.sets:
+            return {"": np.ones(self.rows, bool)}
+        return {name: self.in_set(name) for name in self.sets}
+
+    def in_time(self, rows: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+        """These rows, data set by data set, as they were taken, however the file is sorted; in the
+        order of the file where time was not recorded.
+        """
+        ordered = []
+        for name, inside in self.parts.items():
+            mine, time = rows[inside[rows]], of_set(name, "t") if name else "t"
+            if self.has(time):
+                mine = mine[np.argsort(self.values(time)[mine], kind="stable")]
+            ordered.append(mine)
+        return np.concatenate(ordered)
+
+    def place(self, row: int) -> tuple[str, int]:
+        """The data set of a row and its number in that one's table, from 0; no name where there is
+        only one.
+        """
+        for name, inside in self.parts.items():
+            if inside[row]:
+                if self.numbers is not None:
+                    return name, int(self.numbers[row]) - 1
+                return name, int(inside[:row].sum())
+        raise IndexError(f"found row {row}, expected one of {self.rows}")
+
+    def row_name(self, row: int) -> str:
+        """A row as its table counts it, from 1, and of which data set where there are several."""
+        name, number = self.place(row)
+        return f"{number + 1} of {name}" if name else str(number + 1)
+
+    def of(self, name: str) -> "Plan":
+        """All rows under the names that one data set uses. In the rows of others, what is its own
+        is zero, and they are in none of its groups (-1).
+
+        What only others have is left out.
+        """
+        here = self.groups[DATA_SET] == self.sets.index(name)
+        prefix, tables = of_set(name, ""), []
+        owned = (DATA_SET, *(of_set(s, "") for s in self.sets))
+        for table, none in ((self.covariates, 0), (self.groups, -1)):
+            own = {k: v for k, v in table.items() if not k.startswith(owned)}
+            for key, values in table.items():
+                if key.startswith(prefix):
+                    found = namespace(here, values).where(here, values, none)
+                    own[key.removeprefix(prefix)] = found
+            tables.append(own)
+        return Plan(self.axes, self.position, *tables, numbers=self.numbers)
+
+    def part(self, name: str) -> "Plan":
+        """The rows of one data set, as if there were no others."""
+        return self.of(name).take(np.flatnonzero(self.in_set(name)))
+
+    def lacking(self, name: str) -> tuple[str, ...]:
+        """The data sets that have no such covariate, group or axis."""
+        return tuple(s for s in self.sets if not self.has(of_set(s, name)))
+
+
+def joined(plans: Mapping[str, Plan], own: Mapping[str, Collection[str]]) -> Plan:
+    """One plan of the rows of several data sets, one after the other, by their names.
+
+    `own` names, per data set, the covariates that mean something to its own instrument only. Group
+    indices always do: they count within one table. Raises `ValueError` where there are no plans, or
+    their axes differ.
+    """
+    if not plans:
+        raise ValueError("found no data set, expected at least one")
+    axes = {plan.axes for plan in plans.values()}
+    if len(axes) > 1:
+        raise ValueError(f"data sets of machines with the axes {axes}, expected the same axes")
+    names = tuple(plans)
+    shared = set.intersection(
+        *({*plan.covariates} - {*own.get(name, ())} for name, plan in plans.items())
+    )
+    sizes = [plan.rows for plan in plans.values()]
+    ends = np.cumsum(sizes)
+    first = next(iter(plans.values()))
+    covariates = {
+        key: np.concatenate([np.asarray(plan.covariates[key], float) for plan in plans.values()])
+        for key in first.covariates
+        if key in shared
+    }
+    groups = {DATA_SET: np.repeat(np.arange(len(names)), sizes)}
+    for (name, plan), size, end in zip(plans.items(), sizes, ends, strict=True):
+        for key, values in plan.covariates.items():
+            if key not in shared:
+                column = covariates[of_set(name, key)] = np.full(ends[-1], np.nan)
+                column[end - size : end] = values
+        for key, values in plan.groups.items():
+            column = groups[of_set(name, key)] = np.full(ends[-1], -1)
+            column[end - size : end] = values
+    position = np.concatenate([np.asarray(plan.position) for plan in plans.values()])
+    numbers = None
+    if any(plan.numbers is not None for plan in plans.values()):
+        numbers = np.concatenate([_numbers(plan) for plan in plans.values()])
+    return Plan(first.axes, position, covariates, groups, names, numbers)
+
+
+def _numbers(plan: Plan) -> Int[np.ndarray, " n"]:
+    """Number of every row in its table, from 1."""
+    return np.arange(1, plan.rows + 1) if plan.numbers is None else np.asarray(plan.numbers)

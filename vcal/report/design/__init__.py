@@ -1,0 +1,1 @@
+"""The report of a designed plan, and of what to measure next."""

@@ -1,0 +1,215 @@
+"""The folder of a report: what may be written to, and files that arrive whole or not at all."""
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...study.folder import check_way
+from ...study.messages import listed, refusal
+from .picture import Picture
+
+_KEPT = ".earlier"
+_SUMS = "sha256"
+"""Key of a record under which the sums of all files are kept."""
+_NOT_EDITED = (".html", ".png")
+"""Files that nobody edits: replaced even where a record of an older vcal has no sums."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """How the folder of one kind of report is known."""
+
+    record: str
+    """Name of its record, which lists all its files (``files``) with their SHA-256 sums
+    (``sha256``) and names its ``schema``."""
+    schema: str
+    """How the schema of such a record begins."""
+    beside: str = ""
+    """Name of a folder that may lie beside the files; none where it is empty."""
+    sometimes: tuple[str, ...] = ()
+    """Names of files that not every such report holds, and that a user may have made there."""
+
+    def check(self, out: Path, files: Sequence[str] = ()) -> None:
+        """Refuse a place that such a report, with these files if they are known, must not be
+        written to.
+
+        Raises `StudyError` for a file, for a folder that holds something but no earlier report of
+        this kind, and for one in which a file was changed since, or made where one would be
+        written.
+        """
+        check_way(out)
+        if not out.exists():
+            return
+        if not out.is_dir():
+            raise refusal(
+                str(out),
+                "output folder",
+                "a file",
+                "a folder, or a name that is free",
+                "choose another",
+            )
+        others = sorted(p.name for p in out.iterdir() if p.name != self.beside or not p.is_dir())
+        if others and not self.files(out):
+            raise refusal(
+                str(out),
+                "output folder",
+                f"other files ({', '.join(others[:3])}, ...)",
+                "an empty folder, one that holds an earlier report, or a name that is free",
+                "choose another folder",
+            )
+        changed, known = self._changed(out, files)
+        if changed:
+            raise refusal(
+                str(out),
+                "output folder",
+                f"{listed(changed)}, "
+                + ("not as" if known else "which may have been changed since")
+                + " the earlier report left "
+                + ("them" if changed[1:] else "it"),
+                "only files that can be replaced without loss",
+                "rename or move what is to be kept, or choose another folder",
+            )
+
+    def fill(self, out: Path, make: Callable[[Path], Sequence[str]]) -> None:
+        """Have the files made in a temporary folder, which `make` is given, and move those that it
+        names to `out`.
+
+        Files of an earlier report are replaced, others are left alone. On failure or interruption
+        `out` stays as it was. Raises as `check` does.
+        """
+        self.check(out)
+        with _workshop(out) as work:
+            files = make(work)
+            self._seal(work, files)
+            self.check(out, files)  # once more: making the files may have taken long
+            _install(work, out, files, self.files(out))
+
+    def write(
+        self,
+        work: Path,
+        texts: Mapping[str, str],
+        drawn: Sequence[Picture],
+        record: Mapping[str, Any],
+        others: Sequence[str] = (),
+    ) -> list[str]:
+        """Write texts by name, pictures and the record into the temporary folder, where the
+        `others` are already; returns the names of all, which the record lists.
+        """
+        # The record comes last: a folder counts as a report by it.
+        files = [*others, *(picture.file for picture in drawn), *texts, self.record]
+        for picture in drawn:
+            (work / picture.file).write_bytes(picture.data)
+        for name, text in texts.items():
+            (work / name).write_text(text, encoding="utf-8")
+        content = {**record, "files": files}
+        strict = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
+        (work / self.record).write_text(strict + "\n", encoding="utf-8")
+        return files
+
+    def files(self, out: Path) -> list[str]:
+        """Names of the files of the report in a folder; none where there is no report."""
+        content = self._content(out)
+        try:
+            names = [str(name) for name in content.get("files", [])]
+        except TypeError:
+            return []
+        # Names only: a record that was tampered with must not reach outside the folder.
+        others = [n for n in names if Path(n).name == n and n != self.record]
+        return [self.record, *others] if content else []
+
+    def _content(self, out: Path) -> dict[str, Any]:
+        """The record in a folder; empty where there is none of this kind."""
+        try:
+            content = json.loads((out / self.record).read_text(encoding="utf-8"))
+            return content if str(content["schema"]).startswith(self.schema) else {}
+        except (OSError, ValueError, KeyError, TypeError):
+            return {}
+
+    def _seal(self, work: Path, files: Sequence[str]) -> None:
+        """Put the sums of all files into the record, its own without them."""
+        content = self._content(work)
+        sums = {name: _sum((work / name).read_bytes()) for name in files if name != self.record}
+        content[_SUMS] = sums | {self.record: _sum(_text(content).encode())}
+        (work / self.record).write_text(_text(content), encoding="utf-8")
+
+    def _changed(self, out: Path, files: Sequence[str]) -> tuple[list[str], bool]:
+        """What would be replaced and is not as the earlier report left it, and whether that is
+        known: without sums it is what may have been edited.
+        """
+        content, earlier = self._content(out), self.files(out)
+        sums = content.pop(_SUMS, None)
+        names = dict.fromkeys(n for n in (*earlier, *self.sometimes, *files) if (out / n).is_file())
+        if not isinstance(sums, Mapping):
+            kept = (n for n in names if n not in earlier or not n.endswith(_NOT_EDITED))
+            return [n for n in kept if n != self.record], False
+        found = {n: _sum((out / n).read_bytes()) for n in names if n != self.record}
+        if earlier:
+            found[self.record] = _sum(_text(content).encode())
+        return [n for n, value in found.items() if sums.get(n) != value], True
+
+
+def _sum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _text(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+@contextlib.contextmanager
+def _workshop(out: Path) -> Iterator[Path]:
+    """A temporary folder on the file system of `out`, gone afterwards; so are parents of `out`
+    that had to be made, if they are still empty.
+    """
+    made = [p for p in out.absolute().parents if not p.exists()]
+    home = out.absolute().parent
+    home.mkdir(parents=True, exist_ok=True)
+    elsewhere = out.is_dir() and (
+        out.stat().st_dev != home.stat().st_dev or not os.access(home, os.W_OK)
+    )
+    work = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out if elsewhere else home))
+    try:
+        yield work
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+        for parent in made:
+            with contextlib.suppress(OSError):
+                parent.rmdir()
+
+
+def _install(work: Path, out: Path, files: Sequence[str], earlier: Sequence[str]) -> None:
+    """Move the files from `work` to `out`, those of an earlier report out of the way; undo all of
+    it if anything comes in between.
+    """
+    fresh = not out.exists()
+    out.mkdir(exist_ok=True)
+    kept = work / _KEPT
+    kept.mkdir()
+    stale = list(dict.fromkeys([*earlier, *files]))
+    aside, placed = [], []
+    try:
+        for name in stale:
+            if (out / name).is_file():
+                aside.append(name)
+                os.replace(out / name, kept / name)
+        for name in files:
+            placed.append(name)
+            os.replace(work / name, out / name)
+    except BaseException:
+        for name in placed:
+            with contextlib.suppress(OSError):
+                os.replace(out / name, work / name)
+        for name in aside:
+            with contextlib.suppress(OSError):
+                os.replace(kept / name, out / name)
+        if fresh:
+            with contextlib.suppress(OSError):
+                out.rmdir()
+        raise

@@ -1,0 +1,76 @@
+"""Numbers and names as people read them."""
+
+import math
+import re
+
+from ...plots import pretty_unit
+from ...plots.style import SUPERSCRIPTS
+
+DASH = "–"
+COVERAGE = 2.0
+"""Coverage factor k of the expanded uncertainty U = k u."""
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with so many significant digits; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    if value == 0.0:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e6:
+        return scientific(value, digits)
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    return _minus(f"{round(value, places):.{max(places, 0)}f}")
+
+
+def rounded(value: float, u: float) -> tuple[str, str]:
+    """A value and its uncertainty to two significant digits of the latter (GUM 7.2.6)."""
+    if not math.isfinite(u) or u <= 0.0:
+        return number(value, 5), DASH
+    places = 1 - math.floor(math.log10(u))
+    if round(u, places) >= 10.0 ** (2 - places):  # 0.0996 is 0.10, not 0.100
+        places -= 1
+    shown = max(places, 0)
+    return (
+        _minus(f"{round(value, places):.{shown}f}"),
+        f"{round(u, places):.{shown}f}",
+    )
+
+
+def with_uncertainty(value: float | None, u: float | None) -> str:
+    """Value and standard uncertainty in one piece: ``"0.94 ± 0.18"``."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    if u is None or not math.isfinite(u) or u <= 0.0:
+        return number(value)
+    return " ± ".join(rounded(value, u))
+
+
+def scientific(value: float, digits: int = 2) -> str:
+    """``"1.1 × 10⁻⁵"``."""
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return f"{_minus(mantissa)} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
+
+
+def probability(p: float) -> str:
+    """A p-value: plain down to a thousandth, as a power of ten below."""
+    if p < 1e-300:
+        return "< 10⁻³⁰⁰"
+    if p < 1e-3:
+        return scientific(p)
+    return "> 0.99" if p > 0.99 else f"{p:.2g}"
+
+
+def percent(share: float) -> str:
+    """A share in percent."""
+    return _minus(f"{100.0 * share:.0f} %" if abs(share) >= 0.1 else f"{100.0 * share:.1f} %")
+
+
+def unit(text: str) -> str:
+    """A unit as it is printed."""
+    return pretty_unit(text)
+
+
+def _minus(text: str) -> str:
+    """With a minus sign, which a zero has not."""
+    return re.sub(r"^-(?=[0.]+\D*$)", "", text).replace("-", "−")

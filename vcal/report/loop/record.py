@@ -1,0 +1,262 @@
+"""The machine-readable record of closing the loop: the content of ``report.json``."""
+
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ... import __version__
+from ...geometry.acceptance import GeometricTest
+from ...identification.fit import Fit
+from ...loop.outcome.closure import Closure, Errors, FoundEffect
+from ...loop.outcome.unexplained import Unexplained
+from ...loop.screening.candidates import Untestable
+from ...loop.weighing.cross_validation import Rms
+from ...machine.plan import Plan
+from ...plots import column_of
+from ...study.study import DataSet, Study
+from .derived import (
+    Listed,
+    declared,
+    intervals_in_file,
+    missing_columns,
+    parameters,
+    shares_by_column,
+    untested_beside,
+)
+
+SCHEMA = "vcal-report/1"
+_PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
+
+
+def record(
+    closure: Closure,
+    study: Study,
+    tests: Sequence[GeometricTest] = (),
+    *,
+    command: str = "",
+    seconds: float = math.nan,
+) -> dict[str, Any]:
+    """Everything a program wants to know of a closure, as plain values; see `SCHEMA`. Of a study
+    with several data sets also the share of each, as `data_sets`. `tests` of its geometry are put
+    in as `geometry`.
+
+    An effect whose `placement` is a class of several, ``"X|Y"``, has the parameters that it has at
+    its `fitted_placement`. What is `unexplained` has a `size_um` and a `share_of_variance`; of what
+    they are is in `size_is` and `share_is`: of the empirical description, its largest displacement
+    and its share of the chi-square beyond the noise, else an rms, and a share of the variance of
+    the residual. Columns and their values are those of the data file; numbers that do not
+    exist are None, so that the record is strict JSON.
+    """
+    plan = closure.after.measurement.plan
+    found: dict[str, Any] = {
+        "schema": SCHEMA,
+        "name": study.name,
+        "verdict": closure.verdict,
+        "sentence": closure.sentence,
+        "effects": [_effect(closure, effect) for effect in closure.effects],
+        "declared": [
+            {"effect": e.name, "placement": e.placement, "parameters": _parameters(listed)}
+            for e, listed in declared(closure)
+        ],
+        "errors": {name: _errors(errors) for name, errors in closure.errors.items()},
+        "geometry": [_test(test) for test in tests],
+        "unexplained": _unexplained(closure.unexplained, closure.after),
+        "variance": closure.variance,
+        "noise_scale": closure.noise_scale,
+        "noise_components": [
+            {"reading": part.name, "factor": part.factor, "u": part.u}
+            for part in closure.noise_components
+        ],
+        "suspected_readings": [
+            {**_place(stray.row, plan), "distance": stray.distance, "p_value": stray.p_value}
+            for stray in closure.suspected
+        ],
+        "blank_readings": [
+            {"file": file, "rows": list(rows)}
+            for file, rows in closure.after.measurement.blank.items()
+        ],
+        "rejected": [
+            {
+                "effect": tried.effect,
+                "placement": tried.placement,
+                "p_value": tried.p_value,
+                "reason": tried.reason,
+            }
+            for tried in (*closure.rejected, *closure.passed_over)
+        ],
+        "untestable": [
+            {"effect": item.effect, "placement": item.placement, "reason": _reason(item, plan)}
+            for item in closure.untestable
+        ],
+        "vibration": None if closure.vibration is None else asdict(closure.vibration),
+        "unseen": list(dict.fromkeys(closure.unseen)),
+        "settings": _settings(closure, study),
+        "versions": versions(),
+        "seconds": seconds,
+        "input_files": dict(study.hashes),
+        "command": command,
+        "notes": list(closure.notes),
+        "interrupted": closure.interrupted,
+    }
+    several = [_data_set(closure, one) for one in study.sets if one.name]
+    return plain(found | ({"data_sets": several} if several else {}))
+
+
+def _settings(closure: Closure, study: Study) -> dict[str, Any]:
+    return {
+        **closure.settings,
+        "effects": closure.searched,
+        "effects_asked_for": closure.settings.get("effects", []),
+        "study": study.as_dict,
+    }
+
+
+def _test(test: GeometricTest) -> dict[str, Any]:
+    return {
+        "name": test.name,
+        "what": test.what,
+        "axis": test.axis,
+        "value": test.value,
+        "unit": test.unit,
+        "standard_uncertainty": test.u,
+        "information_share": test.information,
+    }
+
+
+def _reason(item: Untestable, plan: Plan) -> str:
+    missing = missing_columns(item, plan)
+    return f"the data have no {', '.join(missing)}" if missing else item.reason
+
+
+def _place(row: int, plan: Plan) -> dict[str, Any]:
+    """A row of the data by its number in its table, from 1, and its data set where it has one."""
+    name, number = plan.place(row)
+    return {"row": number + 1, **({"data_set": name} if name else {})}
+
+
+def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
+    return {
+        "effect": found.effect.name,
+        "placement": found.placement,
+        "fitted_placement": found.effect.placement,
+        "parameters": _parameters(parameters(closure, found)),
+        "status": found.status,
+        "p_value": found.p_value,
+        "log_evidence": found.log_evidence,
+        "delta_bic": found.delta_bic,
+        "heldout_gain": found.heldout_gain,
+        "equivalent": list(found.equivalent),
+        "alternatives": [
+            {"effect": name, "placement": placement, "probability": probability}
+            for name, placement, probability in found.alternatives
+        ],
+        "separation": found.separation,
+        "untested": [
+            {"effects": keys, "missing": columns}
+            for columns, keys in untested_beside(closure, found).items()
+        ],
+    }
+
+
+def _parameters(listed: Listed) -> list[dict[str, Any]]:
+    return [
+        {"name": name, "value": value, "unit": unit, "standard_uncertainty": u}
+        for name, value, unit, u in listed
+    ]
+
+
+def _errors(errors: Errors) -> dict[str, float | None]:
+    return {
+        "check_rms_um": _value(errors.check),
+        "check_raw_rms_um": _value(errors.check_raw),
+        "heldout_rms_um": _value(errors.heldout),
+        "fit_rms_um": _value(errors.fit),
+        "chi2_per_dof": errors.chi2_per_dof,
+        "u_check_rms_um": errors.check.u if errors.check else None,
+        "u_heldout_rms_um": errors.heldout.u,
+    }
+
+
+def _data_set(closure: Closure, one: DataSet) -> dict[str, Any]:
+    """A data set of several, with its share of the errors."""
+    return {
+        "name": one.name,
+        "file": one.file,
+        "instrument": one.settings.kind,
+        "rows": one.plan.rows,
+        "noise_scale": closure.noise_scales[one.name],
+        "errors": {
+            column: {
+                "heldout_rms_um": errors.sets[one.name].heldout.value,
+                "fit_rms_um": errors.sets[one.name].fit.value,
+                "chi2_per_dof": errors.sets[one.name].chi2_per_dof,
+            }
+            for column, errors in closure.errors.items()
+        },
+    }
+
+
+def _value(rms: Rms | None) -> float | None:
+    return None if rms is None else rms.value
+
+
+def _unexplained(what: Unexplained | None, fit: Fit) -> dict[str, Any] | None:
+    if what is None:
+        return None
+    plan = fit.measurement.plan
+    shares = shares_by_column(what, plan)
+    return {
+        "depends_on": list(shares),
+        "shares": list(shares.values()),
+        "products": [
+            {"columns": [column_of(a, plan)[0], column_of(b, plan)[0]], "share": share}
+            for a, b, share in what.products
+        ],
+        "where": [
+            {"column": column, "low": low, "high": high}
+            for column, low, high in intervals_in_file(what, fit)
+        ],
+        "direction": what.direction,
+        "size_um": what.size_um,
+        "size_is": what.size_is,
+        "share_of_variance": what.share_of_variance,
+        "share_is": what.share_is,
+        "p_value": what.p_value,
+        "reason": what.reason,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of vcal, of Python and of the packages that compute."""
+    found = {"vcal": __version__, "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def plain(value: Any) -> Any:
+    """The value in the types of JSON: numpy to Python, numbers that are not finite to None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, str):
+        return value
+    return str(value) if isinstance(value, Path) else repr(value)

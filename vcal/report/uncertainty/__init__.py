@@ -1,0 +1,1 @@
+"""The report of the uncertainty that a plan will give."""

@@ -1,0 +1,204 @@
+"""The machine-readable record of a virtual calibration: the content of ``result.json``."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...study.study import Study
+from ...uncertainty.compare import Comparison
+from ...uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
+from ..html.text import number, percent
+from ..loop.record import plain, versions
+
+VIRTUAL_SCHEMA = "vcal-uncertainty/1"
+_EVERY = 0.99
+"""Share of the machines that counts as all of them."""
+_OFTEN = 0.1
+
+
+def sentence(result: VirtualCalibration) -> str:
+    """The answer in one sentence."""
+    if result.faultless:
+        return (
+            "No error of the machine is declared, so that there is nothing to improve. Declare "
+            "what it may have under [model.geometric], or as [[model.effect]]."
+        )
+    before, after = (result.volumetric("rms", when) for when in WHEN)
+    span = "{} µm ({} to {} µm)".format
+    told = [span(number(v.mean), number(v.low), number(v.high, 3)) for v in (before, after)]
+    share = percent(result.coverage)
+    if result.improved > _EVERY:
+        return (
+            f"This plan brings the rms volumetric error from {told[0]} down to {told[1]}: mean "
+            f"and interval of {share} of the machines."
+        )
+    return (
+        f"With this plan the rms volumetric error goes from {told[0]} to {told[1]} (mean and "
+        f"interval of {share} of the machines); it gets smaller on {percent(result.improved)} of "
+        "them only."
+    )
+
+
+def notes(result: VirtualCalibration) -> list[str]:
+    """What a reader has to know of how far these numbers can be trusted."""
+    ensemble = result.ensemble
+    found = []
+    if ensemble.interrupted:
+        found.append(
+            f"Interrupted after {ensemble.draws} draws; what follows is what was known by then. "
+            "The same command goes on from there."
+        )
+    if result.campaign.failed:
+        found.append(
+            f"{result.campaign.failed} of {ensemble.draws} draws could not be identified, or gave "
+            "a result that is not a number; they are left out of every statistic."
+        )
+    if ensemble.adaptive is not None and not ensemble.adaptive.settled:
+        unstable = int((~ensemble.adaptive.stable).sum())
+        found.append(
+            f"{unstable} of {len(ensemble.labels)} results were not stable yet when the draws "
+            "ended (JCGM 101, 7.9.4)."
+        )
+    if not result.nodes:
+        found.append(
+            "Errors are judged at the tool point of the declared chain. What unknown targets on "
+            "the tool take up, so that no reading shows it, counts in full."
+        )
+    if result.campaign.retried > _OFTEN:
+        found.append(
+            f"{percent(result.campaign.retried)} of the draws were too far from the nominal "
+            "machine for the shared curvature and were solved one by one: sound, but slow."
+        )
+    undecided = result.parameters.verdicts.count("undecided")
+    if undecided:
+        found.append(
+            f"Clause 8 is undecided for {undecided} of {len(result.parameters.labels)} parameters: "
+            "the Monte Carlo's own scatter could turn the verdict, or there are fewer than the "
+            f"{2 * ensemble.step} draws that tell it. More draws decide."
+        )
+    ratio = result.rms_gum / result.rms_monte_carlo if result.rms_monte_carlo else 1.0
+    if not 0.9 < ratio < 1.1:
+        found.append(
+            f"The GUM's rms volumetric error ({number(result.rms_gum)} µm) and the Monte Carlo's "
+            f"({number(result.rms_monte_carlo)} µm) differ: the problem is not linear over its "
+            "priors, and the shares of the sources are a rough guide only."
+        )
+    return found
+
+
+def virtual_record(
+    result: VirtualCalibration,
+    study: Study,
+    settings: Mapping[str, Any],
+    *,
+    command: str = "",
+    seconds: float = math.nan,
+) -> dict[str, Any]:
+    """Everything a program wants to know of a virtual calibration, as plain values.
+
+    Numbers that do not exist are None, so that the record is strict JSON.
+    """
+    found: dict[str, Any] = {
+        "schema": VIRTUAL_SCHEMA,
+        "name": study.name,
+        "sentence": sentence(result),
+        "coverage": result.coverage,
+        "volumetric_error_um": {
+            when: {
+                statistic: result.volumetric(statistic, when)._asdict() for statistic in STATISTICS
+            }
+            for when in WHEN
+        },
+        "improved_share": result.improved,
+        "rms_after_um": {
+            "gum": result.rms_gum,
+            "monte_carlo": result.rms_monte_carlo,
+            "known": result.known,
+        },
+        "sources": [c._asdict() for c in result.contributions],
+        "parameters": _parameters(result),
+        "error_motions": [m._asdict() for m in result.motions],
+        "straight_lines": _lines(result),
+        "clause_8": {
+            name: _counts(c.verdicts)
+            for name, c in (
+                ("parameters", result.parameters),
+                ("error_motions", result.motion_comparison),
+                ("straight_lines", result.lines),
+            )
+        },
+        "not_identifiable": {
+            "directions": result.directions,
+            "determined": result.determined,
+            "combinations": list(result.unseen),
+            "parameters": list(result.hardly),
+        },
+        "field": {
+            "position_m": np.asarray(result.points.position),
+            "axes": list(result.points.axes),
+            "before_um": result.bounds("before"),
+            "after_um": result.bounds("after"),
+        },
+        "draws": _draws(result),
+        "interrupted": result.ensemble.interrupted,
+        "notes": notes(result),
+        "settings": {**settings, "study": study.as_dict},
+        "versions": versions(),
+        "seconds": seconds,
+        "input_files": dict(study.hashes),
+        "command": command,
+    }
+    return plain(found)
+
+
+def _parameters(result: VirtualCalibration) -> list[dict[str, Any]]:
+    c = result.parameters
+    places = {label: i for i, label in enumerate(c.labels)}
+    rows = []
+    for key, p in result.entries:
+        i = places[f"{key}: {p.name} [{p.unit}]"]
+        own = {"effect": key, "parameter": p.name, "unit": p.unit, "prior": p.sigma}
+        rows.append(own | _compared(c, i))
+    return rows
+
+
+def _lines(result: VirtualCalibration) -> list[dict[str, Any]]:
+    rows = []
+    for i, label in enumerate(result.lines.labels):
+        name, _, unit = label.rpartition(" [")
+        own = {"name": name, "unit": unit.rstrip("]"), "prior": result.lines_before[i]}
+        rows.append(own | _compared(result.lines, i))
+    return rows
+
+
+def _draws(result: VirtualCalibration) -> dict[str, Any]:
+    ensemble, campaign = result.ensemble, result.campaign
+    return {
+        "done": ensemble.draws,
+        "failed": campaign.failed,
+        "retried_share": campaign.retried,
+        "gradients_per_draw": campaign.gradients,
+        "quantiles": ensemble.kept,
+        "settled": None if ensemble.adaptive is None else ensemble.adaptive.settled,
+    }
+
+
+def _compared(c: Comparison, i: int) -> dict[str, Any]:
+    """Both ways of one output, and clause 8."""
+    return {
+        "gum": _way(c, i, 0),
+        "monte_carlo": _way(c, i, 1),
+        "delta": c.delta[i],
+        "verdict": c.verdicts[i],
+    }
+
+
+def _way(c: Comparison, i: int, way: int) -> dict[str, Any]:
+    columns = {"value": c.value, "u": c.u, "low": c.low, "high": c.high}
+    return {name: column[i, way] for name, column in columns.items()}
+
+
+def _counts(verdicts: Sequence[str]) -> dict[str, int]:
+    return {name: list(verdicts).count(name) for name in ("passed", "failed", "undecided")}

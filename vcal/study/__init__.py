@@ -1,0 +1,6 @@
+"""The edge to files: study folders in, tables in and out; every mistake told in one message."""
+
+from .csv_table import Table, read_header, read_table, write_table
+from .study import Study, load_study
+
+__all__ = ["Study", "Table", "load_study", "read_header", "read_table", "write_table"]

@@ -1,0 +1,358 @@
+"""Tables in CSV files, checked cell by cell."""
+
+import csv
+import io
+import math
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import StudyError
+from ..instruments.base import Column
+from ..registry import nearest
+from .messages import listed, refusal, shown
+
+_PREAMBLE = re.compile(r'#.*|"?sep=."?', re.IGNORECASE)
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+"""What may separate cells, by name: the first of them that the header has."""
+_MOST_WHOLE, _MOST = 1e9, 1e15
+"""No index, and no quantity in a column that has no bounds of its own, is larger."""
+_DIGITS, _WHOLE_DIGITS = 10, 15
+"""Digits that numbers are written with at least, and that every decimal number keeps in float64."""
+_OF_A_STEP = 1e-7
+
+
+class Table(dict[str, np.ndarray]):
+    """Columns by name, which remembers where its rows came from.
+
+    Data rows count from 1 below the header; the line number differs where lines are empty.
+    """
+
+    def __init__(
+        self, name: str, lines: Sequence[int], numbers: Sequence[int] = (), read: Sequence[str] = ()
+    ):
+        super().__init__()
+        self.name = name
+        """The file as the user knows it."""
+        self.lines = tuple(lines)
+        """Line of the file per data row."""
+        self.numbers = tuple(numbers) or tuple(range(1, len(self.lines) + 1))
+        """Number per data row, from 1, as the file counts them."""
+        self.read = frozenset(read)
+        """Columns of readings, in which cells may be blank."""
+        self.blank = np.zeros(len(self.lines), bool)
+        """Rows of which a reading is blank; in its place is that of a neighbour."""
+
+    @property
+    def rows(self) -> int:
+        """Number of data rows."""
+        return len(self.lines)
+
+    @property
+    def told(self) -> "Table":
+        """The rows of which every reading is there."""
+        if not self.blank.any():
+            return self
+        rows = np.flatnonzero(~self.blank)
+        lines, numbers = ([of[row] for row in rows] for of in (self.lines, self.numbers))
+        found = Table(self.name, lines, numbers, tuple(self.read))
+        found.update({name: values[rows] for name, values in self.items()})
+        return found
+
+    @property
+    def blank_rows(self) -> tuple[int, ...]:
+        """Numbers of the rows of which a reading is blank."""
+        return tuple(self.numbers[row] for row in np.flatnonzero(self.blank))
+
+    def where(self, row: int) -> str:
+        """A row, which counts from 0, as the file has it."""
+        return f"row {self.numbers[row]} (line {self.lines[row]})"
+
+    def refusal(self, row: int, column: str, found: str, expected: str, do: str) -> StudyError:
+        """The error to raise for one cell; `row` counts from 0."""
+        return refusal(self.name, f"{self.where(row)}, column {column}", found, expected, do)
+
+
+def _nothing(name: str) -> Column | None:
+    del name
+    return None
+
+
+def read_header(path: Path | str, base_name: str | None = None) -> tuple[str, ...]:
+    """Names of the columns of a CSV file; raises `StudyError` as `read_table` does."""
+    name = base_name or Path(path).name
+    return _cells(Path(path), name)[0]
+
+
+def read_table(
+    path: Path | str,
+    columns: Sequence[Column],
+    base_name: str | None = None,
+    *,
+    optional: Callable[[str], Column | None] = _nothing,
+    labels: Sequence[str] = (),
+    readings: Collection[str] = (),
+) -> Table:
+    """Columns of a CSV file with a header line, as float64 in the units of the file.
+
+    Cells are separated by commas; where the header has none, by semicolons or tabs, and numbers may
+    then have a decimal comma (as spreadsheets write them in many countries), in all the table.
+
+    `columns` must be there and are checked against their declarations; `optional` gives the
+    declaration of a column that need not be there; `labels` are columns of text. Any further column
+    is kept if it is numeric, that is, if more than half of its cells are numbers (then all must
+    be), and is ignored otherwise; so is an optional one that may be `sparse`, and one without a
+    name. `base_name` is what messages call the file.
+
+    Of the columns of `readings` a cell may be blank, that is, empty or NaN: what was not read.
+    `Table.blank` has the rows of these, and the cell the number of the row before (of the next one
+    where there is none), so that whoever looks at the whole table finds a plausible one.
+
+    Raises `StudyError` for a file that is missing, empty or cut off, a column that is missing or
+    there twice, and a cell that is not a finite number, not whole where it must be, outside its
+    range, or an index that repeats; for readings that are all blank.
+    """
+    path = Path(path)
+    header, lines, rows = _cells(path, base_name or path.name)
+    table = Table(base_name or path.name, lines, read=tuple(readings))
+    asked = {column.name: column for column in columns}
+    for name in (*labels, *asked):
+        if name not in header:
+            # A column that is expected itself was hardly meant to be this one.
+            free = [c for c in header if c not in asked and c not in labels and not optional(c)]
+            raise _missing(table.name, name, header, free)
+    if not rows:
+        raise refusal(table.name, "row 1", "no row below the header", "data", "add the rows")
+    for place, name in enumerate(header):
+        if not name:  # of separators at the ends of lines, or of numbers that nobody could tell
+            continue
+        cells = [row[place] for row in rows]
+        if name in labels:
+            table[name] = np.array([cell.strip() for cell in cells])
+            continue
+        column = asked.get(name) or optional(name)
+        if name not in asked and (column is None or column.sparse):
+            numbers = sum(math.isfinite(_number(cell)) for cell in cells)
+            if 2 * numbers <= len(cells):
+                continue
+        blank = np.array([name in readings and _is_blank(cell) for cell in cells])
+        if blank.all():
+            raise _nothing_read(table, name)
+        table.blank |= blank
+        table[name] = _checked(table, column or Column(name=name), cells, name in asked, blank)
+        table[name].flags.writeable = False
+    for column in columns:
+        if column.unique_with:
+            _check_unique(table, column)
+    return table
+
+
+def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns of equal length as a CSV file, numbers with ten significant digits, or with as
+    many as tell its rows apart: times on a clock that began long ago have more.
+
+    Raises `ValueError` where the lengths differ.
+    """
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"columns of different lengths: found {lengths}, expected one length")
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*map(_written, columns.values()), strict=True))
+
+
+def _written(values: np.ndarray) -> list[str]:
+    """The cells of a column: numbers to `_OF_A_STEP` of the usual difference of two rows."""
+    values = np.asarray(values)
+    if values.dtype.kind not in "biuf":
+        return [v if isinstance(v, str) else f"{v:.{_DIGITS}g}" for v in values]
+    values = values.astype(float)
+    finite = values[np.isfinite(values)]
+    sizes, steps = np.abs(finite), np.abs(np.diff(finite))
+    # What rounding makes of a constant is no step.
+    steps = steps[steps > 4.0 * np.spacing(sizes.max(initial=0.0))]
+    digits = _WHOLE_DIGITS
+    if len(steps):
+        digits = math.ceil(math.log10(sizes.max() / np.median(steps) / _OF_A_STEP))
+    digits = max(digits, _DIGITS)
+    if digits > _WHOLE_DIGITS:
+        return [repr(float(v)) for v in values]  # the shortest that gives this number again
+    return [f"{v:.{digits}g}" for v in values]
+
+
+def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list[str]]]:
+    """Header, line number per data row, cells per data row; every row as long as the header."""
+    if not path.is_file():
+        raise refusal(
+            name,
+            "file",
+            f"no such file in {path.parent}",
+            "a CSV table with a header line",
+            "add the file or correct its name",
+        )
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            text = _without_preamble(file.read())
+        mark = _separator(text)
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark)
+        found = [(reader.line_num, row) for row in reader if any(c.strip() for c in row)]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise refusal(
+            name, "file", f"unreadable text ({error})", "a CSV table in UTF-8", "save it again so"
+        ) from error
+    if not found:
+        raise refusal(name, "file", "nothing in it", "a header line and rows", "write the table")
+    (line, cells), *rows = found
+    # Beside decimal points, a comma would be one of thousands.
+    if mark != "," and not any("." in c and math.isfinite(_number(c)) for _, r in rows for c in r):
+        rows = [(number, [_decimal_point(cell) for cell in row]) for number, row in rows]
+    header = tuple(cell.strip() for cell in cells)
+    if len(header) == 1 and re.search(r"\w[\s|:]+\w", header[0]):
+        raise refusal(
+            name,
+            f"header (line {line})",
+            f"one name, {shown(header[0])}",
+            f"several, separated by {' or '.join(SEPARATORS.values())}",
+            "save the table with one of these separators",
+        )
+    for column in header:
+        if column and header.count(column) > 1:
+            places = [str(i + 1) for i, c in enumerate(header) if c == column]
+            raise refusal(
+                name,
+                f"header (line {line}), column {column}",
+                f"it {len(places)} times (places {', '.join(places)})",
+                "every name once",
+                "rename or remove one of them",
+            )
+    for number, (line, row) in enumerate(rows, start=1):
+        if len(row) != len(header):
+            last = " (the last row: is the file cut off?)" if number == len(rows) else ""
+            raise refusal(
+                name,
+                f"row {number} (line {line}), column "
+                + (header[len(row)] if len(row) < len(header) else "after the last one"),
+                f"{len(row)} cells{last}",
+                f"{len(header)} as in the header, separated by {SEPARATORS[mark]}",
+                "complete the row or remove it"
+                + (
+                    "; numbers with decimal commas want semicolons between the columns"
+                    if mark == "," and len(row) > len(header)
+                    else ""
+                ),
+            )
+    return header, [line for line, _ in rows], [row for _, row in rows]
+
+
+def _without_preamble(text: str) -> str:
+    """The text with empty lines for what may stand before the header: ``sep=;``, as spreadsheets
+    write it, and ``# comments``.
+    """
+    lines = text.splitlines(keepends=True)
+    for i, line in enumerate(lines):
+        if not (_PREAMBLE.fullmatch(line.strip()) or not line.strip()):
+            break
+        lines[i] = "\n"
+    return "".join(lines)
+
+
+def _separator(text: str) -> str:
+    """What separates the cells: a comma, or what the header has instead."""
+    header = next((line for line in text.splitlines() if line.strip()), "")
+    return next((mark for mark in SEPARATORS if mark in header), ",")
+
+
+def _decimal_point(cell: str) -> str:
+    """The cell with a point for a single decimal comma, where it is a number then."""
+    point = cell.replace(",", ".", 1)
+    return cell if math.isnan(_number(point)) else point
+
+
+def _missing(file: str, name: str, header: Sequence[str], free: Sequence[str]) -> StudyError:
+    do = "add the column or correct its name"
+    found = f"no such column{nearest(name, free)} among {listed(header)}"
+    return refusal(file, f"column {name}", found, "a column of this name", do)
+
+
+def _number(cell: str) -> float:
+    """The number in a cell; NaN for anything else."""
+    try:
+        return math.nan if "_" in cell else float(cell)
+    except ValueError:
+        return math.nan
+
+
+def _is_blank(cell: str) -> bool:
+    """Whether a cell says that nothing was read, as spreadsheets and programs write it."""
+    return cell.strip().lower() in ("", "nan")
+
+
+def _nothing_read(table: Table, column: str) -> StudyError:
+    return refusal(
+        table.name,
+        f"{table.where(0)} to {table.where(table.rows - 1)}, column {column}",
+        "an empty cell in every row",
+        "a reading in most of them",
+        "fill them in, or remove all columns of readings where nothing was measured yet",
+    )
+
+
+def _checked(
+    table: Table, column: Column, cells: Sequence[str], needed: bool, blank: np.ndarray
+) -> np.ndarray:
+    values = np.array([_number(cell) for cell in cells])
+    # A file of ten digits may round a value at the bound to just beyond it.
+    slack = 1e-9 * max((abs(b) for b in (column.low, column.high) if math.isfinite(b)), default=0)
+    expected = _range(column)
+    # The number of the row before stands for what is blank; of the next one at the beginning.
+    there = np.flatnonzero(~blank)
+    before = np.searchsorted(there, np.arange(len(values)), side="right") - 1
+    values = values[there[np.maximum(before, 0)]]
+    bad = ~np.isfinite(values)
+    if not bad.any() and column.integer:
+        bad = values != np.round(values)
+    if not bad.any():
+        bad = (values < column.low - slack) | (values > column.high + slack)
+    if not bad.any():
+        most = _MOST_WHOLE if column.integer else _MOST
+        bad = np.abs(values) > most
+        expected = f"{expected}, no more than {most:g} in size"
+    if bad.any():
+        row = int(np.argmax(bad & ~blank))
+        found, do = cells[row].strip(), "correct the value"
+        if not math.isfinite(values[row]):
+            # What was not recorded cannot be corrected: neither a reading nor a condition.
+            remove = "remove the row" if needed else "remove the row, or the column"
+            do = f"{'correct the value' if found else 'fill it in'}, or {remove}"
+            found = repr(found) if found else "an empty cell"
+        raise table.refusal(row, column.name, found, expected, do)
+    return values
+
+
+def _range(column: Column) -> str:
+    kind = "a whole number" if column.integer else "a number"
+    low, high = math.isfinite(column.low), math.isfinite(column.high)
+    if low and high:
+        return f"{kind} from {column.low:.7g} to {column.high:.7g}"
+    if low or high:
+        return f"{kind} of at " + (f"least {column.low:.7g}" if low else f"most {column.high:.7g}")
+    return kind
+
+
+def _check_unique(table: Table, column: Column) -> None:
+    names = list(dict.fromkeys((*column.unique_with, column.name)))
+    first: dict[tuple[float, ...], int] = {}
+    for row, index in enumerate(zip(*(table[name] for name in names), strict=True)):
+        if index in first:
+            value = ", ".join(f"{n} {v:.10g}" for n, v in zip(names, index, strict=True))
+            raise table.refusal(
+                row,
+                column.name,
+                f"{value} again, first in row {first[index] + 1}",
+                f"every {' and '.join(names)} once",
+                "correct the index or remove one of the rows",
+            )
+        first[index] = row

@@ -1,0 +1,95 @@
+"""A designed plan as files: the table to measure by, the artefact, and a study around them."""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from ...design.plan_space import PlanSpace
+from ..csv_table import write_table
+from ..messages import refusal
+from ..study import Study
+from ..toml_file import read_setup
+
+PLAN, ARTEFACT, SETUP = "plan.csv", "artefact.csv", "setup.toml"
+
+
+def plan_table(study: Study, space: PlanSpace, placed: Any) -> dict[str, np.ndarray]:
+    """A plan as the columns of a data table, without those of readings."""
+    instrument, plan = space.instrument(placed), space.plan(placed)
+    kind, axes = study.one.settings, study.chain.axes
+    plain, full = (
+        {c.name for c in instrument.columns(kind, axes, readings=readings)}
+        for readings in (False, True)
+    )
+    table = instrument.to_table(plan, np.zeros((plan.rows, len(instrument.readings))))
+    return {name: values for name, values in table.items() if name not in full - plain}
+
+
+def write_plan(study: Study, space: PlanSpace, placed: Any, work: Path) -> list[str]:
+    """Write the plan alone; names of the files."""
+    write_table(work / PLAN, plan_table(study, space, placed))
+    return [PLAN]
+
+
+def write_designed(
+    study: Study,
+    overrides: Mapping[str, Any] | Sequence[str],
+    space: PlanSpace,
+    placed: Any,
+    work: Path,
+) -> list[str]:
+    """Write the plan, the artefact where there is one, and the study with them in place of its own,
+    so that the folder is a study itself; names of the files.
+
+    The study file is written anew, with overrides put in and without its comments; the tables and
+    files it names are copied beside it. Check points stay behind, as they belong to a machine that
+    was measured, and so do further families. Raises `StudyError` where two files of the study have
+    the same name.
+    """
+    files = write_plan(study, space, placed, work)
+    raw, _ = read_setup(study.path, overrides)
+    artefact = space.artefact(placed)
+    data = raw.setdefault("data", {})
+    replaced = {study.path.name, study.one.file, study.single.data.check or "check.csv"}
+    if artefact is not None:
+        replaced.add(str(raw["instrument"]["artefact"]))
+        raw["instrument"]["artefact"] = ARTEFACT
+        write_table(work / ARTEFACT, artefact)
+        files.append(ARTEFACT)
+    data["data"] = PLAN
+    data.pop("check", None)
+    raw.get("design", {}).pop("families", None)
+    raw["instrument"] |= dict(space.changed(placed))
+    moved = {}
+    for name in study.hashes:
+        if name in replaced:
+            continue
+        moved[name] = PurePath(name).name
+        if moved[name] in files or moved[name] == SETUP:
+            raise refusal(
+                study.path.name,
+                f"file {name}",
+                f"a second file named {moved[name]!r} in the folder to be written",
+                "every name once",
+                "rename the file",
+            )
+        shutil.copyfile(study.folder / name, work / moved[name])
+        files.append(moved[name])
+    head = (
+        f"# Written by `vcal design` from {study.path.name}: the study of the plan beside it.\n\n"
+    )
+    text = head + tomli_w.dumps(_renamed(raw, moved))
+    (work / SETUP).write_text(text, encoding="utf-8")
+    return [*files, SETUP]
+
+
+def _renamed(tree: Any, names: Mapping[str, str]) -> Any:
+    if isinstance(tree, dict):
+        return {key: _renamed(value, names) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_renamed(value, names) for value in tree]
+    return names.get(tree, tree) if isinstance(tree, str) else tree

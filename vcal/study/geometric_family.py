@@ -1,0 +1,185 @@
+"""Geometric errors from the family that a study declares."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from ..effects.geometric import ErrorMotion, GeometricErrors, LocationError, link_errors
+from ..errors import StudyError
+from ..instruments.base import Column
+from ..machine.chain import Chain
+from ..machine.error_functions import Basis, Fourier, Matern, unit_uniform
+from ..registry import nearest
+from .csv_table import Table
+from .folder import Folder
+from .messages import listed, refusal
+from .settings import FourierSettings, LinkSettings, SmoothSettings
+
+_MICRO = 1e-6
+_AMPLITUDES = ("a0", "a1", "b1", "c1", "b2", "c2")
+_WAVES = ("n1", "n2")
+_SQUARENESS = {"EC0Y": "XY", "EB0Z": "XZ", "EA0Z": "YZ"}
+"""Location errors of ISO 230-1 by name: the two axes that are not square."""
+
+FAMILY_COLUMNS: tuple[Column, ...] = tuple(
+    Column(name=name, low=0.0) for name in ("a0", "a1", "n1", "b1", "c1", "n2", "b2", "c2")
+)
+"""Numbers of a row of the Fourier family's table; half-widths and waves, so none is negative."""
+
+
+def error_motions(chain: Chain) -> tuple[str, ...]:
+    """ISO 230-1 names of the six error motions of every axis: ``"EXX", "EYX", ..., "ECZ"``."""
+    return tuple(f"E{c}{axis}" for axis in chain.axes for c in "XYZABC")
+
+
+def squareness_errors(chain: Chain) -> tuple[str, ...]:
+    """ISO 230-1 names of the squareness errors between the axes that the chain has."""
+    return tuple(name for name, pair in _SQUARENESS.items() if set(pair) <= set(chain.axes))
+
+
+def location_errors(chain: Chain) -> tuple[str, ...]:
+    """ISO 230-1 names of all location errors: squareness, then two positions and two directions of
+    every rotary axis (``"EX0C", "EY0C", "EA0C", "EB0C"``).
+    """
+    own = {"A": "YZBC", "B": "XZAC", "C": "XYAB"}
+    turning = [joint.name for joint in chain.joints if joint.turns]
+    return (*squareness_errors(chain), *(f"E{c}0{axis}" for axis in turning for c in own[axis]))
+
+
+def geometric_errors(settings: Any, chain: Chain, folder: Folder, file: str) -> GeometricErrors:
+    """The effect that a validated ``[model.geometric]`` declares.
+
+    `folder` holds the family's table; `file` is what messages call the study file. Raises
+    `StudyError` for a component that is missing, unknown or there twice, a negative amplitude, a
+    wave number of zero, and an axis whose travel is not declared.
+    """
+    if isinstance(settings, LinkSettings):
+        return link_errors(
+            chain, settings.link_translation_um * _MICRO, settings.link_rotation_urad * _MICRO
+        )
+    _check_travel(chain, file)
+    if isinstance(settings, SmoothSettings):
+        return _smooth(settings, chain)
+    assert isinstance(settings, FourierSettings)
+    return _fourier(folder.table(settings.table, FAMILY_COLUMNS, labels=("component",)), chain)
+
+
+def _smooth(settings: SmoothSettings, chain: Chain) -> GeometricErrors:
+    sizes = {True: settings.translation_um * _MICRO, False: settings.rotation_urad * _MICRO}
+    motions = []
+    for axis in chain.axes:
+        # The eigenfunctions cost most and are the same for all six motions of an axis.
+        joint = chain.joint(axis)
+        unit = Matern(joint.travel.tolist(), 1.0, settings.smoothness, joint.around)
+        for c in "XYZABC":
+            basis = eqx.tree_at(lambda b: b.sigma, unit, unit.sigma * sizes[c in "XYZ"])
+            motions.append(_motion(f"E{c}{axis}", basis))
+    place = settings.location_um or settings.translation_um
+    locations = tuple(
+        LocationError.of(
+            chain, name, (place if name[1] in "XYZ" else settings.squareness_urad) * _MICRO
+        )
+        for name in location_errors(chain)
+    )
+    return GeometricErrors(motions=tuple(motions), locations=locations)
+
+
+def _fourier(table: Table, chain: Chain) -> GeometricErrors:
+    expected = (*error_motions(chain), *location_errors(chain))
+    row_of = _rows_by_component(table, expected, chain.axes)
+    for wave in _WAVES:
+        i = wave[1]
+        used = (table[f"b{i}"] > 0) | (table[f"c{i}"] > 0)
+        moves = np.array([c in error_motions(chain) for c in table["component"]])
+        if (bad := used & moves & (table[wave] == 0)).any():
+            row = int(np.argmax(bad))
+            raise table.refusal(
+                row,
+                wave,
+                f"0 beside b{i} = {table[f'b{i}'][row]:g} and c{i} = {table[f'c{i}'][row]:g}",
+                "a wave number above 0",
+                f"give {wave}, or set b{i} and c{i} to 0",
+            )
+    motions = []
+    for name in error_motions(chain):
+        v = {k: float(table[k][row_of[name]]) for k in (*_AMPLITUDES, *_WAVES)}
+        harmonics = [
+            (v["n1"], v["b1"] * _MICRO, v["c1"] * _MICRO),
+            (v["n2"], v["b2"] * _MICRO, v["c2"] * _MICRO),
+        ]
+        travel = chain.joint(name[2:]).travel.tolist()
+        motions.append(
+            _motion(name, Fourier(travel, v["a0"] * _MICRO, v["a1"] * _MICRO, harmonics))
+        )
+    locations = []
+    for name in location_errors(chain):
+        half_width = float(table["a0"][row_of[name]]) * _MICRO
+        if half_width > 0:  # known to be where it should otherwise
+            sigma = half_width / math.sqrt(3.0)
+            locations.append(LocationError.of(chain, name, sigma, unit_uniform()))
+    return GeometricErrors(motions=tuple(motions), locations=tuple(locations))
+
+
+def _motion(name: str, basis: Basis) -> ErrorMotion:
+    return ErrorMotion(name, name[2:], basis)
+
+
+def _rows_by_component(
+    table: Table, expected: Sequence[str], axes: Sequence[str]
+) -> dict[str, int]:
+    row_of: dict[str, int] = {}
+    for row, component in enumerate(table["component"]):
+        name = str(component)
+        if name not in expected:
+            axis = name[2:] if len(name) == 3 else ""
+            unknown = f"; the machine has no axis {axis!r}" if axis and axis not in axes else ""
+            raise table.refusal(
+                row,
+                "component",
+                f"the unknown component {name!r}{nearest(name, expected)}{unknown}",
+                f"one of {listed(expected)}",
+                "correct or remove the row",
+            )
+        if name in row_of:
+            raise table.refusal(
+                row,
+                "component",
+                f"{name} again, first in row {row_of[name] + 1}",
+                "every component once",
+                "remove one of the rows",
+            )
+        row_of[name] = row
+    missing = [name for name in expected if name not in row_of]
+    if missing:
+        raise _missing(table, missing, len(expected))
+    return row_of
+
+
+def _missing(table: Table, missing: Sequence[str], count: int) -> StudyError:
+    return refusal(
+        table.name,
+        "column component",
+        f"{table.rows} rows without {listed(missing)}",
+        f"all {count} error motions and location errors of the machine's axes",
+        "add the missing rows, with amplitudes of 0 for what is known to be perfect",
+    )
+
+
+def _check_travel(chain: Chain, file: str) -> None:
+    for joint in chain.joints:
+        if not np.isfinite(joint.travel).all():
+            raise refusal(
+                file,
+                f"key machine.rotary.{joint.name}.travel_deg"
+                if joint.turns
+                else f"key machine.travel_mm.{joint.name}",
+                "nothing",
+                "the lowest and highest position of the axis, over which [model.geometric] is "
+                "declared",
+                "add it, such as travel_deg = [0, 360]"
+                if joint.turns
+                else f"add it, such as {joint.name} = [0, 1000]",
+            )

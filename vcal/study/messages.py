@@ -1,0 +1,245 @@
+"""What a user reads when an input is wrong: where, what was found and expected, what to do."""
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+from ..errors import StudyError
+from ..registry import closest, nearest
+
+_QUOTED = r"'([^']*)'"
+_MOST_LINES = 5
+"""Mistakes of one file that are listed; the rest is counted."""
+
+_EXPECTED = {
+    "bool_type": "true or false",
+    "dict_type": "a table",
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "list_type": "a list in square brackets",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "string_too_short": "text that is not empty",
+    "string_type": "text in quotes",
+    "tuple_type": "a list in square brackets",
+}
+
+_ROWS = ("list_type", "tuple_type")
+_TABLE = ("dict_type", "model_type", "model_attributes_type")
+
+
+def refusal(file: str, where: str, found: str, expected: str, do: str) -> StudyError:
+    """The error to raise for one mistake, in the one form that all messages have."""
+    return StudyError(f"{file}, {where}: found {found}, expected {expected}; {do}")
+
+
+def shown(value: Any) -> str:
+    """A value from a TOML file as the user wrote it, shortened where it is long."""
+    text = json.dumps(value, default=str)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def listed(names: Iterable[str], most: int = 30) -> str:
+    """Names in a row, the first `most` of them."""
+    names = list(names)
+    more = f", ... ({len(names) - most} more)" if len(names) > most else ""
+    return ", ".join(names[:most]) + more if names else "none"
+
+
+def at(raw: Any, key: Sequence[str | int]) -> Any:
+    """The value at a key path of a TOML tree, None where there is none."""
+    for part in key:
+        try:
+            raw = raw[part]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return raw
+
+
+def explain(
+    error: ValidationError,
+    file: str,
+    raw: Mapping[str, Any],
+    model: type[BaseModel],
+    overrides: Mapping[str, str],
+) -> StudyError:
+    """One message for everything pydantic found in a study file, a line per mistake.
+
+    `overrides` maps dotted keys to the text they were given as, so that a mistake on the command
+    line is not looked for in the file.
+    """
+    errors = _of_one_kind(error.errors(include_url=False), raw)
+    # A misspelled key is both unknown and missing: tell it once, with the key that was meant.
+    meant = set()
+    for e in errors:
+        if e["type"] == "extra_forbidden":
+            known = _known_keys(model, e["loc"][:-1])
+            meant.add((*e["loc"][:-1], closest(str(e["loc"][-1]), known)))
+    lines, seen = [], set()
+    for e in errors:
+        loc = e["loc"]
+        if any(len(o["loc"]) > len(loc) and o["loc"][: len(loc)] == loc for o in errors):
+            continue  # what is in a list or a table is wrong already
+        if e["type"] == "missing" and (loc in meant or loc[:-1] in seen):
+            continue
+        if e["type"] == "missing" and isinstance(loc[-1], int):
+            seen.add(loc[:-1])
+        lines.append(_line(e, file, raw, model, overrides))
+    if len(lines) > _MOST_LINES:
+        lines[_MOST_LINES:] = [f"... and {len(lines) - _MOST_LINES} more of the same kind"]
+    return StudyError("\n".join(lines))
+
+
+def _of_one_kind(errors: Sequence[Any], raw: Mapping[str, Any]) -> list[Any]:
+    """Of a value that may be of several kinds, a number or a list of them, the mistake of the kind
+    that it is of; where it is of none, all that it may be. pydantic tells one for every kind, with
+    the kind among the keys.
+    """
+    found: list[Any] = []
+    fields: dict[tuple, dict[str | int, list[Any]]] = {}
+    for e in errors:
+        loc, key = e["loc"], _in_file(raw, e["loc"])
+        if loc[-1:] == ("[key]",):
+            found.append(dict(e) | {"loc": loc[:-1], "type": "wrong_key"})
+            continue
+        if e["type"] in ("missing", "extra_forbidden") or len(key) == len(loc):
+            found.append(e)
+            continue
+        place = next(i for i, part in enumerate(loc) if part not in key)
+        if loc[:place] not in fields:
+            fields[loc[:place]] = {}
+            found.append(fields[loc[:place]])
+        fields[loc[:place]].setdefault(loc[place], []).append(dict(e) | {"loc": key})
+    return [e for one in found for e in (_nearest_kind(one) if "type" not in one else [one])]
+
+
+def _nearest_kind(kinds: Mapping[str | int, list[Any]]) -> list[Any]:
+    """The mistakes of the one kind that a value is of, or what it may be."""
+    first = [errors[0] for errors in kinds.values()]
+    of_it = [
+        errors
+        for errors in kinds.values()
+        if len(errors) > 1
+        or not errors[0]["type"].endswith("_type")
+        or len(errors[0]["loc"]) > min(len(e["loc"]) for e in first)
+    ]
+    if of_it:
+        return of_it[0]
+    either = " or ".join(_EXPECTED.get(e["type"]) or e["msg"] for e in first)
+    return [dict(first[0]) | {"type": "none_of_several", "msg": either}]
+
+
+def _in_file(raw: Any, loc: Sequence[str | int]) -> tuple[str | int, ...]:
+    """A key path without what is not in the file."""
+    found = []
+    for part in loc:
+        if at(raw, (part,)) is not None:
+            raw = raw[part]
+            found.append(part)
+    return tuple(found)
+
+
+def source(file: str, key: str, overrides: Mapping[str, str]) -> str:
+    """The file, and the override that put a key there."""
+    for name, text in overrides.items():
+        if key == name or key.startswith(f"{name}."):
+            return f"{file} (override {name}={text})"
+    return file
+
+
+def _line(
+    e: Any, file: str, raw: Mapping[str, Any], model: type[BaseModel], overrides: Mapping[str, str]
+) -> str:
+    loc, kind, context = e["loc"], e["type"], e.get("ctx", {})
+    key = ".".join(str(part) for part in loc)
+    found, do = shown(at(raw, loc)), "correct the value"
+    name = str(loc[-1]) if loc else ""
+    if kind in ("value_error", "assertion_error"):
+        said = " ".join(str(context["error"]).split())
+        if "expected" not in said:  # by a validator of the user's own
+            said = f"found {found}, expected what its validator allows: {said or 'it says no more'}"
+            said += f"; {do}"
+        return f"{source(file, key, overrides)}, key {key}: {said}"
+    if kind == "extra_forbidden":
+        known = _known_keys(model, loc[:-1])
+        found = f"the unknown key {name!r}{nearest(name, known)}"
+        expected, do = f"one of {listed(known)}", "correct or remove the key"
+    elif kind == "missing" and loc and isinstance(loc[-1], int):
+        key = ".".join(str(part) for part in loc[:-1])
+        found, expected = shown(at(raw, loc[:-1])), f"at least {loc[-1] + 1} values"
+        do = "add what is missing"
+    elif kind == "missing":
+        found, expected, do = "nothing", "this key", f"add it to {file}"
+    elif kind == "greater_than":
+        expected = f"a number greater than {context['gt']:g}"
+    elif kind == "greater_than_equal":
+        expected = f"a number of at least {context['ge']:g}"
+    elif kind == "less_than":
+        expected = f"a number less than {context['lt']:g}"
+    elif kind == "less_than_equal":
+        expected = f"a number of at most {context['le']:g}"
+    elif kind == "literal_error":
+        expected = context["expected"]
+        found += nearest(str(at(raw, loc)), re.findall(_QUOTED, expected))
+    elif kind == "wrong_key":
+        expected, do = context["expected"], "correct or remove the key"
+        found = f"the unknown key {name!r}{nearest(name, re.findall(_QUOTED, expected))}"
+    elif kind == "too_short":
+        expected, do = f"at least {context['min_length']}", "add what is missing"
+    elif kind == "too_long":
+        expected = f"{context['max_length']} values"
+    elif kind in _ROWS and _is_row(at(raw, loc)) and _known_keys(model, loc):
+        # Brackets are all that differs between one table and rows of them.
+        expected, do = f"rows, each below [[{_dotted(loc)}]]", "write it in double brackets"
+    elif kind in _TABLE and _are_rows(at(raw, loc)):
+        expected, do = f"one table, below [{_dotted(loc)}]", "write it in single brackets"
+    else:
+        expected = _EXPECTED.get(kind) or e["msg"]
+    return str(refusal(source(file, key, overrides), f"key {key}", found, expected, do))
+
+
+def _is_row(value: Any) -> bool:
+    """Whether it is one table; those with numbers for keys are of an override of no row."""
+    return isinstance(value, dict) and not any(key.isdigit() for key in value)
+
+
+def _are_rows(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(map(_is_row, value))
+
+
+def _dotted(loc: Sequence[str | int]) -> str:
+    """A key path as a TOML header names it, without the numbers of rows."""
+    return ".".join(str(part) for part in loc if not isinstance(part, int))
+
+
+def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
+    """Keys of the table at `loc`."""
+    named = False
+    for i, part in enumerate(loc):
+        if isinstance(part, int) or named:
+            named = False
+            continue  # a row of an array of tables, or one of tables by name: found with them
+        field = model.model_fields.get(part)
+        row = loc[i + 1] if i + 1 < len(loc) else None
+        inner = _model_in(field.annotation, row) if field else None
+        if field is None or inner is None:
+            return []
+        model, named = inner, get_origin(field.annotation) is dict
+    return list(model.model_fields)
+
+
+def _model_in(annotation: Any, row: str | int | None = None) -> type[BaseModel] | None:
+    """The table in a type; of rows that differ, that of `row`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    arguments = get_args(annotation)
+    if isinstance(row, int) and row < len(arguments) and Ellipsis not in arguments:
+        arguments = arguments[row:]
+    for argument in arguments:
+        if found := _model_in(argument):
+            return found
+    return None

@@ -1,0 +1,1 @@
+"""Effects and instruments in files of the user's own, tried once before they are used."""

@@ -1,0 +1,110 @@
+"""Code of a user's own that a study names: tried once before any work is done with it, and what
+users read where it fails.
+"""
+
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from ...errors import StudyError
+from ...machine.plan import Plan
+from ...registry import in_own_words, own_place
+from ..messages import refusal
+
+_DO = "mend the class"
+Attribute = tuple[str, Callable[[Any], bool], str]
+"""A class attribute: its name, what is good, and how messages call that."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A class of a user's file while its methods are called."""
+
+    file: str
+    """As the study names it."""
+    kind: str
+    """Name of the class."""
+
+    def refusal(self, method: str, found: str, expected: str) -> StudyError:
+        """The error to raise for what a method gave."""
+        found = " ".join(found.split())  # in one line
+        return refusal(self.file, f"class {self.kind}, {method}", found, expected, _DO)
+
+    @contextmanager
+    def calling(self, method: str, expected: str) -> Iterator[None]:
+        """What is raised in this block, other than a `StudyError`, is told as a mistake of the
+        class, in `method`; so is ``exit()``, which would end vcal without a word, but not Ctrl-C.
+        """
+        try:
+            yield
+        except (StudyError, KeyboardInterrupt):
+            raise
+        except BaseException as error:
+            raise self.refusal(method, in_own_words(error), expected) from error
+
+    def check_attributes(self, kind: type, attributes: Sequence[Attribute]) -> None:
+        """Raises `StudyError` for a class attribute that is not good."""
+        for name, good, expected in attributes:
+            if not good(value := getattr(kind, name, None)):
+                raise self.refusal(name, repr(value), expected)
+
+    def numbers(self, method: str, values: Any, shape: Sequence[int], what: str) -> np.ndarray:
+        """The values as finite numbers of a shape; `what` they are, for messages."""
+        found = self.array(method, values, shape, what)
+        if found.dtype.kind == "c":
+            raise self.refusal(method, f"an array of {found.dtype}", what)
+        try:
+            found = found.astype(float)
+        except (TypeError, ValueError) as error:
+            raise self.refusal(method, f"{found.dtype} ({error})", what) from error
+        if not np.isfinite(found).all():
+            place = np.argwhere(~np.isfinite(found))[0]
+            raise self.refusal(method, f"{found[tuple(place)]} in row {place[0] + 1}", what)
+        return found
+
+    def array(self, method: str, values: Any, shape: Sequence[int], what: str) -> np.ndarray:
+        """The values as an array of a shape; `what` they are, for messages."""
+        try:
+            found = np.asarray(values)
+        except (TypeError, ValueError) as error:
+            raise self.refusal(method, f"what is no array ({error})", what) from error
+        if found.shape != tuple(shape):
+            given = f"shape {found.shape}" if found.shape else f"{values!r}"
+            raise self.refusal(method, given, f"{what}, an array of the shape {tuple(shape)}")
+        if not isinstance(values, np.ndarray | jax.Array):
+            found = f"a {type(values).__name__}"
+            raise self.refusal(method, found, f"{what}, an array of numpy")
+        return found
+
+
+def shown(value: Any) -> str:
+    """What was found where a property was expected."""
+    return "a method without @property" if inspect.ismethod(value) else repr(value)
+
+
+def read_only(plan: Plan) -> Plan:
+    """The same plan, for methods that must leave it as it is: what writes into it fails there."""
+
+    def locked(values: Any) -> Any:
+        if isinstance(values, np.ndarray):
+            values = values.view()
+            values.flags.writeable = False
+        return values
+
+    return jax.tree.map(locked, plan)
+
+
+def told(error: BaseException) -> str | None:
+    """An error that arose in a file of the user's own, whenever that was, as they read it; None
+    where it did not arise there.
+    """
+    place = own_place(error)
+    if place is None:
+        return None
+    file, _, method = place
+    return str(refusal(file, method, in_own_words(error), "code that runs", _DO))

@@ -1,0 +1,341 @@
+"""A study folder with made-up data: `simulate` at the edge to files."""
+
+import json
+import math
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import jax
+import numpy as np
+import tomli_w
+from pydantic import ValidationError
+
+from ..effects.base import Effect, Setup
+from ..errors import StudyError
+from ..instruments.conditions import file_name, inside_name, linear_plan, linear_plan_table
+from ..model.simulate import Simulated, scattered, simulate
+from .csv_table import Table, read_header, write_table
+from .declared_effects import Catalogue, beside, declared_effects, unknown_effect
+from .folder import made_whole, require_empty
+from .messages import refusal, shown
+from .settings import COMPUTABLE, EffectSettings, computable
+from .study import DataSet, Study
+from .toml_file import read_setup
+
+_CHECK_ROWS = 400
+_MOST_NOISE = 1e6
+_WITH = "NAME, NAME:PLACEMENT or NAME:PLACEMENT:KEY=VALUE,..., such as backlash:Y:size_um=12"
+
+
+def parse_with(
+    text: str,
+    catalogue: Catalogue,
+    setup: Setup,
+    files: Mapping[str, str] = MappingProxyType({"": "data.csv"}),
+) -> Effect:
+    """An effect from ``NAME:PLACEMENT:KEY=VALUE,KEY=VALUE``, such as ``backlash:Y:size_um=12``.
+
+    The keys are those of a ``[[model.effect]]`` row: parameters with their unit, ``component``,
+    ``data_set`` and ``*_sigma``. A parameter with a value is known; one without is left to its
+    prior. An effect that has no placement goes without: ``range_scale:scale_um_per_m=3``. `files`
+    are the tables of the data sets by their names (`Study.files`), as messages call them.
+
+    Raises `StudyError` for a name, placement or key that is not known (with the nearest), a value
+    that is not a number, an effect that several components fit, one that needs a covariate which
+    the data do not hold, and one that is there already.
+    """
+    file = f"--with {text}"
+    name, *parts = (part.strip() for part in text.split(":"))
+    values = parts.pop() if parts and "=" in parts[-1] else ""
+    if not name or len(parts) > 1 or "" in parts:
+        raise StudyError(f"{file}: found {text!r}, expected {_WITH}; write it so")
+    row: dict[str, Any] = {"name": name, "placement": parts[0] if parts else ""}
+    for pair in filter(None, (p.strip() for p in values.split(","))):
+        key, equals, value = (p.strip() for p in pair.partition("="))
+        if not equals or not key or not value or key in row:
+            found = f"{key} a second time" if key in row else repr(pair)
+            raise refusal(file, "values", found, "KEY=VALUE, every key once", "correct it")
+        row[key] = _value(value)
+        if isinstance(row[key], int | float) and not computable(row[key]):
+            found, expected = shown(value).strip('"'), "a finite number"
+            if math.isfinite(row[key]):
+                expected = COMPUTABLE
+            raise refusal(file, f"key {key}", found, expected, "correct the value")
+    if name not in catalogue:
+        raise unknown_effect(name, catalogue, file, "name")
+    try:
+        settings = EffectSettings.model_validate(row)
+    except ValidationError as error:
+        key = ".".join(str(k) for k in error.errors()[0]["loc"])
+        raise refusal(file, f"key {key}", repr(row[key]), "text", "correct the value") from error
+    try:
+        (effect,) = declared_effects([settings], catalogue, setup, file, files)
+    except StudyError as error:
+        # The messages are made for a row of the study file, which this is not.
+        message = str(error).replace("key model.effect.0.", "key ")
+        message = message.replace(f"(model.effect.0 of {file})", f"of {file}")
+        message = message.replace("key model.effect.0 ", "effect ")
+        message = message.replace("one [[model.effect]]", "one --with")
+        raise StudyError(message) from error
+    if any(effect.alike(other) for other in setup.declared):
+        raise refusal(
+            file,
+            f"effect {effect.key}",
+            "what the study has already, or another --with says, at the same place",
+            "every effect once",
+            "remove it, or change what is declared by --set",
+        )
+    return effect
+
+
+def parse_every_with(
+    texts: Sequence[str],
+    catalogue: Catalogue,
+    setup: Setup,
+    files: Mapping[str, str] = MappingProxyType({"": "data.csv"}),
+) -> list[Effect]:
+    """The effects of several texts, each placed beside those before it; raises `StudyError` as
+    `parse_with` does.
+    """
+    found: list[Effect] = []
+    for text in texts:
+        found.append(parse_with(text, catalogue, beside(setup, *found), files))
+    return found
+
+
+def _value(text: str) -> int | float | str:
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
+
+
+def check_noise_factor(factor: float) -> None:
+    """Raises `StudyError` for a factor of the noise that is negative, or no number of use."""
+    if not 0.0 <= factor <= _MOST_NOISE:
+        raise refusal(
+            "--noise-factor",
+            "value",
+            f"{factor:g}",
+            f"a number of at least 0 and at most {_MOST_NOISE:g}",
+            "correct it",
+        )
+
+
+def write_simulated(
+    study: Study,
+    out: Path | str,
+    *,
+    effects: Sequence[Effect] = (),
+    seed: int = 0,
+    noise_factor: float = 1.0,
+    overrides: Mapping[str, Any] | Sequence[str] = (),
+) -> Simulated:
+    """Write a folder like that of `study`, with data of a machine drawn from its priors.
+
+    The study file and the tables it names are copied as they are; the data are replaced by what
+    every instrument would read, the check points of linear axes by the true tool points at random
+    positions over the travel, and ``truth.json`` says what was put in: `effects` beside the
+    declared model, which no other file tells. The result depends on `seed` alone. With `overrides`,
+    those the study was read with, the study file is written anew, without its comments.
+
+    Raises `StudyError` where `out` is there and not empty, a table lies outside the folder of the
+    study, the factor is not a number of at least 0, or a position found lies outside the travel.
+    """
+    out = Path(out)
+    require_empty(out)
+    check_noise_factor(noise_factor)
+    for name in {*study.hashes, *study.files.values(), study.check_file}:
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise refusal(
+                study.path.name,
+                f"file {name}",
+                "a file outside the folder of the study",
+                "all files beside the study file, so that the folder can be copied",
+                "move the file there",
+            )
+    machine, where = jax.random.split(jax.random.key(seed))
+    result = _simulated(study, effects, machine, noise_factor)
+    _check_travel(study, result)
+    tables = {one.file: _data(study, one, result) for one in study.sets}
+    for one in study.sets:
+        _check_readable(study, one, tables[one.file])
+    points = _check(study, result, where)
+    if points is not None:
+        tables[study.check_file] = points
+    truth = _truth(study, result, effects, seed, noise_factor)
+    with made_whole(out) as work:
+        for name in study.hashes:
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
+            if name not in tables:
+                shutil.copyfile(study.folder / name, work / name)
+        if overrides:
+            (work / study.path.name).write_text(_setup(study, overrides), encoding="utf-8")
+        for name, table in tables.items():
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
+            write_table(work / name, table)
+        (work / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+    return result
+
+
+def _simulated(
+    study: Study, effects: Sequence[Effect], key: jax.Array, noise_factor: float
+) -> Simulated:
+    try:
+        return simulate(
+            study.model,
+            study.plan,
+            key,
+            effects=effects,
+            noise_factor=noise_factor,
+            name=study.name,
+        )
+    except ValueError as error:
+        if isinstance(error, StudyError):
+            raise
+        # Priors as wide as nothing measures, or values of effects: their readings are no numbers.
+        raise refusal(
+            study.path.name,
+            "the simulated machine",
+            f"what no instrument reads ({error})",
+            "errors that leave finite readings",
+            "declare smaller ones, or give --with smaller values",
+        ) from error
+
+
+def _setup(study: Study, overrides: Mapping[str, Any] | Sequence[str]) -> str:
+    """The study file with overrides put in: what the data were made with."""
+    raw, _ = read_setup(study.path, overrides)
+    head = (
+        f"# Written by `vcal simulate` from {study.path.name}, with what --set replaced in it.\n\n"
+    )
+    return head + tomli_w.dumps(raw)
+
+
+def _data(study: Study, one: DataSet, result: Simulated) -> dict[str, np.ndarray]:
+    """The own columns of a data set, with the positions and readings of the simulation."""
+    plan, readings = result.measurement.plan, result.measurement.readings
+    if one.name:
+        width = len(one.instrument.readings)
+        plan, readings = plan.part(one.name), readings[plan.in_set(one.name), :width]
+    # The model is that of the study, whose instrument this is. A column keeps the name that it
+    # has in the file, T_X_degC say.
+    axes, own = study.chain.axes, one.table
+    names = {inside_name(name, axes): name for name in own}
+    made = {
+        names.get(inside_name(name, axes), name): values
+        for name, values in one.instrument.to_table(plan, readings).items()
+    }
+    # Inside, time counts from `start_s` on.
+    clock = {name: own[name] for name in ("t_s",) if name in own}
+    return {**own, **{name: _in_place(own, name, values) for name, values in made.items()}, **clock}
+
+
+def _in_place(table: Table, column: str, values: np.ndarray) -> np.ndarray:
+    """A column that was made for the rows whose readings are there, in all rows of the table: what
+    was not read is not read now.
+    """
+    if not table.blank.any():
+        return values
+    values = np.asarray(values)
+    if column in table and column not in table.read:
+        whole = np.array(table[column])
+    else:
+        whole = np.full(table.rows, np.nan)
+    whole[~table.blank] = values
+    return whole
+
+
+def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndarray] | None:
+    """Conditions at random positions, and the true tool point there.
+
+    None for an arm: where its tool point is, is for its instrument to find. None where every
+    instrument has columns of its own for positions: it measures at one place. Of several data sets,
+    under the conditions that all of them tell.
+    """
+    chain, plan = study.chain, study.plan
+    there = [one for one in study.sets if not one.instrument.positioned]
+    if not there or chain.arm:
+        return None
+    if len(there) < len(study.sets):
+        plan = plan.take(np.flatnonzero(np.any([plan.in_set(one.name) for one in there], axis=0)))
+    kept = set.intersection(*(_conditions(study, one) for one in there))
+    warmer = study.sets[0].instrument.warmer
+    table = linear_plan_table(scattered(chain, plan, key, _CHECK_ROWS), warmer=warmer)
+    table = {name: values for name, values in table.items() if name in kept}
+    points = result.tool_points(linear_plan(chain, table, warmer=warmer))
+    return table | {f"tcp_{c}_mm": points[:, i] * 1e3 for i, c in enumerate("xyz")}
+
+
+def _conditions(study: Study, one: DataSet) -> set[str]:
+    """Columns of a table that are no readings, by the names that vcal writes them with."""
+    axes = study.chain.axes
+    plain, full = (
+        {c.name for c in one.instrument.columns(one.settings, axes, readings=readings)}
+        for readings in (False, True)
+    )
+    header = set(read_header(study.folder / one.file)) - (full - plain)
+    return {file_name(inside_name(column, axes), axes) for column in header}
+
+
+def _check_travel(study: Study, result: Simulated) -> None:
+    """Positions that an instrument found itself must lie within the travel, or cannot be read."""
+    position = np.asarray(result.measurement.plan.position)
+    for i, joint in enumerate(study.chain.joints):
+        low, high = joint.travel
+        bad = (position[:, i] < low) | (position[:, i] > high)
+        # Planned positions were checked when they were read.
+        bad &= position[:, i] != np.asarray(study.plan.position)[:, i]
+        if bad.any():
+            row = int(np.argmax(bad))
+            unit, si = ("deg", math.degrees(1.0)) if joint.turns else ("mm", 1e3)
+            name, place = study.plan.place(row)
+            raise refusal(
+                study.files[name],
+                f"row {place + 1}, axis {joint.name}",
+                f"{position[row, i] * si:.10g} {unit} in the simulation, outside the travel",
+                f"{low * si:.10g} to {high * si:.10g} {unit}",
+                "plan this row further inside, or declare a longer travel",
+            )
+
+
+def _check_readable(study: Study, one: DataSet, table: Mapping[str, np.ndarray]) -> None:
+    """What was simulated must be such that it can be read again as data."""
+    for column in one.instrument.columns(one.settings, study.chain.axes, readings=True):
+        values = np.asarray(table[column.name], float)
+        bad = ~((values >= column.low) & (values <= column.high) | one.table.blank)
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise refusal(
+                one.file,
+                f"row {row + 1}, column {column.name}",
+                f"{values[row]:.7g} in the simulation",
+                f"a number from {column.low:.7g} to {column.high:.7g}",
+                "declare smaller errors or less noise, or give --with smaller values",
+            )
+
+
+def _truth(
+    study: Study, result: Simulated, effects: Sequence[Effect], seed: int, noise_factor: float
+) -> dict[str, Any]:
+    def told(effect: Effect) -> dict[str, Any]:
+        values = {p.label: _rounded(value) for p, value in result.values(effect)}
+        return {"effect": effect.name, "placement": effect.placement, **values}
+
+    return {
+        "seed": seed,
+        "noise_factor": noise_factor,
+        "undeclared": [told(effect) for effect in effects],
+        "declared": [told(effect) for effect in (*study.model.effects, *study.model.random)],
+    }
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.10g}")

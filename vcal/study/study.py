@@ -1,0 +1,616 @@
+"""A study: everything in one folder, read, checked and built."""
+
+import contextlib
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..effects.base import Effect
+from ..effects.registry import CATALOGUE
+from ..errors import KeyedError, RowError, StudyError
+from ..identification.rank import flat_rank
+from ..instruments.base import Instrument, InstrumentSettings, TableInstrument
+from ..instruments.several import DataSet as Member
+from ..instruments.several import several, with_tool
+from ..machine.chain import Chain, chain_from_dh, chain_from_string
+from ..machine.plan import Plan
+from ..model.forward import Model
+from ..model.measurement import CheckPoints, Measurement
+from ..numerics.spatial import require_float64
+from ..registry import nearest
+from .csv_table import Table
+from .declared_effects import catalogue_with, declared_effects, unknown_effect
+from .folder import Folder
+from .geometric_family import geometric_errors
+from .messages import listed, refusal, source
+from .must_see import check_seen
+from .plugins.effects import check_own
+from .plugins.instrument_trial import check_instrument
+from .plugins.instruments import (
+    calling,
+    check_built,
+    check_plan,
+    check_readings,
+    check_row,
+    instrument_class,
+    readings_of,
+)
+from .settings import AnySettings, LoopSettings, MachineSettings, StudySettings, validate
+from .table_checks import check_scatter
+from .tables import check_points, run_table
+from .toml_file import read_setup
+
+_SHORTEST_MM, _FARTHEST_MM = 0.1, 1e6
+"""A travel of less, or one that goes further, is in another unit."""
+_LEAST_TOOL = 1e-3
+"""Of the shortest travel: a tool that is shorter, but there, is in another unit."""
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A table of a study, and the instrument that it comes from."""
+
+    name: str
+    """Empty where the study has no other."""
+    file: str
+    """The table, beside the study file."""
+    settings: InstrumentSettings
+    """Its ``[instrument]``."""
+    instrument: TableInstrument
+    """Started from the readings, where there are any."""
+    chain: Chain
+    """The machine with the tool of this data set."""
+    plan: Plan
+    readings: np.ndarray | None
+    """(n, m), SI; None for a table without reading columns."""
+    table: Table
+    """All of it, with the rows of which a reading is blank, which are not in the plan."""
+
+    @property
+    def label(self) -> str:
+        """The instrument in words, after the name where there is one."""
+        kind = self.settings.kind.replace("_", " ")
+        return f"{self.name}: {kind}" if self.name else kind
+
+
+@dataclass(frozen=True)
+class Study:
+    """A machine, an instrument, what is declared about their errors, and what was measured."""
+
+    name: str
+    path: Path
+    """The study file."""
+    settings: AnySettings
+    """What the study file says, overrides and defaults included."""
+    chain: Chain
+    sets: tuple[DataSet, ...]
+    """Its data sets: one, or those of the ``[[data]]`` rows."""
+    instrument: Instrument
+    """Started from the readings, where there are any; that of all data sets together."""
+    model: Model
+    """The declared model: geometric errors, the instrument's own, declared effects."""
+    plan: Plan
+    measurement: Measurement | None
+    """None for a plan, that is, a table without reading columns."""
+    check: CheckPoints | None
+    """Independent check points, where there are any."""
+    catalogue: Mapping[str, type[Effect]]
+    """Effects by name that the loop may try, the user's own included."""
+    hashes: Mapping[str, str]
+    """SHA-256 of every input file by name."""
+
+    @property
+    def single(self) -> StudySettings:
+        """The settings of a study of one data set.
+
+        Raises `StudyError` where there are several: what asks for this cannot deal with them.
+        """
+        if isinstance(self.settings, StudySettings):
+            return self.settings
+        raise refusal(
+            self.path.name,
+            "key data",
+            f"{len(self.sets)} [[data]] rows ({listed(one.name for one in self.sets)})",
+            "a single data set, as `vcal design` takes no more",
+            "write a study of one of them, with its [instrument]",
+        )
+
+    @property
+    def one(self) -> DataSet:
+        """The data set of a study that has one only; raises `StudyError` as `single` does."""
+        _ = self.single
+        return self.sets[0]
+
+    @property
+    def observers(self) -> tuple[str, str]:
+        """``"Instrument"`` or ``"Instruments"``, and which: in words."""
+        return "Instrument" + "s" * (len(self.sets) > 1), "; ".join(one.label for one in self.sets)
+
+    @property
+    def observations(self) -> str:
+        """How many, and of how many readings, in words."""
+        return "; ".join(
+            f"{one.plan.rows} observations of {len(one.instrument.readings)} readings"
+            + (f" ({count} more with a blank one left out)" if count else "")
+            for one in self.sets
+            for count in [len(one.table.blank_rows)]
+        )
+
+    @property
+    def files(self) -> dict[str, str]:
+        """The table of every data set by its name; under no name where there is one only."""
+        return {one.name: one.file for one in self.sets}
+
+    @property
+    def check_file(self) -> str:
+        """The table of check points, whether it is there or not."""
+        return _check_given(self.settings) or "check.csv"
+
+    @property
+    def folder(self) -> Path:
+        """Where the files of the study are."""
+        return self.path.parent
+
+    @property
+    def options(self) -> LoopSettings:
+        """Settings of the loop."""
+        return self.settings.loop
+
+    @property
+    def tried(self) -> list[type[Effect]]:
+        """The effects that the loop tries: those that its settings name, or all."""
+        if self.options.effects:
+            return [self.catalogue[name] for name in self.options.effects]
+        return list(self.catalogue.values())
+
+    @property
+    def as_dict(self) -> dict[str, Any]:
+        """The settings as plain values, for reports."""
+        return self.settings.model_dump()
+
+
+def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = ()) -> Study:
+    """Read a study file, or the ``setup.toml`` of a folder, and everything it names.
+
+    `overrides` replace keys before anything is checked: ``"instrument.joints=read"``, or a mapping
+    of keys to values. Raises `StudyError` for every mistake in the input, and `RuntimeError` where
+    JAX runs in float32.
+    """
+    require_float64()
+    path = Path(path)
+    if path.is_dir():
+        path = path / "setup.toml"
+    file = path.name
+    raw, given = read_setup(path, overrides)
+    folder = Folder(path.parent)
+    folder.path(file)
+    settings = validate(raw, file, given, folder)
+    catalogue = catalogue_with(folder, settings.model.effects_file)
+    _check_wanted(settings.loop.effects or (), catalogue, file, given)
+    chain = build_chain(settings.machine, file)
+    sets = _data_sets(settings, chain, folder, file)
+    instrument, plan, readings = _together(sets, chain)
+    measurement = None
+    if readings is not None:
+        blank = {one.file: rows for one in sets if (rows := one.table.blank_rows)}
+        measurement = Measurement(plan, readings, settings.name or path.parent.name, blank=blank)
+    model = Model(chain, instrument)
+    if settings.model.geometric is not None:
+        model = model.with_effects(geometric_errors(settings.model.geometric, chain, folder, file))
+    model = model.with_effects(*instrument.effects(plan))
+    files = {one.name: one.file for one in sets}
+    model = model.with_effects(
+        *declared_effects(settings.model.effect, catalogue, model.setup(plan), file, files)
+    )
+    if settings.model.effects_file is not None:
+        own = {name: kind for name, kind in catalogue.items() if name not in CATALOGUE}
+        check_own(settings.model.effects_file, own, model.setup(plan), plan)
+    if not model.entries:
+        raise refusal(
+            file,
+            "tables instrument and model",
+            "no parameter: neither errors of the machine, nor an effect, nor one of the instrument",
+            "something that a measurement could tell",
+            "add [model.geometric]",
+        )
+    _check_size(model, plan, listed(files.values()), measurement is not None)
+    _check_determined(model, plan, listed(files.values()))
+    _check_seen(settings, sets, file)
+    return Study(
+        name=settings.name or path.resolve().parent.name,
+        path=path,
+        settings=settings,
+        chain=chain,
+        sets=sets,
+        instrument=instrument,
+        model=model,
+        plan=plan,
+        measurement=measurement,
+        check=_checked(settings, chain, sets, folder),
+        catalogue=catalogue,
+        hashes=folder.hashes,
+    )
+
+
+def looked_for(kind: type[Effect]) -> bool:
+    """Whether the loop may name an effect; others can only be declared."""
+    return kind.kind == "systematic" and kind.candidates.__func__ is not Effect.candidates.__func__
+
+
+def _check_wanted(
+    names: Sequence[str],
+    catalogue: Mapping[str, type[Effect]],
+    file: str,
+    overrides: Mapping[str, str],
+) -> None:
+    """Effects that are to be tried must be known, and such as the loop looks for."""
+    for i, name in enumerate(names):
+        if name in catalogue and looked_for(catalogue[name]):
+            continue
+        where = source(file, "loop.effects", overrides)
+        choice = {n: kind for n, kind in catalogue.items() if looked_for(kind)}
+        if name in catalogue:
+            raise refusal(
+                where,
+                f"key loop.effects.{i}",
+                f"{name!r}, which can only be declared",
+                f"one of {listed(sorted(choice), 60)}",
+                "leave it out",
+            )
+        plain = name.partition(":")[0]
+        if plain in choice:
+            raise refusal(
+                where,
+                f"key loop.effects.{i}",
+                repr(name),
+                f"the name alone, {plain!r}: the loop tries it at every place",
+                "correct the name",
+            )
+        raise unknown_effect(name, choice, where, f"loop.effects.{i}")
+
+
+def build_chain(machine: MachineSettings, file: str) -> Chain:
+    """The chain of a ``[machine]``; raises `StudyError` that names the key in `file`."""
+    offset = [v * 1e-3 for v in machine.tool_offset_mm]
+    if machine.chain is None:
+        rows = []
+        for joint in machine.joint:
+            factor = math.radians(1.0) if joint.type == "revolute" else 1e-3
+            low, high = (bound * factor for bound in joint.bounds)
+            rows.append(
+                {
+                    "type": joint.type,
+                    "a": joint.a_mm * 1e-3,
+                    "d": joint.d_mm * 1e-3,
+                    "alpha": math.radians(joint.alpha_deg),
+                    "theta": math.radians(joint.theta_deg),
+                    "low": low,
+                    "high": high,
+                }
+            )
+        return chain_from_dh(rows, offset, machine.up)
+    travel = {axis: (low * 1e-3, high * 1e-3) for axis, (low, high) in machine.travel_mm.items()}
+    rotary = {}
+    for axis, row in machine.rotary.items():
+        rotary[axis] = [v * 1e-3 for v in row.at_mm]
+        if row.travel_deg is not None:
+            low, high = row.travel_deg
+            travel[axis] = math.radians(low), math.radians(high)
+    _check_rotary(machine, file)
+    try:
+        chain = chain_from_string(machine.chain, travel, offset, rotary, machine.up)
+    except ValueError as error:
+        found, _, expected = str(error).rpartition("expected ")
+        raise refusal(
+            file,
+            "key machine.chain",
+            f"an impossible {found.rstrip(';: ')}",
+            expected,
+            "correct the chain",
+        ) from error
+    linear = [joint.name for joint in chain.joints if not joint.turns]
+    for axis, (low, high) in machine.travel_mm.items():
+        if axis not in linear:
+            raise refusal(
+                file,
+                f"key machine.travel_mm.{axis}",
+                f"the unknown axis {axis!r}{nearest(axis, linear)}"
+                if axis not in chain.axes
+                else f"millimetres of travel of the rotary axis {axis}",
+                f"one of {listed(linear)}, the linear axes of the chain {chain.text!r}"
+                + (f"; travel_deg in [machine.rotary.{axis}]" if axis in chain.axes else ""),
+                "correct or remove the key",
+            )
+        if not low < high:
+            raise refusal(
+                file,
+                f"key machine.travel_mm.{axis}",
+                f"[{low:g}, {high:g}]",
+                "[lowest, highest] with the lowest below the highest",
+                "exchange or correct them",
+            )
+        if max(-low, high) > _FARTHEST_MM or high - low < _SHORTEST_MM:
+            raise refusal(
+                file,
+                f"key machine.travel_mm.{axis}",
+                f"[{low:g}, {high:g}]",
+                f"at least {_SHORTEST_MM:g} mm of travel, within {_FARTHEST_MM:g} mm",
+                "correct the unit",
+            )
+    _check_offset(machine.tool_offset_mm, chain, file, "machine.tool_offset_mm")
+    return chain
+
+
+def _check_offset(offset: Sequence[float], chain: Chain, file: str, key: str) -> None:
+    """A tool in metres is a thousandth of its length, and the levers with which it turns are next
+    to nothing: no reading need contradict it.
+    """
+    travels = [np.ptp(j.travel) * 1e3 for j in chain.joints if not j.turns]
+    reach = min((travel for travel in travels if math.isfinite(travel)), default=0.0)
+    if chain.arm or not 0.0 < np.abs(offset).max() < _LEAST_TOOL * reach:
+        return
+    raise refusal(
+        file,
+        f"key {key}",
+        f"{[*offset]}, less than a thousandth of the travel",
+        "millimetres from the last axis's frame to the tool point",
+        "correct the unit, or write [0, 0, 0] where the tool point is in that frame",
+    )
+
+
+def _check_rotary(machine: MachineSettings, file: str) -> None:
+    """Every rotary axis of the chain has a place, and every place is one of the chain's axes."""
+    in_chain = [axis for axis in re.findall(r"[A-Z]", machine.chain or "") if axis in "ABC"]
+    for axis in in_chain:
+        if axis not in machine.rotary:
+            raise refusal(
+                file,
+                f"key machine.rotary.{axis}",
+                "nothing",
+                f"where the rotary axis {axis} of the chain is, with all axes at zero",
+                f"add [machine.rotary.{axis}] with at_mm = [x, y, z], a point on the axis, and "
+                "travel_deg = [lowest, highest]",
+            )
+    for axis in machine.rotary:
+        if axis not in in_chain:
+            raise refusal(
+                file,
+                f"key machine.rotary.{axis}",
+                f"a rotary axis that is not in the chain {machine.chain!r}",
+                f"one of {listed(in_chain)}" if in_chain else "no rotary axis",
+                "add it to the chain, or remove the table",
+            )
+
+
+def _data_sets(
+    settings: AnySettings, chain: Chain, folder: Folder, file: str
+) -> tuple[DataSet, ...]:
+    """The data sets with their tables read and their instruments built."""
+    if isinstance(settings, StudySettings):
+        return (_data_set("", settings.data.data, settings.instrument, chain, folder, file),)
+    found = []
+    for i, row in enumerate(settings.data):
+        if row.name in chain.axes:
+            raise refusal(
+                file,
+                f"key data.{i}.name",
+                f"{row.name!r}, the name of an axis",
+                f"another name than {listed(chain.axes)}",
+                "rename the data set",
+            )
+        own = chain
+        if row.tool_offset_mm is not None:
+            _check_offset(row.tool_offset_mm, chain, file, f"data.{i}.tool_offset_mm")
+            offset = np.array(row.tool_offset_mm) * 1e-3
+            own = with_tool(chain, offset - np.asarray(chain.tool_offset))
+        one = _data_set(row.name, row.file, row.instrument, own, folder, file, f"data.{i}.")
+        if "t" in one.plan.covariates:
+            later = {"t": np.asarray(one.plan.covariates["t"]) + row.start_s}
+            one = replace(one, plan=replace(one.plan, covariates={**one.plan.covariates, **later}))
+        _check_twice(one, found, folder, file, f"data.{i}.file")
+        found.append(one)
+    without = [one for one in found if one.readings is None]
+    if without and len(without) < len(found):
+        raise refusal(
+            without[0].file,
+            "header",
+            "no column of readings",
+            f"the readings of a {without[0].settings.kind}, as the other data sets have theirs",
+            "add them, or leave this data set out",
+        )
+    return tuple(found)
+
+
+def _check_twice(
+    one: DataSet, earlier: Sequence[DataSet], folder: Folder, file: str, key: str
+) -> None:
+    """A table must not be read twice, whatever it is called; plans may be alike."""
+    for other in earlier:
+        same = (folder.root / one.file).samefile(folder.root / other.file)
+        if (
+            same
+            or one.readings is not None
+            and folder.hashes[one.file] == folder.hashes[other.file]
+        ):
+            again = " a second time" if one.file == other.file else f", the same as {other.file!r}"
+            raise refusal(
+                file,
+                f"key {key}",
+                f"{one.file!r}{again}",
+                "a table of its own for every data set, as its readings would count twice",
+                "correct the name, or remove the row",
+            )
+
+
+def _data_set(
+    name: str,
+    table_name: str,
+    settings: InstrumentSettings,
+    chain: Chain,
+    folder: Folder,
+    file: str,
+    key: str = "",
+) -> DataSet:
+    """One data set; `key` is where the study file has it."""
+    table, measured = run_table(table_name, settings, chain, folder, file, key)
+    try:
+        with _naming_rows(settings, folder, table.told):
+            instrument, plan, readings = _instrument(settings, chain, table, measured, folder)
+    except KeyedError as error:
+        own = key if error.key.startswith("instrument.") else ""
+        raise StudyError(f"{file}, key {own}{error.key}: {error.what}") from error
+    return DataSet(name, table_name, settings, instrument, chain, plan, readings, table)
+
+
+@contextlib.contextmanager
+def _naming_rows(settings: InstrumentSettings, folder: Folder, table: Table) -> Iterator[None]:
+    """Tell a row of this table that an instrument refuses by its number in the file."""
+    try:
+        yield
+    except RowError as error:
+        check_row(settings, instrument_class(settings, folder), error.row, table.rows)
+        place = f", {error.place}" if error.place else ""
+        where = f"{table.where(error.row)}{place}"
+        raise StudyError(f"{table.name}, {where}: {error.what}") from error
+
+
+def _instrument(
+    settings: InstrumentSettings, chain: Chain, whole: Table, measured: bool, folder: Folder
+) -> tuple[TableInstrument, Plan, np.ndarray | None]:
+    """The instrument of a table, started from its readings, where there are any; plan and readings
+    of the rows of which none is blank.
+    """
+    kind, table = instrument_class(settings, folder), whole.told
+    with calling(settings, kind, "build", f"an instance of {kind.__name__}"):
+        instrument = kind.build(settings, chain, table, folder.table)
+    check_built(settings, kind, instrument, "build")
+    # Where the axes were is not known in the others, if that is what was read.
+    remembers = kind.remembers and bool(readings_of(settings, kind, chain.axes))
+    if table is not whole and remembers:
+        expected = "a vcal.Plan, of the rows of which a reading is blank too"
+        with _naming_rows(settings, folder, whole), calling(settings, kind, "plan", expected):
+            plan = instrument.plan(chain, whole)
+        check_plan(settings, kind, chain, whole, plan)
+        plan = jax.tree.map(lambda values: np.asarray(values)[~whole.blank], plan)
+    else:
+        plan = _planned(settings, instrument, chain, table)
+    if table is not whole:
+        plan = replace(plan, numbers=np.array(table.numbers))
+    readings = None
+    if measured:
+        with calling(settings, kind, "measured", "readings in SI from the columns of the table"):
+            readings = instrument.measured(table)
+        check_readings(settings, instrument, plan, readings)
+        with calling(settings, kind, "start", "the same instrument"):
+            instrument = instrument.start(chain, plan, readings)
+        check_built(settings, kind, instrument, "start")
+    if settings.kind_file is not None:
+        # It is tried with a table of its own, of which nothing is missing.
+        alone = _planned(settings, instrument, chain, table)
+        check_instrument(settings, instrument, chain, table, alone, readings)
+    if readings is not None:
+        check_scatter(table, readings_of(settings, kind, chain.axes), instrument, plan, readings)
+    return instrument, plan, readings
+
+
+def _planned(
+    settings: InstrumentSettings, instrument: TableInstrument, chain: Chain, table: Table
+) -> Plan:
+    """The checked plan of a table."""
+    with calling(settings, type(instrument), "plan", "a vcal.Plan"):
+        plan = instrument.plan(chain, table)
+    check_plan(settings, type(instrument), chain, table, plan)
+    return plan
+
+
+def _together(sets: Sequence[DataSet], chain: Chain) -> tuple[Instrument, Plan, np.ndarray | None]:
+    """Instrument, plan and readings of all data sets."""
+    if not sets[0].name:
+        return sets[0].instrument, sets[0].plan, sets[0].readings
+    members = {
+        one.name: Member(
+            one.instrument,
+            one.plan,
+            tuple(np.asarray(one.chain.tool_offset) - np.asarray(chain.tool_offset)),
+        )
+        for one in sets
+    }
+    instrument, plan = several(members)
+    tables = [one.readings for one in sets if one.readings is not None]
+    return instrument, plan, instrument.padded(tables) if tables else None
+
+
+def _check_seen(settings: AnySettings, sets: Sequence[DataSet], file: str) -> None:
+    """Every table must see by itself what it is asked to."""
+    if isinstance(settings, StudySettings):
+        wanted = {"data.must_see": settings.data.must_see}
+    else:
+        wanted = {f"data.{i}.must_see": row.must_see for i, row in enumerate(settings.data)}
+    for (key, errors), one in zip(wanted.items(), sets, strict=True):
+        check_seen(errors, one.chain, one.instrument, one.plan, file, key)
+
+
+def _checked(
+    settings: AnySettings, chain: Chain, sets: Sequence[DataSet], folder: Folder
+) -> CheckPoints | None:
+    """The check points, where there are any: those that are named, or a ``check.csv``."""
+    given = _check_given(settings)
+    name = given or "check.csv"
+    if given is None and not folder.has(name):
+        return None
+    return check_points(name, sets[0].instrument, sets[0].settings, chain, folder)
+
+
+def _check_given(settings: AnySettings) -> str | None:
+    """The name of the check points that a study file gives."""
+    return settings.data.check if isinstance(settings, StudySettings) else settings.check
+
+
+def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
+    """What has no prior must be told by the readings, and by those that were taken even without one
+    of the rows: nothing else says how they scatter.
+    """
+    flat = [entry for entry in model.entries if not entry.parameter.informed]
+    width = len(model.instrument.readings)
+    readings = int(model.instrument.present(plan).sum())
+    needed = len(flat) + width + 1 if measured and flat else len(flat)
+    if readings >= needed:
+        return
+    keys = listed(dict.fromkeys(entry.key for entry in flat))
+    raise refusal(
+        data,
+        f"row {plan.row_name(plan.rows - 1)} (the last one)",
+        f"{readings} readings ({plan.rows} rows of {width}) for {len(flat)} parameters without a "
+        f"prior ({keys})",
+        f"more than {needed - 1} readings, so that without any one row they are still more than "
+        "the parameters"
+        if measured
+        else f"at least {needed} readings",
+        "measure more rows, or give a prior (a *_sigma) to what is known",
+    )
+
+
+def _check_determined(model: Model, plan: Plan, data: str) -> None:
+    """What has no prior must be told by where and what was measured, however many readings there
+    are: those of points on one straight line say nothing of a turn about it.
+    """
+    found = flat_rank(model, plan)
+    if found.rank == found.columns:
+        return
+    mixed = [model.entries[i] for i in found.mixed]
+    names = [f"{entry.key} {entry.parameter.name}" for entry in mixed]
+    raise refusal(
+        data,
+        "columns of positions and conditions",
+        f"{plan.rows} rows that tell {found.rank} of {found.columns} parameters without a prior; "
+        f"{listed(names)} {'is' if len(names) == 1 else 'are'} part of what they do not",
+        "rows that tell all of them: for an instrument whose pose is looked for, positions that "
+        "are not all on one straight line, or in one place",
+        "measure some more elsewhere, or give a prior (a *_sigma) to what can have one",
+    )

@@ -1,0 +1,349 @@
+"""The tables of a run and of check points: their columns, and whether they fit the machine."""
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..errors import StudyError
+from ..instruments.base import Column, InstrumentSettings, TableInstrument
+from ..instruments.conditions import GROUPS, LINEAR, ROTARY, file_column, linear_plan, misnamed
+from ..machine.chain import Chain
+from ..model.measurement import CheckPoints
+from ..numerics.spatial import best_rigid
+from .csv_table import Table
+from .folder import Folder
+from .messages import listed, refusal
+from .plugins.instruments import columns_of, instrument_class
+from .table_checks import check_repeated, check_unread
+
+_FEWEST_ROWS = 3
+_TOOL_POINT = tuple(f"tcp_{c}_mm" for c in "xyz")
+_MOST_OFF = 0.02
+"""Of the size of the work space: no machine is that far off."""
+_STILL_MM = 0.02
+"""Within which read-back positions of an axis that stands still scatter."""
+_LEAST_SHARE = 0.002
+"""Of the travel, over which a measurement has to go."""
+_LEAST_WIDTH = 1e-3
+"""Of the length of check points, over which they have to go across it."""
+_QUANTITY = re.compile(
+    r"payload_kg|speed_rpm|approach_rad|T_gradient_\w+|v_\w+_m_s|a_\w+_m_s2|since_\w+_mm|"
+    r"v_[a-c]_rad_s|a_[a-c]_rad_s2|since_[a-c]_deg"
+)
+"""Columns that effects ask for; where they are there, they are numbers."""
+_JOINT_COLUMN = re.compile(r"q(\d+)_(?:cmd|read)_deg")
+_MOVES = re.compile(r"(dir|move)_(q|J)\d+(_deg)?")
+"""What follows from the commanded angles of an arm, and is computed from them."""
+
+
+def run_table(
+    name: str,
+    settings: InstrumentSettings,
+    chain: Chain,
+    folder: Folder,
+    file: str,
+    key: str,
+) -> tuple[Table, bool]:
+    """The checked table of a run, and whether it holds readings, of which some may be blank.
+
+    Where what is read are the positions of the linear axes, these may be: a ball that was not found
+    has none. Raises `StudyError` for what the instrument, the machine or `Folder.table` refuses.
+    """
+    kind = instrument_class(settings, folder)
+    header = folder.header(name)
+    plain, full = columns_of(settings, kind, chain.axes)
+    reading_names = {c.name for c in full} - {c.name for c in plain}
+    measured = not reading_names or any(column in reading_names for column in header)
+    _check_machine(kind, chain, plain, file, f"{key}instrument.kind")
+    places = [] if kind.positioned else _positions(chain, plain)
+    columns = [*places, *(full if measured else plain)]
+    if not measured:
+        known = {*kind.labels, *(c.name for c in columns)}
+        further = [c for c in header if c not in known and not _condition(c)]
+        check_unread(name, kind.kind, further, reading_names, kind.read_otherwise)
+    # Of an instrument without columns of its own, what is read are the positions.
+    linear = {file_column(axis, chain.axes)[0] for axis in chain.axes if axis in LINEAR}
+    read = reading_names or {c.name for c in places} & linear
+    table = folder.table(
+        name, columns, _condition, labels=kind.labels, readings=read if measured else ()
+    )
+    told = table.told
+    if told.rows < _FEWEST_ROWS:
+        raise refusal(
+            name,
+            f"{table.where(table.rows - 1)}, column {columns[0].name}",
+            f"the end of the table after {told.rows} row(s)"
+            + ("" if told is table else " of which no reading is blank"),
+            f"at least {_FEWEST_ROWS} rows",
+            "measure more points",
+        )
+    _check_spelling(table, [c.name for c in columns])
+    _check_names(table, chain, (*kind.labels, *reading_names))
+    # Where the axes were is not known in the others, if that is what was read.
+    _check_conditions(table if reading_names else told, chain)
+    if measured:
+        check_repeated(told, reading_names or {c.name for c in places})
+    return table, measured
+
+
+def check_points(
+    name: str,
+    instrument: TableInstrument,
+    settings: InstrumentSettings,
+    chain: Chain,
+    folder: Folder,
+) -> CheckPoints:
+    """The independent check points of a study, in a table of that name; raises `StudyError`."""
+    own = instrument.columns(settings, chain.axes, readings=False)
+    tool = _is_tool(chain)
+    columns = _positions(chain, own) if tool else list(own)
+    columns += [Column(name=name, low=-1e6, high=1e6) for name in _TOOL_POINT]
+    table = folder.table(name, columns, _condition)
+    points = np.column_stack([table[name] for name in _TOOL_POINT]) * 1e-3
+    arms = points - points.mean(0)
+    _, width, length = np.linalg.eigvalsh(arms.T @ arms)
+    if width <= _LEAST_WIDTH**2 * length:
+        raise refusal(
+            name,
+            f"columns {listed(_TOOL_POINT)}",
+            f"{table.rows} check point(s), on a line",
+            "at least 3 that are not: alignment alone takes out six numbers",
+            "add points beside them, or remove the file",
+        )
+    _check_spelling(table, [c.name for c in columns])
+    _check_names(table, chain, _TOOL_POINT)
+    _check_conditions(table, chain)
+    if tool:
+        _check_tool_points(table, chain)
+    # Check points belong to the machine: what an instrument derives for itself is not in them.
+    if tool:
+        plan = linear_plan(chain, table, warmer=instrument.warmer)
+    else:
+        plan = instrument.plan(chain, table)
+    return CheckPoints(plan, points)
+
+
+def _is_tool(chain: Chain) -> bool:
+    """Whether it is a machine tool, with positions in ``x_mm``, ``c_deg``, ..., and not an arm."""
+    return set(chain.axes) <= {*LINEAR, *ROTARY}
+
+
+def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
+    """Position columns that the instrument's own columns leave to the machine."""
+    names = {column.name for column in own}
+    places = [file_column(axis, chain.axes)[0] for axis in chain.axes] if _is_tool(chain) else []
+    return [Column(name=name, low=-1e6, high=1e6) for name in places if name not in names]
+
+
+def _check_machine(
+    kind: type[TableInstrument], chain: Chain, own: Sequence[Column], file: str, key: str
+) -> None:
+    """An instrument that reads joint angles needs an arm, any other one the axes X, Y and Z."""
+    if not _is_tool(chain) and len({joint.kind for joint in chain.joints}) > 1:
+        raise refusal(
+            file,
+            "key machine.joint",
+            f"rotary and linear joints in one machine, {chain.text!r}, which no instrument "
+            "measures",
+            "rotary joints alone, or a machine.chain with X, Y, Z and rotary axes A, B, C",
+            "describe a machine tool by its chain and [machine.rotary.C]",
+        )
+    joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
+    if joints:
+        fits = all(joint.kind == "revolute" for joint in chain.joints)
+        expected = "an arm of revolute [[machine.joint]] rows"
+    else:
+        turning = kind.rotary
+        fits = {*LINEAR} <= {*chain.axes} <= ({*LINEAR, *ROTARY} if turning else {*LINEAR})
+        expected = "a machine.chain with the axes X, Y and Z"
+        expected += ", and rotary axes A, B, C where it has some" if turning else " alone"
+    if not fits:
+        raise refusal(
+            file,
+            f"key {key}",
+            f"{kind.kind!r} on a machine with {chain.text!r}",
+            f"{expected} for this instrument",
+            "change the instrument or the machine",
+        )
+
+
+def _condition(name: str) -> Column | None:
+    """What is known of a column that need not be there."""
+    if name.startswith("T_") and name.endswith("_degC"):
+        return Column(name=name, low=-50.0, high=150.0, sparse=True)
+    if name in GROUPS:
+        return Column(name=name, low=0, integer=True)
+    if name == "t_s" or name.startswith("dir_") or _QUANTITY.fullmatch(name):
+        return Column(name=name)
+    if _JOINT_COLUMN.fullmatch(name):
+        return Column(name=name, low=-720.0, high=720.0)
+    return None
+
+
+def _check_spelling(table: Table, asked: Sequence[str]) -> None:
+    """What the machine or the instrument asks for, or an index, must not stand there a second time
+    in other letters (``c_deg`` and ``C_deg``): it would pass for another quantity.
+    """
+    meant = {name.casefold(): name for name in (*GROUPS, *asked) if name in table}
+    for name in table:
+        column = meant.get(name.casefold(), name)
+        if column != name:
+            raise _twice(table.name, (column, name), column)
+
+
+def _twice(file: str, columns: Sequence[str], meant: str) -> StudyError:
+    return refusal(
+        file,
+        f"header, columns {' and '.join(columns)}",
+        "two columns of one quantity",
+        f"one, {meant}",
+        "remove one of them, or rename it where it is another quantity",
+    )
+
+
+def _check_names(table: Table, chain: Chain, others: Sequence[str]) -> None:
+    """Every quantity has one column, under its name in files; `others` are no conditions."""
+    for name in table:
+        if _MOVES.fullmatch(name) and not _is_tool(chain):
+            raise refusal(
+                table.name,
+                f"header, column {name}",
+                "a column of the moves of a joint, which are computed",
+                "the angles that are commanded (q1_cmd_deg, ...) in the order of pose",
+                "rename or remove the column",
+            )
+    wrong = misnamed([c for c in table if c not in others and c not in GROUPS], chain.axes)
+    if wrong is None:
+        return
+    columns, meant = wrong
+    if len(columns) > 1:
+        raise _twice(table.name, columns, meant)
+    raise refusal(
+        table.name,
+        f"header, column {''.join(columns)}",
+        f"the name that vcal itself has for what stands in {meant}",
+        f"{meant}, or another name for another quantity",
+        "rename or remove the column",
+    )
+
+
+def _check_conditions(table: Table, chain: Chain) -> None:
+    """Directions are +1 or -1 of an axis there is; positions lie within the travel."""
+    for name, values in table.items():
+        axis = name.removeprefix("dir_").upper()
+        if name.startswith("dir_") and _is_tool(chain):
+            if axis not in chain.axes:
+                raise refusal(
+                    table.name,
+                    f"header, column {name}",
+                    f"a direction of the unknown axis {axis!r}",
+                    f"one of {listed(f'dir_{a.lower()}' for a in chain.axes)}",
+                    "rename or remove the column",
+                )
+            if (bad := np.abs(values) != 1.0).any():
+                row = int(np.argmax(bad))
+                found, expected = f"{values[row]:g}", "+1 or -1, the last direction of travel"
+                raise table.refusal(row, name, found, expected, "correct the value")
+        _check_travel(table, name, chain)
+    _check_extent(table, chain)
+
+
+def _check_extent(table: Table, chain: Chain) -> None:
+    """Positions in another unit than mm fill a thousandth of the travel; those that follow a point
+    which a rotary axis turns may do so in mm.
+    """
+    turning = (file_column(axis, chain.axes)[0] for axis in chain.axes if axis in ROTARY)
+    if any(np.ptp(table[name]) > 0.0 for name in turning if name in table):
+        return
+    columns = {
+        f"{axis.lower()}_mm": j.travel * 1e3
+        for axis, j in zip(chain.axes, chain.joints, strict=True)
+        if axis in LINEAR
+    }
+    if not columns or not all(name in table for name in columns):
+        return
+    shares = [np.ptp(table[name]) / np.ptp(travel) for name, travel in columns.items()]
+    if 0.0 < max(shares) < _LEAST_SHARE:
+        low = min(table[name].min() for name in columns)
+        high = max(table[name].max() for name in columns)
+        raise refusal(
+            table.name,
+            f"columns {listed(columns)}",
+            f"positions from {low:.4g} to {high:.4g}, at most {100 * max(shares):.2g} % of the "
+            "travel",
+            "millimetres over more of it",
+            "correct the unit of the positions or of machine.travel_mm",
+        )
+    for name, travel in columns.items():
+        _check_unit(table, name, np.asarray(travel))
+
+
+def _check_unit(table: Table, name: str, travel: np.ndarray) -> None:
+    """One axis alone in metres: within a thousandth of its travel, but it does move there."""
+    values, reach = table[name], np.abs(travel).max()
+    moved, farthest = np.ptp(values), np.abs(values).max()
+    if not math.isfinite(reach) or moved <= _STILL_MM:
+        return
+    if moved < _LEAST_SHARE * np.ptp(travel) and farthest <= 1.001e-3 * reach:
+        key = f"machine.travel_mm.{name.removesuffix('_mm').upper()}"
+        raise refusal(
+            table.name,
+            f"column {name}",
+            f"positions from {values.min():.4g} to {values.max():.4g}, a thousandth of the travel "
+            f"of {travel[0]:.7g} to {travel[1]:.7g}",
+            "millimetres, as in the travel",
+            f"correct the unit of the positions or of {key}",
+        )
+
+
+def _check_tool_points(table: Table, chain: Chain) -> None:
+    """True tool points are where the axes were commanded to, but for the errors of the machine and
+    a rigid motion, which takes in where the tool is.
+    """
+    columns = [file_column(axis, chain.axes) for axis in chain.axes]
+    position = np.column_stack([table[name] / factor for name, factor in columns])
+    commanded = 1e3 * chain.tool_point(position)
+    found = np.column_stack([table[name] for name in _TOOL_POINT])
+    turn, place = best_rigid(found, commanded)
+    off = np.linalg.norm(found @ turn.T + place - commanded, axis=1)
+    size = np.linalg.norm(commanded - commanded.mean(0), axis=1).max()
+    row = int(np.argmax(off))
+    if off[row] > _MOST_OFF * size:
+        raise refusal(
+            table.name,
+            f"{table.where(row)}, columns {listed(_TOOL_POINT)}",
+            f"a tool point that is {off[row]:.4g} mm off, after the rigid motion that fits all of "
+            "them best to the positions",
+            f"one that follows the positions to {_MOST_OFF * size:.4g} mm, all in millimetres",
+            "correct unit, sign and order of these columns, or the row",
+        )
+
+
+def _check_travel(table: Table, name: str, chain: Chain) -> None:
+    if match := _JOINT_COLUMN.fullmatch(name):
+        place, unit = int(match[1]) - 1, math.radians(1.0)
+        key = f"machine.joint.{place}"
+    else:
+        columns = {file_column(axis, chain.axes)[0]: axis for axis in chain.axes}
+        axis = columns.get(name)
+        if axis is None:
+            return
+        place, unit = chain.axes.index(axis), 1.0 / file_column(axis, chain.axes)[1]
+        key = f"machine.travel_mm.{axis}" if axis in LINEAR else f"machine.rotary.{axis}.travel_deg"
+    if not 0 <= place < len(chain.joints):
+        return
+    low, high = chain.joints[place].travel / unit
+    # A file of ten digits may round a position at the end of the travel to just beyond it.
+    slack = 1e-9 * max((abs(b) for b in (low, high) if math.isfinite(b)), default=0.0)
+    bad = (table[name] < low - slack) | (table[name] > high + slack)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise table.refusal(
+            row,
+            name,
+            f"{table[name][row]:.10g}, outside the travel",
+            f"{low:.10g} to {high:.10g} ({key})",
+            "correct the position or the travel",
+        )
