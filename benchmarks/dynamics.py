@@ -22,7 +22,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import vcal
-from vcal.dynamics import Noise, applied, assemble, campaign, circle_set, close, run
+from vcal.dynamics import Noise, applied, assemble, campaign, circle_set, controlled, run
 from vcal.dynamics.bodies import Friction
 from vcal.dynamics.friction import Rubbing, rubbing, run_with_friction
 from vcal.reproduce.acceleration.measured import MATRIX_U
@@ -129,10 +129,10 @@ def simulations(repeats: int) -> list[dict]:
         )
         print({k: x for k, x in rows[-1].items() if k != "tool"}, flush=True)
 
-    whole = jax.jit(lambda m, c: run(close(assemble(m), c), *asked).tool)
+    whole = jax.jit(lambda m, c: run(controlled(assemble(m), c), *asked).tool)
     cold, warm, tool = timed(lambda: whole(machine, controller), repeats)
     row("vcal, assembly and discretisation included", "linear", cold, warm, tool)
-    loop = jax.jit(close)(structure, controller)
+    loop = jax.jit(controlled)(structure, controller)
     alone = jax.jit(lambda loop: run(loop, *asked).tool)
     cold, warm, tool = timed(lambda: alone(loop), repeats)
     row("vcal, discretised before", "linear", cold, warm, tool)

@@ -119,7 +119,7 @@ def planned(kind: str, machine: FiveAxis, tilts: dict, rng: np.random.Generator)
     if kind == "laser_tracker":
         target = rng.uniform([-0.15, -0.15, -0.1], [0.15, 0.15, 0.15], (len(angles), 3))
     q = np.column_stack([np.zeros((len(angles), 3)), angles])
-    q = np.round(machine.follow(target, q, machine.still), 7)
+    q = np.round(machine.plan_next(target, q, machine.still), 7)
     step = np.diff(q, axis=0, prepend=q[:1] - 1e-3)
     way = np.ones_like(q)
     for k in range(1, len(q)):

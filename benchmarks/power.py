@@ -99,12 +99,12 @@ def screened(study, fit, draws: int, seed: int):
     import vcal
     from vcal.loop.empirical import EMPIRICAL
     from vcal.loop.screening.candidates import candidates
-    from vcal.loop.screening.score_test import Screen
+    from vcal.loop.screening.score_test import ScoreTest
     from vcal.loop.screening.screening import screen
 
     tried, _ = candidates(study.model, study.measurement, vcal.CATALOGUE.values())
     empirical, _ = candidates(study.model, study.measurement, EMPIRICAL, tried)
-    return screen(Screen(fit, draws, seed), [*tried, *empirical])
+    return screen(ScoreTest(fit, draws, seed), [*tried, *empirical])
 
 
 def limit_of(entry, world, sized, kind) -> float:
@@ -148,7 +148,7 @@ def limit_of(entry, world, sized, kind) -> float:
 def told(study, before, terms, keep):
     """The fit that was told the truth: `before` with the true effects added, free in size."""
     from vcal.effects import Setup, effect_class
-    from vcal.loop.screening.score_test import Peak, Screen
+    from vcal.loop.screening.score_test import Peak, ScoreTest
     from vcal.loop.weighing.rivals import refit
 
     model, measurement = study.model, study.measurement
@@ -164,7 +164,7 @@ def told(study, before, terms, keep):
         ]
         # A drive that yields, without the bearing beside it.
         effect = min(fitting, key=lambda e: len(e.parameters))
-        shape, state = dict(term.shape or {}), Screen(fit, 1, 0)
+        shape, state = dict(term.shape or {}), ScoreTest(fit, 1, 0)
         columns = state.columns(effect, shape)
         start = np.linalg.lstsq(state.information(columns), columns.T @ fit.whitened, rcond=1e-8)[0]
         fit = refit(fit, Peak(effect, shape, start, 0.0, 0.0, len(start)), keep, room)

@@ -105,7 +105,7 @@ def one_set(case: str, seed: int, limits: dict) -> dict | None:
     """Make a study of two data sets and close the loop on it; None where the size is not known."""
     import vcal
     from joint import write_joint
-    from vcal.loop.notes import contradiction
+    from vcal.loop.notes import data_set_consistency
 
     start = time.perf_counter()
     line: dict = {"case": case, "seed": seed}
@@ -125,7 +125,7 @@ def one_set(case: str, seed: int, limits: dict) -> dict | None:
             {"key": e.effect.key, "status": e.status, "equivalent": e.equivalent}
             for e in closure.effects
         ],
-        "contradiction": bool(contradiction(closure.before, closure.after, room)),
+        "data_set_consistency": bool(data_set_consistency(closure.before, closure.after, room)),
         "rms": {k: float(f"{e.check.value:.4g}") for k, e in closure.errors.items() if e.check},
     }
     return line | {"seconds": round(time.perf_counter() - start, 2)}
@@ -150,7 +150,7 @@ def work(options: argparse.Namespace) -> None:
                 continue
             append(LINES, line | {"commit": commit})
             print(case, seed, line["verdict"], [f["key"] for f in line.get("found", [])],
-                  line.get("contradiction"), line.get("seconds"), flush=True)  # fmt: skip
+                  line.get("data_set_consistency"), line.get("seconds"), flush=True)  # fmt: skip
 
 
 def summary(lines: Sequence[dict]) -> dict:
@@ -161,8 +161,10 @@ def summary(lines: Sequence[dict]) -> dict:
         counts: dict[str, int] = {}
         for line in mine:
             counts[outcome(line)] = counts.get(outcome(line), 0) + 1
-        told = sum(line["contradiction"] for line in mine)
-        rows.append({"case": case, "sets": len(mine), "outcomes": counts, "contradiction": told})
+        told = sum(line["data_set_consistency"] for line in mine)
+        rows.append(
+            {"case": case, "sets": len(mine), "outcomes": counts, "data_set_consistency": told}
+        )
     return {"rows": rows, "commits": sorted({line["commit"] for line in lines})}
 
 

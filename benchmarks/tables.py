@@ -187,7 +187,7 @@ def several(found: dict) -> str:
     outcomes = ["right", "right first", "another first", "wrong", "unexplained", "nothing"]
     rows = (
         [r["case"], str(r["sets"]), *(str(r["outcomes"].get(o, 0)) for o in outcomes),
-         str(r["contradiction"])]
+         str(r["data_set_consistency"])]
         for r in found["rows"]
     )  # fmt: skip
     return table(["case", "sets", *outcomes, "told not to fit one machine"], rows)

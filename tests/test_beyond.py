@@ -4,15 +4,15 @@ import tempfile
 
 import numpy as np
 import pytest
-from vcal.geometry.compensated import compensated_points
 
 from oracle import make_case, write_study
 from oracle.kinematics import Smooth
 from vcal import close_loop, identify, load_study
+from vcal.geometry.compensated import compensated_points
 from vcal.identification.robust import identify_robust
 from vcal.loop.close_loop import Closure
-from vcal.loop.residuals.outliers import stray_rows
-from vcal.loop.weighing.cross_validation import foretold_rms
+from vcal.loop.residuals.outliers import outlying_rows
+from vcal.loop.weighing.cross_validation import predicted_rms
 from vcal.machine.error_functions import Matern
 from vcal.model.declared_noise import declared_whitener
 from vcal.numerics.spatial import align_rigid
@@ -70,7 +70,7 @@ def test_three_balls_have_no_distance_across_their_plane():
     case = make_case("ball_array", seed=26, plan={"n_balls": 3, "repeats": 2})
     study = study_of(case)
     fit = identify(study.model, study.measurement)
-    assert stray_rows(fit, lambda: identify_robust(study.model, study.measurement)) == []
+    assert outlying_rows(fit, lambda: identify_robust(study.model, study.measurement)) == []
     close_loop(study.model, study.measurement, draws=50)
 
 
@@ -138,7 +138,7 @@ def test_what_the_readings_do_not_show_is_told_at_the_check_points():
             study.model, study.measurement, check=study.check, draws=50, effects=["backlash"]
         )
         assert any(said in note for note in found.notes) == bool(effects)
-        foretold = foretold_rms(found.after, study.check)
+        foretold = predicted_rms(found.after, study.check)
         aligned = found.errors["after"].check
         assert (aligned.value < 1.5 * foretold) == (not effects)
     # What is expected of errors that are drawn from the posterior.

@@ -14,7 +14,7 @@ from vcal import Measurement, StudyError, identify
 from vcal.identification.batch import identify_alone, identify_one, prepare_batch
 from vcal.model.forward import Model
 from vcal.model.simulate import draw, draw_truth, prepare
-from vcal.numerics.compiled import outer_jit
+from vcal.numerics.compiled import jit_outermost
 from vcal.uncertainty import (
     ErrorMotionErrors,
     ParameterErrors,
@@ -51,8 +51,8 @@ def distance(batch, a, b):
 def test_a_draw_is_identified_as_alone(kind, known):
     it = known[kind]
     batch, simulator = prepare_batch(it.model, it.plan), prepare(it.model, it.plan)
-    measure = outer_jit(lambda key: draw(simulator, key))
-    solve = outer_jit(lambda y: identify_one(batch, y))
+    measure = jit_outermost(lambda key: draw(simulator, key))
+    solve = jit_outermost(lambda y: identify_one(batch, y))
     for seed in range(2):
         made = measure(jax.random.key(seed))
         found = solve(made.readings)
@@ -115,8 +115,8 @@ def test_shape_parameters_move_in_a_batch(known):
     batch = prepare_batch(model, it.plan, shapes=nominal, theta=near)
     theta = np.append(it.theta, [1.0, 0.5, 0.0])
     theta[-1] = 0.3  # steps of the scan from the nominal pitch
-    readings = outer_jit(lambda theta: batch.predict(theta))(jnp.asarray(theta))
-    solve = outer_jit(lambda y: identify_one(batch, y, tolerance=1e-6, steps=60))
+    readings = jit_outermost(lambda theta: batch.predict(theta))(jnp.asarray(theta))
+    solve = jit_outermost(lambda y: identify_one(batch, y, tolerance=1e-6, steps=60))
     found = solve(readings)
     fit = identify(
         model,

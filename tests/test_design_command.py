@@ -16,7 +16,7 @@ from vcal.design import covariance, expected_rms, volumetric_gram
 from vcal.design.judged import grid_points
 from vcal.design.optimise import Compiled, optimise
 from vcal.design.spaces import SPACES
-from vcal.report.html.folder import Place
+from vcal.report.html.folder import ReportFolder
 
 pytestmark = pytest.mark.usefixtures("kept_programs")
 
@@ -473,7 +473,7 @@ def test_a_study_made_around_the_next_measurement_is_not_replaced(few_poses, tmp
         return ["plan.csv", "result.json"]
 
     out = tmp_path / "next"
-    Place(record="result.json", schema="vcal-design/").fill(out, make)
+    ReportFolder(record="result.json", schema="vcal-design/").fill(out, make)
     (out / "setup.toml").write_text("mine", encoding="utf-8")
     message = design(few_poses, out, code=2).stderr
     assert "found setup.toml, not as the earlier report left it" in message

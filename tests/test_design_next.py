@@ -13,7 +13,7 @@ from designing import declare, design, strict, task_of
 from vcal import Model
 from vcal.design import covariance, expected_rms, volumetric_gram
 from vcal.design.judged import grid_points
-from vcal.design.next_measurement import CANDIDATES, follow
+from vcal.design.next_measurement import CANDIDATES, plan_next
 from vcal.design.optimise import Compiled
 from vcal.design.separation import ALPHA, Rival, Separation
 from vcal.loop.outcome.closure import FoundEffect
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("kept_programs")
 @pytest.mark.campaign
 def test_the_next_pose_is_better_than_fifty_at_random(few_poses):
     _, task = task_of(few_poses, small=("design.grid=[4,3,3]",))
-    done = follow(task, 1, starts=2, steps=30)
+    done = plan_next(task, 1, starts=2, steps=30)
     space = done.task.space
     assert space.groups == (4,) and done.drawn == CANDIDATES
     present = task.space
@@ -127,7 +127,7 @@ def test_separating_two_effects(few_points):
     study, task = task_of(few_points)
     wanted = parse_rivals(["backlash:Y", "scale_growth:Y"], study)
     separation = Separation.of(task.families[0].model, *wanted.rivals)
-    done = follow(task, 3, separation=separation, starts=2, steps=15)
+    done = plan_next(task, 3, separation=separation, starts=2, steps=15)
     first, second = (r.effect for r in wanted.rivals)
     plan = study.plan
     expected = (

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from vcal.instruments.plan_next import carried_apart, followed
 
 import vcal
 from conftest import write_csv
@@ -13,9 +14,8 @@ from designing import design, run, strict, task_of
 from test_rotary import AXES, point, positions
 from test_static_r_test import HEAD, INSTRUMENT, seen, still
 from vcal.design import covariance
-from vcal.design.next_measurement import follow
+from vcal.design.next_measurement import plan_next
 from vcal.design.optimise import Compiled, optimise
-from vcal.instruments.follow import carried_apart, followed
 from vcal.machine.chain import chain_from_string
 from vcal.uncertainty import ErrorMotionErrors, ParameterErrors, linearised
 from vcal.uncertainty.campaign import virtual_pair
@@ -275,7 +275,7 @@ def test_the_uncertainty_foretold_is_that_of_the_plan_written(designed):
 def test_further_points_add_to_the_data(turned):
     """As one plan of all rows tells it, by the matrices."""
     study, task = task_of(turned)
-    done = follow(task, 3, starts=1, steps=5)
+    done = plan_next(task, 3, starts=1, steps=5)
     further = done.task.space.plan(done.best.placed)
     assert further.rows == 3 and set(np.asarray(further.groups["run"])) == {1}
     position = np.concatenate([study.plan.position, further.position])

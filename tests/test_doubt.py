@@ -5,15 +5,15 @@ import math
 
 import numpy as np
 import pytest
-from vcal.geometry.error_motions import error_motion_tables
 
 from known import Known
 from oracle import make_case, write_study
 from vcal import CheckPoints, Effect, Measurement, Model, close_loop, identify, load_study
+from vcal.geometry.error_motions import error_motion_tables
 from vcal.identification.fit import Fit
-from vcal.identification.model_averaging import Doubt
+from vcal.identification.model_averaging import Alternatives
 from vcal.loop.empirical import Factor, Interaction
-from vcal.loop.screening.score_test import Screen
+from vcal.loop.screening.score_test import ScoreTest
 from vcal.loop.weighing.cross_validation import check_rms
 from vcal.loop.weighing.rivals import Rival, refit_all
 from vcal.loop.weighing.weighing import CERTAIN, classes_of, weigh
@@ -37,17 +37,17 @@ def moved(fit, seed: int):
     return dataclasses.replace(fit, theta=fit.theta + by)
 
 
-def doubts(fit):
+def alternatives(fit):
     """Two effects that may be others: the second may be two."""
     named, a, b, c = (moved(fit, seed) for seed in range(4))
-    return [Doubt(named, ((0.3, a),)), Doubt(a, ((0.1, b), (0.2, c)))]
+    return [Alternatives(named, ((0.3, a),)), Alternatives(a, ((0.1, b), (0.2, c)))]
 
 
 def test_the_error_at_check_points_is_that_of_the_other_name_so_often(study, fit):
     """u^2 has the sum of p (rms by the other name - rms)^2 more; the rms stays."""
     other = moved(fit, 1)
     alone = check_rms(fit, study.check)
-    doubted = check_rms(fit, study.check, [Doubt(fit, ((0.3, other),))])
+    doubted = check_rms(fit, study.check, [Alternatives(fit, ((0.3, other),))])
     for one, more, its in zip(alone, doubted, check_rms(other, study.check), strict=True):
         assert more.value == one.value
         assert more.u**2 - one.u**2 == pytest.approx(0.3 * (its.value - one.value) ** 2, rel=1e-6)
@@ -57,7 +57,7 @@ def test_the_error_at_check_points_is_that_of_the_other_name_so_often(study, fit
     after = dataclasses.replace(fit, theta=fit.theta + later.theta - fit.theta)
     base = dataclasses.replace(fit, theta=other.theta + later.theta - fit.theta)
     (expected, _), (value, _) = check_rms(base, study.check), check_rms(after, study.check)
-    (found, _) = check_rms(after, study.check, [Doubt(fit, ((0.3, other),))])
+    (found, _) = check_rms(after, study.check, [Alternatives(fit, ((0.3, other),))])
     more = 0.3 * (expected.value - value.value) ** 2
     assert found.u**2 - value.u**2 == pytest.approx(more, rel=0.02)
 
@@ -67,7 +67,7 @@ def test_error_motions_are_those_of_the_other_name_so_often(fit):
     plain = error_motion_tables(fit)
     coarse = {t.name: len(t.value) for t in error_motion_tables(fit, nodes=5)}
     assert set(coarse) == {t.name for t in plain} and set(coarse.values()) <= {1, 5}
-    found = error_motion_tables(fit, doubts=doubts(fit))
+    found = error_motion_tables(fit, alternatives=alternatives(fit))
     by = [{t.name: t.value for t in error_motion_tables(moved(fit, seed))} for seed in range(4)]
     for before, after in zip(plain, found, strict=True):
         named, a, b, c = (values[before.name] for values in by)
@@ -79,7 +79,7 @@ def test_error_motions_are_those_of_the_other_name_so_often(fit):
 
 
 def test_error_field_is_that_of_the_other_name_so_often(fit):
-    plain, found = error_field(fit, fit), error_field(fit, fit, doubts=doubts(fit))
+    plain, found = error_field(fit, fit), error_field(fit, fit, alternatives=alternatives(fit))
     a, b, c = (error_field(moved(fit, i), moved(fit, j)) for i, j in ((0, 1), (1, 2), (1, 3)))
     more = sum(p * (f.change**2).sum(-1) for p, f in ((0.3, a), (0.1, b), (0.2, c)))
     np.testing.assert_allclose(found.u**2 - plain.u**2, more, rtol=1e-6)
@@ -90,7 +90,7 @@ def rivals_on(it: Known, *given: Effect) -> tuple[Fit, list[Rival]]:
     """A backlash of every axis, refitted to readings of a machine with the given effects."""
     fit = identify(it.model, Measurement(it.plan, it.readings(*given)), room=it.room)
     effects = [dataclasses.replace(it.effect(f"backlash:{axis}"), given=()) for axis in "XYZ"]
-    state = Screen(fit, 20, 0)
+    state = ScoreTest(fit, 20, 0)
     peaks = [peak for effect in effects for peak in state.tests([effect])[0].peaks(1)]
     return fit, refit_all(fit, peaks, {"backlash": 3}, fit.used, it.room)
 
@@ -140,7 +140,7 @@ def test_a_description_by_what_the_check_points_lack_foretells_nothing_there(stu
         dataclasses.replace(study.check.plan, covariates=without), study.check.tool_point
     )
     fewer = dataclasses.replace(more, theta=np.r_[0.0, more.theta[1:]])  # without what it found
-    assert check_rms(fit, check, [Doubt(fit, ((0.3, more),))])[0].value == (
+    assert check_rms(fit, check, [Alternatives(fit, ((0.3, more),))])[0].value == (
         check_rms(fit, study.check)[0].value
     )
     assert check_rms(more, check)[0].value == check_rms(fewer, study.check)[0].value
@@ -155,7 +155,7 @@ def test_an_ambiguous_effect_is_in_the_uncertainty_of_the_error_after(tmp_path):
     study = load_study(write_study(tmp_path / "study", case))
     closure = close_loop(study.model, study.measurement, check=study.check, draws=100)
     assert closure.verdict == "ambiguous"
-    for effect, doubt in zip(closure.effects, closure.doubts, strict=True):
+    for effect, doubt in zip(closure.effects, closure.alternatives, strict=True):
         assert effect.status == "ambiguous"
         # Other components of its own name are among them: what the name itself leaves open.
         others = sum(p for p, _ in doubt.others)
@@ -175,7 +175,7 @@ def test_what_is_unexplained_is_in_the_uncertainty_of_the_error_after(tmp_path):
     study = load_study(write_study(tmp_path / "study", case))
     closure = close_loop(study.model, study.measurement, check=study.check, draws=100)
     assert (closure.verdict, closure.effects) == ("unexplained", [])
-    (doubt,) = closure.doubts
+    (doubt,) = closure.alternatives
     described = closure.unexplained.empirical.fit
     assert [p for p, _ in doubt.others] == [1.0] and doubt.others[0][1] is described
     after, alone = closure.errors["after"].check, check_rms(closure.after, study.check)[0]

@@ -16,7 +16,7 @@ from vcal.dynamics.closed_loop import (
     _exponential,
     check_sampled,
     check_stable,
-    close,
+    controlled,
     run,
     run_circle,
     settles,
@@ -143,7 +143,7 @@ def loop_of(machine, T=1e-3, delay=0.0, Kv=40.0, w=120.0, Tn=0.05, f=0.0):
     s = assemble(machine)
     c = Controller.of(s, position_gain=Kv, bandwidth=w, integral_time=Tn, feed_forward=f,
                       delay=delay, sample_time=T)  # fmt: skip
-    return s, c, close(s, c)
+    return s, c, controlled(s, c)
 
 
 def test_energy_is_kept_without_damping_and_control():
@@ -308,7 +308,7 @@ def test_gradient_through_a_circle():
         s = assemble(dataclasses.replace(given, springs=tuple(stiff)))
         c = Controller.of(s, position_gain=40.0 * p[4], bandwidth=120.0, integral_time=0.05,
                           delay=0.3e-3 * p[5])  # fmt: skip
-        found = run(close(s, c), z, v)
+        found = run(controlled(s, c), z, v)
         return 1e12 * (found.error**2).sum() + 1e6 * ((found.scale - z) ** 2).sum()
 
     at = jnp.ones(6)
@@ -398,7 +398,7 @@ def test_settles_agrees_with_the_poles():
     c = propose(s, sample_time=0.5e-3, delay=0.5e-3)
     sides = []
     for factor in np.geomspace(0.5, 8.0, 25):
-        loop = close(s, dataclasses.replace(c, velocity_gain=factor * c.velocity_gain))
+        loop = controlled(s, dataclasses.replace(c, velocity_gain=factor * c.velocity_gain))
         inside = np.abs(np.linalg.eigvals(np.asarray(loop.transition))).max() < 1.0
         assert bool(settles(loop)) == inside
         sides.append(inside)
@@ -409,10 +409,10 @@ def test_settles_agrees_with_the_poles():
 def test_proposed_gains_settle(delay):
     s = assemble(screw_slide(loss=1e-3))
     c = propose(s, sample_time=0.5e-3, delay=delay)
-    loop = close(s, c)
+    loop = controlled(s, c)
     assert settles(loop)
     check_stable(loop)
-    check_stable(close(s, dataclasses.replace(c, velocity_gain=1.9 * c.velocity_gain)))
+    check_stable(controlled(s, dataclasses.replace(c, velocity_gain=1.9 * c.velocity_gain)))
     n = 4000
     end = run(loop, np.full((n, 1), 1e-3), np.zeros((n, 1)))
     assert float(end.scale[-1, 0]) == pytest.approx(1e-3, rel=1e-4)

@@ -17,10 +17,10 @@ from vcal import CATALOGUE, Effect, Measurement, Parameter, close_loop, identify
 from vcal.effects.registry import load_effects
 from vcal.loop.close_loop import _separation
 from vcal.loop.empirical import EMPIRICAL, Harmonic, Interaction, Kink, LocalBump, Proportion, Since
-from vcal.loop.screening.score_test import Screen
+from vcal.loop.screening.score_test import ScoreTest
 from vcal.loop.screening.size_evidence import log_gain, log_mixture, over_scales
 from vcal.loop.search.certainty import doubted
-from vcal.loop.weighing.cross_validation import foretold, improvement
+from vcal.loop.weighing.cross_validation import improvement, log_predictive_density
 from vcal.loop.weighing.rivals import Rival, refit_all
 from vcal.loop.weighing.weighing import Weighed, fits_better, in_doubt, outdoes
 from vcal.report.loop.own_effect import own_effect
@@ -264,7 +264,7 @@ def test_evidence_of_a_time_constant_at_the_end_of_its_scan(tracker, size):
     assert fit.log_evidence() == pytest.approx(exact, abs=1.0)
     # As a rival, which knows the whole scan.
     base = identify(tracker.model, fit.measurement)
-    peaks = Screen(base, 5, 0).tests([effect])[0].peaks(10)
+    peaks = ScoreTest(base, 5, 0).tests([effect])[0].peaks(10)
     best = refit_all(base, peaks, {"warm_up": 1}, base.used)[0]
     amplitude = slice(len(tracker.model.entries), len(tracker.model.entries) + 1)
     noise = max(1.0, best.fit.chi2 / best.fit.dof) ** 0.5
@@ -278,7 +278,7 @@ def test_the_order_of_peaks_has_no_say(tracker):
     effect = tracker.effect("warm_up:Y:component=EZY")
     true = tracker.effect("drift:Y:rate_EZY_um_per_h=80")
     base = identify(tracker.model, measured(tracker, true))
-    (highest,) = Screen(base, 5, 0).tests([effect])[0].peaks(10)
+    (highest,) = ScoreTest(base, 5, 0).tests([effect])[0].peaks(10)
     taus = effect.scan(base.measurement.plan)["tau"]
     slopes = [
         dataclasses.replace(highest, shape={"tau": float(tau)}, statistic=0.9 * highest.statistic,
@@ -388,7 +388,7 @@ def test_what_a_fit_foretells_of_a_fold(tracker):
     """
     fit = identify(tracker.model, measured(tracker))
     n, m = fit.residual.shape
-    found = foretold(fit)
+    found = log_predictive_density(fit)
     folds, _ = fit.model.instrument.folds(fit.measurement.plan)
     flat = fit.precision == 0
     prior = fit.precision + 1e-8 * flat * np.diag(fit.jacobian.T @ fit.jacobian)
@@ -414,7 +414,7 @@ def test_what_only_a_fold_can_see_is_projected_out_of_it(tmp_path):
     it = Known("ball_array", tmp_path)
     fit = identify(it.model, measured(it))
     n, m = fit.residual.shape
-    found = foretold(fit)
+    found = log_predictive_density(fit)
     folds, _ = fit.model.instrument.folds(fit.measurement.plan)
     flat = fit.precision == 0
     for fold in np.unique(folds)[:2]:

@@ -7,7 +7,7 @@ import pytest
 
 from known import Known
 from vcal import Measurement, close_loop, identify
-from vcal.loop.search.certainty import uncertainties
+from vcal.loop.search.certainty import jump_time_uncertainty
 from vcal.loop.search.state import fitted
 
 
@@ -62,7 +62,7 @@ def test_the_moment_is_as_uncertain_as_it_scatters(many):
         effect = many.effect("jump:tool")
         effect = dataclasses.replace(effect, given=(("Y", 0.0, 0.0), ("Z", 0.0, 0.0)))
         best = _best(many, effect, measurement, t)
-        u = uncertainties(best, len(best.model.effects) - 1, many.room)["at"]
+        u = jump_time_uncertainty(best, len(best.model.effects) - 1, many.room)["at"]
         off.append((best.fit.shapes[len(best.model.effects) - 1]["at"] - moment) / u)
     assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.5
     assert np.mean(np.abs(off) < 2.0) > 0.8

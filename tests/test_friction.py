@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from vcal.dynamics import Controller, assemble, close, run
+from vcal.dynamics import Controller, assemble, controlled, run
 from vcal.dynamics.bodies import GROUND, Body, Drive, Friction, Machine, Scale, Spring, ToolPoint
 from vcal.dynamics.friction import rubbing, run_with_friction
 from vcal.errors import StudyError
@@ -65,7 +65,7 @@ def test_without_any_force_it_is_the_exact_machine():
     machine = slide(weak)
     controller = driven(machine, delay=0.3e-3)
     asked = circle(60)
-    exact = run(close(assemble(machine), controller), *asked)
+    exact = run(controlled(assemble(machine), controller), *asked)
     found = run_with_friction(machine, controller, *asked, tolerance=1e-9)
     for name in ("t", "scale", "velocity", "acceleration", "tool", "error"):
         a, b = np.asarray(getattr(found, name)), np.asarray(getattr(exact, name))

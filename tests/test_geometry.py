@@ -10,7 +10,7 @@ from known import Known
 from oracle import compose, error_motions
 from vcal import identify
 from vcal.geometry.acceptance import geometric_tests
-from vcal.identification.model_averaging import Doubt
+from vcal.identification.model_averaging import Alternatives
 from vcal.uncertainty import LineErrors
 from vcal.uncertainty.campaign import virtual_pair
 from vcal.uncertainty.linear import linearised
@@ -109,7 +109,7 @@ def test_doubts_are_part_of_the_uncertainty(known):
     other = dataclasses.replace(fit, theta=fit.theta + 0.1 * by)
     alone, doubted = (
         geometric_tests(fit),
-        geometric_tests(fit, doubts=[Doubt(fit, ((0.3, other),))]),
+        geometric_tests(fit, alternatives=[Alternatives(fit, ((0.3, other),))]),
     )
     of_other = {(t.name, t.what): t.value for t in geometric_tests(other)}
     for one, more in zip(alone, doubted, strict=True):

@@ -8,9 +8,9 @@ import pytest
 
 from known import Known
 from vcal import Measurement, identify
-from vcal.loop.screening.score_test import Screen
+from vcal.loop.screening.score_test import ScoreTest
 from vcal.loop.search.forward_selection import Added
-from vcal.loop.search.search import Search, weighed_again
+from vcal.loop.search.search import Search, reweigh_rivals
 from vcal.loop.search.state import State, fitted
 from vcal.loop.weighing.rivals import Rival, refit_all
 from vcal.loop.weighing.weighing import classes_of, weigh
@@ -52,7 +52,7 @@ def few(tracker):
 
 
 def rivals(tracker: Known, base, effects) -> list[Rival]:
-    screen = Screen(base, 20, 0)
+    screen = ScoreTest(base, 20, 0)
     peaks = [test.peaks(1)[0] for effect in effects for test in screen.tests([effect])]
     return refit_all(base, peaks, INSTANCES, base.used, tracker.room)
 
@@ -77,7 +77,7 @@ def test_rivals_are_weighed_as_if_what_was_found_later_had_been_declared(tracker
     bare_fit = identify(tracker.model, measurement, room=tracker.room)
     item = found(tracker, bare_fit, (backlash, other), backlash)
     state = state_with(tracker, measurement, backlash, later)
-    again = weighed_again(item, state, tracker.room)
+    again = reweigh_rivals(item, state, tracker.room)
     beside = identify(tracker.model.with_effects(later), measurement, room=tracker.room)
     declared = found(tracker, beside, (backlash, other), backlash).weighed
     assert again.probability == pytest.approx(declared.probability, abs=1e-3)
@@ -93,7 +93,7 @@ def test_what_was_added_later_is_no_rival(tracker, measurement, few):
     item = found(tracker, bare_fit, (backlash, later), backlash)
     assert told(item.weighed)  # it was one in its round
     state = state_with(tracker, measurement, backlash, later)
-    again = weighed_again(item, state, tracker.room)
+    again = reweigh_rivals(item, state, tracker.room)
     assert (again.probability, again.alternatives, again.instead) == (1.0, [], ())
 
 
@@ -102,7 +102,7 @@ def test_nothing_is_weighed_again_where_nothing_came_later(tracker, measurement,
     beside = identify(tracker.model.with_effects(later), measurement, room=tracker.room)
     item = found(tracker, beside, (backlash, other), backlash)
     state = state_with(tracker, measurement, later, backlash)
-    assert weighed_again(item, state, tracker.room) is item.weighed
+    assert reweigh_rivals(item, state, tracker.room) is item.weighed
 
 
 def test_of_many_effects_those_are_looked_for_anew_that_their_rivals_outweigh(monkeypatch):

@@ -20,14 +20,20 @@ from vcal.identification.robust import identify_robust
 from vcal.loop.empirical import Kink
 from vcal.loop.residuals.autocorrelation import _PHI, _SHARE, _Sequence, serial
 from vcal.loop.residuals.confounded import confounded, unrecorded_time
-from vcal.loop.residuals.outliers import at_an_end, displaced, scattered, stray_apart, stray_rows
+from vcal.loop.residuals.outliers import (
+    at_an_end,
+    displaced,
+    outliers_apart,
+    outlying_rows,
+    scattered,
+)
 from vcal.loop.residuals.variance_components import components
 from vcal.loop.screening.candidates import candidates
-from vcal.loop.screening.score_test import Screen
+from vcal.loop.screening.score_test import ScoreTest
 from vcal.loop.screening.screening import screen
 from vcal.loop.screening.significance import minus_log_beta_tail
 from vcal.loop.search.state import fitted
-from vcal.loop.weighing.cross_validation import foretold, heldout_residuals
+from vcal.loop.weighing.cross_validation import heldout_residuals, log_predictive_density
 from vcal.model.declared_noise import declared_covariances
 from vcal.model.simulate import simulate
 from vcal.numerics.least_squares import Status
@@ -287,7 +293,7 @@ def test_a_local_error_is_no_stray_reading(tracker):
     noise = white(tracker, 12)
     noise[near, 2] += 25.0
     fit = identify(tracker.model, with_noise(tracker, noise))
-    assert set(near) & {s.row for s in stray_rows(fit, lambda: (fit, np.ones(len(x))))} == set()
+    assert set(near) & {s.row for s in outlying_rows(fit, lambda: (fit, np.ones(len(x))))} == set()
     assert not scattered(fit, list(near)) and scattered(fit, [3, 40, 71])
 
 
@@ -338,7 +344,7 @@ def test_one_gross_reading_is_left_out_whatever_is_missing(tracker):
     for size in (200.0, 1e5):
         noise[row, 1] = size
         fit = identify(tracker.model, with_noise(tracker, noise))
-        found = stray_rows(fit, lambda f=fit: identify_robust(f.model, f.measurement))
+        found = outlying_rows(fit, lambda f=fit: identify_robust(f.model, f.measurement))
         assert [stray.row for stray in found] == [row]
 
 
@@ -349,7 +355,7 @@ def test_one_gross_reading_does_not_take_its_neighbours_along(tmp_path):
     noise[row, 0] += 40.0
     fit = identify(balls.model, with_noise(balls, noise))
     robust = identify_robust(fit.model, fit.measurement)
-    assert [stray.row for stray in stray_rows(fit, lambda: robust)] == [row]
+    assert [stray.row for stray in outlying_rows(fit, lambda: robust)] == [row]
 
 
 @pytest.mark.campaign
@@ -368,15 +374,15 @@ def test_one_gross_reading_among_those_that_are_only_foretold(tmp_path):
     assert np.isnan(without[row]).all()
     residuals[row] = np.nan
     np.testing.assert_allclose(without, residuals, atol=1e-12)
-    blocks = set(foretold(clean).folds) - set(foretold(state.fit).folds)
+    blocks = set(log_predictive_density(clean).folds) - set(log_predictive_density(state.fit).folds)
     assert blocks == {-1 - row}
     # What is missing from a model shows in all of them, and makes none of them gross.
     sigma = arm.instrument.noise(arm.plan, arm.measurement.readings)
     missing = clean.residual + 50.0 * sigma * white(arm, 18)
     worse = dataclasses.replace(clean, residual=missing)
-    assert stray_apart(worse, folds >= 0) == []
+    assert outliers_apart(worse, folds >= 0) == []
     missing[row] += 1e4 * sigma[row]
-    assert [stray.row for stray in stray_apart(worse, folds >= 0)] == [row]
+    assert [stray.row for stray in outliers_apart(worse, folds >= 0)] == [row]
 
 
 # --- noise that is smaller than declared ---------------------------------------------------------
@@ -501,7 +507,7 @@ def test_what_is_named_is_significant_itself(tracker):
     """Of a kind that is found at one place, another place is worth its own p-value."""
     measurement = with_noise(tracker, white(tracker, 21), tracker.effect("backlash:Y:size_um=12"))
     fit = identify(tracker.model, measurement, room=tracker.room)
-    state = Screen(fit, 200, 0)
+    state = ScoreTest(fit, 200, 0)
     tried, _ = candidates(tracker.model, measurement, [CATALOGUE["backlash"], CATALOGUE["jump"]])
     found = screen(state, tried)
     (kind,) = (k for k in found.kinds if k.kind == "backlash")

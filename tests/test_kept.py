@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from vcal.numerics.identity_cache import Kept
+from vcal.numerics.identity_cache import IdentityCache
 
 
 def test_the_very_same_objects_give_the_same_result():
-    kept, made = Kept[int](2), []
+    kept, made = IdentityCache[int](2), []
 
     def of(*objects):
         return kept.of(objects, lambda: made.append(objects) or len(made))
@@ -23,7 +23,7 @@ def test_the_very_same_objects_give_the_same_result():
 
 
 def test_no_other_object_gets_the_place_of_one_that_is_gone():
-    kept = Kept[float](10_000)
+    kept = IdentityCache[float](10_000)
     # Numbers of objects that are gone are given again.
     found = [kept.of((np.array([float(i)]),), lambda i=i: float(i)) for i in range(1000)]
     assert found == [float(i) for i in range(1000)]

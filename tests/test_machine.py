@@ -15,8 +15,8 @@ from vcal.dynamics import (
     campaign,
     check_stable,
     circle_set,
-    close,
     compliance,
+    controlled,
     identify_machine,
     measured_phasors,
     modes,
@@ -29,7 +29,7 @@ from vcal.dynamics.gains import propose
 from vcal.dynamics.response import harmonics, response
 from vcal.dynamics.unknowns import CentreShift, DampingFactor, Delay, DriveFactor, SpringFactor
 from vcal.errors import StudyError
-from vcal.numerics.compiled import outer_filter_jit, outer_jit
+from vcal.numerics.compiled import filter_jit_outermost, jit_outermost
 from vcal.numerics.least_squares import Status
 from vcal.reproduce.acceleration.measured import MATRIX_U, fit_matrix, measure
 from vcal.reproduce.acceleration.moves import compensated, positioned
@@ -52,13 +52,13 @@ TEXT = DESCRIPTION.read_text(encoding="utf-8")
 @pytest.fixture(scope="module")
 def catalogue():
     machine, controller, _ = described()
-    return machine, controller, close(assemble(machine), controller)
+    return machine, controller, controlled(assemble(machine), controller)
 
 
 @pytest.fixture(scope="module")
 def truth():
     machine, controller = real()
-    loop = close(assemble(machine), controller)
+    loop = controlled(assemble(machine), controller)
     check_stable(loop)
     return machine, controller, loop
 
@@ -216,7 +216,7 @@ def test_gains_that_are_left_out(tmp_path):
     head, _, _ = TEXT.partition("position_gain_per_s")
     path.write_text(head + "sample_time_ms = 0.25\n", encoding="utf-8")
     machine, controller, _ = load_machine(path)
-    check_stable(close(assemble(machine), controller))
+    check_stable(controlled(assemble(machine), controller))
     assert (controller.position_gain > 20.0).all()
 
 
@@ -240,7 +240,7 @@ def test_harmonics_that_an_answer_needs(catalogue, motors, sample_time, few):
     drives = tuple(dataclasses.replace(d, motor_mass=motors * d.motor_mass) for d in machine.drives)
     structure = assemble(dataclasses.replace(machine, drives=drives))
     controller = propose(structure, sample_time=sample_time, delay=0.5 * sample_time)
-    loop = close(structure, controller)
+    loop = controlled(structure, controller)
     check_stable(loop)
     omega = 48.0
     number = harmonics(structure, controller, omega)
@@ -316,7 +316,7 @@ def test_residual_and_gradient_against_finite_differences(catalogue):
     seen = seen_by(loop, 0)
     given = task(machine, controller, UNKNOWNS, seen, matrix_u=MATRIX_U)
     at = jnp.asarray(0.3 * np.random.default_rng(1).standard_normal(len(UNKNOWNS)))
-    both = outer_jit(jax.value_and_grad(lambda x: jnp.sum(given.residual(x, seen) ** 2)))
+    both = jit_outermost(jax.value_and_grad(lambda x: jnp.sum(given.residual(x, seen) ** 2)))
     slope = np.asarray(both(at)[1])
 
     def cost(x):
@@ -385,7 +385,7 @@ def test_errors_of_the_probes_are_eliminated(catalogue, truth):
     machine, controller, _ = catalogue
     seen = seen_by(truth[2], 0)
     z = jnp.asarray(0.3 * np.random.default_rng(2).standard_normal(len(UNKNOWNS)))
-    left = outer_filter_jit(lambda given, z, seen: given.residual(z, seen))
+    left = filter_jit_outermost(lambda given, z, seen: given.residual(z, seen))
     bare = left(task(machine, controller, UNKNOWNS, seen), z, seen)
     bare = np.asarray(bare[: -len(z)]).reshape(2, 60, 3)
     least = 0.0
@@ -500,8 +500,10 @@ def test_many_machines(catalogue):
         for draws in (20, 3)
     )  # fmt: skip
     assert done.converged.mean() > 0.9
-    given = task(machine, controller, UNKNOWNS, seen_by(close(assemble(machine), controller), 0))
-    loop_at = eqx.filter_jit(lambda z: close(*given.at(z)).transition)
+    given = task(
+        machine, controller, UNKNOWNS, seen_by(controlled(assemble(machine), controller), 0)
+    )
+    loop_at = eqx.filter_jit(lambda z: controlled(*given.at(z)).transition)
     poles = [np.abs(np.linalg.eigvals(loop_at(jnp.asarray(z)))).max() for z in done.true]
     np.testing.assert_array_equal(done.stable, np.array(poles) < 1.0)
     np.testing.assert_allclose(few.found, done.found[:3], rtol=1e-9)
@@ -535,7 +537,7 @@ def test_from_the_catalogue_to_the_measured_machine(catalogue, truth):
             assert low < factor < high
     before, after, real_move = (
         positioned(one)
-        for one in (loop, close(assemble(found.machine), found.controller), truth[2])
+        for one in (loop, controlled(assemble(found.machine), found.controller), truth[2])
     )
     peaks = [np.abs(one.across).max() for one in (before, after, real_move)]
     assert peaks[0] < 0.5 * peaks[2]

@@ -14,7 +14,7 @@ from vcal.cli.loop import close_study
 from vcal.effects.registry import load_effects
 from vcal.errors import StudyError
 from vcal.model.measurement import Measurement
-from vcal.report.html.folder import Place
+from vcal.report.html.folder import ReportFolder
 from vcal.study import load_study
 from vcal.study.simulated import parse_with
 
@@ -238,7 +238,7 @@ def test_a_file_in_the_folder_of_the_report(small_tracker_study, monkeypatch):
         (work / "report.json").write_text('{"schema": "vcal-report/1", "files": ["own_effect.py"]}')
         return ["own_effect.py", "report.json"]
 
-    Place(record="report.json", schema="vcal-report/").fill(out, make)
+    ReportFolder(record="report.json", schema="vcal-report/").fill(out, make)
     setup = small_tracker_study / "setup.toml"
     text = setup.read_text(encoding="utf-8") + '\n[model]\neffects_file = "out/own_effect.py"\n'
     setup.write_text(text, encoding="utf-8")

@@ -29,7 +29,7 @@ from vcal.distributions import (
 from vcal.machine.parameters import Prior
 from vcal.model.prior import Amplitudes
 from vcal.model.simulate import draw, draw_scatter, ideal_readings, prepare
-from vcal.numerics.compiled import outer_jit
+from vcal.numerics.compiled import jit_outermost
 from vcal.uncertainty import ErrorMotionErrors, linearised, virtual_pair
 from vcal.uncertainty.linear import sources
 from vcal.uncertainty.quantities import State
@@ -140,7 +140,7 @@ def test_a_joint_distribution_counts_jointly_in_the_gum(tracker, screw):
         return measure(State(true, {}, found, {}))["error motion"]
 
     drawn = jax.vmap(Amplitudes.of([effect]).sample)(KEYS)
-    u = np.asarray(outer_jit(jax.vmap(judged))(drawn)).std(0)
+    u = np.asarray(jit_outermost(jax.vmap(judged))(drawn)).std(0)
     moved = u > 0.05 * u.max()
     assert moved.sum() > 5
     contribution = told.contribution[moved, told.source.labels.index(effect.key)]

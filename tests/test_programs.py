@@ -7,7 +7,7 @@ import pytest
 
 from vcal.numerics import compiled as programs
 from vcal.numerics.arrays import namespace
-from vcal.numerics.compiled import outer_filter_jit, outer_jit
+from vcal.numerics.compiled import filter_jit_outermost, jit_outermost
 
 
 @pytest.fixture
@@ -25,19 +25,19 @@ def powers(x, twice: bool):
 def test_they_compute_what_is_written():
     x = np.linspace(-3.0, 3.0, 101)
     for twice in (False, True):
-        found, what = outer_filter_jit(powers)(x, twice)
+        found, what = filter_jit_outermost(powers)(x, twice)
         np.testing.assert_allclose(found, np.sin(x) ** (1 + twice), rtol=1e-14, atol=1e-300)
         assert what == "of a sine"
-    assert outer_filter_jit(powers).__name__ == "powers"
-    found = outer_jit(lambda x: powers(x, True)[0])(x)
+    assert filter_jit_outermost(powers).__name__ == "powers"
+    found = jit_outermost(lambda x: powers(x, True)[0])(x)
     np.testing.assert_allclose(found, np.sin(x) ** 2, rtol=1e-14, atol=1e-300)
 
 
 def test_they_are_no_part_of_another_program():
     with pytest.raises(ValueError, match="top-level"):
-        jax.jit(lambda x: outer_filter_jit(powers)(x, True)[0])(jnp.ones(3))
+        jax.jit(lambda x: filter_jit_outermost(powers)(x, True)[0])(jnp.ones(3))
     with pytest.raises(ValueError, match="top-level"):
-        jax.jit(outer_jit(lambda x: 2.0 * x))(jnp.ones(3))
+        jax.jit(jit_outermost(lambda x: 2.0 * x))(jnp.ones(3))
 
 
 def test_an_option_that_the_compiler_no_longer_knows_is_left_out(monkeypatch, fresh_options):
@@ -46,7 +46,7 @@ def test_an_option_that_the_compiler_no_longer_knows_is_left_out(monkeypatch, fr
     assert "xla_no_such_option" not in known
     # Every release that vcal runs with has this one.
     assert known["xla_backend_optimization_level"] == 1
-    assert float(outer_filter_jit(powers)(np.zeros(1), False)[0][0]) == 0.0
+    assert float(filter_jit_outermost(powers)(np.zeros(1), False)[0][0]) == 0.0
 
 
 def test_numpy_outside_of_programs_and_jax_inside():

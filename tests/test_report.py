@@ -20,14 +20,14 @@ from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
 from vcal.effects.data_set import OfDataSet
 from vcal.geometry.acceptance import geometric_tests
-from vcal.identification.model_averaging import Doubt
+from vcal.identification.model_averaging import Alternatives
 from vcal.instruments.ball_array import BallCalibration
 from vcal.instruments.conditions import file_column
 from vcal.loop.empirical import LocalBump
 from vcal.loop.empirical.covariates import correlation
 from vcal.loop.outcome.closure import Rejected
 from vcal.loop.outcome.unexplained import Interval, Unexplained
-from vcal.loop.residuals.outliers import Stray
+from vcal.loop.residuals.outliers import Outlier
 from vcal.loop.residuals.variance_components import Component
 from vcal.loop.screening.candidates import Untestable
 from vcal.loop.screening.score_test import Peak
@@ -257,8 +257,10 @@ def test_page_says_what_effects_of_one_data_set_are(closed):
 
 def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):
     _, study, closure = closed
-    certain = dataclasses.replace(closure, doubts=[])
-    doubted = dataclasses.replace(closure, doubts=[Doubt(closure.after, ((1.0, closure.before),))])
+    certain = dataclasses.replace(closure, alternatives=[])
+    doubted = dataclasses.replace(
+        closure, alternatives=[Alternatives(closure.after, ((1.0, closure.before),))]
+    )
     assert [("u also holds what" in page(one, study, [], [])) for one in (certain, doubted)] == [
         0,
         1,
@@ -379,7 +381,7 @@ def test_a_dent_becomes_an_effect_of_ones_own(tmp_path):
 
 def test_rows_count_as_in_the_file_and_what_is_not_a_number_is_null(closed):
     _, study, closure = closed
-    changed = dataclasses.replace(closure, suspected=[Stray(0, 7.0, 1e-6)], noise_scale=math.nan)
+    changed = dataclasses.replace(closure, suspected=[Outlier(0, 7.0, 1e-6)], noise_scale=math.nan)
     told = record(changed, study)
     assert told["suspected_readings"] == [{"row": 1, "distance": 7.0, "p_value": 1e-6}]
     assert told["noise_scale"] is None and told["seconds"] is None

@@ -13,9 +13,9 @@ from known import Known
 from vcal import CATALOGUE, Effect, Measurement, Parameter, identify
 from vcal.identification.robust import identify_robust
 from vcal.loop.empirical import EMPIRICAL, LocalBump
-from vcal.loop.residuals.outliers import stray_rows
+from vcal.loop.residuals.outliers import outlying_rows
 from vcal.loop.screening.candidates import candidates
-from vcal.loop.screening.score_test import Peak, Screen, largest
+from vcal.loop.screening.score_test import Peak, ScoreTest, largest
 from vcal.loop.screening.screening import screen
 from vcal.loop.screening.significance import corrected, effective_trials, minus_log_chi2_tail
 from vcal.loop.weighing.rivals import refit, refit_all
@@ -37,8 +37,8 @@ def noisy(it: Known, seed: int, *effects: Effect, theta=None, factor=1.0) -> Mea
     return Measurement(it.plan, it.readings(*effects, theta=theta) + noise)
 
 
-def screened(it: Known, measurement: Measurement, draws: int = 200, seed: int = 0) -> Screen:
-    return Screen(identify(it.model, measurement, room=it.room), draws, seed)
+def screened(it: Known, measurement: Measurement, draws: int = 200, seed: int = 0) -> ScoreTest:
+    return ScoreTest(identify(it.model, measurement, room=it.room), draws, seed)
 
 
 # --- the statistic -------------------------------------------------------------------------------
@@ -156,9 +156,9 @@ def test_null_draws_have_the_covariance_of_residuals(known):
         assert np.mean((way @ null) ** 2) == pytest.approx(expected, rel=4.5 * np.sqrt(2 / 800))
     # The squares of readings and prior together: those of all that has no flat prior.
     assert state.null_cost.mean() == pytest.approx(state.count, rel=0.03)
-    again = Screen(fit, 800, 0)
+    again = ScoreTest(fit, 800, 0)
     np.testing.assert_array_equal(again.null, state.null)
-    assert np.abs(Screen(fit, 800, 1).null - state.null).max() > 0.1
+    assert np.abs(ScoreTest(fit, 800, 1).null - state.null).max() > 0.1
 
 
 def test_p_values_are_even_where_nothing_is_missing(known):
@@ -205,7 +205,7 @@ def test_corrected_p_of_a_scan_is_uniform_at_its_small_end(known):
     it, parts = known["laser_tracker"], []
     fit = identify(it.model, noisy(it, 8), room=it.room)
     for seed in range(16):
-        state = Screen(fit, 500, seed)
+        state = ScoreTest(fit, 500, seed)
         drops = [t.drops.null for t in state.tests([it.effect(f"screw_cyclic:{a}") for a in "XY"])]
         parts.append(state.rarest(largest(drops), state.null_cost))
     often, seldom = levels(parts)
@@ -306,7 +306,7 @@ def test_what_would_leave_its_scan_is_not_explained_by_another(known):
     uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
     further = np.linalg.solve(h, uphill)
     assert uphill @ further > 0.1
-    left = Screen(fit, 5, 0).residual.reshape(-1)
+    left = ScoreTest(fit, 5, 0).residual.reshape(-1)
     downhill = fit.jacobian.T @ left - fit.precision * (fit.theta + further)
     np.testing.assert_allclose(downhill, 0.0, atol=1e-6 * np.abs(uphill).max())
 
@@ -407,7 +407,7 @@ def test_stray_readings(kind, known):
 
     def found(measurement):
         fit = identify(it.model, measurement, room=it.room)
-        return stray_rows(fit, lambda: identify_robust(it.model, measurement, room=it.room))
+        return outlying_rows(fit, lambda: identify_robust(it.model, measurement, room=it.room))
 
     measurement = noisy(it, 7)
     assert found(measurement) == []

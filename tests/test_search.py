@@ -19,7 +19,7 @@ from vcal.loop.residuals.dependence import dependence
 from vcal.loop.screening import score_test as screening
 from vcal.loop.screening.candidates import candidates
 from vcal.loop.screening.responses import Responses
-from vcal.loop.screening.score_test import Peak, Screen
+from vcal.loop.screening.score_test import Peak, ScoreTest
 from vcal.loop.screening.screening import screen
 from vcal.loop.search.certainty import doubted
 from vcal.loop.search.forward_selection import Added
@@ -115,7 +115,7 @@ def test_what_made_a_kind_significant_is_refitted_whatever_is_likelier():
 
 
 def test_a_candidate_that_sees_nothing_is_unseen(tracker):
-    state = Screen(identify(tracker.model, noisy(tracker, 1), room=tracker.room), 20, 0)
+    state = ScoreTest(identify(tracker.model, noisy(tracker, 1), room=tracker.room), 20, 0)
     found = screen(state, [Blind(), bare(tracker, "backlash:Y:size_um=1")])
     assert [effect.name for effect in found.unseen] == ["blind"]
     assert [kind.kind for kind in found.kinds] == ["backlash"]
@@ -123,7 +123,7 @@ def test_a_candidate_that_sees_nothing_is_unseen(tracker):
 
 def test_evidence_does_not_depend_on_chunks(tracker, monkeypatch):
     true = tracker.effect("screw_cyclic:X:sine_um=8,cosine_um=4,pitch_mm=10")
-    state = Screen(identify(tracker.model, noisy(tracker, 9, true), room=tracker.room), 20, 0)
+    state = ScoreTest(identify(tracker.model, noisy(tracker, 9, true), room=tracker.room), 20, 0)
     effect = dataclasses.replace(true, given=())
     whole = state.tests([effect])[0]
     monkeypatch.setattr(screening, "_CHUNK", 7)
@@ -143,9 +143,9 @@ def test_candidates_are_tested_together_as_alone(tracker):
     tried, _ = candidates(fit.model, fit.measurement, [type(true), *some])
     assert len({len(effect.amplitudes) for effect in tried}) > 1
     responses = Responses(fit.measurement.plan, 4_000_000)
-    once, again = (Screen(fit, 20, 0, responses).tests(tried) for _ in range(2))
+    once, again = (ScoreTest(fit, 20, 0, responses).tests(tried) for _ in range(2))
     for effect, first, second in zip(tried, once, again, strict=True):
-        alone = Screen(fit, 20, 0).tests([effect])[0]
+        alone = ScoreTest(fit, 20, 0).tests([effect])[0]
         assert alone is not None and first is not None and second is not None
         np.testing.assert_allclose(first.drops.stat, alone.drops.stat, rtol=1e-9)
         np.testing.assert_allclose(first.bayes, alone.bayes, rtol=0, atol=1e-9)
@@ -185,7 +185,7 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     measurement = noisy(tracker, 4, tracker.effect("backlash:Y:size_um=120"))
     base = identify(tracker.model, measurement, room=tracker.room)
     effect = bare(tracker, "backlash:Y:size_um=1")
-    state = Screen(base, 20, 0)
+    state = ScoreTest(base, 20, 0)
     (peak,) = state.tests([effect])[0].peaks(1)
     (rival,) = refit_all(base, [peak], {"backlash": 2}, base.used, tracker.room)
     place = len(rival.fit.model.effects) - 1
@@ -198,7 +198,7 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     expected = rival.log_bayes + np.log(0.5) + rival.leniency
     assert rival.log_weight == pytest.approx(expected)
     small = identify(tracker.model, noisy(tracker, 4, tracker.effect("backlash:Y:size_um=12")))
-    (peak,) = Screen(small, 20, 0).tests([effect])[0].peaks(1)
+    (peak,) = ScoreTest(small, 20, 0).tests([effect])[0].peaks(1)
     (rival,) = refit_all(small, [peak], {"backlash": 2}, small.used, tracker.room)
     assert rival.leniency == 0.0
 

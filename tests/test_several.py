@@ -18,14 +18,14 @@ from vcal.effects.geometric import GeometricErrors
 from vcal.effects.r_test import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.loop.empirical.covariates import distinct_covariates
-from vcal.loop.notes import _elsewhere, _few_check_points, _worse, contradiction
+from vcal.loop.notes import _elsewhere, _few_check_points, _worse, data_set_consistency
 from vcal.loop.notes import alone as alone_fit
 from vcal.loop.outcome.closure import Errors
 from vcal.loop.outcome.unexplained import from_structure
 from vcal.loop.residuals.dependence import dependence
-from vcal.loop.residuals.outliers import stray_rows
+from vcal.loop.residuals.outliers import outlying_rows
 from vcal.loop.screening.candidates import candidates
-from vcal.loop.screening.score_test import Screen
+from vcal.loop.screening.score_test import ScoreTest
 from vcal.loop.search.certainty import doubted
 from vcal.loop.search.state import chi2_per_dof, fitted
 from vcal.loop.weighing.cross_validation import (
@@ -231,7 +231,7 @@ def test_padding_counts_nowhere(framed, framed_fit):
     )
     assert fit.dof == pytest.approx(3 * (n - 105) + 2 * 105 - np.trace(hat), abs=1e-6)
     assert abs(fit.chi2 / fit.dof - 1.0) < 4.0 * np.sqrt(2.0 / fit.dof)
-    state = Screen(fit, 50, 0)
+    state = ScoreTest(fit, 50, 0)
     assert not state.null[beams, 2].any()
     expected = (state.null**2).sum((0, 1)).mean() / fit.dof  # drawn under the same prior, noise
     assert abs(expected - 1.0) < 5.0 * np.sqrt(2.0 / fit.dof / 50)
@@ -254,19 +254,19 @@ def test_no_number_of_the_padding_is_read(framed, framed_fit):
     assert (other.chi2, other.dof) == (fit.chi2, fit.dof)
     assert other.log_evidence(1.3) == pytest.approx(fit.log_evidence(1.3), abs=1e-9)
     np.testing.assert_array_equal(heldout_residuals(other), heldout_residuals(fit))
-    np.testing.assert_array_equal(Screen(other, 20, 0).null, Screen(fit, 20, 0).null)
+    np.testing.assert_array_equal(ScoreTest(other, 20, 0).null, ScoreTest(fit, 20, 0).null)
 
 
 def test_a_stray_reading_is_found_in_its_own_data_set(framed, framed_fit):
     """A row of two readings is judged by two degrees of freedom, at the scale of its own set."""
     study, fit = framed[1], framed_fit
     weights = np.ones(study.plan.rows)
-    assert stray_rows(fit, lambda: (fit, weights)) == []
+    assert outlying_rows(fit, lambda: (fit, weights)) == []
     row = int(np.flatnonzero(study.plan.in_set("frame"))[40])
     readings = study.measurement.readings.copy()
     readings[row, 0] += 10.0 * study.instrument.noise(study.plan, readings)[row, 0]
     spoilt = identify(study.model, Measurement(study.plan, readings), room=ROOM)
-    (stray,) = stray_rows(spoilt, lambda: (spoilt, weights))
+    (stray,) = outlying_rows(spoilt, lambda: (spoilt, weights))
     assert stray.row == row and study.plan.place(row) == ("frame", 40)
 
 
@@ -450,7 +450,7 @@ def two_machines(tmp_path_factory):
 def test_two_machines_are_not_one(two_machines):
     study = two_machines
     fit = identify(study.model, study.measurement, room=ROOM)
-    said = contradiction(fit, fit, ROOM)
+    said = data_set_consistency(fit, fit, ROOM)
     joint = chi2_per_dof(fit)
     assert f"do not fit one machine: chi² per degree of freedom is {joint:.3g} where" in said
     for name, rows in study.plan.parts.items():
@@ -459,16 +459,16 @@ def test_two_machines_are_not_one(two_machines):
         assert chi2_per_dof(one) < 1.3 < 0.5 * joint
         assert f"{name} {chi2_per_dof(one):.3g}" in said
     # With their difference in the model they are one.
-    assert contradiction(fit, one, ROOM) == ""
+    assert data_set_consistency(fit, one, ROOM) == ""
 
 
 def test_data_sets_of_one_machine_do_not_contradict_each_other(clean, clean_fit):
-    assert contradiction(clean_fit, clean_fit, ROOM) == ""
+    assert data_set_consistency(clean_fit, clean_fit, ROOM) == ""
     (rows,) = (clean[1].plan.in_set("balls"),)
     single = dataclasses.replace(
         clean_fit, measurement=Measurement(clean[1].plan.part("balls"), clean_fit.residual[rows])
     )
-    assert contradiction(single, single, ROOM) == ""
+    assert data_set_consistency(single, single, ROOM) == ""
 
 
 @pytest.mark.campaign

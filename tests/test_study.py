@@ -10,7 +10,7 @@ from vcal.effects import CATALOGUE
 from vcal.errors import StudyError
 from vcal.identification.identify import identify
 from vcal.instruments import INSTRUMENTS
-from vcal.loop.weighing.cross_validation import foretold
+from vcal.loop.weighing.cross_validation import log_predictive_density
 from vcal.study import load_study, read_table, write_table
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -152,7 +152,7 @@ def test_the_poses_of_an_arm_may_stand_in_any_order(small_arm_study, backwards):
     assert apart is True
     read = other.measurement.readings
     np.testing.assert_allclose(read, study.measurement.readings[order], rtol=0, atol=1e-9)
-    told = [foretold(identify(s.model, s.measurement)) for s in (study, other)]
+    told = [log_predictive_density(identify(s.model, s.measurement)) for s in (study, other)]
     sums = [[one.deviance[one.folds == fold].sum() for fold in range(4)] for one in told]
     assert min(map(abs, sums[0])) > 0
     np.testing.assert_allclose(sums[1], sums[0], rtol=0, atol=1e-3)

@@ -8,7 +8,7 @@ import pytest
 
 from known import Known
 from vcal import Measurement, identify
-from vcal.loop.screening.score_test import Screen
+from vcal.loop.screening.score_test import ScoreTest
 from vcal.loop.search.state import chi2_per_dof
 from vcal.loop.weighing.rivals import refit_all
 from vcal.loop.weighing.subsets import _Linear, _together, smallest_subset
@@ -31,7 +31,7 @@ def rivals_of(it: Known, *present: str):
     noise = sigma * np.random.default_rng(4).standard_normal(sigma.shape)
     readings = it.readings(*map(it.effect, present)) + noise
     base = identify(it.model, Measurement(it.plan, readings), room=it.room)
-    state = Screen(base, 20, 0)
+    state = ScoreTest(base, 20, 0)
     peaks = [state.tests([it.effect(text)])[0].peaks(1)[0] for text in EFFECTS]
     keep = np.ones(len(it.plan.position), bool)
     rivals = refit_all(base, peaks, {p.effect.name: 3 for p in peaks}, keep, it.room)

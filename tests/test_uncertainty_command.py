@@ -21,7 +21,7 @@ from vcal.cli.uncertainty import parse_draws
 from vcal.model.forward import port_values, tool_points
 from vcal.model.simulate import conditions_at
 from vcal.report import Badge, Picture, Section, Table, Tile, sheet
-from vcal.report.html.folder import Place
+from vcal.report.html.folder import ReportFolder
 from vcal.report.uncertainty.page import _badge, _volumetric
 from vcal.report.uncertainty.pictures import virtual_pictures
 from vcal.report.uncertainty.record import sentence
@@ -307,7 +307,7 @@ def test_sheet():
 
 
 def test_only_a_report_of_its_own_kind_is_replaced(tmp_path):
-    mine = Place(record="result.json", schema="vcal-uncertainty/", beside="draws")
+    mine = ReportFolder(record="result.json", schema="vcal-uncertainty/", beside="draws")
     (tmp_path / "draws").mkdir()
     mine.check(tmp_path)
     (tmp_path / "result.json").write_text('{"schema": "vcal-other/1"}')

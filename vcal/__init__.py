@@ -5,10 +5,10 @@ what was commanded, and under which conditions, to what the instrument read. The
 package are uses of that one function.
 """
 
-from .startup import starting
+from .startup import importing
 
 # Most of the time that a command takes to start.
-with starting():
+with importing():
     import jax
 
     from .effects import CATALOGUE, Effect, register

@@ -2,12 +2,12 @@
 
 import gc
 
-from .startup import starting
+from .startup import importing
 
 
 def main() -> None:
     """Run the command line; the process ends with its exit code."""
-    with starting():
+    with importing():
         from .cli import main as run
     gc.freeze()  # what has been imported stays; collections need not look at it again
     run()

@@ -14,7 +14,7 @@ _INTERRUPTED = 130
 
 
 @contextlib.contextmanager
-def starting() -> Iterator[None]:
+def importing() -> Iterator[None]:
     """Import in this block what takes seconds.
 
     A process that was started as ``vcal`` or ``python -m vcal`` ends at once where it is

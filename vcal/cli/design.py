@@ -5,13 +5,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..design.next_measurement import follow
+from ..design.next_measurement import plan_next
 from ..design.optimise import optimise, seen
 from ..design.separation import Separation
 from ..errors import StudyError
-from ..report.design.next_page import carried_over, following_sentence
+from ..report.design.next_page import carried_over, next_sentence
 from ..report.design.record import design_sentence
-from ..report.design.write import check_design_folder, write_design, write_following
+from ..report.design.write import check_design_folder, write_design, write_next
 from ..study import Study, load_study
 from ..study.design.rivals import Wanted, parse_rivals, rivals_of
 from ..study.design.task import check_designed, design_task
@@ -90,7 +90,7 @@ def _next(
     if wanted is not None:
         task = design_task(study, wanted.declared, wanted.others)
         separation = Separation.of(task.families[0].model, *wanted.rivals)
-    done = follow(
+    done = plan_next(
         task,
         settings.more or _MORE[task.space.group],
         separation=separation,
@@ -101,8 +101,8 @@ def _next(
     )
     progress("writing the report")
     seconds = time.perf_counter() - began
-    page = write_following(done, study, out, why=why, seed=seed, command=command, seconds=seconds)
-    told = [why, following_sentence(done), carried_over(done, study)]
+    page = write_next(done, study, out, why=why, seed=seed, command=command, seconds=seconds)
+    told = [why, next_sentence(done), carried_over(done, study)]
     return Done(page, [line for line in told if line])
 
 

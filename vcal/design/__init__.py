@@ -22,7 +22,7 @@ from .average import Average, weigh_average
 from .criteria import CRITERIA, Criterion, Judged
 from .exchange import Choice, exchange
 from .minimax import Minimax, minimax
-from .next_measurement import Following, follow
+from .next_measurement import NextMeasurement, plan_next
 from .optimise import Designed, Task, optimise
 from .plan_space import DesignSettings, PlanSpace, Subject
 from .search import Found, search
@@ -53,7 +53,7 @@ __all__ = [
     "DesignSettings",
     "Designed",
     "Displacements",
-    "Following",
+    "NextMeasurement",
     "Found",
     "Gram",
     "Judged",
@@ -77,7 +77,7 @@ __all__ = [
     "expanded",
     "expected_rms",
     "flat_rank",
-    "follow",
+    "plan_next",
     "gram_for",
     "information",
     "inverse",

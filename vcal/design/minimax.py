@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..numerics.arrays import Array
-from ..numerics.compiled import outer_jit
+from ..numerics.compiled import jit_outermost
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,10 @@ def minimax(
     """
     z = np.asarray(start, float)
     A, b = (np.zeros((0, len(z))), np.zeros(0)) if at_least is None else at_least
-    value_of = outer_jit(criteria) if slopes is None else criteria
+    value_of = jit_outermost(criteria) if slopes is None else criteria
     first = np.asarray(value_of(z))
     if slopes is None:
-        slopes = outer_jit((jax.jacfwd if len(z) < len(first) else jax.jacrev)(criteria))
+        slopes = jit_outermost((jax.jacfwd if len(z) < len(first) else jax.jacrev)(criteria))
     if not np.isfinite(first).all():
         raise ValueError("found a criterion that is not finite at the start, expected a number")
     slack = 1e-9

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ..errors import StudyError
 from ..numerics.arrays import Array
-from ..numerics.compiled import outer_jit
+from ..numerics.compiled import jit_outermost
 from .optimise import Compiled, Task, Value, check_finite, prior_value, require_traceable, traceable
 from .plan_space import PlanSpace, joint_information
 from .search import search
@@ -37,7 +37,7 @@ class Candidate(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Following:
+class NextMeasurement:
     """The next measurement."""
 
     task: Task
@@ -61,10 +61,10 @@ class Following:
         return self.candidates[0]
 
 
-def follow(
+def plan_next(
     task: Task, count: int, *, separation: Separation | None = None, seed: int = 0,
     starts: int = 8, steps: int = 200, progress: Callable[[str], None] = lambda text: None,
-) -> Following:  # fmt: skip
+) -> NextMeasurement:  # fmt: skip
     """Search for `count` further groups that make the criterion small, or tell two rivals apart.
 
     What is measured already (the plan of the task as it is) is held fixed; the station or the balls
@@ -99,7 +99,7 @@ def follow(
     progress("judging the best")
     told = None
     if separating is not None:
-        told = outer_jit(separating.lambdas) if differentiable else separating.lambdas
+        told = jit_outermost(separating.lambdas) if differentiable else separating.lambdas
     candidates = []
     for z, start in ends:
         placed = space.settled(space.placed(jnp.asarray(z)))
@@ -122,7 +122,7 @@ def follow(
     separated = None
     if told is not None:
         separated = Lambda(*np.asarray(told(anything, 0.0)).tolist())
-    return Following(
+    return NextMeasurement(
         task=further,
         present=present,
         before=before,
@@ -146,7 +146,7 @@ def _each(
 ) -> Float[np.ndarray, " n"]:
     if not compile_it:
         return np.array([float(function(z)) for z in points])
-    compiled = outer_jit(function)
+    compiled = jit_outermost(function)
     return np.array([float(compiled(z)) for z in points])
 
 

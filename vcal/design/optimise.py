@@ -15,7 +15,7 @@ from ..identification.posterior import eliminated, inverse
 from ..identification.rank import rank_of
 from ..model.forward import Model
 from ..numerics.arrays import Array
-from ..numerics.compiled import outer_jit
+from ..numerics.compiled import jit_outermost
 from .criteria import MICRO, Criterion, Judged, averaged
 from .judged import prior_covariance
 from .plan_space import NOT_TRACED, PlanSpace, starts_of
@@ -86,7 +86,7 @@ class Compiled:
     def __init__(self, task: Task, held: Sequence[np.ndarray] | None = None):
         self.task = task
         self.held = held
-        self._value = outer_jit(self._valued)
+        self._value = jit_outermost(self._valued)
 
     def covariances(self, placed: Any, weights: Float[Array, " g"]) -> list[Float[Array, "k k"]]:
         """Of the amplitudes of every family."""
@@ -133,7 +133,7 @@ def prior_value(task: Task) -> Value | None:
     if len(known) < len(priors):
         return None
     # As an argument: of constants XLA would make the values itself, slowly.
-    return _value(outer_jit(lambda priors: _values(task, priors))(known))
+    return _value(jit_outermost(lambda priors: _values(task, priors))(known))
 
 
 def optimise(

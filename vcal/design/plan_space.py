@@ -15,7 +15,7 @@ from ..machine.chain import Chain
 from ..machine.plan import Plan
 from ..model.forward import Model
 from ..numerics.arrays import Array
-from ..numerics.compiled import outer_jit
+from ..numerics.compiled import jit_outermost
 from ..registry import Catalogue
 
 Goal = Literal["volume", "largest", "determinant"]
@@ -236,7 +236,7 @@ def joint_information(space: PlanSpace, placed: Any, model: Model) -> Float[np.n
         jax.eval_shape(told, placed)
     except NOT_TRACED:
         return np.asarray(told(placed))
-    return np.asarray(outer_jit(told)(placed))
+    return np.asarray(jit_outermost(told)(placed))
 
 
 def path_m(position: Float[np.ndarray, "n axes"]) -> float:

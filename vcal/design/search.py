@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from ..numerics.compiled import outer_jit
+from ..numerics.compiled import jit_outermost
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def search(
     # Only here: whoever designs nothing need not wait for it.
     from scipy.optimize import minimize
 
-    both = criterion if with_slope else outer_jit(jax.value_and_grad(criterion))
+    both = criterion if with_slope else jit_outermost(jax.value_and_grad(criterion))
 
     def one(start: np.ndarray) -> Found:
         first, slope = both(start)

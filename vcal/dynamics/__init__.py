@@ -1,7 +1,7 @@
 """Machines that move: bodies on springs under their controllers, and what acceleration does.
 
 `vcal.io.machine.load_machine` reads a description; `assemble` gives its matrices, `modes` its
-frequencies, `compliance` how it bends while it is accelerated, `close` the machine under its
+frequencies, `compliance` how it bends while it is accelerated, `controlled` the machine under its
 controllers, `run` and `run_circle` what comes of set points, `identify_machine` what the circles of
 an R-test say of its stiffness, damping, centres of gravity and delay, and `campaign` how well they
 do so for many machines.
@@ -11,7 +11,7 @@ from .assemble import Structure, assemble
 from .bodies import Body, Drive, Machine, Scale, Spring, ToolPoint
 from .campaign import Campaign, Noise, campaign
 from .circles import Phasors, measured_phasors, predicted, set_phasors
-from .closed_loop import ClosedLoop, Response, check_stable, close, run, run_circle, steady
+from .closed_loop import ClosedLoop, Response, check_stable, controlled, run, run_circle, steady
 from .compliance import compliance
 from .control import Controller
 from .evaluate import Evaluated, evaluate
@@ -54,7 +54,7 @@ __all__ = [
     "check_stable",
     "check_supported",
     "circle_set",
-    "close",
+    "controlled",
     "compliance",
     "evaluate",
     "identify_machine",

@@ -19,7 +19,7 @@ from ..numerics.least_squares import Status
 from .assemble import assemble
 from .bodies import Machine
 from .circles import Phasors, set_phasors
-from .closed_loop import close, settles
+from .closed_loop import controlled, settles
 from .compliance import compliance
 from .control import Controller
 from .identify import Task, solve, task
@@ -174,7 +174,7 @@ def _one(given: Task, seen: Phasors, scatter: Array, samples: int, key: Array) -
         "matrix_true": matrix(true[:k]),
         "matrix_u": jnp.sqrt(jnp.einsum("xak,kl,xal->xa", slope, whole, slope)),
         "chi2": result.cost,
-        "stable": settles(close(*given.at(true[:k]))),
+        "stable": settles(controlled(*given.at(true[:k]))),
         "status": result.status,
         "steps": result.steps,
     }

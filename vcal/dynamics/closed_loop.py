@@ -80,7 +80,7 @@ class Response(eqx.Module):
     """Tool point against where the scales say it is, m."""
 
 
-def close(structure: Structure, controller: Controller) -> ClosedLoop:
+def controlled(structure: Structure, controller: Controller) -> ClosedLoop:
     """The closed loop; structure and controller may be traced."""
     n, axes, T = structure.size, len(structure.axes), controller.sample_time
     inverse = jnp.linalg.inv(structure.mass)
@@ -167,7 +167,7 @@ def _exponential(X: Array) -> Array:
 
 def check_sampled(structure: Structure, sample_time: float) -> None:
     """Raise `ValueError` where a mode is too fast, or decays too fast, for the series by which the
-    motion over one sample time is computed (`close`).
+    motion over one sample time is computed (`controlled`).
     """
     n = structure.size
     inverse = np.linalg.inv(np.asarray(structure.mass))

@@ -9,7 +9,7 @@ surfaces move at w against each other,
 and that give way where s z reaches g: friction before sliding is a spring, sliding sets in at Fs
 and goes on with Fc, and a reversal runs through the spring once more. That makes the peaks at the
 quadrants of a circle, which no linear model has. Plant and bristles are integrated from one change
-of the forces to the next by diffrax; the controllers are those of `close`, sample by sample.
+of the forces to the next by diffrax; the controllers are those of `controlled`, sample by sample.
 """
 
 import diffrax

@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from ..numerics.arrays import Array
 from .assemble import Structure
-from .closed_loop import check_sampled, close
+from .closed_loop import check_sampled, controlled
 from .control import Controller
 
 _MARGIN = 2.0
@@ -47,7 +47,7 @@ def propose(
     if bandwidth is not None:
         return controller(bandwidth)
     check_sampled(structure, sample_time)
-    transition = jax.jit(lambda w: close(structure, controller(w, _MARGIN)).transition)
+    transition = jax.jit(lambda w: controlled(structure, controller(w, _MARGIN)).transition)
     for w in _BANDWIDTHS[_BANDWIDTHS * sample_time <= 0.2 * 2.0 * np.pi]:
         after = np.asarray(transition(w))
         if np.abs(np.linalg.eigvals(after)).max() < 1.0:

@@ -20,13 +20,13 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ..numerics.arrays import Array
-from ..numerics.compiled import outer_filter_jit
+from ..numerics.compiled import filter_jit_outermost
 from ..numerics.least_squares import Status
 from ..numerics.trust_region import Found, within_prior
 from .assemble import Structure, assemble
 from .bodies import Machine
 from .circles import Phasors, answers
-from .closed_loop import check_stable, close
+from .closed_loop import check_stable, controlled
 from .compliance import compliance
 from .control import Controller
 from .response import harmonics, response
@@ -121,7 +121,7 @@ class Task(eqx.Module):
         structure, controller = self.at(z)
         if (number := self.harmonics) is not None:
             return jax.vmap(lambda w: response(structure, controller, w, number))(self.omega)
-        return answers(close(structure, controller), self.omega)
+        return answers(controlled(structure, controller), self.omega)
 
     def residual(self, z: Float[Array, " k"], seen: Phasors) -> Float[Array, " n"]:
         """Whitened differences, then z, which is in prior standard deviations."""
@@ -193,7 +193,7 @@ def _residual(z: Array, args: tuple[Task, Phasors]) -> Array:
     return given.residual(z, seen)
 
 
-_solve = outer_filter_jit(solve)
+_solve = filter_jit_outermost(solve)
 
 
 def identify_machine(given: Task, seen: Phasors) -> Identified:
@@ -214,7 +214,7 @@ def identify_machine(given: Task, seen: Phasors) -> Identified:
     machine, controller = applied(given.unknowns, given.machine, given.controller, jnp.asarray(z))
     structure = assemble(machine)
     try:
-        check_stable(close(structure, controller), structure)
+        check_stable(controlled(structure, controller), structure)
     except ValueError as error:
         raise ValueError(f"what the circles tell of the machine, {error}") from error
 

@@ -14,7 +14,7 @@ from ..machine.chain import Chain
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array, namespace
-from ..numerics.identity_cache import Kept
+from ..numerics.identity_cache import IdentityCache
 from ..numerics.record import Record
 from .base import Effect, Response, Setup
 from .registry import register
@@ -25,7 +25,7 @@ _OFF_AXIS_M = 0.05
 """How far from the axis of the last joint the centre of mass of a tool is expected."""
 Load = Literal["arm", "tool"]
 """Where the weight that a joint carries is: in all that is behind it, or at the flange."""
-_MOMENTS: Kept[np.ndarray] = Kept(32)
+_MOMENTS: IdentityCache[np.ndarray] = IdentityCache(32)
 """Of the joints of a few plans."""
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..identification.fit import Fit
-from ..identification.model_averaging import Doubt, of_doubts
+from ..identification.model_averaging import Alternatives, between_model_variance
 from .compensated import compensated_in_blocks
 from .error_motions import NODES, Spread, functions_on, line_of
 from .straight_lines import StraightLines
@@ -44,7 +44,7 @@ class _Asked:
 
 
 def geometric_tests(
-    fit: Fit, *, doubts: Sequence[Doubt] = (), size: int = 0
+    fit: Fit, *, alternatives: Sequence[Alternatives] = (), size: int = 0
 ) -> list[GeometricTest]:
     """What a test of the geometry would find on the identified machine (ISO 230-1:2012, 3.4, 3.6).
 
@@ -60,8 +60,8 @@ def geometric_tests(
 
     Neither a rigid motion of the frame changes them, nor how slopes are shared out between
     parameters. What depends on direction, temperature or time is not in them. The uncertainty is
-    that of the difference between the two positions that make a range; of the effects in `doubts`
-    as in `error_motion_tables`. `size` is a number of rows that is compiled already. Empty for an
+    that of the difference between the two positions that make a range; `alternatives` count as in
+    `error_motion_tables`. `size` is a number of rows that is compiled already. Empty for an
     arm; without what the model says nothing of.
     """
     chain = fit.model.chain
@@ -86,14 +86,16 @@ def geometric_tests(
     told = (u > 0.0) | (np.abs(found) > 1e6 * _SAME)
     if not told.any():
         return []
-    doubted = of_doubts(doubts, lambda other: weights @ sampled(other)[0], np.zeros(len(asked)))
+    between = between_model_variance(
+        alternatives, lambda other: weights @ sampled(other)[0], np.zeros(len(asked))
+    )
     return [
         GeometricTest(
             name=one.name,
             what=one.what,
             axis=one.axis,
             value=float(found[k]),
-            u=math.hypot(u[k], math.sqrt(doubted[k])),
+            u=math.hypot(u[k], math.sqrt(between[k])),
             unit=one.unit,
             information=float(information[k]),
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..identification.fit import Fit
-from ..identification.model_averaging import Doubt, of_doubts
+from ..identification.model_averaging import Alternatives, between_model_variance
 from ..machine.plan import Plan
 from ..units import si_factor
 
@@ -51,22 +51,24 @@ class ErrorMotionTable:
 
 
 def error_motion_tables(
-    fit: Fit, nodes: int = NODES, doubts: Sequence[Doubt] = ()
+    fit: Fit, nodes: int = NODES, alternatives: Sequence[Alternatives] = ()
 ) -> list[ErrorMotionTable]:
     """Every error motion on `nodes` positions over its axis's travel (or the range used, where no
     travel is declared), then the location errors.
 
     Value and standard uncertainty are those of the posterior, E = F theta and sqrt(F C F'), with
     F the family's functions; refinements by `geometric_order` are included. Where the effects in
-    `doubts` may be others, with which error motions are not the same, that is part of the
+    `alternatives` may be others, with which error motions are not the same, that is part of the
     uncertainty.
     """
     lines = [line_of(fit, axis, nodes) for axis in fit.model.chain.axes]
     functions = functions_on(fit, lines)
     spread = Spread.of_fit(fit)
-    doubted = _doubted(doubts, lines, {name: len(mean) for name, (_, mean) in functions.items()})
+    between = _between_models(
+        alternatives, lines, {name: len(mean) for name, (_, mean) in functions.items()}
+    )
     return [
-        _table(name, *functions[name], doubted[name], fit, spread, lines)
+        _table(name, *functions[name], between[name], fit, spread, lines)
         for name in _sorted(functions, fit.model.chain.axes)
     ]
 
@@ -99,8 +101,8 @@ def functions_on(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.nd
     return {name: (block, means[name]) for name, block in columns.items()}
 
 
-def _doubted(
-    doubts: Sequence[Doubt], lines: Sequence[np.ndarray], sizes: Mapping[str, int]
+def _between_models(
+    alternatives: Sequence[Alternatives], lines: Sequence[np.ndarray], sizes: Mapping[str, int]
 ) -> dict[str, np.ndarray]:
     """Variance of every error motion of so many nodes, m^2 or rad^2, by what effects may be
     instead.
@@ -114,7 +116,7 @@ def _doubted(
 
     if not sizes:
         return {}  # no error motions are declared, as for circles of an R-test
-    variance = of_doubts(doubts, of, np.zeros(sum(sizes.values())))
+    variance = between_model_variance(alternatives, of, np.zeros(sum(sizes.values())))
     parts = np.split(variance, np.cumsum(list(sizes.values()))[:-1])
     return dict(zip(sizes, parts, strict=True))
 
@@ -168,7 +170,7 @@ def _table(
     name: str,
     block: np.ndarray,
     mean: np.ndarray,
-    doubted: np.ndarray,
+    between: np.ndarray,
     fit: Fit,
     spread: Spread,
     lines: Sequence[np.ndarray],
@@ -187,7 +189,7 @@ def _table(
         position=np.zeros(0) if located else lines[axes.index(axis)] / si_factor(position_unit),
         position_unit=position_unit,
         value=(mean + block @ fit.theta) / si,
-        u=np.sqrt(u**2 + doubted) / si,
+        u=np.sqrt(u**2 + between) / si,
         prior=prior / si,
         information=information,
     )

@@ -476,7 +476,7 @@ def null_directions(fit: Fit) -> list[str]:
     return found
 
 
-def declared_residual(fit: Fit) -> Float[np.ndarray, "n m"]:
+def normalised_residuals(fit: Fit) -> Float[np.ndarray, "n m"]:
     """W (y - h) of every row, also of those that were left out."""
     whitener = declared_whitener(fit.model, fit.measurement)
     return np.einsum("nij,nj->ni", whitener, fit.residual)
@@ -484,4 +484,4 @@ def declared_residual(fit: Fit) -> Float[np.ndarray, "n m"]:
 
 def declared_chi2(fit: Fit, rows: Bool[np.ndarray, " n"] | None = None) -> float:
     """Sum of their squares over the rows that were used, or over these."""
-    return float((declared_residual(fit)[fit.used if rows is None else rows] ** 2).sum())
+    return float((normalised_residuals(fit)[fit.used if rows is None else rows] ** 2).sum())

@@ -38,7 +38,7 @@ from ..model.forward import (
 )
 from ..model.measurement import Measurement
 from ..numerics.arrays import Array
-from ..numerics.compiled import outer_filter_jit
+from ..numerics.compiled import filter_jit_outermost
 from ..numerics.gauss_newton import Point, quickly
 from ..numerics.least_squares import Solution, Status, least_squares
 from ..numerics.spatial import require_float64
@@ -138,7 +138,7 @@ def _solve_with(
     )
 
 
-@outer_filter_jit
+@filter_jit_outermost
 def _solve(
     chain: Chain,
     instrument: Instrument,

@@ -1,4 +1,4 @@
-"""What a doubt about a name adds to uncertainties: other names foretell something else."""
+"""Between-model variance: the uncertainty added where the identity of an effect is uncertain."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,30 +9,29 @@ from .fit import Fit
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """What an added effect may be instead, or what nothing has a name for: fits of the same
-    readings, at a round of the search.
+class Alternatives:
+    """The fits that compete with an added effect, or with what no effect explains.
 
-    The posterior of a fit says how well its parameters are known if its name is right. With
-    probability p it has another one, and then what is foretold differs by d, most where no reading
-    told the names apart: its mean square about what the chosen name foretells is larger by the sum
-    of p d^2 (law of total variance). What is unexplained is there (p = 1), in whatever words: the
-    declared parameters have taken a part of it, and d is what they and the machine are with a
-    description of it.
+    The posterior of a fit says how well its parameters are known if its model is right. With
+    probability p another model is right, and a prediction then differs by d, most where no reading
+    separates the two. The mean square about the prediction of the chosen model is larger by the sum
+    of p d^2 (law of total variance; Hoeting et al. 1999, Statist. Sci. 14, 382). What is
+    unexplained is certainly there (p = 1): the declared parameters have absorbed a part of it, and
+    d is the change of the prediction when an empirical description is added.
     """
 
     found: Fit
     others: tuple[tuple[float, Fit], ...]
-    """(probability, fit) of the others; what they lose by being larger than expected has no part in
-    it, as it has in what they are worth as names."""
+    """(probability, fit) of the other models. The probabilities leave out the penalty for a size
+    beyond its prior, which counts only where models are ranked."""
 
 
-def of_doubts(
-    doubts: Sequence[Doubt], of: Callable[[Fit], np.ndarray], variance: np.ndarray
+def between_model_variance(
+    alternatives: Sequence[Alternatives], of: Callable[[Fit], np.ndarray], variance: np.ndarray
 ) -> np.ndarray:
-    """A variance of what `of` says of a fit, with what the doubts add to it."""
-    for doubt in doubts:
-        named = of(doubt.found) if doubt.others else None
-        for probability, other in doubt.others:
+    """`variance` of the quantity `of(fit)`, plus the sum of p d^2 over all alternatives."""
+    for one in alternatives:
+        named = of(one.found) if one.others else None
+        for probability, other in one.others:
             variance = variance + probability * (of(other) - named) ** 2
     return variance

@@ -20,7 +20,7 @@ import numpy as np
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..model.forward import Model
-from ..numerics.anderson import together
+from ..numerics.anderson import anderson_step
 from .fit import shape_step
 
 _PLAIN, _SECANTS = 4, 2
@@ -154,7 +154,7 @@ class Walk(Generic[P]):
             np.diff(np.array(rows[-1 - _SECANTS :]), axis=0).T / units[:, None]
             for rows in (self._places, self._steps)
         )
-        return together(step, moved, changed)
+        return anderson_step(step, moved, changed)
 
     def _cornered(self, one: tuple[P, Step], other: tuple[P, Step]) -> bool:
         """Whether the minimum is at a corner between two places, with next to nothing to gain: each

@@ -10,9 +10,9 @@ from ..effects.base import Effect
 from ..effects.clock import CLOCKS
 from ..effects.registry import CATALOGUE
 from ..identification.family_sizes import learned_sizes, with_sizes
-from ..identification.fit import Fit, declared_residual
+from ..identification.fit import Fit, normalised_residuals
 from ..identification.identify import identify
-from ..identification.model_averaging import Doubt
+from ..identification.model_averaging import Alternatives
 from ..instruments.conditions import file_column
 from ..model.forward import Model
 from ..model.measurement import CheckPoints, Measurement
@@ -21,9 +21,9 @@ from .notes import Facts, notes
 from .outcome.closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .outcome.unexplained import from_structure
 from .residuals.vibration import vibration
-from .search.certainty import doubted, uncertainties
+from .search.certainty import doubted, jump_time_uncertainty
 from .search.forward_selection import Added, place_of
-from .search.initial_shapes import shapes_begun
+from .search.initial_shapes import initial_shapes
 from .search.search import Search
 from .search.state import State, at_noise_found, chi2_per_dof, fitted, scales_told
 from .settings import checked, classes_of
@@ -129,7 +129,7 @@ def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
     """The report of an added effect, with its parameters from the final fit."""
     effect, weighed = item.effect, item.weighed
     place = place_of(item, after.model.effects)
-    stepped = uncertainties(state, place, room)
+    stepped = jump_time_uncertainty(state, place, room)
     certain = weighed.probability >= CERTAIN
     same = [k for k in weighed.equivalent if k.split(" ")[0] == effect.name]
     places = sorted({effect.placement, *(k.partition(" ")[2] for k in same)})
@@ -162,10 +162,10 @@ def _finish(
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, run.room) for item in run.added(state)]
     found = [doubted(effect, state.fit, run.unexplained, run.untestable) for effect in found]
-    doubts = [_doubt(item.weighed) for item in run.added(state)]
+    alternatives = [_alternatives(item.weighed) for item in run.added(state)]
     described = run.unexplained.empirical if run.unexplained is not None else None
     if described is not None:
-        doubts.append(Doubt(state.scored, ((1.0, described.fit),)))
+        alternatives.append(Alternatives(state.scored, ((1.0, described.fit),)))
     verdict: Verdict | None = None if interrupted else "nothing_missing"
     if run.unexplained is not None:
         verdict = "unexplained"
@@ -176,7 +176,7 @@ def _finish(
     wrong: dict[Literal["uncompensated", "before", "after"], Errors] = {
         "uncompensated": errors(nominal, run.check),
         "before": errors(before, run.check),
-        "after": errors(after, run.check, doubts),
+        "after": errors(after, run.check, alternatives),
     }
     swings = vibration(state.fit)
     return Closure(
@@ -186,7 +186,7 @@ def _finish(
         before=before,
         after=after,
         nominal=nominal,
-        doubts=doubts,
+        alternatives=alternatives,
         check=run.check,
         unexplained=run.unexplained,
         vibration=swings,
@@ -259,8 +259,8 @@ def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
     )
 
 
-def _doubt(weighed: Weighed) -> Doubt:
-    return Doubt(weighed.best.fit, tuple((p, rival.fit) for p, rival in weighed.instead))
+def _alternatives(weighed: Weighed) -> Alternatives:
+    return Alternatives(weighed.best.fit, tuple((p, rival.fit) for p, rival in weighed.instead))
 
 
 def _nominal(model: Model, state: State, room: int) -> Fit:
@@ -268,15 +268,17 @@ def _nominal(model: Model, state: State, room: int) -> Fit:
     nuisances = tuple(e for e in model.effects if e.kind == "nuisance" or e.where == "instrument")
     bare = Model(model.chain, model.instrument, (*nuisances, *model.random))
     measurement, keep = state.fit.measurement, state.keep
-    begun = shapes_begun(bare, measurement, keep, room)
+    begun = initial_shapes(bare, measurement, keep, room)
     return identify(bare, measurement, shapes=begun, keep=keep, room=room)
 
 
-def errors(fit: Fit, check: CheckPoints | None, doubts: Sequence[Doubt] = ()) -> Errors:
+def errors(
+    fit: Fit, check: CheckPoints | None, alternatives: Sequence[Alternatives] = ()
+) -> Errors:
     """How wrong a fitted model is, on all the data there are; what it may be instead is part of the
     uncertainty at the check points.
     """
-    aligned, raw = (None, None) if check is None else check_rms(fit, check, doubts)
+    aligned, raw = (None, None) if check is None else check_rms(fit, check, alternatives)
     return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), chi2_per_dof(fit), _by_set(fit))
 
 
@@ -287,7 +289,7 @@ def _by_set(fit: Fit) -> dict[str, SetErrors]:
     plan = fit.measurement.plan
     if not plan.sets:
         return {}
-    squares = (declared_residual(fit) ** 2).sum(1)
+    squares = (normalised_residuals(fit) ** 2).sum(1)
     found = {}
     for name, inside in plan.parts.items():
         _, dof = fit.chi2_and_dof(inside)

@@ -25,7 +25,7 @@ from .screening.candidates import Untestable
 from .screening.significance import LEAST_NOISE
 from .search.forward_selection import Added
 from .search.state import State, chi2_per_dof
-from .weighing.cross_validation import Rms, check_rms, fit_rms, foretold_rms
+from .weighing.cross_validation import Rms, check_rms, fit_rms, predicted_rms
 from .weighing.rivals import Rival
 
 _NO_MACHINE_UM = 2000.0
@@ -84,7 +84,7 @@ def _contradicting(facts: Facts) -> list[str]:
     """That the data contradict what was declared."""
     if facts.interrupted:
         return []
-    apart = contradiction(facts.before, facts.after, facts.room)
+    apart = data_set_consistency(facts.before, facts.after, facts.room)
     return [apart] if apart else []
 
 
@@ -184,7 +184,7 @@ def _beyond_what_is_foretold(facts: Facts) -> list[str]:
     check, after = facts.check, facts.errors["after"].check
     if check is None or after is None or facts.unexplained is not None:
         return []
-    foretold = foretold_rms(facts.after, check)
+    foretold = predicted_rms(facts.after, check)
     if after.value - _SURELY * after.u <= _FURTHER * foretold:
         return []
     return [
@@ -374,7 +374,7 @@ _CHANCE = 1e-3
 """Probability by chance below which what is added by fitting them together counts."""
 
 
-def contradiction(before: Fit, after: Fit, room: int) -> str:
+def data_set_consistency(before: Fit, after: Fit, room: int) -> str:
     """That the data sets do not fit one machine, in words; empty where they do, or there is one.
 
     The readings that the declared model leaves by every data set `alone`, against what it leaves

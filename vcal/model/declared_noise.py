@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..machine.plan import Plan
-from ..numerics.identity_cache import Kept
+from ..numerics.identity_cache import IdentityCache
 from .forward import Model, compared_with_jacobian, effect_terms
 from .measurement import Measurement
 
-_RANDOM: Kept[list[tuple[str, np.ndarray]]] = Kept(4)
+_RANDOM: IdentityCache[list[tuple[str, np.ndarray]]] = IdentityCache(4)
 """Covariances of the random effects of the last few models."""
 
 

@@ -23,7 +23,7 @@ from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..machine.ports import PortLayout
 from ..numerics.arrays import Array
-from ..numerics.compiled import outer_filter_jit
+from ..numerics.compiled import filter_jit_outermost
 from ..numerics.record import Record
 from ..numerics.rigid import Rotation, Scalar, Vector, exp, left_jacobian_matrix
 from ..numerics.spatial import require_float64, rotation, skew
@@ -266,7 +266,7 @@ def observe_with_jacobian(
     return jax.vmap(one)(position, rows, ports)
 
 
-@outer_filter_jit
+@filter_jit_outermost
 def compared_with_jacobian(
     chain: Chain, instrument: Instrument, plan: Plan, rows: Any, measured: Array, ports: Array
 ) -> tuple[Float[Array, "n m"], Float[Array, "n m p"]]:

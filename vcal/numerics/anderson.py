@@ -7,7 +7,7 @@ _ALIKE = 1e-6
 """Singular value, relative to the largest, below which changes are the same but for rounding."""
 
 
-def together(
+def anderson_step(
     step: Float[np.ndarray, " k"],
     moved: Float[np.ndarray, "k s"],
     changed: Float[np.ndarray, "k s"],

@@ -38,14 +38,14 @@ def _options() -> _Options:
     return known_options(_OPTIONS) if jax.default_backend() == "cpu" else {}
 
 
-def outer_jit(function: Callable[_P, _T]) -> Callable[_P, _T]:
+def jit_outermost(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """`jax.jit` of what is called from outside of other compiled programs only; inside of one it
     raises `ValueError`.
     """
     return jax.jit(function, compiler_options=_options())  # type: ignore[return-value]
 
 
-def outer_filter_jit(function: Callable[_P, _T]) -> Callable[_P, _T]:
+def filter_jit_outermost(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """The same of `equinox.filter_jit`, to decorate with; compiles nothing before a first call."""
 
     @functools.cache

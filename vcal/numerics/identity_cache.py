@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Kept(Generic[T]):
+class IdentityCache(Generic[T]):
     """The last few results, each by the objects it was made of: by identity, as arrays and what
     holds them cannot be hashed, a text by its letters. They must not be changed afterwards; nor
     may a result.

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogFormatter
 
 from ..geometry.compensated import compensated_in_blocks, compensated_points
 from ..identification.fit import Fit
-from ..identification.model_averaging import Doubt, of_doubts
+from ..identification.model_averaging import Alternatives, between_model_variance
 from ..loop.weighing.cross_validation import heldout_residuals, squared_errors
 from ..model.measurement import CheckPoints
 from ..numerics.spatial import align_rigid
@@ -53,14 +53,17 @@ class Field:
 
 
 def error_field(
-    before: Fit, after: Fit, check: CheckPoints | None = None, doubts: Sequence[Doubt] = ()
+    before: Fit,
+    after: Fit,
+    check: CheckPoints | None = None,
+    alternatives: Sequence[Alternatives] = (),
 ) -> Field | None:
     """The identified error field of a machine with the axes X, Y and Z; None for other machines,
     and for models that hold nothing that depends on the position.
 
     Only what depends on the axis positions alone is in it: no direction, temperature or time. With
     check points the grid is made to fit their number, so that nothing has to be compiled anew. What
-    effects may be instead (`doubts`) is part of the uncertainty.
+    effects may be instead (`alternatives`) is part of the uncertainty.
     """
     chain = after.model.chain
     if set(chain.axes) != set("XYZ"):
@@ -89,7 +92,7 @@ def error_field(
     errors = [1e6 * identified(before), 1e6 * align_rigid(nominal, found - nominal)]
     free = align_rigid(nominal, jacobian)
     variance = ((free @ after.covariance) * free).sum((1, 2))
-    variance += of_doubts(doubts, identified, np.zeros_like(nominal)).sum(1)
+    variance += between_model_variance(alternatives, identified, np.zeros_like(nominal)).sum(1)
     shape = (len(PLANES), nodes, nodes)
     if variance.max() == 0.0 and max(np.abs(e).max() for e in errors) < _NOTHING_UM:
         return None

@@ -11,7 +11,7 @@ from ..errors import StudyError
 from ..plots import png
 from ..registry import nearest
 from ..report import Picture
-from ..report.html.folder import Place
+from ..report.html.folder import ReportFolder
 from ..report.loop.record import plain, versions
 
 Progress = Callable[[str], None]
@@ -131,5 +131,5 @@ def write(
     return out / "index.html"
 
 
-def _place(name: str) -> Place:
-    return Place(record="result.json", schema=f"{_SCHEMA}{name}/")
+def _place(name: str) -> ReportFolder:
+    return ReportFolder(record="result.json", schema=f"{_SCHEMA}{name}/")

@@ -21,7 +21,7 @@ _LINES = dict(zip("XYZABC", ("XA", "YB", "ZC") * 2, strict=True))
 """Axes along or about the line of a component, which have no location error of it."""
 
 
-def check_seen(
+def check_identifiable(
     wanted: Mapping[str, int],
     chain: Chain,
     instrument: Instrument,

@@ -29,7 +29,7 @@ from .declared_effects import catalogue_with, declared_effects, unknown_effect
 from .folder import Folder
 from .geometric_family import geometric_errors
 from .messages import listed, refusal, source
-from .must_see import check_seen
+from .must_see import check_identifiable
 from .plugins.effects import check_own
 from .plugins.instrument_trial import check_instrument
 from .plugins.instruments import (
@@ -553,7 +553,7 @@ def _check_seen(settings: AnySettings, sets: Sequence[DataSet], file: str) -> No
     else:
         wanted = {f"data.{i}.must_see": row.must_see for i, row in enumerate(settings.data)}
     for (key, errors), one in zip(wanted.items(), sets, strict=True):
-        check_seen(errors, one.chain, one.instrument, one.plan, file, key)
+        check_identifiable(errors, one.chain, one.instrument, one.plan, file, key)
 
 
 def _checked(

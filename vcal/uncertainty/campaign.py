@@ -28,7 +28,7 @@ from ..machine.plan import Plan
 from ..model.forward import Model, Shapes
 from ..model.simulate import draw, prepare
 from ..numerics.arrays import Array
-from ..numerics.compiled import outer_jit
+from ..numerics.compiled import jit_outermost
 from .ensemble import Ensemble
 from .intervals import Kind
 from .outputs import Field, Output
@@ -264,7 +264,7 @@ class _Evaluate:
         if programs is None:
             # Closed over, so that what is the same in all draws is a constant to the compiler.
             fixed = partial(function, self.content, self.key)
-            return outer_jit(side_by_side(fixed, together))
+            return jit_outermost(side_by_side(fixed, together))
         name = way.__name__, self.tolerance, together
         shared = programs.of(function, self.content, name, partial(side_by_side, together=together))
         return partial(shared, self.key)

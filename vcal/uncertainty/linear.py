@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 from ..model.forward import effect_terms, observe_with_jacobian, port_values
 from ..model.simulate import ideal_readings
 from ..numerics.arrays import Array
-from ..numerics.compiled import outer_jit
+from ..numerics.compiled import jit_outermost
 from .budget import Budget, Source
 from .outputs import Output
 from .quantities import Measure, Pair, State
@@ -151,7 +151,7 @@ def _derivatives(
         return jnp.concatenate([jnp.ravel(v[o.name]) for m, v in values for o in m.outputs])
 
     at = jnp.concatenate([true, found])
-    push = outer_jit(lambda unit: jax.jvp(judged, (at,), (unit,)))
+    push = jit_outermost(lambda unit: jax.jvp(judged, (at,), (unit,)))
     value, _ = push(jnp.zeros(len(at)))
     slopes = np.stack([np.asarray(push(unit)[1]) for unit in jnp.eye(len(at))], 1)
     return np.asarray(value), slopes[:, : len(true)], slopes[:, len(true) :]

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects.base import Effect
-from ..numerics.compiled import outer_jit
+from ..numerics.compiled import jit_outermost
 
 
 class Programs:
@@ -51,7 +51,7 @@ class Programs:
                 whole = eqx.combine(numbers, rest, is_leaf=_is_effect)
                 return over(lambda i: function(whole, seed, i))(index)
 
-            self._kept[key] = outer_jit(program)
+            self._kept[key] = jit_outermost(program)
         kept = self._kept[key]
         return lambda seed, index: kept(numbers, seed, index)
 

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..numerics.arrays import Array
-from ..numerics.compiled import outer_filter_jit
+from ..numerics.compiled import filter_jit_outermost
 
 Vector = Callable[[Float[Array, " k"]], Float[Array, " m"]]
 """All outputs in a row, of all inputs in a row."""
@@ -117,12 +117,12 @@ def second_order(
     return Taylor(a, H, T, t, skewness, excess)
 
 
-@outer_filter_jit
+@filter_jit_outermost
 def _first(function: Vector, x: Array) -> tuple[Array, Array]:
     return function(x), jax.jacfwd(function)(x)
 
 
-@outer_filter_jit
+@filter_jit_outermost
 def _second(function: Vector, x: Array, root: Array) -> tuple[Array, Array, Array, Array]:
     def moved(z: Array) -> Array:
         return function(x + root @ z)

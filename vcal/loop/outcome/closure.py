@@ -6,11 +6,11 @@ from typing import Any, Literal
 
 from ...effects.base import Effect
 from ...identification.fit import Fit
-from ...identification.model_averaging import Doubt
+from ...identification.model_averaging import Alternatives
 from ...instruments.conditions import file_column, in_file
 from ...model.measurement import CheckPoints
 from ..empirical import Empirical
-from ..residuals.outliers import Stray
+from ..residuals.outliers import Outlier
 from ..residuals.variance_components import Component
 from ..residuals.vibration import Vibration
 from ..screening.candidates import Untestable
@@ -127,11 +127,11 @@ class Closure:
     after: Fit = field(repr=False)
     nominal: Fit = field(repr=False)
     """The nominal machine with only the nuisances fitted."""
-    doubts: Sequence[Doubt] = field(repr=False)
+    alternatives: Sequence[Alternatives] = field(repr=False)
     """What each of `effects` may be instead; then what describes what is unexplained."""
     check: CheckPoints | None = field(repr=False)
     unexplained: Unexplained | None
-    suspected: list[Stray]
+    suspected: list[Outlier]
     rejected: list[Rejected]
     untestable: list[Untestable]
     unseen: list[str]

@@ -11,7 +11,7 @@ from scipy.special import gammaincc
 from ...identification.fit import Fit
 from ...machine.plan import DATA_SET, Plan
 from ..empirical.covariates import angles_around, distinct_covariates
-from ..screening.score_test import Screen
+from ..screening.score_test import ScoreTest
 from ..screening.significance import SILENT, corrected, effective_trials
 
 _BINS = 10
@@ -102,7 +102,7 @@ def _moved(fit: Fit, draws: int, seed: int) -> np.ndarray:
     """Displacements of the tool point (used rows, 3, 1 + draws) by the residual and, behind it, by
     null residuals; those of several data sets in units of the scatter of each.
     """
-    state = Screen(fit, draws, seed)
+    state = ScoreTest(fit, draws, seed)
     used = fit.used
     inverse = np.linalg.pinv(np.einsum("nij,njp->nip", fit.whitener[used], fit.by_tool[used]))
     data = np.einsum("npi,ni->np", inverse, state.residual[used])

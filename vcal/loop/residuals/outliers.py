@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import gammainccinv
 
-from ...identification.fit import Fit, declared_residual
+from ...identification.fit import Fit, normalised_residuals
 from ...machine.plan import DATA_SET, Plan
 from ...model.declared_noise import declared_whitener
 from ..empirical.covariates import distinct_covariates
@@ -38,7 +38,7 @@ per degree of freedom.
 
 
 @dataclass(frozen=True)
-class Stray:
+class Outlier:
     """A suspected reading."""
 
     row: int
@@ -47,7 +47,7 @@ class Stray:
     p_value: float
 
 
-def stray_rows(fit: Fit, robust: Callable[[], tuple[Fit, np.ndarray]]) -> list[Stray]:
+def outlying_rows(fit: Fit, robust: Callable[[], tuple[Fit, np.ndarray]]) -> list[Outlier]:
     """Rows whose own residual has a probability below 1e-3 / rows, given the robust scale of all.
 
     Where there are several, they are looked for in a fit that they cannot pull away: that and its
@@ -62,13 +62,13 @@ def stray_rows(fit: Fit, robust: Callable[[], tuple[Fit, np.ndarray]]) -> list[S
     return found if scattered(fit, [s.row for s in found]) else _far_beyond(found)
 
 
-def stray_apart(fit: Fit, apart: np.ndarray) -> list[Stray]:
+def outliers_apart(fit: Fit, apart: np.ndarray) -> list[Outlier]:
     """Of the rows (n,) that are only predicted, those far beyond what the model leaves of others.
 
     What is missing from the model shows there too, so that their own scale, not the noise, is what
     they are judged by, and only few of them can be told.
     """
-    strays: list[Stray] = []
+    strays: list[Outlier] = []
     whitened = np.einsum("nij,nj->ni", declared_whitener(fit.model, fit.measurement), fit.residual)
     present = fit.model.instrument.present(fit.measurement.plan)
     squares = np.where(present, whitened, 0.0) ** 2
@@ -81,7 +81,7 @@ def stray_apart(fit: Fit, apart: np.ndarray) -> list[Stray]:
     return strays
 
 
-def _far_beyond(found: Sequence[Stray], most: int = _FEW) -> list[Stray]:
+def _far_beyond(found: Sequence[Outlier], most: int = _FEW) -> list[Outlier]:
     """At most so many of the improbable rows, much further out than all the others."""
     ordered = sorted(found, key=lambda s: -s.distance)
     ends = [s.distance for s in ordered] + [0.0]
@@ -99,7 +99,7 @@ def scattered(fit: Fit, found: Sequence[int]) -> bool:
     return len(found) <= _FEW or not _gathered(fit, rows, found)
 
 
-def too_many(fit: Fit) -> list[Stray]:
+def too_many(fit: Fit) -> list[Outlier]:
     """Rows far outside what the others say at random places, where they are more than may be left
     out; nothing where they are fewer, or neighbours along anything recorded.
     """
@@ -121,7 +121,7 @@ def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
     suspected = np.isin(np.arange(plan.rows), found)
     whitener = declared_whitener(fit.model, fit.measurement)
     present = fit.model.instrument.present(plan)
-    residual = declared_residual(fit)
+    residual = normalised_residuals(fit)
     ports = np.einsum("nij,njp->nip", whitener, fit.by_tool)
 
     def alike(rows: np.ndarray) -> bool:
@@ -172,7 +172,7 @@ def _together(plan: Plan, taken: np.ndarray) -> Iterator[tuple[str, np.ndarray]]
             yield from ((group, mine) for mine in np.split(rows, changes))
 
 
-def _outstanding(fit: Fit, weights: np.ndarray) -> list[Stray]:
+def _outstanding(fit: Fit, weights: np.ndarray) -> list[Outlier]:
     """Rows too far out, by residuals with the covariance I - J_i H^-1 J_i' of the fit, and by the
     scale of their data set.
     """
@@ -201,7 +201,7 @@ def _outstanding(fit: Fit, weights: np.ndarray) -> list[Stray]:
 
 def _improbable(
     rows: np.ndarray, squares: np.ndarray, readings: np.ndarray | int, count: int
-) -> list[Stray]:
+) -> list[Outlier]:
     """Those of the rows whose squared distance, of so many readings, is too large for one of
     `count`, by the robust scale of all of them.
     """
@@ -211,7 +211,7 @@ def _improbable(
     scaled = squares / max(float(np.median(squares / median)), LEAST_NOISE**2)
     minus_log_p = minus_log_chi2_tail(scaled, readings)
     return [
-        Stray(int(rows[i]), float(np.sqrt(scaled[i])), float(np.exp(-minus_log_p[i])))
+        Outlier(int(rows[i]), float(np.sqrt(scaled[i])), float(np.exp(-minus_log_p[i])))
         for i in np.flatnonzero(minus_log_p > -np.log(_CHANCE / count))
     ]
 

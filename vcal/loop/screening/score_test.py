@@ -69,7 +69,7 @@ def _free(fit: Fit) -> np.ndarray:
     return np.where(np.arange(len(told)) < len(fit.model.entries), fit.precision, told)
 
 
-class Screen:
+class ScoreTest:
     """The fit in the form in which candidates are tested against it."""
 
     def __init__(self, fit: Fit, draws: int, seed: int, responses: Responses | None = None):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...effects.base import Effect
-from .score_test import Peak, Screen, Tested, largest
+from .score_test import Peak, ScoreTest, Tested, largest
 from .significance import corrected, effective_trials
 
 
@@ -65,7 +65,7 @@ class Screening:
         return sorted(found, key=lambda peak: -peak.log_bayes)
 
 
-def screen(state: Screen, effects: Sequence[Effect], *, peaks: int = 10) -> Screening:
+def screen(state: ScoreTest, effects: Sequence[Effect], *, peaks: int = 10) -> Screening:
     """Test all candidates against a fit; see the module's description for the method.
 
     `peaks` is how many maxima of a scan are kept.

@@ -12,7 +12,7 @@ from ...instruments.conditions import file_column
 from ..outcome.closure import FoundEffect
 from ..outcome.unexplained import Unexplained
 from ..screening.candidates import Untestable
-from ..screening.score_test import Screen
+from ..screening.score_test import ScoreTest
 from .state import State, without
 
 _OUT = 3.0
@@ -115,7 +115,7 @@ def hardly_told(fit: Fit, place: int) -> str:
     return "the readings say next to nothing of its size: measure where it would be larger"
 
 
-def uncertainties(state: State, place: int, room: int) -> dict[str, float]:
+def jump_time_uncertainty(state: State, place: int, room: int) -> dict[str, float]:
     """Standard uncertainty (SI) of those of the effect at that position in the model, by name.
 
     Seen from the model without it, every interval between two of its edges has the evidence of a
@@ -130,7 +130,7 @@ def uncertainties(state: State, place: int, room: int) -> dict[str, float]:
     less = without(state, place, room)
     if not less.converged:
         return dict.fromkeys(edges, math.nan)
-    screen, found = Screen(less, 1, 0), {}
+    screen, found = ScoreTest(less, 1, 0), {}
     for name, values in edges.items():
         middle, width = 0.5 * (values[1:] + values[:-1]), np.diff(values)
         grid = {n: np.full(len(middle), v) for n, v in shape.items()} | {name: middle}

@@ -15,7 +15,7 @@ from ..outcome.closure import Rejected, outdone_by
 from ..outcome.unexplained import Refused, Unexplained, described
 from ..screening.candidates import Untestable, candidates
 from ..screening.responses import Responses
-from ..screening.score_test import Screen
+from ..screening.score_test import ScoreTest
 from ..screening.screening import Screening, screen
 from ..weighing.rivals import WIDENINGS, WIDER, Rival, widened
 from ..weighing.weighing import Weighed, preferred, weigh
@@ -59,7 +59,7 @@ class Kept:
     outdone: tuple[Rejected, ...]
 
 
-class Adding:
+class ForwardSelection:
     """Rounds of a search, each of which adds one effect or ends it."""
 
     def __init__(self, check, classes, alpha, draws, seed, room, progress):
@@ -162,7 +162,7 @@ class Adding:
         )
         return Refused(effect, next(tested, math.nan), _NO_MINIMUM)
 
-    def _screened(self, state: State) -> tuple[Screen, Screening]:
+    def _screened(self, state: State) -> tuple[ScoreTest, Screening]:
         """The screening of one round."""
         number = len(self.added(state)) + 1
         fit, measurement = state.scored, state.fit.measurement
@@ -174,7 +174,7 @@ class Adding:
         tried = [effect for effect in tried if effect.key not in self._barred]
         if self._responses is None or self._responses.plan is not measurement.plan:
             self._responses = Responses(measurement.plan)
-        screen_state = Screen(fit, self.draws, self.seed + number, self._responses)
+        screen_state = ScoreTest(fit, self.draws, self.seed + number, self._responses)
         screening = screen(screen_state, [*tried, *empirical])
         self.screenings.append(screening)
         self.refused = None

@@ -12,13 +12,13 @@ from ...identification.fit import Fit
 from ...identification.identify import identify
 from ...model.forward import Model, Shapes
 from ...model.measurement import Measurement
-from ..screening.score_test import Screen
+from ..screening.score_test import ScoreTest
 
 _PEAKS = 5
 """Local maxima of a scan from which the fit is tried."""
 
 
-def shapes_begun(model: Model, measurement: Measurement, keep: np.ndarray, room: int) -> Shapes:
+def initial_shapes(model: Model, measurement: Measurement, keep: np.ndarray, room: int) -> Shapes:
     """Shape parameters (SI) of those effects of a model that leave some open, by place, from the
     best of the fits that begin where the readings show them.
 
@@ -30,7 +30,7 @@ def shapes_begun(model: Model, measurement: Measurement, keep: np.ndarray, room:
     while waiting:
         kept = [i for i in range(len(model.effects)) if i not in waiting]
         less = _identified(model, kept, found, measurement, keep, room)
-        screen = Screen(less, 1, 0)
+        screen = ScoreTest(less, 1, 0)
         places = sorted(waiting)
         tested = screen.tests([_of_any_size(model.effects[i]) for i in places])
         peaks = {i: t.peaks(_PEAKS) for i, t in zip(places, tested, strict=True) if t is not None}

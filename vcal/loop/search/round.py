@@ -9,13 +9,13 @@ import numpy as np
 from ...identification.fit import Fit, declared_chi2
 from ..empirical import Empirical
 from ..residuals.autocorrelation import persists
-from ..screening.score_test import Peak, Screen
+from ..screening.score_test import Peak, ScoreTest
 from ..screening.screening import Screening
 from ..weighing.cross_validation import (
-    foretold_fall,
     improvement,
+    predicted_squares_fall,
     rms_fall,
-    told_by_one_fold,
+    supported_by_one_fold,
     weighted_squares,
 )
 from ..weighing.rivals import Rival, refit_all
@@ -32,7 +32,7 @@ _REFITS = 12
 
 
 def shortlist(
-    state: Screen, worth: Sequence[Peak], others: Sequence[Peak], instances: Mapping[str, int]
+    state: ScoreTest, worth: Sequence[Peak], others: Sequence[Peak], instances: Mapping[str, int]
 ) -> list[Peak]:
     """The peaks to refit: what made each kind significant, and others close enough to be rivals,
     after their shapes were moved to the best point between the steps of the scan. `instances` tells
@@ -127,7 +127,7 @@ class Round:
 
     @classmethod
     def of(
-        cls, state: State, screen: Screen, screening: Screening, alpha: float, room: int
+        cls, state: State, screen: ScoreTest, screening: Screening, alpha: float, room: int
     ) -> "Round":
         """Refit and weigh what a screening found significant, and what may be a rival of that."""
         fit = state.scored
@@ -238,7 +238,7 @@ class Round:
             return ""
         share = self.gain(rival)
         weighted = rms_fall(self.fit, rival.fit, self._rows(rival), weighted_squares)
-        if max(share, weighted, foretold_fall(self.fit, rival.fit, noise)) >= _PRACTICAL:
+        if max(share, weighted, predicted_squares_fall(self.fit, rival.fit, noise)) >= _PRACTICAL:
             return ""
         way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
         return f"held-out rms {way}"
@@ -271,7 +271,7 @@ class Round:
         return self.classes if among else [*self.classes, [rival]]
 
     def _in_one_fold(self, rival: Rival) -> bool:
-        return told_by_one_fold(rival.fit, len(rival.fit.model.effects) - 1)
+        return supported_by_one_fold(rival.fit, len(rival.fit.model.effects) - 1)
 
     def _chosen(self, rival: Rival) -> float:
         """What a moment or a pitch owes, in deviance, to having been chosen by the readings that

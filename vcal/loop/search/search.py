@@ -18,7 +18,7 @@ from ..screening.screening import Screening
 from ..screening.size_evidence import over_scales
 from ..weighing.rivals import Rival, refit_all
 from ..weighing.weighing import Weighed, classes_of, likelier, weigh
-from .forward_selection import Added, Adding, Kept, place_of
+from .forward_selection import Added, ForwardSelection, Kept, place_of
 from .state import State, fitted, without
 
 _INSTEAD = 1
@@ -41,7 +41,7 @@ _BARS = 1
 """How often each of several is not to be the answer, while others are searched for."""
 
 
-class Search(Adding):
+class Search(ForwardSelection):
     """One pass through the loop: rounds, until nothing is to be added, and what is then looked at
     again: whether each effect is still needed, and whether others take its place.
     """
@@ -323,7 +323,7 @@ class Search(Adding):
         """Say of every effect what it may be instead beside those that were added after it."""
         self.progress("weighing rivals again")
         for item in self.added(state):
-            now = replace(item, weighed=weighed_again(item, state, self.room))
+            now = replace(item, weighed=reweigh_rivals(item, state, self.room))
             self.history = [now if other is item else other for other in self.history]
 
     def prune(self, state: State, reached: Callable[[State], None]) -> State:
@@ -401,7 +401,7 @@ _FAR = 1e-3
 """Probability in its round below which a rival was too far behind to catch up."""
 
 
-def weighed_again(item: Added, state: State, room: int) -> Weighed:
+def reweigh_rivals(item: Added, state: State, room: int) -> Weighed:
     """The rivals of an effect, weighed beside all other effects of a state.
 
     In its round they stood beside fewer: what was missing then is part of what they differed by,

@@ -16,11 +16,11 @@ from ...model.declared_noise import declared_whitener
 from ...model.forward import Model
 from ...model.measurement import Measurement
 from ...numerics.least_squares import Status
-from ..residuals.outliers import Stray, displaced, scattered, stray_apart, stray_rows
+from ..residuals.outliers import Outlier, displaced, outliers_apart, outlying_rows, scattered
 from ..residuals.variance_components import Components, components
 from ..screening.significance import LEAST_NOISE, TOLD
 from ..weighing.cross_validation import folds_of
-from .initial_shapes import shapes_begun
+from .initial_shapes import initial_shapes
 
 _SEARCHES = 4
 """Stray readings hide others: how often they are looked for anew without those found."""
@@ -38,7 +38,7 @@ class State:
     declared one in more than its size: the covariance of clustered readings, variance components
     that are not alike; else the same."""
     keep: np.ndarray
-    strays: list[Stray]
+    strays: list[Outlier]
     noise: Components | None
     """None for clustered readings."""
 
@@ -67,10 +67,10 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     if start is not None:
         options |= {"theta": start.theta, "shapes": start.shapes}
     else:
-        options["shapes"] = shapes_begun(model, measurement, keep, room)
+        options["shapes"] = initial_shapes(model, measurement, keep, room)
     fit = whole = identify(model, measurement, **options)
     _check_told(fit)
-    strays: list[Stray] = []
+    strays: list[Outlier] = []
     moved: set[int] = set()
     for _ in range(_SEARCHES):
         options |= {"theta": fit.theta, "shapes": fit.shapes}
@@ -94,7 +94,7 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
             fit = identify(model, measurement, tolerance=NEARLY, **options)
     if strays or moved:
         fit = identify(model, measurement, **options | {"theta": fit.theta, "shapes": fit.shapes})
-    if far := stray_apart(fit, apart):
+    if far := outliers_apart(fit, apart):
         strays += far
         measurement = dataclasses.replace(measurement, aside=_rows(measurement, far))
         fit = dataclasses.replace(fit, measurement=measurement)
@@ -124,7 +124,7 @@ def _check_told(fit: Fit) -> None:
         raise np.linalg.LinAlgError(f"no reading tells {' and '.join(free)} apart from the rest")
 
 
-def _stray(fit: Fit, options: dict) -> list[Stray]:
+def _stray(fit: Fit, options: dict) -> list[Outlier]:
     """Stray readings of a fit with these options of `identify`; by the noise that there is where
     that is less than declared, or what is known of the parameters would push some rows further out
     than noise does.
@@ -133,7 +133,7 @@ def _stray(fit: Fit, options: dict) -> list[Stray]:
     if not (fit.clusters >= 0).any() and _quieter(fit):
         options = options | {"whitener": components(fit).whitener_alike}
         fit = identify(model, measurement, tolerance=NEARLY, **options)
-    return stray_rows(fit, partial(identify_robust, model, measurement, **options))
+    return outlying_rows(fit, partial(identify_robust, model, measurement, **options))
 
 
 def at_declared(fit: Fit, state: State, room: int) -> Fit:
@@ -186,7 +186,7 @@ def without(state: State, place: int, room: int) -> Fit:
     )
 
 
-def _rows(measurement: Measurement, strays: list[Stray]) -> np.ndarray:
+def _rows(measurement: Measurement, strays: list[Outlier]) -> np.ndarray:
     found = np.zeros(measurement.rows, bool)
     found[[s.row for s in strays]] = True
     return found

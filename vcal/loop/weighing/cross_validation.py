@@ -9,7 +9,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ...geometry.compensated import compensated_points
 from ...identification.fit import Fit
-from ...identification.model_averaging import Doubt
+from ...identification.model_averaging import Alternatives
 from ...identification.shape_steps import SETTLED
 from ...model.forward import Model
 from ...model.measurement import CheckPoints, Measurement
@@ -157,11 +157,13 @@ def heldout_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
     return rms(squared_errors(fit, residual), shared.ravel()[np.isfinite(residual).all(1)])
 
 
-def check_rms(fit: Fit, check: CheckPoints, doubts: Sequence[Doubt] = ()) -> tuple[Rms, Rms]:
+def check_rms(
+    fit: Fit, check: CheckPoints, alternatives: Sequence[Alternatives] = ()
+) -> tuple[Rms, Rms]:
     """rms volumetric error at the check points: after the best rigid alignment, and raw, um.
 
-    The uncertainty joins the scatter over the points, what the posterior of the parameters passes
-    on, and by how much the rms would be another one with other names of the effects in `doubts`.
+    The uncertainty combines the scatter over the points, the posterior covariance of the parameters
+    and the between-model variance of the effects in `alternatives`.
     """
     points, jacobian = compensated_points(fit, check.plan)
 
@@ -171,7 +173,7 @@ def check_rms(fit: Fit, check: CheckPoints, doubts: Sequence[Doubt] = ()) -> tup
 
     found = [rms((error**2).sum(1)) for error in errors(points)]
     doubted = np.zeros(2)
-    for doubt in doubts:
+    for doubt in alternatives:
         named = compensated_points(doubt.found, check.plan)[0]
         for probability, other in doubt.others:
             moved = points + compensated_points(other, check.plan)[0] - named
@@ -189,7 +191,7 @@ def check_rms(fit: Fit, check: CheckPoints, doubts: Sequence[Doubt] = ()) -> tup
     return results[0], results[1]
 
 
-def foretold_rms(fit: Fit, check: CheckPoints) -> float:
+def predicted_rms(fit: Fit, check: CheckPoints) -> float:
     """The rms volumetric error after alignment that is expected at the check points, um: what the
     readings leave open of the errors that were declared.
     """
@@ -199,7 +201,7 @@ def foretold_rms(fit: Fit, check: CheckPoints) -> float:
 
 
 @dataclass(frozen=True)
-class Foretold:
+class PredictiveDensity:
     """What a fit without its fold foretells for every block of readings."""
 
     deviance: np.ndarray
@@ -210,7 +212,7 @@ class Foretold:
     """The fold of every block; negative for rows that are never fitted, one block each."""
 
 
-def foretold(fit: Fit, noise: float = 1.0) -> Foretold:
+def log_predictive_density(fit: Fit, noise: float = 1.0) -> PredictiveDensity:
     """How well a fit foretells every block of readings without its fold.
 
     Blocks of a fold are foretold one after the other, each from the other folds and the blocks
@@ -273,7 +275,7 @@ def foretold(fit: Fit, noise: float = 1.0) -> Foretold:
             squares += list(((fit.residual[rows] @ typical.T) ** 2).sum(1))
             volumes += [0.0] * len(rows)
             where += [-1 - int(row) for row in rows]
-    return Foretold(np.add(squares, volumes), np.array(squares), np.array(where))
+    return PredictiveDensity(np.add(squares, volumes), np.array(squares), np.array(where))
 
 
 def _beside(folds: np.ndarray, apart: np.ndarray, fit: Fit) -> np.ndarray:
@@ -292,11 +294,10 @@ def _beside(folds: np.ndarray, apart: np.ndarray, fit: Fit) -> np.ndarray:
 
 
 def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, float]:
-    """Fall of the deviance of what is `foretold` from one fit to another of the same readings with
-    the same weights, and its standard error from its scatter over folds, or over blocks where there
-    are few.
+    """Fall of the predictive deviance from one fit to another of the same readings with the same
+    weights, and its standard error from the scatter over folds, or over blocks where folds are few.
     """
-    a, b = (foretold(fit, noise) for fit in (before, after))
+    a, b = (log_predictive_density(fit, noise) for fit in (before, after))
     fall = a.deviance - b.deviance
     groups = a.folds
     if len(np.unique(groups)) < _FEW:
@@ -306,15 +307,15 @@ def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, flo
     return float(fall.sum()), float(error)
 
 
-def foretold_fall(before: Fit, after: Fit, noise: float = 1.0) -> float:
-    """Fall of the root mean square distance of all readings from what is `foretold` of them, as a
-    share: of those that are never fitted, and of those beside them.
+def predicted_squares_fall(before: Fit, after: Fit, noise: float = 1.0) -> float:
+    """Fall of the root mean square distance of the readings from their prediction, as a share: of
+    the readings that are never fitted, and of those beside them.
     """
-    a, b = (foretold(fit, noise).squares.sum() for fit in (before, after))
+    a, b = (log_predictive_density(fit, noise).squares.sum() for fit in (before, after))
     return 1.0 - math.sqrt(b / a)
 
 
-def told_by_one_fold(fit: Fit, effect: int) -> bool:
+def supported_by_one_fold(fit: Fit, effect: int) -> bool:
     """Whether only one fold tells the effect at that place of the model, as it does of a jump
     within a run where every run has an offset of its own: what the flat parameters of the others
     take up is no part of it.

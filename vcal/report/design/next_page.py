@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...design.next_measurement import Candidate, Following
+from ...design.next_measurement import Candidate, NextMeasurement
 from ...design.separation import ALPHA, Lambda, Separation
 from ...instruments.conditions import file_name
 from ...plots.designs import Places, Uncertain, angles_views, places_views, uncertainties
@@ -31,7 +31,7 @@ _TESTS = (
 )
 
 
-def following_sentence(done: Following) -> str:
+def next_sentence(done: NextMeasurement) -> str:
     """The answer in one sentence."""
     count = len(done.task.space.groups)
     several = count > 1
@@ -53,7 +53,7 @@ def following_sentence(done: Following) -> str:
 
 
 def following_record(
-    done: Following,
+    done: NextMeasurement,
     study: Study,
     *,
     seed: int,
@@ -67,7 +67,7 @@ def following_record(
         "schema": DESIGN_SCHEMA,
         "name": study.name,
         "next": True,
-        "sentence": following_sentence(done),
+        "sentence": next_sentence(done),
         "why": why,
         "goal": task.criterion.name,
         "criterion": {"words": task.criterion.words, "unit": task.criterion.unit},
@@ -101,7 +101,7 @@ def following_record(
     return plain(found)
 
 
-def following_pictures(done: Following) -> Iterator[Picture]:
+def next_pictures(done: NextMeasurement) -> Iterator[Picture]:
     """All pictures, in the order of the page."""
     task = done.task
     present = done.present
@@ -134,8 +134,8 @@ def following_pictures(done: Following) -> Iterator[Picture]:
     yield Picture("uncertainties", "uncertainties", caption, png(drawn))
 
 
-def following_page(
-    done: Following,
+def next_page(
+    done: NextMeasurement,
     study: Study,
     drawn: Sequence[Picture],
     *,
@@ -149,7 +149,7 @@ def following_page(
     settings = study.single.design
     return sheet(
         study.name,
-        following_sentence(done),
+        next_sentence(done),
         [
             *([_rivals(done.separation, done.separated, _lambdas(done.best))]
               if done.separation is not None and done.separated is not None else []),
@@ -180,14 +180,14 @@ def following_page(
     )  # fmt: skip
 
 
-def _goal(done: Following, goal: str) -> str:
+def _goal(done: NextMeasurement, goal: str) -> str:
     if done.separation is None:
         return f"{goal}: {done.task.criterion.words}"
     first, second = (r.effect.key for r in done.separation.rivals)
     return f"tell {first} from {second}"
 
 
-def _tiles(done: Following) -> list[Tile]:
+def _tiles(done: NextMeasurement) -> list[Tile]:
     criterion, unit = done.task.criterion, text.unit(done.task.criterion.unit)
     told = [
         Tile("by the data so far", f"{text.number(done.before.criterion)} {unit}", criterion.words),
@@ -230,7 +230,7 @@ def _rivals(separation: Separation, before: Lambda, after: Lambda) -> Section:
     )
 
 
-def _candidates(done: Following) -> Section:
+def _candidates(done: NextMeasurement) -> Section:
     rows = []
     for number, c in enumerate(done.candidates, start=1):
         at = _centre(done, c)
@@ -251,7 +251,7 @@ def _candidates(done: Following) -> Section:
     return Section("Candidates, best first", (way,), tables=(Table(header, rows, align),))
 
 
-def _conditions(done: Following, study: Study) -> Table:
+def _conditions(done: NextMeasurement, study: Study) -> Table:
     """Of the columns of plan.csv those on which the rivals depend, positions aside."""
     columns = plan_table(study, done.task.space, done.best.placed)
     names = sorted(_wanted(done, study) & columns.keys())
@@ -263,7 +263,7 @@ def _conditions(done: Following, study: Study) -> Table:
     return Table(("condition", "lowest", "highest"), rows, "lrr", note=note)
 
 
-def _wanted(done: Following, study: Study) -> set[str]:
+def _wanted(done: NextMeasurement, study: Study) -> set[str]:
     """Columns on which rivals that are to be told apart depend, positions aside."""
     if done.separation is None:
         return set()
@@ -272,7 +272,7 @@ def _wanted(done: Following, study: Study) -> set[str]:
     return {file_name(n, axes) for n in needs}
 
 
-def carried_over(done: Following, study: Study) -> str:
+def carried_over(done: NextMeasurement, study: Study) -> str:
     """Which columns of plan.csv nothing but the last row of the data tells, as a sentence."""
     axes, space = study.chain.axes, done.task.space
     instrument = space.instrument(done.best.placed)
@@ -288,7 +288,7 @@ def carried_over(done: Following, study: Study) -> str:
     )
 
 
-def _separation(done: Following) -> Mapping[str, Any] | None:
+def _separation(done: NextMeasurement) -> Mapping[str, Any] | None:
     if done.separation is None or done.separated is None:
         return None
     found = {}
@@ -309,15 +309,15 @@ def _number(value: float) -> str:
     return text.number(value if value > 1e-6 else 0.0)
 
 
-def _fall(done: Following, candidate: Candidate) -> float:
+def _fall(done: NextMeasurement, candidate: Candidate) -> float:
     return 1.0 - candidate.value.criterion / done.before.criterion
 
 
-def _valuation(done: Following, rms_um: float) -> float:
+def _valuation(done: NextMeasurement, rms_um: float) -> float:
     return math.nan if done.prior is None else 1.0 - rms_um / done.prior.aligned_um
 
 
-def _centre(done: Following, candidate: Candidate) -> list[float] | None:
+def _centre(done: NextMeasurement, candidate: Candidate) -> list[float] | None:
     plan = done.task.space.plan(candidate.placed)
     if not in_space(done.task):
         return None

@@ -5,18 +5,20 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...design.next_measurement import Following
+from ...design.next_measurement import NextMeasurement
 from ...design.optimise import Designed, Seen
 from ...study.design.written_plan import ARTEFACT, PLAN, SETUP, write_designed, write_plan
 from ...study.study import Study
-from ..html.folder import Place
+from ..html.folder import ReportFolder
 from ..html.picture import Picture
-from .next_page import following_page, following_pictures, following_record
+from .next_page import following_record, next_page, next_pictures
 from .page import design_page
 from .pictures import design_pictures
 from .record import design_record
 
-_PLACE = Place(record="result.json", schema="vcal-design/", sometimes=(PLAN, ARTEFACT, SETUP))
+_PLACE = ReportFolder(
+    record="result.json", schema="vcal-design/", sometimes=(PLAN, ARTEFACT, SETUP)
+)
 
 
 def check_design_folder(out: Path | str) -> None:
@@ -57,8 +59,8 @@ def write_design(
     )
 
 
-def write_following(
-    done: Following,
+def write_next(
+    done: NextMeasurement,
     study: Study,
     out: Path | str,
     *,
@@ -75,9 +77,9 @@ def write_following(
     told = {"seed": seed, "why": why, "command": command, "seconds": seconds}
     return fill(
         Path(out),
-        list(following_pictures(done)),
+        list(next_pictures(done)),
         lambda work: write_plan(study, done.task.space, done.best.placed, work),
-        lambda drawn: following_page(done, study, drawn, **told),
+        lambda drawn: next_page(done, study, drawn, **told),
         lambda: following_record(done, study, **told),
     )
 

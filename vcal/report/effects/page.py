@@ -11,13 +11,13 @@ from ...effects.base import Effect, Setup
 from ...instruments.conditions import file_name
 from ...plots import png, signature, signatures
 from ...study.study import looked_for
-from ..html.folder import Place
+from ..html.folder import ReportFolder
 from ..html.picture import Picture
 from ..html.sheet import Section, Table, sheet
 from ..html.text import DASH, number, unit
 from ..loop.record import versions
 
-_PLACE = Place(record="effects.json", schema="vcal-effects/")
+_PLACE = ReportFolder(record="effects.json", schema="vcal-effects/")
 Example = tuple[Effect, Setup]
 
 

@@ -23,7 +23,7 @@ _NOT_EDITED = (".html", ".png")
 
 
 @dataclass(frozen=True)
-class Place:
+class ReportFolder:
     """How the folder of one kind of report is known."""
 
     record: str

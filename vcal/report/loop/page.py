@@ -86,7 +86,7 @@ def page(
         alpha=f"{100 * closure.settings['alpha']:g} %",
         restricted=_restricted(closure),
         full=closure.full,
-        doubts=any(doubt.others for doubt in closure.doubts),
+        alternatives=any(one.others for one in closure.alternatives),
         tried=_tried(closure, summaries),
         rounds=len(closure.screenings),
         rejected=_rejected(closure, summaries),

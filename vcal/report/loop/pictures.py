@@ -29,7 +29,7 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
             "bar: expanded uncertainty U (k = 2); grey: what was declared before the measurement "
             "(± 2 standard deviations, cut off at the frame). "
         )
-        if any(doubt.others for doubt in closure.doubts):
+        if any(one.others for one in closure.alternatives):
             caption += (
                 "Blue holds what rivals, or a description of what is unexplained, would foretell "
                 "instead: how much the data said is in the table."
@@ -147,7 +147,7 @@ def _errors(closure: Closure) -> Iterator[Picture]:
             "colour scale throughout; seen from above (top) and from the front (bottom)."
         )
         yield Picture("check_points", "volumetric", caption, plots.png(figure))
-    values = plots.error_field(closure.before, closure.after, closure.check, closure.doubts)
+    values = plots.error_field(closure.before, closure.after, closure.check, closure.alternatives)
     if values is not None:
         figure = plots.field(values)
         caption = (

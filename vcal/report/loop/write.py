@@ -9,14 +9,14 @@ from ...geometry.error_motions import error_motion_tables
 from ...loop.outcome.closure import Closure
 from ...study.messages import listed, refusal
 from ...study.study import Study
-from ..html.folder import Place
+from ..html.folder import ReportFolder
 from .own_effect import FILE, own_effect
 from .page import page
 from .pictures import pictures
 from .record import record
 from .tables import compensation_csv, effects_csv
 
-_PLACE = Place(record="report.json", schema="vcal-report/", sometimes=(FILE,))
+_PLACE = ReportFolder(record="report.json", schema="vcal-report/", sometimes=(FILE,))
 
 
 def check_folder(out: Path | str, reads: Iterable[Path] = ()) -> None:
@@ -63,9 +63,9 @@ def _make(
     closure: Closure, study: Study, work: Path, command: str, seconds: float
 ) -> Sequence[str]:
     """All files of the report in the folder `work`; returns their names."""
-    tables = error_motion_tables(closure.after, doubts=closure.doubts)
+    tables = error_motion_tables(closure.after, alternatives=closure.alternatives)
     size = 0 if closure.check is None else closure.check.plan.rows
-    tests = geometric_tests(closure.after, doubts=closure.doubts, size=size)
+    tests = geometric_tests(closure.after, alternatives=closure.alternatives, size=size)
     drawn = list(pictures(closure, tables))
     told = {"command": command, "seconds": seconds}
     texts = {

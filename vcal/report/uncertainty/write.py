@@ -7,14 +7,14 @@ from typing import Any
 
 from ...study.study import Study
 from ...uncertainty.virtual import VirtualCalibration
-from ..html.folder import Place
+from ..html.folder import ReportFolder
 from .page import virtual_page
 from .pictures import virtual_pictures
 from .record import virtual_record
 
 DRAWS = "draws"
 """Folder beside the report in which an unfinished campaign is kept."""
-_PLACE = Place(record="result.json", schema="vcal-uncertainty/", beside=DRAWS)
+_PLACE = ReportFolder(record="result.json", schema="vcal-uncertainty/", beside=DRAWS)
 
 
 def check_virtual_folder(out: Path | str) -> None:

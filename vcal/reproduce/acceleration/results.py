@@ -13,7 +13,7 @@ from ...dynamics.assemble import assemble
 from ...dynamics.bodies import Machine
 from ...dynamics.campaign import Campaign, Noise, campaign
 from ...dynamics.circles import measured_phasors
-from ...dynamics.closed_loop import ClosedLoop, check_stable, close
+from ...dynamics.closed_loop import ClosedLoop, check_stable, controlled
 from ...dynamics.compliance import compliance
 from ...dynamics.control import Controller
 from ...dynamics.evaluate import Evaluated
@@ -61,7 +61,7 @@ class Model:
     def of(cls, machine: Machine, controller: Controller) -> "Model":
         """With everything that follows; raises `ValueError` where its loop is unstable."""
         structure = assemble(machine)
-        loop = close(structure, controller)
+        loop = controlled(structure, controller)
         check_stable(loop, structure)
         matrix = 1e6 * np.asarray(compliance(structure))
         return cls(machine, controller, loop, matrix, modes(structure).hz, positioned(loop))

@@ -36,7 +36,7 @@ from ...instruments.laser_frame import Segment
 from ...machine.plan import Plan
 from ...model.forward import Model
 from ...numerics.arrays import Array
-from ...numerics.compiled import outer_jit
+from ...numerics.compiled import jit_outermost
 from .defined import Asked
 from .recipe import Lever
 from .setting import (
@@ -228,7 +228,7 @@ def refine(freedom: str, start: Layout, *, goal: Goal = "errors", lever: bool = 
         return information(there, plan.with_position(position))
 
     # A point's information depends on its own place: one direction has the derivatives of all.
-    @outer_jit
+    @jit_outermost
     def with_slopes(z: Float[Array, " n"], lever: Float[Array, ""]):
         ones, none = jnp.ones_like(z), jnp.zeros_like(z)
         value, by_place = jax.jvp(informed, (z, lever), (ones, 0.0))

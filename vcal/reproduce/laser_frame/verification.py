@@ -23,7 +23,7 @@ from ...machine.plan import Plan
 from ...model.forward import Model
 from ...model.simulate import draw_scatter, ideal_readings, prepare, simulate
 from ...numerics.arrays import Array
-from ...numerics.compiled import outer_jit
+from ...numerics.compiled import jit_outermost
 from .setting import (
     CHAIN,
     OTHERS,
@@ -175,7 +175,7 @@ def _compared(repeats: int, key: jax.Array) -> tuple[Agreement, ...]:
         model = Model(own_chain, own, (drift, path, ReadingNoise(np.sqrt(2.0) * u)))
         simulators.append(prepare(model, plan))
 
-    @outer_jit
+    @jit_outermost
     @jax.vmap
     def repeat(key: jax.Array) -> Float[Array, "2 n 2"]:
         machine, *scatters = jax.random.split(key, 3)

@@ -21,7 +21,7 @@ from jaxtyping import Float, PRNGKeyArray
 from ...identification.batch import Batch, identify_one
 from ...model.simulate import Simulator, draw
 from ...numerics.arrays import Array
-from ...numerics.compiled import outer_jit
+from ...numerics.compiled import jit_outermost
 from ...uncertainty.campaign import virtual_pair
 from ...uncertainty.ensemble import Ensemble
 from ...uncertainty.linear import Linearised, linearised
@@ -138,7 +138,7 @@ class Runner:
             def one(index: Array, key: PRNGKeyArray, numbers: _Numbers) -> dict[str, Array]:
                 return _test(jax.random.fold_in(key, index), *_filled(pair, measures, numbers))
 
-            self.programs[structure] = outer_jit(jax.vmap(one, in_axes=(0, None, None)))
+            self.programs[structure] = jit_outermost(jax.vmap(one, in_axes=(0, None, None)))
         return self.programs[structure]
 
 

@@ -15,7 +15,7 @@ from ...registry import nearest
 from ..folder import Folder
 from ..geometric_family import geometric_errors
 from ..messages import listed, refusal
-from ..must_see import check_seen, check_wanted
+from ..must_see import check_identifiable, check_wanted
 from ..settings import validate
 from ..study import Study, build_chain
 from ..toml_file import read_setup
@@ -109,7 +109,7 @@ def judged_model(study: Study, leave_out: Sequence[Effect] = ()) -> Model:
 
 def check_designed(study: Study, space: PlanSpace, placed: Any) -> None:
     """Raise `StudyError` where a plan does not see what ``[design] must_see`` asks for."""
-    check_seen(
+    check_identifiable(
         study.single.design.must_see,
         study.chain,
         space.instrument(placed),
