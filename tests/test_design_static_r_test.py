@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from vcal.instruments.plan_next import carried_apart, followed
+from vcal.instruments.follow import carried_apart, followed
 
 import vcal
 from conftest import write_csv

@@ -8,7 +8,7 @@ from known import KINDS, Known, know_all
 from vcal.effects.registry import CATALOGUE
 from vcal.identification.linearised import slopes
 from vcal.loop.screening.candidates import candidates
-from vcal.numerics.anderson import together
+from vcal.numerics.anderson import anderson_step
 from vcal.numerics.gauss_newton import Point, quickly
 
 
@@ -129,7 +129,7 @@ def test_steps_of_a_linear_iteration_taken_together_end_it():
         way, steps = [*way, x], [*steps, b @ (c - x)]
         x = x + steps[-1]
     moved, changed = np.diff(way, axis=0).T, np.diff(steps, axis=0).T
-    np.testing.assert_allclose(way[-1] + together(steps[-1], moved, changed), c, atol=1e-9)
+    np.testing.assert_allclose(way[-1] + anderson_step(steps[-1], moved, changed), c, atol=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
-from .anderson import together
+from .anderson import anderson_step
 
 _MOST = 20
 """Steps that are tried: together they take less than to compile another solver."""
@@ -177,7 +177,7 @@ def _onward(place: Point, before: list[Point]) -> np.ndarray:
     way = [*before, place]
     moved = place.seen(np.diff([p.theta for p in way], axis=0).T)
     changed = place.seen(np.diff([p.step for p in way], axis=0).T)
-    further = together(place.foretold, moved, changed)
+    further = anderson_step(place.foretold, moved, changed)
     # J'J times the change of a step is minus the Hessian times the move.
     lengths = np.linalg.norm(moved, axis=0)
     bends = -(moved.T @ changed) / np.outer(lengths, lengths)

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from ..dynamics.assemble import Structure, assemble
 from ..dynamics.bodies import BED, GROUND, Body, Drive, Friction, Machine, Scale, Spring, ToolPoint
-from ..dynamics.closed_loop import check_stable, close
+from ..dynamics.closed_loop import check_stable, controlled
 from ..dynamics.control import Controller
 from ..dynamics.gains import propose
 from ..dynamics.modes import check_supported, modes
@@ -71,7 +71,7 @@ def load_machine(path: Path | str, overrides: Sequence[str] = ()) -> Described:
     structure = assemble(machine)
     controller = _controller(found.controller, structure, path.name)
     try:
-        check_stable(close(structure, controller), structure)
+        check_stable(controlled(structure, controller), structure)
     except ValueError as error:
         raise StudyError(f"{path.name}, {error}") from error
     limits = Limits(

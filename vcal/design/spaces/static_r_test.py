@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import model_validator
 
-from ...instruments.plan_next import carried_apart, followed
+from ...instruments.follow import carried_apart, followed
 from ...instruments.static_r_test import StaticRTest
 from ...machine.chain import Chain
 from ...model.forward import Model
