@@ -39,7 +39,7 @@ def test_told_the_truth_nothing_is_left(name):
     study = power.load(made.case)
     before = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
     keep = np.ones(study.measurement.plan.rows, bool)
-    after = power.told(study, before, made.terms, keep)
+    after = power.true_fit(study, before, made.terms, keep)
     assert name not in QUICK or before.chi2 / before.dof > 0.3  # others may be hidden by the plan
     assert after.chi2 / after.dof < 0.02
 
