@@ -1,7 +1,7 @@
-"""What the loop is asked to find: a table of effects by instrument, and how a set of each is made.
+"""The cases of power.py: a table of effects by instrument, and how a data set of each is made.
 
-Every row says where an effect may be measured, in which unit its size counts, and how it is drawn:
-as the oracle of the tests takes it, and under which name vcal knows it.
+Every row states the instruments that can measure an effect, the unit of its size, and how it is
+drawn: the description for the oracle of the tests, and the name in vcal.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ DURATION_S = {"laser_tracker": 5000.0, "ball_array": 10000.0, "laser_frame": 480
               "reflectors": 12.0 * ARM_POSES}  # fmt: skip
 JOINTS = 6
 STRAYS = 0.02
-"""Share of the readings that go astray where some do."""
+"""Share of outliers among the readings of a set with outliers."""
 OWN_NOISE = 20_018
-"""Seed from which on every set with an effect has its own noise. Before, all sets of an instrument
-and seed have the same: what looks like an effect in it then does so in all of them.
+"""First seed whose sets with an effect have independent noise. With a smaller seed all sets of an
+instrument have the same noise, so that a pattern in it that resembles an effect is in all of them.
 """
 
 Rng = np.random.Generator
@@ -41,7 +41,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class World:
-    """What is the same for all sizes of one set."""
+    """The quantities that are the same for all sizes of one set."""
 
     instrument: str
     seed: int
@@ -51,35 +51,35 @@ class World:
 
     @property
     def duration(self) -> float:
-        """About how long the measurement takes, s."""
+        """Approximate duration of the measurement, s."""
         return DURATION_S[self.instrument]
 
     def moment(self, rng: Rng) -> float:
-        """A time not too near either end of the measurement, s."""
+        """A random time in the middle half of the measurement, s."""
         return float(self.duration * rng.uniform(0.25, 0.75))
 
     def carries(self, axis: str) -> bool:
-        """Whether the axis is on the tool's side of the bed."""
+        """Whether the axis is in the tool branch of the chain."""
         names = self.chain.split()
         return names.index(axis) > names.index("b")
 
 
 @dataclass(frozen=True)
 class Term:
-    """One effect of one size: as the oracle takes it, and as vcal should name it."""
+    """One effect of one size: its description for the oracle, and its right name."""
 
     effects: tuple[Mapping[str, Any], ...]
     """For the oracle."""
     key: str = ""
-    """Identifier and placement in vcal; empty for what is in no catalogue."""
+    """Name and placement in vcal; empty for an error that no catalogue holds."""
     parameters: tuple[str, ...] = ()
-    """Parameters that tell the component, where one placement has several."""
+    """Parameters of the component, where a placement has several components."""
     shape: Mapping[str, float] | None = None
     """True values of the parameters that enter non-linearly, SI."""
     covariates: tuple[str, ...] = ()
-    """Covariates one of which an *unexplained* should tell first."""
+    """Covariates of which an *unexplained* should name one first."""
     declared: tuple[Mapping[str, Any], ...] = ()
-    """Rows of [[model.effect]] that go with it."""
+    """Rows of [[model.effect]] that declare other effects of the set."""
 
 
 Sized = Callable[[float], Term]
@@ -92,8 +92,8 @@ class Kind:
     name: str
     unit: str
     large: float
-    """A large one, in that unit. Where it is below the detection limit, the plan does not see the
-    effect, and no set is made.
+    """A large size, in that unit. Where it is below the detection limit, the plan does not detect
+    the effect, and no set is made.
     """
     draw: Callable[[Rng, World], Sized]
     """Draws everything but the size."""
@@ -101,12 +101,12 @@ class Kind:
     recording: tuple[str, ...] = ()
     plan: Mapping[str, Any] | None = None
     cycles: bool = False
-    """Whether the axes are exercised in turn, so that their temperatures tell them apart, and from
-    time. The kind is then tried once more while the machine just warms up.
+    """Whether the axes are exercised in turn, so that their temperatures differ from each other and
+    from time. The kind is then also tried while the machine only warms up.
     """
     centred: bool = False
-    """Whether positions count from the middle of the travel. What grows in proportion to the
-    position is otherwise a translation as well, which other effects take for theirs.
+    """Whether positions count from the middle of the travel. An error in proportion to the position
+    otherwise contains a translation, which other effects can explain.
     """
 
 
@@ -129,14 +129,14 @@ def _unit(rng: Rng, size: int = 3) -> np.ndarray:
 def _on_axis(
     name: str, key: str, components: str, named: str = "", **fixed: Callable[[Rng, World], float]
 ) -> Callable[[Rng, World], Sized]:
-    """An effect on an axis: `components` "=" along it, "x" across it, else out of these letters;
-    `named` what the parameter of a component is called in vcal.
+    """An effect on an axis. `components` is "=" for the direction of the axis, "x" for those across
+    it, or the letters to choose from; `named` is the prefix of the parameter in vcal.
     """
 
     def draw(rng: Rng, world: World) -> Sized:
         axis, sign = _axis(rng), _sign(rng)
         letters = {"=": axis, "x": "XYZ".replace(axis, "")}.get(components, components)
-        if axis == "Z":  # the tool stands in line with it: its roll moves nothing
+        if axis == "Z":  # the tool lies on the axis: a roll displaces nothing
             letters = letters.replace("C", "")
         component = _axis(rng, letters)
         more = {k: f(rng, world) for k, f in fixed.items()}
@@ -167,8 +167,8 @@ def _jump(rng: Rng, world: World) -> Sized:
 
 
 def _turn(rng: Rng, world: World) -> np.ndarray:
-    """Of the instrument's frame, urad beside a translation of 1 um: of a length that shows about
-    three times as much as that over the travel. A mere translation is one of the tool as well.
+    """A rotation of the instrument's frame, in urad per 1 um of translation. Over the travel it
+    displaces about three times as much as the translation, which alone would equal one of the tool.
     """
     return _unit(rng) * 3 / (0.5 * np.mean(world.travel))
 
@@ -179,7 +179,7 @@ def _frame_jump(rng: Rng, world: World) -> Sized:
     def sized(size: float) -> Term:
         effect = {"effect": "station_jump", "t0_s": at, "translation_um": size * v,
                   "rotation_urad": size * w}  # fmt: skip
-        # A stand that is displaced without turning is another one.
+        # A station that is displaced without rotation has another parameter.
         return Term((effect,), "jump frame", ("A",), shape={"at": at})
 
     return sized
@@ -202,7 +202,7 @@ def _station_drift(rng: Rng, world: World) -> Sized:
 def _screw(rng: Rng, world: World) -> Sized:
     axis, phase = _axis(rng), rng.uniform(0, 2 * np.pi)
     leads = (5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
-    # Half of the screws have a nominal lead, half any pitch (racks, couplings, their own make).
+    # Half of the screws have a nominal lead, half any pitch (racks, couplings, special makes).
     pitch = float(rng.choice(leads) if rng.uniform() < 0.5 else np.exp(rng.uniform(1.6, 3.9)))
 
     def sized(size: float) -> Term:
@@ -228,8 +228,8 @@ def _crossed(rng: Rng, world: World) -> Sized:
 
 
 def unresolved_degree(row: Sequence[float]) -> int:
-    """The lowest Legendre degree of which the family with this row of the table, a constant and a
-    slope leave more than a tenth.
+    """The lowest Legendre degree of which more than a tenth remains after a fit of the family with
+    this row of the table, a constant and a slope.
     """
     x = np.linspace(-1, 1, 201)
     _, _, n1, b1, c1, n2, b2, c2 = row
@@ -276,7 +276,7 @@ def _spindle(rng: Rng, world: World) -> Sized:
 
 
 def _scaled(name: str, key: str, vcal_key: str = "", **drawn: Callable[[Rng], Any]):
-    """An effect without a place; further keys are drawn."""
+    """An effect without placement; further keys are drawn."""
 
     def draw(rng: Rng, world: World) -> Sized:
         sign, more = _sign(rng), {k: f(rng) for k, f in drawn.items()}
@@ -338,7 +338,7 @@ def _diode(rng: Rng, world: World) -> Sized:
 def _on_circles(
     name: str, key: str, *, one: bool, **drawn: Callable[[Rng], Any]
 ) -> Callable[[Rng, World], Sized]:
-    """An effect of an R-test on one axis or on all; keys in mm and um stand for shapes too."""
+    """An effect of an R-test on one axis or on all; keys with a unit are shapes as well."""
 
     def draw(rng: Rng, world: World) -> Sized:
         axis, more = _axis(rng), {k: f(rng) for k, f in drawn.items()}
@@ -372,12 +372,12 @@ def _crosstalk(rng: Rng, world: World) -> Sized:
     )
 
 
-# --- what is in no catalogue ---------------------------------------------------------------------
+# --- errors that no catalogue holds --------------------------------------------------------------
 
 
 def _dent(rng: Rng, world: World) -> Sized:
     axis = _axis(rng)
-    # In the direction of the axis itself an instrument sees it as well as across.
+    # Along the axis an instrument detects a dent as well as across it.
     component, travel = _axis(rng), world.travel["XYZ".index(axis)]
     at, sigma = travel * rng.uniform(0.25, 0.75), travel * rng.uniform(0.03, 0.06)
     return lambda size: Term(
@@ -396,7 +396,7 @@ def _dent(rng: Rng, world: World) -> Sized:
 
 
 def _kink(rng: Rng, world: World) -> Sized:
-    axis, sign = _axis(rng, "XY"), _sign(rng)  # of Z it moves nothing
+    axis, sign = _axis(rng, "XY"), _sign(rng)  # a roll of Z displaces nothing
     roll = "ABC"["XYZ".index(axis)]
     at = world.travel["XYZ".index(axis)] * rng.uniform(0.3, 0.7)
     return lambda size: Term(
@@ -414,8 +414,8 @@ def _kink(rng: Rng, world: World) -> Sized:
 
 
 def _quartic(rng: Rng, world: World) -> Sized:
-    """u^2 v^2 of two axes, v the one nearer to the tool, along v. Across v it would be in the
-    catalogue: a rotation u^2 v of the first axis has the lever v.
+    """u^2 v^2 along v, of two axes of which v is nearer to the tool. Across v the catalogue holds
+    it: a rotation u^2 v of the first axis has the lever v.
     """
     order = [c for c in world.chain.split() if c in "XYZ"]
     first, second = sorted(rng.choice(3, 2, replace=False))
@@ -444,7 +444,7 @@ def _growing_play(rng: Rng, world: World) -> Sized:
 
 
 def _stuck(rng: Rng, world: World) -> Sized:
-    """A scale whose growth is compensated by a temperature that is no longer true."""
+    """A scale whose growth is compensated with a temperature that no longer changes."""
     axis = _axis(rng)
     at = float(world.duration * rng.uniform(0.2, 0.4))
     return lambda size: Term(
@@ -487,7 +487,7 @@ def _gear(rng: Rng, world: World) -> Sized:
 
 
 def _ripple(rng: Rng, world: World) -> Sized:
-    """A fine one: of a strain wave gear of a usual ratio, or of any."""
+    """A high harmonic: of a strain wave gear of a usual ratio, or of any order."""
     joint = int(rng.integers(JOINTS))
     usual = 2.0 * float(rng.choice((50, 80, 100, 120, 160)))
     order = usual if rng.uniform() < 0.5 else float(np.exp(rng.uniform(np.log(6), np.log(330))))
@@ -499,11 +499,11 @@ def _ripple(rng: Rng, world: World) -> Sized:
 
 
 def _wound(rng: Rng, world: World) -> Sized:
-    """A gear that yields more to small loads than in proportion: what it does beside its
-    compliance, which would be another effect.
+    """A gear that yields more than in proportion to small loads: the departure from its linear
+    compliance, which is another effect.
     """
     joint = int(rng.choice((1, 2, 4)))
-    # Behind the wrist only the flange has a lever, which vcal knows as that of equal masses: of
+    # Behind the wrist only the flange has a lever, which vcal models as that of equal masses:
     # 36 mm, where the other joints have 0.3 to 0.7 m.
     masses = "arm" if joint == 4 else ("arm", "tool")[rng.integers(2)]
     knee = float(np.exp(rng.uniform(np.log(3.0), np.log(20.0 if joint == 4 else 100.0))))
@@ -514,7 +514,7 @@ def _wound(rng: Rng, world: World) -> Sized:
 
 
 def _loaded(name: str, among: Sequence[int]):
-    """What yields to a mass whose centre is off the flange, in any direction."""
+    """A compliance under a mass whose centre is off the flange in any direction."""
 
     def draw(rng: Rng, world: World) -> Sized:
         joint, sign = int(rng.choice(list(among))), _sign(rng)
@@ -527,7 +527,7 @@ def _loaded(name: str, among: Sequence[int]):
 
 
 def _coupled(rng: Rng, world: World) -> Sized:
-    """Of an angle that turns with that of another joint."""
+    """A joint whose angle has a part in proportion to the angle of another joint."""
     joint, other = (int(i) for i in rng.choice(JOINTS, 2, replace=False))
     effect = {"effect": "joint_coupling", "joint": joint, "other": other}
     sign, own = _sign(rng), (f"k_J{other + 1}",)
@@ -535,7 +535,7 @@ def _coupled(rng: Rng, world: World) -> Sized:
 
 
 def _follows(column: str, scale: float, components: str, unit: str):
-    """An error in proportion to a column that no effect knows."""
+    """An error in proportion to a column that no effect uses."""
 
     def draw(rng: Rng, world: World) -> Sized:
         effect = {"effect": "follows", "axis": _axis(rng), "column": column, "scale": scale,
@@ -547,7 +547,7 @@ def _follows(column: str, scale: float, components: str, unit: str):
 
 
 def _bumps(rng: Rng, world: World) -> Sized:
-    """All that a circle has to tell of a place on it."""
+    """A harmonic on the circle; any covariate of the place on it is right."""
     order = int(rng.integers(3, 6))
     motion = ("", "a_", "v_", "since_", "dir_")
     return lambda size: Term(
@@ -577,7 +577,7 @@ _SPEED: dict[str, Callable[[Rng], Any]] = {
 _SMOOTH: dict[str, Callable[[Rng], Any]] = {
     "speed_mm_per_s": lambda rng: float(rng.uniform(10.0, 30.0))
 }
-"""Of 21 to 95 mm/s on the circles: below, friction sets in between two rows, and is a play."""
+"""The circles have 21 to 95 mm/s. Below, friction changes between two rows, as backlash does."""
 _PERIOD: dict[str, Callable[[Rng], Any]] = {
     "period_um": lambda rng: float(rng.choice([10.0, 20.0, 40.0, 100.0, 200.0])),
     "phase": _phase,
@@ -712,7 +712,7 @@ WITH_STRAYS: tuple[tuple[str, str], ...] = (
 
 @dataclass(frozen=True)
 class Entry:
-    """A case of the campaign: effects that are in it, at an instrument."""
+    """A case of the campaign: an instrument and the effects in its data."""
 
     name: str
     instrument: str
@@ -722,24 +722,24 @@ class Entry:
     noise: float = 1.0
     strays: float = 0.0
     warming: bool = False
-    """Whether the machine just warms up where its axes are exercised in turn otherwise."""
+    """Whether the machine only warms up, instead of exercising its axes in turn."""
     multiples: tuple[float, ...] = ()
 
     @property
     def clean(self) -> bool:
-        """Whether there is nothing to be found."""
+        """Whether nothing is missing from the declared model."""
         return not self.kinds and not self.strays
 
 
 GROUPS = {
     "clean": "nothing is missing",
-    "noisier": "nothing is missing, and the noise is 1.1 times what is declared",
+    "noisier": "nothing is missing, and the noise is 1.1 times the declared one",
     "catalogue": "one effect of the catalogue",
-    "warming up": "the same where temperatures and time look alike",
-    "outside": "what is in no catalogue",
+    "warming up": "the same where temperatures and time are nearly proportional",
+    "outside": "an error that no catalogue holds",
     "pairs": "two effects",
     "several": "three effects or four",
-    "strays": "some readings go astray",
+    "strays": "some readings are outliers",
 }
 MULTIPLES = (3.0, 1.0, 5.0, 2.0, 0.5)
 
@@ -778,7 +778,7 @@ def _entries() -> tuple[Entry, ...]:
     return tuple(found)
 
 
-# In an order of their own, so that a campaign that is cut short has some of everything.
+# In a mixed order, so that a campaign that ends early has some sets of every group.
 ENTRIES: dict[str, Entry] = {
     entry.name: entry for entry in sorted(_entries(), key=lambda e: zlib.crc32(e.name.encode()))
 }
@@ -789,15 +789,15 @@ ENTRIES: dict[str, Entry] = {
 
 @dataclass(frozen=True)
 class Made:
-    """A set: data of the oracle, and what is in them."""
+    """A set: data of the oracle, and the effects in them."""
 
     case: Case
     terms: tuple[Term, ...]
 
 
 def world_of(instrument: str, seed: int) -> World:
-    """The machine of a seed: three chains in turn, and for a tracker and balls every travel within
-    a quarter of that chain's usual one.
+    """The machine of a seed: three chains in turn. For a tracker and a ball array every travel is
+    0.8 to 1.25 times the usual one of the chain.
     """
     chain = CHAINS[seed % 3]
     if instrument in BOTH:
@@ -819,8 +819,8 @@ def drawn(entry: Entry, world: World) -> list[Sized]:
 
 
 def noise_seed(entry: Entry, multiple: float, seed: int) -> int:
-    """The seed of a set's noise. Sets with stray readings have that of the same set without, which
-    they are compared with.
+    """The seed of the noise of a set. A set with outliers has that of the same set without, with
+    which it is compared.
     """
     if seed < OWN_NOISE or not entry.kinds:
         return seed
@@ -836,8 +836,8 @@ def make(
     noise: float | None = None,
     noise_seed: int | None = None,
 ) -> Made:
-    """Measure the set, with its effects at the given sizes; `noise` instead of the entry's, of
-    this seed instead of the world's.
+    """Measure the set, with its effects at the given sizes. `noise` replaces the noise factor of
+    the entry, and `noise_seed` the seed of the world.
     """
     terms = tuple(f(size) for f, size in zip(sized, sizes, strict=True))
     effects = [dict(e) for term in terms for e in term.effects]
@@ -860,7 +860,7 @@ def make(
         rng = np.random.default_rng([world.seed, 3])
         matrix = draw_matrix(rng)
         if all(term.key != "acceleration_crosstalk" for term in terms):
-            # In every other set the machine bends as declared, else it is as stiff as declared.
+            # In every other set the machine has a declared cross-talk, in the others none.
             if world.seed % 2 == 0:
                 bends = "acceleration_crosstalk"
                 effects.append({"effect": bends, "matrix": matrix})

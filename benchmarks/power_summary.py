@@ -250,6 +250,7 @@ def clean_row(lines: list[dict], group: str, instrument: str) -> dict:
     return {
         "instrument": instrument,
         "group": group,
+        "sets": len(lines),
         "named": named,
         "unexplained": found["unexplained"],
         "p_below_alpha": sum(x["p"] <= 0.01 for x in lines),
@@ -280,6 +281,7 @@ def stray_row(name: str, lines: list[dict], every: dict) -> dict:
     strays = np.array([x["strays"] for x in lines if "strays" in x]).reshape(-1, 3)
     return {
         "case": name,
+        "sets": len(lines),
         "compared": len(compared),
         "same": len(compared) - len(others),
         "as_without_the_rows": sum(

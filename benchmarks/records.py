@@ -34,7 +34,7 @@ def parser_of(doc: str, name: str) -> argparse.ArgumentParser:
 
 def write(path: Path, record: dict[str, Any]) -> None:
     """Write a record as JSON, a line per row of a table, with the commit that made it."""
-    if "commits" not in record:
+    if not {"commit", "commits"} & record.keys():
         record = {"commit": commit_of(), **record}
 
     def text(value: Any) -> str:
