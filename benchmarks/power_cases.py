@@ -126,6 +126,25 @@ def _unit(rng: Rng, size: int = 3) -> np.ndarray:
     return v / np.linalg.norm(v)
 
 
+def _grows(
+    effect: Mapping[str, Any],
+    sizes: Mapping[str, Any],
+    key: str = "",
+    parameters: tuple[str, ...] = (),
+    shape: Mapping[str, float] | None = None,
+    covariates: tuple[str, ...] = (),
+) -> Sized:
+    """The term of every size. `sizes` are the keys of the effect that are in proportion to it, with
+    their factors; the other arguments are those of `Term`.
+    """
+
+    def sized(size: float) -> Term:
+        grown = {name: factor * size for name, factor in sizes.items()}
+        return Term(({**effect, **grown},), key, parameters, shape, covariates)
+
+    return sized
+
+
 def _on_axis(
     name: str, key: str, components: str, named: str = "", **fixed: Callable[[Rng, World], float]
 ) -> Callable[[Rng, World], Sized]:
@@ -142,12 +161,8 @@ def _on_axis(
         more = {k: f(rng, world) for k, f in fixed.items()}
         shape = {k.removesuffix("_s"): v for k, v in more.items() if k == "tau_s"}
         parameters = (f"{named}_E{component}{axis}",) if named else ()
-
-        def sized(size: float) -> Term:
-            effect = {"effect": name, "axis": axis, "component": component, key: sign * size}
-            return Term(({**effect, **more},), f"{name} {axis}", parameters, shape or None)
-
-        return sized
+        effect = {"effect": name, "axis": axis, "component": component, **more}
+        return _grows(effect, {key: sign}, f"{name} {axis}", parameters, shape or None)
 
     return draw
 
@@ -158,12 +173,8 @@ def _tau(rng: Rng, world: World) -> float:
 
 def _jump(rng: Rng, world: World) -> Sized:
     axis, component, at, sign = _axis(rng), _axis(rng), world.moment(rng), _sign(rng)
-
-    def sized(size: float) -> Term:
-        effect = {"effect": "jump", "axis": axis, "component": component, "t0_s": at}
-        return Term(({**effect, "size_um": sign * size},), "jump tool", shape={"at": at})
-
-    return sized
+    effect = {"effect": "jump", "axis": axis, "component": component, "t0_s": at}
+    return _grows(effect, {"size_um": sign}, "jump tool", shape={"at": at})
 
 
 def _turn(rng: Rng, world: World) -> np.ndarray:
@@ -175,28 +186,15 @@ def _turn(rng: Rng, world: World) -> np.ndarray:
 
 def _frame_jump(rng: Rng, world: World) -> Sized:
     at, v, w = world.moment(rng), _unit(rng), _turn(rng, world)
-
-    def sized(size: float) -> Term:
-        effect = {"effect": "station_jump", "t0_s": at, "translation_um": size * v,
-                  "rotation_urad": size * w}  # fmt: skip
-        # A station that is displaced without rotation has another parameter.
-        return Term((effect,), "jump frame", ("A",), shape={"at": at})
-
-    return sized
+    sizes = {"translation_um": v, "rotation_urad": w}
+    # A station that is displaced without rotation has another parameter.
+    return _grows({"effect": "station_jump", "t0_s": at}, sizes, "jump frame", ("A",), {"at": at})
 
 
 def _station_drift(rng: Rng, world: World) -> Sized:
     v, w = _unit(rng), _turn(rng, world)
-    return lambda size: Term(
-        (
-            {
-                "effect": "station_drift",
-                "translation_um_per_h": size * v,
-                "rotation_urad_per_h": size * w,
-            },
-        ),
-        "station_drift",
-    )
+    sizes = {"translation_um_per_h": v, "rotation_urad_per_h": w}
+    return _grows({"effect": "station_drift"}, sizes, "station_drift")
 
 
 def _screw(rng: Rng, world: World) -> Sized:
@@ -204,13 +202,9 @@ def _screw(rng: Rng, world: World) -> Sized:
     leads = (5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
     # Half of the screws have a nominal lead, half any pitch (racks, couplings, special makes).
     pitch = float(rng.choice(leads) if rng.uniform() < 0.5 else np.exp(rng.uniform(1.6, 3.9)))
-
-    def sized(size: float) -> Term:
-        effect = {"effect": "screw_cyclic", "axis": axis, "amplitude_um": size, "phase": phase,
-                  "pitch_mm": pitch}  # fmt: skip
-        return Term((effect,), f"screw_cyclic {axis}", shape={"pitch": 1e-3 * pitch})
-
-    return sized
+    effect = {"effect": "screw_cyclic", "axis": axis, "phase": phase, "pitch_mm": pitch}
+    key, shape = f"screw_cyclic {axis}", {"pitch": 1e-3 * pitch}
+    return _grows(effect, {"amplitude_um": 1.0}, key, shape=shape)
 
 
 def _crossed(rng: Rng, world: World) -> Sized:
@@ -218,13 +212,9 @@ def _crossed(rng: Rng, world: World) -> Sized:
     other = _axis(rng, "XYZ".replace(axis, ""))
     powers = ((1, 1), (2, 1), (1, 2))[rng.integers(3)]
     motion = f"E{component}{axis}_{axis.lower()}_{other.lower()}"
-
-    def sized(size: float) -> Term:
-        effect = {"effect": "cross_axis", "axis": axis, "other": other, "powers": powers,
-                  "component": component, "size_um": sign * size}  # fmt: skip
-        return Term((effect,), f"cross_axis {axis}", (motion,))
-
-    return sized
+    effect = {"effect": "cross_axis", "axis": axis, "other": other, "powers": powers,
+              "component": component}  # fmt: skip
+    return _grows(effect, {"size_um": sign}, f"cross_axis {axis}", (motion,))
 
 
 def unresolved_degree(row: Sequence[float]) -> int:
@@ -248,31 +238,20 @@ def _order(rng: Rng, world: World) -> Sized:
     motion = [name for name in TABLE if name not in SQUARENESS and name[1] in "XYZ"]
     name = motion[rng.integers(len(motion))]
     degree, sign = unresolved_degree(TABLE[name]), _sign(rng)
-
-    def sized(size: float) -> Term:
-        effect = {"effect": "geometric_order", "axis": name[2], "component": name[1],
-                  "degree": degree, "size_um": sign * size}  # fmt: skip
-        return Term((effect,), f"geometric_order {name}", (f"P{degree}",))
-
-    return sized
+    effect = {"effect": "geometric_order", "axis": name[2], "component": name[1], "degree": degree}
+    return _grows(effect, {"size_um": sign}, f"geometric_order {name}", (f"P{degree}",))
 
 
 def _sag(rng: Rng, world: World) -> Sized:
     axis = _axis(rng, "".join(a for a in "XY" if world.carries(a)))
-    return lambda size: Term(
-        ({"effect": "payload_sag", "axis": axis, "um_per_kg": size},),
-        f"payload_sag {axis}",
-        ("sag_low",),
-    )
+    effect = {"effect": "payload_sag", "axis": axis}
+    return _grows(effect, {"um_per_kg": 1.0}, f"payload_sag {axis}", ("sag_low",))
 
 
 def _spindle(rng: Rng, world: World) -> Sized:
     tau = _tau(rng, world)
-    return lambda size: Term(
-        ({"effect": "spindle_growth", "size_um": size, "tau_s": tau},),
-        "spindle_growth",
-        shape={"tau": tau},
-    )
+    effect = {"effect": "spindle_growth", "tau_s": tau}
+    return _grows(effect, {"size_um": 1.0}, "spindle_growth", shape={"tau": tau})
 
 
 def _scaled(name: str, key: str, vcal_key: str = "", **drawn: Callable[[Rng], Any]):
@@ -280,11 +259,7 @@ def _scaled(name: str, key: str, vcal_key: str = "", **drawn: Callable[[Rng], An
 
     def draw(rng: Rng, world: World) -> Sized:
         sign, more = _sign(rng), {k: f(rng) for k, f in drawn.items()}
-
-        def sized(size: float) -> Term:
-            return Term(({"effect": name, key: sign * size, **more},), vcal_key or name)
-
-        return sized
+        return _grows({"effect": name, **more}, {key: sign}, vcal_key or name)
 
     return draw
 
@@ -295,44 +270,32 @@ def _phase(rng: Rng) -> float:
 
 def _axes_of_tracker(rng: Rng, world: World) -> Sized:
     tilt, collimation = _unit(rng, 2)
-    return lambda size: Term(
-        (
-            {
-                "effect": "tracker_axes",
-                "tilt_urad": size * tilt,
-                "collimation_urad": size * collimation,
-            },
-        ),
-        "tracker_axes",
-    )
+    sizes = {"tilt_urad": tilt, "collimation_urad": collimation}
+    return _grows({"effect": "tracker_axes"}, sizes, "tracker_axes")
 
 
 def _ball(rng: Rng, world: World) -> Sized:
     ball, v = int(rng.integers(11)), _unit(rng)
-    return lambda size: Term(
-        ({"effect": "ball_error", "ball": ball, "vector_um": size * v},), f"ball_error ball {ball}"
-    )
+    effect = {"effect": "ball_error", "ball": ball}
+    return _grows(effect, {"vector_um": v}, f"ball_error ball {ball}")
 
 
 def _bending(rng: Rng, world: World) -> Sized:
-    return lambda size: Term(
-        ({"effect": "artefact_bending", "size_um": size},), "artefact_bending", ("sag_down",)
+    return _grows(
+        {"effect": "artefact_bending"}, {"size_um": 1.0}, "artefact_bending", ("sag_down",)
     )
 
 
 def _frame_grows(rng: Rng, world: World) -> Sized:
     axis = _axis(rng)
-    return lambda size: Term(
-        ({"effect": "frame_expansion", "axis": axis, "um_per_K": size},), f"frame_expansion {axis}"
-    )
+    effect = {"effect": "frame_expansion", "axis": axis}
+    return _grows(effect, {"um_per_K": 1.0}, f"frame_expansion {axis}")
 
 
 def _diode(rng: Rng, world: World) -> Sized:
     reading, sign = "uv"[rng.integers(2)], _sign(rng)
-    return lambda size: Term(
-        ({"effect": "psd_linearity", "reading": reading, "b": 1e3 * sign * size},),
-        f"psd_linearity {reading}",
-    )
+    effect = {"effect": "psd_linearity", "reading": reading}
+    return _grows(effect, {"b": 1e3 * sign}, f"psd_linearity {reading}")
 
 
 def _on_circles(
@@ -353,23 +316,18 @@ def _on_circles(
             "speed_mm_per_s": ("speed", 1e-3),
         }
         shape = {units[k][0]: v * units[k][1] for k, v in more.items() if k in units}
-
-        def sized(size: float) -> Term:
-            found = f"{name} {axis}" if one else name
-            return Term(({"effect": name, key: size, **place, **more},), found, parameters,
-                        shape or None)  # fmt: skip
-
-        return sized
+        found = f"{name} {axis}" if one else name
+        return _grows(
+            {"effect": name, **place, **more}, {key: 1.0}, found, parameters, shape or None
+        )
 
     return draw
 
 
 def _crosstalk(rng: Rng, world: World) -> Sized:
     matrix = rng.standard_normal((3, 3))
-    return lambda size: Term(
-        ({"effect": "acceleration_crosstalk", "matrix_um_s2_per_m": size * matrix},),
-        "acceleration_crosstalk",
-    )
+    name = "acceleration_crosstalk"
+    return _grows({"effect": name}, {"matrix_um_s2_per_m": matrix}, name)
 
 
 # --- errors that no catalogue holds --------------------------------------------------------------
@@ -380,37 +338,16 @@ def _dent(rng: Rng, world: World) -> Sized:
     # Along the axis an instrument detects a dent as well as across it.
     component, travel = _axis(rng), world.travel["XYZ".index(axis)]
     at, sigma = travel * rng.uniform(0.25, 0.75), travel * rng.uniform(0.03, 0.06)
-    return lambda size: Term(
-        (
-            {
-                "effect": "dent",
-                "axis": axis,
-                "component": component,
-                "depth_um": size,
-                "at": at,
-                "sigma": sigma,
-            },
-        ),
-        covariates=(axis,),
-    )
+    effect = {"effect": "dent", "axis": axis, "component": component, "at": at, "sigma": sigma}
+    return _grows(effect, {"depth_um": 1.0}, covariates=(axis,))
 
 
 def _kink(rng: Rng, world: World) -> Sized:
     axis, sign = _axis(rng, "XY"), _sign(rng)  # a roll of Z displaces nothing
     roll = "ABC"["XYZ".index(axis)]
     at = world.travel["XYZ".index(axis)] * rng.uniform(0.3, 0.7)
-    return lambda size: Term(
-        (
-            {
-                "effect": "kink",
-                "axis": axis,
-                "component": roll,
-                "urad_per_m": sign * size,
-                "at": at,
-            },
-        ),
-        covariates=(axis,),
-    )
+    effect = {"effect": "kink", "axis": axis, "component": roll, "at": at}
+    return _grows(effect, {"urad_per_m": sign}, covariates=(axis,))
 
 
 def _quartic(rng: Rng, world: World) -> Sized:
@@ -420,27 +357,15 @@ def _quartic(rng: Rng, world: World) -> Sized:
     order = [c for c in world.chain.split() if c in "XYZ"]
     first, second = sorted(rng.choice(3, 2, replace=False))
     axis, other, sign = order[second], order[first], _sign(rng)
-    return lambda size: Term(
-        (
-            {
-                "effect": "cross_axis",
-                "axis": axis,
-                "other": other,
-                "powers": (2, 2),
-                "component": axis,
-                "size_um": sign * size,
-            },
-        ),
-        covariates=(axis, other),
-    )
+    effect = {"effect": "cross_axis", "axis": axis, "other": other, "powers": (2, 2),
+              "component": axis}  # fmt: skip
+    return _grows(effect, {"size_um": sign}, covariates=(axis, other))
 
 
 def _growing_play(rng: Rng, world: World) -> Sized:
     axis, sign = _axis(rng), _sign(rng)
-    return lambda size: Term(
-        ({"effect": "growing_play", "axis": axis, "um_per_m": sign * size},),
-        covariates=(axis, f"dir_{axis}"),
-    )
+    effect = {"effect": "growing_play", "axis": axis}
+    return _grows(effect, {"um_per_m": sign}, covariates=(axis, f"dir_{axis}"))
 
 
 def _stuck(rng: Rng, world: World) -> Sized:
@@ -471,9 +396,7 @@ def _on_joint(
         more = {k: f(rng, world) for k, f in fixed.items()}
         shape = {"at": more["t0_s"]} if "t0_s" in more else None
         effect = {"effect": name, "joint": joint, **more}
-        return lambda size: Term(
-            ({**effect, key: sign * size},), f"{name} J{joint + 1}", parameters, shape
-        )
+        return _grows(effect, {key: sign}, f"{name} J{joint + 1}", parameters, shape)
 
     return draw
 
@@ -483,7 +406,7 @@ def _gear(rng: Rng, world: World) -> Sized:
     joint, order = int(rng.integers(JOINTS)), int(rng.integers(1, 5))
     effect = {"effect": "gear_harmonic", "joint": joint, "order": order, "phase": _phase(rng)}
     key = f"gear_harmonic J{joint + 1}", (f"sine{order}", f"cosine{order}")
-    return lambda size: Term(({**effect, "amplitude_urad": size},), *key)
+    return _grows(effect, {"amplitude_urad": 1.0}, *key)
 
 
 def _ripple(rng: Rng, world: World) -> Sized:
@@ -495,7 +418,7 @@ def _ripple(rng: Rng, world: World) -> Sized:
     effect = {"effect": "gear_ripple", "joint": joint, "pitch_deg": pitch, "phase": _phase(rng)}
     shape = {"pitch": math.radians(pitch)}
     key = f"gear_ripple J{joint + 1}"
-    return lambda size: Term(({**effect, "amplitude_urad": size},), key, shape=shape)
+    return _grows(effect, {"amplitude_urad": 1.0}, key, shape=shape)
 
 
 def _wound(rng: Rng, world: World) -> Sized:
@@ -510,7 +433,7 @@ def _wound(rng: Rng, world: World) -> Sized:
     effect = {"effect": "gear_wind_up", "joint": joint, "knee_mm": knee, "masses": masses,
               "departure": True}  # fmt: skip
     key = f"gear_wind_up J{joint + 1}", (f"size_{masses}",), {"knee": 1e-3 * knee}
-    return lambda size: Term(({**effect, "size_urad": size},), *key)
+    return _grows(effect, {"size_urad": 1.0}, *key)
 
 
 def _loaded(name: str, among: Sequence[int]):
@@ -521,7 +444,7 @@ def _loaded(name: str, among: Sequence[int]):
         centre = np.append(rng.uniform(-0.08, 0.08, 2), rng.uniform(0.0, 0.1))
         effect = {"effect": name, "joint": joint, "centre": centre.tolist()}
         key = f"{name} J{joint + 1}"
-        return lambda size: Term(({**effect, "coefficient_urad": sign * size},), key)
+        return _grows(effect, {"coefficient_urad": sign}, key)
 
     return draw
 
@@ -531,7 +454,7 @@ def _coupled(rng: Rng, world: World) -> Sized:
     joint, other = (int(i) for i in rng.choice(JOINTS, 2, replace=False))
     effect = {"effect": "joint_coupling", "joint": joint, "other": other}
     sign, own = _sign(rng), (f"k_J{other + 1}",)
-    return lambda size: Term(({**effect, "ppm": sign * size},), f"joint_coupling J{joint + 1}", own)
+    return _grows(effect, {"ppm": sign}, f"joint_coupling J{joint + 1}", own)
 
 
 def _follows(column: str, scale: float, components: str, unit: str):
@@ -541,7 +464,7 @@ def _follows(column: str, scale: float, components: str, unit: str):
         effect = {"effect": "follows", "axis": _axis(rng), "column": column, "scale": scale,
                   "component": components[rng.integers(3)]}  # fmt: skip
         sign = _sign(rng)
-        return lambda size: Term(({**effect, f"size_{unit}": sign * size},), covariates=(column,))
+        return _grows(effect, {f"size_{unit}": sign}, covariates=(column,))
 
     return draw
 
@@ -550,20 +473,15 @@ def _bumps(rng: Rng, world: World) -> Sized:
     """A harmonic on the circle; any covariate of the place on it is right."""
     order = int(rng.integers(3, 6))
     motion = ("", "a_", "v_", "since_", "dir_")
-    return lambda size: Term(
-        ({"effect": "harmonic", "size_um": size, "order": order},),
-        covariates=(
-            *(f"{kind}{axis}" for kind in motion for axis in "XYZ"),
-            "t_run",
-            "circle_angle",
-        ),
-    )
+    place = (f"{kind}{axis}" for kind in motion for axis in "XYZ")
+    covariates = (*place, "t_run", "circle_angle")
+    return _grows({"effect": "harmonic", "order": order}, {"size_um": 1.0}, covariates=covariates)
 
 
 def _drifting(rng: Rng, world: World) -> Sized:
     """A sphere that drifts in every run."""
     effect, sign = {"effect": "drift", "component": "XYZ"[rng.integers(3)]}, _sign(rng)
-    return lambda size: Term(({**effect, "um_per_s": sign * size},), covariates=("t_run",))
+    return _grows(effect, {"um_per_s": sign}, covariates=("t_run",))
 
 
 TRACKER, BALLS, FRAME, CIRCLES = ("laser_tracker",), ("ball_array",), ("laser_frame",), ("r_test",)
