@@ -178,7 +178,7 @@ def timings(host_draws: int, draws: int, repeats: int) -> dict:
     by_hand = [least_squares(plain, zero, args=(y,), method="lm").x for y in readings[:host_draws]]
     rows["scipy, numpy residual, finite differences"] = (time.perf_counter() - begin) / host_draws
     residual = jax.jit(lambda t, y: batch.residual(t, y))
-    slope = jax.jit(lambda t, y: batch.dense_jacobian(t, y))
+    slope = jax.jit(jax.jacfwd(batch.dense_residual))
     residual(zero, readings[0]), slope(zero, readings[0])
 
     def tight(y, start, tolerance=1e-15):
