@@ -1,13 +1,14 @@
-"""Identification inside Monte Carlo: time per draw of every way, in one run on the same problem.
+"""Identification inside Monte Carlo: time per draw of several methods on the same problem.
 
 A tracker verification with 735 readings and 63 parameters (18 error motions of three functions,
-three squareness errors, the station), machines drawn from the prior. The ways: scipy with a numpy
-residual and finite differences; scipy with a compiled residual and Jacobian; optimistix mapped over
-draws; vcal. The floors: the forward model with noise, and one matrix product with noise.
+three squareness errors, the station), machines drawn from the prior. The methods: scipy with a
+numpy residual and finite differences; scipy with a compiled residual and Jacobian; optimistix
+mapped over draws; vcal. The lower bounds ("floor"): the forward model with noise, and one matrix
+product with noise.
 
-    python benchmarks/batch.py --out benchmarks/results/batch.json
+    python benchmarks/batch.py
 
-On a machine with a GPU the same command runs there (the scipy ways stay on the host).
+On a machine with a GPU the same command runs there; scipy stays on the host.
 """
 
 import argparse
@@ -19,13 +20,13 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
+from records import parser_of, write
 from scipy.optimize import least_squares
 
 import vcal
@@ -42,7 +43,6 @@ from vcal.numerics.spatial import euler_xyz
 from vcal.uncertainty import ParameterErrors, monte_carlo
 from vcal.uncertainty.campaign import TOGETHER, side_by_side
 
-HERE = Path(__file__).resolve().parent
 PART = 125
 
 
@@ -71,7 +71,7 @@ def problem() -> tuple[Model, Plan]:
 
 
 class NumpyResidual:
-    """The same residual in plain numpy, as one would write it by hand for `scipy`."""
+    """The same residual in plain numpy, as written by hand for `scipy`."""
 
     def __init__(self, model: Model, plan: Plan, root_precision: np.ndarray, sigma: np.ndarray):
         terms = model.terms(plan)
@@ -138,7 +138,7 @@ def per_draw(function, draws: int, part: int, repeats: int) -> float:
 
 
 def timings(host_draws: int, draws: int, repeats: int) -> dict:
-    """Seconds per draw of every way, and how well they agree."""
+    """Seconds per draw of every method, and their largest differences."""
     model, plan = problem()
     simulator, batch = prepare(model, plan), prepare_batch(model, plan)
     key = jax.random.key(0)
@@ -161,7 +161,7 @@ def timings(host_draws: int, draws: int, repeats: int) -> dict:
         return jax.jit(jax.vmap(one))
 
     class Rows(dict):
-        """Told as they come: some take minutes."""
+        """Prints every row at once, because some take minutes."""
 
         def __setitem__(self, name: str, seconds: float) -> None:
             super().__setitem__(name, seconds)
@@ -178,7 +178,7 @@ def timings(host_draws: int, draws: int, repeats: int) -> dict:
     by_hand = [least_squares(plain, zero, args=(y,), method="lm").x for y in readings[:host_draws]]
     rows["scipy, numpy residual, finite differences"] = (time.perf_counter() - begin) / host_draws
     residual = jax.jit(lambda t, y: batch.residual(t, y))
-    slope = jax.jit(lambda t, y: batch.dense_jacobian(t, y))
+    slope = jax.jit(jax.jacfwd(batch.dense_residual))
     residual(zero, readings[0]), slope(zero, readings[0])
 
     def tight(y, start, tolerance=1e-15):
@@ -249,12 +249,11 @@ def memory(draws: int) -> dict:
 
 def main() -> None:
     """Print the table, and the memory of campaigns of growing length."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__, "batch")
     parser.add_argument("--host-draws", type=int, default=10)
     parser.add_argument("--draws", type=int, default=4000)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--campaigns", type=int, nargs="*", default=[100_000, 1_000_000])
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "batch.json")
     parser.add_argument("--campaign", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     vcal.enable_float64()
@@ -280,12 +279,11 @@ def main() -> None:
         "python": platform.python_version(),
         "jax": jax.__version__,
     }
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(result, indent=1) + "\n")
+    write(options.out, result)
 
 
 def ratio(times: dict[str, float]) -> float:
-    """vcal against the forward model with noise; vcal was timed before and after it."""
+    """Time of vcal over that of the forward model with noise; vcal is timed before and after it."""
     ours = 0.5 * (times["vcal"] + times["vcal, again"])
     return ours / times["floor: forward model and noise"]
 

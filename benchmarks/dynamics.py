@@ -1,24 +1,20 @@
 """Machines under their controllers: simulated seconds per second, and campaigns of R-tests.
 
-    python benchmarks/dynamics.py --out benchmarks/results/dynamics.json
+    python benchmarks/dynamics.py
 
 The machine of `vcal reproduce acceleration` (57 states, sampled at 4 kHz) over the 20 mm
-positioning: by vcal, exactly discretised; and by scipy's integrators on the same model, started
-anew whenever a force changes, the controllers in numpy. The same with friction in all guideways.
+positioning: by vcal, exactly discretised, and by scipy's integrators on the same model, restarted
+whenever a force changes, with the controllers in numpy. The same with friction in all guideways.
 Then machines measured by thirty circles each, simulated sample by sample and identified.
 """
 
-import argparse
 import dataclasses
-import json
-import statistics
 import time
-from collections.abc import Callable
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from records import parser_of, timed, write
 from scipy.integrate import solve_ivp
 
 import vcal
@@ -37,24 +33,13 @@ from vcal.reproduce.acceleration.setting import (
     move,
 )
 
-HERE = Path(__file__).resolve().parent
 MANY = 64
 TOLERANCE = 1e-6
 """Relative, of scipy's integrators; the absolute one is a millionth of the smallest state."""
 
 
-def timed(work: Callable[[], object], repeats: int) -> tuple[float, float, object]:
-    """Seconds of the first call and the median of further ones, and what came out."""
-    seconds, found = [], None
-    for _ in range(1 + repeats):
-        start = time.perf_counter()
-        found = jax.block_until_ready(work())
-        seconds.append(time.perf_counter() - start)
-    return seconds[0], statistics.median(seconds[1:] or seconds), found
-
-
 def by_scipy(structure, controller, asked: np.ndarray, method: str, rub: Rubbing | None = None):
-    """Tool points at the samples (n, 3), by an integrator that knows nothing of vcal."""
+    """Tool points at the samples (n, 3), m, by an integrator of scipy."""
     M, D, K, B = (
         np.asarray(m)
         for m in (structure.mass, structure.damping, structure.stiffness, structure.force)
@@ -102,7 +87,7 @@ def by_scipy(structure, controller, asked: np.ndarray, method: str, rub: Rubbing
 
 
 def simulations(repeats: int) -> list[dict]:
-    """Rows: the same move by every way, without and with friction."""
+    """Rows of the same move by every method, without and with friction."""
     machine, controller, _ = described()
     T = controller.sample_time
     t = T * np.arange(600)
@@ -140,7 +125,6 @@ def simulations(repeats: int) -> list[dict]:
     z[0] = 0.0
     many = jax.jit(jax.vmap(lambda z: whole(*applied(UNKNOWNS, machine, controller, z))))
     cold, warm, tool = timed(lambda: many(jnp.asarray(z)), repeats)
-    assert isinstance(tool, jax.Array)
     row(f"vcal, {MANY} machines at once", "linear", cold, warm, tool[0], MANY)
     for method in ("DOP853", "LSODA"):
         cold, warm, tool = timed(lambda m=method: by_scipy(structure, controller, both, m), 0)
@@ -162,7 +146,7 @@ def simulations(repeats: int) -> list[dict]:
 
 
 def campaigns(draws: int) -> list[dict]:
-    """Rows: machines measured and identified, cold and again."""
+    """Rows of a campaign of machines that are measured and identified, cold and warm."""
     machine, controller, _ = described()
     found = []
     for name in ("cold", "warm"):
@@ -195,19 +179,17 @@ def campaigns(draws: int) -> list[dict]:
 
 def main() -> None:
     """Run everything and keep the times."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__, "dynamics")
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "dynamics.json")
     options = parser.parse_args()
     vcal.enable_float64()
-    device = jax.devices()[0].device_kind
     record = {
-        "device": device,
+        "device": jax.devices()[0].device_kind,
         "campaigns": campaigns(options.draws),
         "simulations": simulations(options.repeats),
     }
-    options.out.write_text(json.dumps(record, indent=1) + "\n")
+    write(options.out, record)
 
 
 if __name__ == "__main__":

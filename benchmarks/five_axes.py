@@ -1,16 +1,18 @@
-"""How well the loop finds what is missing on machines with rotary axes: static R-test, ball array
-and laser tracker, by the independent numpy machine of the tests (tests/oracle/rotary.py).
+"""How well the loop finds what is missing on machines with rotary axes.
+
+A static R-test, a ball array and a laser tracker measure machines that are drawn from the declared
+family, by the independent numpy machine of the tests (tests/oracle/rotary.py). Chains change from
+seed to seed. Sizes are those of real machines, not detection limits.
 
     python benchmarks/five_axes.py --sets 20 --jobs 2
+    python benchmarks/five_axes.py --summary
 
-keeps a line per set in results/five_axes.jsonl, leaves out those that are there, and sums them up
-in results/five_axes.json. Machines are drawn from the declared family; chains change from seed to
-seed. Sizes are those of real machines, not detection limits.
+The first command appends one line per set to lines/five_axes.jsonl and skips the sets that are
+there. The second makes results/five_axes.json from the lines.
 """
 
 import argparse
 import csv
-import json
 import math
 import sys
 import tempfile
@@ -22,15 +24,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from power import append, commit_of, forget_programs, in_parallel, known
-from scipy.stats import binomtest
+from records import HERE, campaign, campaign_parser, make_sets, share
 
-HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "tests"))
 
 from oracle.rotary import ROTARY, Drawn, FiveAxis  # noqa: E402
 
-LINES = HERE / "results" / "five_axes.jsonl"
 FIRST_SEED = 50_000
 INSTRUMENTS = ("static_r_test", "ball_array", "laser_tracker")
 SIZES = {"translation_um": 4.0, "rotation_urad": 8.0, "squareness_urad": 20.0, "location_um": 15.0}
@@ -42,20 +41,20 @@ MACHINES = (
     ("w b X Y Z C A t", {"C": (0.0, 0.0, 0.3), "A": (0.0, 0.0, 0.1)}, {"A": 50.0}),
     ("w B X b Y Z t", {"B": (0.0, 0.0, -0.1)}, {}),
 )
-"""Chains, points on their rotary axes, and how far those tilt that do not turn round, deg."""
+"""Chains, points on their rotary axes, and the range of those that only tilt, +- deg."""
 LINEAR_TRAVEL = (-0.6, 0.6)
 BALLS = np.array([[120, 0, 40], [-60, 110, 0], [-70, -90, 80], [20, 10, 150]]) * 1e-3 + TOOL
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is put into the machine, or nothing, and what the loop may call it."""
+    """The undeclared effect of a machine, or none, and the names that are right for it."""
 
     name: str
     names: tuple[str, ...]
-    """Effect and placement, the latter empty where it does not matter."""
+    """Effect and placement, the latter empty where any placement is right."""
     needs: str = ""
-    """Instruments for which it is there; all by default."""
+    """Instruments that are tried; all by default."""
 
 
 CASES = (
@@ -80,12 +79,14 @@ class Plan:
     t: np.ndarray
     run: np.ndarray
     target: np.ndarray
-    """What the tool point is to be at, in the frame of the workpiece."""
+    """Nominal place of the tool point in the frame of the workpiece, m."""
     ball: np.ndarray
 
 
 def settings(machine: FiveAxis, tilts: dict[str, float], rng: np.random.Generator) -> np.ndarray:
-    """Angles (n, rotary axes), rad: the round axis there and back at every tilt, irregularly."""
+    """Angles (n, rotary axes), rad: at every tilt the other axis turns round in both directions,
+    in irregular steps.
+    """
     turning = [axis for axis in machine.axes if axis in ROTARY]
     (around,) = (i for i, axis in enumerate(turning) if axis not in tilts)
     rows = []
@@ -101,8 +102,8 @@ def settings(machine: FiveAxis, tilts: dict[str, float], rng: np.random.Generato
 
 
 def planned(kind: str, machine: FiveAxis, tilts: dict, rng: np.random.Generator) -> Plan:
-    """Two spheres one after the other, four balls at every second setting, or a reflector at random
-    places of the work space.
+    """Two spheres one after the other, four balls at every second setting of the rotary axes, or a
+    reflector at random places of the work space.
     """
     angles = settings(machine, tilts, rng)
     n = len(angles)
@@ -132,7 +133,7 @@ def planned(kind: str, machine: FiveAxis, tilts: dict, rng: np.random.Generator)
 def disturbed(
     case: Case, machine: FiveAxis, plan: Plan, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What is put in: further errors (n, axes, 6), and of the tool point (n, 3)."""
+    """The undeclared errors of the axes (n, axes, 6) and of the tool point (n, 3), SI."""
     axes, n = machine.axes, len(plan.q)
     more, tool = np.zeros((n, len(axes), 6)), np.zeros((n, 3))
     turning = turning_axis(machine)
@@ -157,7 +158,7 @@ def disturbed(
 
 
 def unit(rng: np.random.Generator) -> np.ndarray:
-    """A direction."""
+    """A random direction."""
     v = rng.standard_normal(3)
     return v / np.linalg.norm(v)
 
@@ -168,7 +169,7 @@ def turning_axis(machine: FiveAxis) -> str:
 
 
 def write(folder: Path, kind: str, case: Case, seed: int) -> FiveAxis:
-    """A study of a machine with that in it; its machine."""
+    """Write a study of a machine with the effect of the case; returns the machine."""
     rng = np.random.default_rng([seed, INSTRUMENTS.index(kind), CASES.index(case)])
     chain, at, tilts = MACHINES[seed % len(MACHINES)]
     machine = FiveAxis(chain, at, TOOL)
@@ -225,7 +226,7 @@ def write(folder: Path, kind: str, case: Case, seed: int) -> FiveAxis:
 def found_at(
     point: Callable[[np.ndarray], np.ndarray], q: np.ndarray, target: np.ndarray
 ) -> np.ndarray:
-    """Positions near q at which the tool point is in the balls."""
+    """Positions near q at which the tool point is at the centres of the balls."""
     q = q.copy()
     for _ in range(6):
         off = point(q) - target
@@ -265,10 +266,11 @@ def table(path: Path, columns: dict[str, np.ndarray]) -> None:
         writer.writerows(zip(*(v.tolist() for v in columns.values()), strict=True))
 
 
-def one_set(kind: str, case: Case, seed: int) -> dict[str, Any]:
-    """Draw, measure, close the loop, compare."""
+def one_set(kind: str, name: str, seed: int) -> dict[str, Any]:
+    """Draw a machine, measure it, close the loop, and compare."""
     import vcal
 
+    (case,) = (case for case in CASES if case.name == name)
     with tempfile.TemporaryDirectory() as folder:
         machine = write(Path(folder), kind, case, seed)
         study = vcal.load_study(Path(folder))
@@ -284,8 +286,8 @@ def one_set(kind: str, case: Case, seed: int) -> dict[str, Any]:
 
 
 def outcome(closure: Any, wanted: Sequence[str]) -> str:
-    """*right* is one name of those wanted, or one that is the same on these data, and for certain;
-    *not certain* the same as one of several it may be; *wrong* any other name for certain.
+    """*right*: a single name, which is wanted or equivalent to a wanted one; *not certain*: such a
+    name as the first of several alternatives; *wrong*: any other single name.
     """
     if closure.verdict == "nothing_missing":
         return "nothing"
@@ -296,7 +298,7 @@ def outcome(closure: Any, wanted: Sequence[str]) -> str:
 
 
 def called(effect: Any) -> Iterator[str]:
-    """Names of an effect, at every place where it is the same on these data."""
+    """Names of an effect at all placements that are equivalent on these data."""
     for key in (effect.effect.key, *effect.equivalent):
         name, _, places = key.partition(" ")
         yield from (f"{name} {place}" for place in places.split("|"))
@@ -304,12 +306,12 @@ def called(effect: Any) -> Iterator[str]:
 
 
 def fits(key: str, wanted: str) -> bool:
-    """Whether a name is the one that is wanted, wherever it is if that does not say."""
+    """Whether a name is the wanted one; a wanted name without placement fits at any."""
     return key == wanted or key.split(" ")[0] == wanted
 
 
-def jobs(sets: int, first: int, patterns: Sequence[str]) -> Iterator[tuple[str, Case, int]]:
-    """Every set, seed by seed; four clean ones with every seed of the others."""
+def jobs(sets: int, first: int, patterns: Sequence[str]) -> Iterator[tuple[str, str, int]]:
+    """Every set, seed by seed; four clean ones with each of the others."""
     for seed in range(first, first + sets):
         for kind in INSTRUMENTS:
             for case in CASES:
@@ -317,30 +319,16 @@ def jobs(sets: int, first: int, patterns: Sequence[str]) -> Iterator[tuple[str, 
                     continue
                 if any(fnmatch(f"{kind}: {case.name}", p) for p in patterns):
                     more = 4 if not case.names else 1
-                    yield from ((kind, case, more * seed + k) for k in range(more))
+                    yield from ((kind, case.name, more * seed + k) for k in range(more))
 
 
-def work(options: argparse.Namespace, part: int) -> None:
-    """Every `jobs`-th of the sets that are not there yet, until the time is over."""
-    import vcal
-
-    vcal.enable_float64()
-    end = time.monotonic() + 60 * options.minutes
-    done = {(line["instrument"], line["case"], line["seed"]) for line in known(options.lines)}
-    commit = commit_of(HERE.parent)
+def work(options: argparse.Namespace) -> None:
+    """Make this worker's share of the sets."""
     every = jobs(options.sets, options.first_seed, options.cases)
-    for number, (kind, case, seed) in enumerate(every):
-        if number % options.jobs != part or (kind, case.name, seed) in done:
-            continue
-        if time.monotonic() > end:
-            return
-        line = one_set(kind, case, seed)
-        append(options.lines, line | {"commit": commit})
-        forget_programs()
-        print(line, flush=True)
+    make_sets(options, every, ("instrument", "case", "seed"), one_set)
 
 
-def summed(lines: Sequence[dict]) -> list[dict]:
+def summed(lines: Sequence[dict]) -> dict:
     """Outcomes by instrument and case."""
     rows = []
     for kind in INSTRUMENTS:
@@ -352,34 +340,18 @@ def summed(lines: Sequence[dict]) -> list[dict]:
                 o: sum(x["outcome"] == o for x in its) for o in sorted({x["outcome"] for x in its})
             }
             good = counts.get("right" if case.names else "nothing", 0)
-            low, high = binomtest(good, len(its)).proportion_ci()
             rows.append(
                 {"instrument": kind, "case": case.name, "sets": len(its), "outcomes": counts,
-                 "good": [good, len(its), float(low), float(high)],
+                 "good": share(good, len(its)),
                  "median_s": float(np.median([x["seconds"] for x in its]))}
             )  # fmt: skip
-    return rows
+    return {"rows": rows}
 
 
 def main() -> None:
-    """Run the campaign in single-threaded processes, then sum it up."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", nargs="+", default=["*"], help="patterns: 'ball_array: *'")
-    parser.add_argument("--sets", type=int, default=20, help="of every case")
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=1e6)
-    parser.add_argument("--lines", type=Path, default=LINES)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "five_axes.json")
-    parser.add_argument("--part", type=int, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.part is not None:
-        work(options, options.part)
-        return
-    in_parallel(__file__, options.jobs)
-    lines = known(options.lines)
-    record = {"commits": sorted({line["commit"] for line in lines}), "rows": summed(lines)}
-    options.out.write_text(json.dumps(record, indent=1) + "\n")
+    """Run the campaign in single-threaded processes, or summarise it."""
+    options = campaign_parser(__doc__, "five_axes", FIRST_SEED).parse_args()
+    campaign(__file__, options, work, summed)
 
 
 if __name__ == "__main__":

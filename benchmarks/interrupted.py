@@ -1,14 +1,13 @@
-"""A campaign that is killed (SIGKILL) again and again, and ends with the same numbers.
+"""A campaign that is killed (SIGKILL) repeatedly and resumed ends with the same numbers.
 
-A process runs the campaign of batch.py, keeps what is done in a folder, and is killed at a random
-moment after its first block; the next one goes on from there. At the end every array of the result
-is compared, bit for bit, with that of a campaign that was left alone.
+A process runs the campaign of batch.py, keeps finished blocks in a folder, and is killed at a
+random moment after its first block. The next process resumes from the folder. At the end every
+array of the result is compared, bit for bit, with that of an uninterrupted campaign.
 
-    python benchmarks/interrupted.py --out benchmarks/results/interrupted.json
+    python benchmarks/interrupted.py
 """
 
 import argparse
-import json
 import random
 import subprocess
 import sys
@@ -17,13 +16,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-
-HERE = Path(__file__).resolve().parent
+from records import parser_of, write
 
 
 def campaign(draws: int, folder: Path, result: Path) -> None:
-    """Run or resume the campaign, tell when it moves, and write its numbers."""
-    sys.path.insert(0, str(HERE))
+    """Run or resume the campaign, print its progress, and write its numbers."""
     from batch import problem
 
     import vcal
@@ -49,19 +46,18 @@ def campaign(draws: int, folder: Path, result: Path) -> None:
 
 
 def start(draws: int, folder: Path, result: Path) -> subprocess.Popen:
-    """A process of its own, in the same environment."""
+    """Start a process that runs or resumes the campaign."""
     command = [sys.executable, __file__, "--draws", str(draws)]
     command += ["--campaign", str(folder), str(result)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
 def main() -> None:
-    """Run it alone, run it with interruptions, and compare."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Run the campaign without and with interruptions, and compare."""
+    parser = parser_of(__doc__, "interrupted")
     parser.add_argument("--draws", type=int, default=200_000)
     parser.add_argument("--kills", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "interrupted.json")
     parser.add_argument("--campaign", type=Path, nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.campaign:
@@ -74,10 +70,10 @@ def main() -> None:
         alone = start(options.draws, work / "alone", work / "alone.npz")
         marks = [(int(line), time.perf_counter()) for line in alone.stdout or ()]
         if alone.wait() != 0:
-            raise SystemExit("the campaign that was left alone failed")
+            raise SystemExit("the uninterrupted campaign failed")
         per_draw = (marks[-1][1] - marks[0][1]) / (marks[-1][0] - marks[0][0])
-        print(f"left alone: {time.perf_counter() - begin:.0f} s", flush=True)
-        # Each life is long enough for about its share of the draws.
+        print(f"uninterrupted: {time.perf_counter() - begin:.0f} s", flush=True)
+        # Each process lives long enough for about its share of the draws.
         share = per_draw * options.draws / (options.kills + 1)
         killed, files = [], work / "killed"
         for _ in range(options.kills):
@@ -98,9 +94,7 @@ def main() -> None:
         one, two = np.load(work / "alone.npz"), np.load(work / "killed.npz")
         same = {name: bool(one[name].tobytes() == two[name].tobytes()) for name in one}
     print(f"{len(killed)} kills; the same bit for bit: {same}")
-    record = {"draws": options.draws, "killed": killed, "same": same}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(record, indent=1) + "\n")
+    write(options.out, {"draws": options.draws, "killed": killed, "same": same})
     if not all(same.values()):
         raise SystemExit(1)
 

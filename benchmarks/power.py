@@ -1,22 +1,19 @@
-"""How well the loop finds what is missing: right names, wrong names and none, by size of effect.
+"""How well the loop finds what is missing: right names, wrong names and none, by size.
 
 Machines are drawn from the declared family and measured by the independent numpy generator of the
-tests, with one effect of the table in power_cases.py, with two, with one that is in no catalogue,
-with stray readings, or with nothing. A size counts in detection limits of its own set: the size at
-which the corrected p-value of the screening is alpha in the median.
+tests, with one effect of the table in power_cases.py, with several, with an error that no catalogue
+holds, with outliers, or with nothing. Sizes count in detection limits of the set: the size at which
+the median of the screening's corrected p-value is alpha.
 
-    python benchmarks/power.py --sets 20 --minutes 60
+    python benchmarks/power.py --sets 20 --jobs 2 --minutes 60
+    python benchmarks/power.py --summary
 
-appends one line per set to results/power.jsonl and leaves out the sets that are there already;
-`python benchmarks/power_summary.py` makes results/power.json and the picture from the lines.
+The first command appends one line per set to lines/power.jsonl and skips the sets that are there.
+The second makes results/power.json and results/power.png from the lines (power_summary.py).
 """
 
 import argparse
-import json
 import math
-import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -25,9 +22,8 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
+from records import campaign, campaign_parser, known, make_sets
 
-HERE = Path(__file__).resolve().parent
-LINES = HERE / "results" / "power.jsonl"
 ALPHA = 0.01
 DRAWS = 500
 LIMIT_DRAWS = 200
@@ -38,9 +34,10 @@ Job = tuple[str, float, int]
 
 
 def jobs(names: Sequence[str], multiples: Sequence[float], sets: range) -> Iterator[Job]:
-    """Every set in an order in which all entries grow together: seed by seed, multiple by multiple;
-    of clean ones, which take more sets, ten with every seed of the others, spread among them. Of
-    the `multiples` asked for an entry has those of its own, and those above all of them.
+    """Every set, seed by seed and multiple by multiple, so that all entries grow together.
+
+    Clean entries need more sets: ten of them are spread among the sets of each seed. An entry takes
+    those of the requested `multiples` that are its own or that lie above all of its own.
     """
     from power_cases import ENTRIES
 
@@ -62,30 +59,17 @@ def jobs(names: Sequence[str], multiples: Sequence[float], sets: range) -> Itera
             if i < len(its)
         ]
         between = [(name, 0.0, sets.start + 10 * place + k) for k in range(10) for name in clean]
-        # By how far along its own list each of them is.
+        # Sorted by the relative place of each set in its own list.
         spread = [((i + 0.5) / len(part), job) for part in (wanted, between)
                   for i, job in enumerate(part)]  # fmt: skip
         yield from (job for _, job in sorted(spread, key=lambda item: item[0]))
-
-
-def known(path: Path) -> list[dict]:
-    """The lines that are there."""
-    if not path.is_file():
-        return []
-    return [json.loads(line) for line in path.read_text().splitlines() if line.strip()]
-
-
-def append(path: Path, line: dict) -> None:
-    """Add a line, whole, whoever else is writing."""
-    with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(line, separators=(",", ":")) + "\n")
 
 
 # --- a set ---------------------------------------------------------------------------------------
 
 
 def load(case):
-    """The study as vcal reads it from files."""
+    """A case of the oracle as a study that vcal has read from files."""
     import vcal
     from oracle import write_study
 
@@ -95,7 +79,7 @@ def load(case):
 
 
 def screened(study, fit, draws: int, seed: int):
-    """The first screening of the loop, of a fit of the declared model."""
+    """The first screening of the loop, from a fit of the declared model."""
     import vcal
     from vcal.loop.empirical import EMPIRICAL
     from vcal.loop.screening.candidates import candidates
@@ -108,10 +92,12 @@ def screened(study, fit, draws: int, seed: int):
 
 
 def limit_of(entry, world, sized, kind) -> float:
-    """Detection limit of one effect of a set, in its unit: the size at which the median statistic
-    is that of a corrected p-value of alpha. Found from the screening of a large effect without
-    noise, whose statistic grows with the square of the size; infinite where even that is below.
-    That of the effect by itself, without strays: the same in every entry that has the effect.
+    """The detection limit of one effect of a set, in the unit of the effect.
+
+    It is the size at which the median statistic has a corrected p-value of alpha. It follows from
+    the screening of a large effect without noise, because the statistic grows with the square of
+    the size, and is infinite where the large effect lies below it. The effect is alone and there
+    are no outliers, so that the limit is the same in every entry that has the effect.
     """
     from power_cases import make
     from scipy.optimize import brentq
@@ -124,7 +110,7 @@ def limit_of(entry, world, sized, kind) -> float:
     alone = replace(entry, kinds=(kind,), strays=0.0)
     made = make(alone, world, [sized], [kind.large], noise=0.0)
     study = load(made.case)
-    keep = ~folds_of(study.model, study.measurement)[1]  # what the loop never fits tells it nothing
+    keep = ~folds_of(study.model, study.measurement)[1]  # the loop never fits the other rows
     fit = identify(study.model, study.measurement, keep=keep, room=len(study.model.entries) + 16)
     screening = screened(study, fit, LIMIT_DRAWS, world.seed)
     over_kinds = -math.expm1(math.log1p(-ALPHA) / screening.trials)
@@ -135,7 +121,7 @@ def limit_of(entry, world, sized, kind) -> float:
             continue
         best = max(peaks, key=lambda peak: peak.statistic)
         p = -math.expm1(math.log1p(-over_kinds) / found.trials)
-        # As the tests studentise: -dof ln(1 - stat/chi2), where chi2 is dof without the effect.
+        # The studentised statistic is -dof ln(1 - stat/chi2), with chi2 = dof without the effect.
         needed = fit.dof * math.expm1(2 * gammainccinv(0.5 * best.rank, p) / fit.dof)
 
         def missing(x: float, rank: int = best.rank, needed: float = needed) -> float:
@@ -145,8 +131,16 @@ def limit_of(entry, world, sized, kind) -> float:
     return kind.large / math.sqrt(max(ratios)) if max(ratios) > 1.0 else math.inf
 
 
-def told(study, before, terms, keep):
-    """The fit that was told the truth: `before` with the true effects added, free in size."""
+def known_limit(limits: dict, entry, world, sized, kind) -> float:
+    """The detection limit from `limits`, to which it is added where it is missing."""
+    key = entry.instrument, kind.name, entry.warming, world.seed
+    if key not in limits:
+        limits[key] = limit_of(entry, world, sized, kind)
+    return limits[key]
+
+
+def true_fit(study, before, terms, keep):
+    """The fit of the true model: `before` with the true effects added, their sizes free."""
     from vcal.effects import Setup, effect_class
     from vcal.loop.screening.score_test import Peak, ScoreTest
     from vcal.loop.weighing.rivals import refit
@@ -162,7 +156,7 @@ def told(study, before, terms, keep):
             for e in effect_class(name).candidates(setup)
             if e.key == term.key and set(term.parameters) <= {p.name for p in e.parameters}
         ]
-        # A drive that yields, without the bearing beside it.
+        # For joint_compliance this is the drive without the bearing.
         effect = min(fitting, key=lambda e: len(e.parameters))
         shape, state = dict(term.shape or {}), ScoreTest(fit, 1, 0)
         columns = state.columns(effect, shape)
@@ -171,9 +165,9 @@ def told(study, before, terms, keep):
     return fit
 
 
-def over_told(after, fit) -> float:
-    """Chi-square with the declared noise of what was found, above that of the fit that was told,
-    over the readings that both use.
+def excess_chi2(after, fit) -> float:
+    """Chi-square of the loop's fit minus that of the true model, with the declared noise, over the
+    readings that both use.
     """
     from vcal.identification.identify import identify
 
@@ -186,7 +180,7 @@ def over_told(after, fit) -> float:
 
 
 def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
-    """Make a set, close the loop on it, and compare with a fit that was told the truth."""
+    """Make a set, close the loop on it, and compare it with the fit of the true model."""
     from power_cases import drawn, make, noise_seed, world_of
 
     import vcal
@@ -199,10 +193,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     line: dict = {"case": entry.name, "multiple": multiple, "seed": seed}
     sizes = []
     for kind, its in zip(entry.kinds, sized, strict=True):
-        key = entry.instrument, kind.name, entry.warming, seed
-        if key not in limits:
-            limits[key] = limit_of(entry, world, its, kind)
-        sizes.append(multiple * limits[key])
+        sizes.append(multiple * known_limit(limits, entry, world, its, kind))
     line["limit"] = [s / multiple for s in sizes] if multiple else []
     if not np.isfinite(sizes).all():
         return line | {"verdict": "not detectable", "seconds": time.perf_counter() - start}
@@ -258,9 +249,9 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     if all(t.key for t in made.terms):
         keep = ~folds_of(study.model, study.measurement)[1]
         keep[strays] = False
-        fit = told(study, closure.before, made.terms, keep)
+        fit = true_fit(study, closure.before, made.terms, keep)
         line["rms"]["told"] = rms(errors(fit, study.check))
-        line["chi2_over_told"] = round(over_told(closure.after, fit), 3)
+        line["chi2_over_told"] = round(excess_chi2(closure.after, fit), 3)
     if strays:
         listed = {s.row for s in closure.suspected}
         line["strays"] = [len(strays), len(listed & set(strays)), len(listed - set(strays))]
@@ -270,8 +261,8 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
 
 
 def p_without(line: dict) -> float:
-    """The corrected p-value of the first screening of a set with strays, had the readings that are
-    off not gone astray and their rows not been used: what the loop should find with them in place.
+    """The corrected p-value of the first screening of a set with outliers, of the same readings
+    without outliers and without the rows that have them: what robust weighting should achieve.
     """
     from power_cases import ENTRIES, drawn, make, noise_seed, world_of
 
@@ -295,7 +286,7 @@ def p_without(line: dict) -> float:
 
 
 def limits_in(lines: Sequence[dict]) -> dict:
-    """Detection limits that are known, by instrument, kind, how it is tried, and seed."""
+    """The detection limits in the lines, by instrument, kind, warming up or not, and seed."""
     from power_cases import ENTRIES
 
     found = {}
@@ -307,106 +298,53 @@ def limits_in(lines: Sequence[dict]) -> dict:
     return found
 
 
-def commit_of(root: Path) -> str:
-    """The commit checked out there, with a + where its programs differ; empty without git."""
-    git = ["git", "-C", str(root)]
-    head = subprocess.run(
-        [*git, "rev-parse", "--short=7", "HEAD"], capture_output=True, text=True, check=False
-    )
-    if head.returncode:
-        return ""
-    programs = ["vcal", "tests/oracle", "benchmarks/*.py"]
-    same = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", *programs], check=False)
-    return head.stdout.strip() + ("+" if same.returncode else "")
-
-
-def forget_programs() -> None:
-    """Before the process has more mappings than Linux allows, which would end it."""
-    import jax
-
-    maps = Path("/proc/self/maps")
-    if maps.is_file() and maps.read_bytes().count(b"\n") > 30_000:
-        jax.clear_caches()
-
-
-def work(options: argparse.Namespace, part: int) -> None:
-    """Every `jobs`-th of the sets that are not there yet, until the time is over."""
+def work(options: argparse.Namespace) -> None:
+    """Make this worker's share of the sets."""
     from power_cases import ENTRIES, GROUPS
 
-    import vcal
-
-    vcal.enable_float64()
-    end = time.monotonic() + 60 * options.minutes
-    lines = known(options.lines)
-    done = {(line["case"], line["multiple"], line["seed"]) for line in lines}
-    limits = limits_in(lines)
+    limits = limits_in(known(options.lines))
     names = [
         name
         for name, entry in ENTRIES.items()
         if any(fnmatch(name, pattern) for pattern in options.cases)
         and entry.group in (options.groups or GROUPS)
     ]
-    sets = range(options.first_seed, options.first_seed + options.sets)
-    waiting = [job for job in jobs(names, options.multiples, sets) if job not in done]
-    commit = commit_of(HERE.parent)
-    # All sets of one seed and case by one worker: they share detection limits.
-    mine = [job for job in waiting if hash((job[0].split("/")[0], job[2])) % options.jobs == part]
-    for name, multiple, seed in mine:
-        if time.monotonic() > end:
-            break
+
+    def made(name: str, multiple: float, seed: int) -> dict:
         try:
-            line = one_set(ENTRIES[name], multiple, seed, limits)
+            return one_set(ENTRIES[name], multiple, seed, limits)
         except Exception as error:  # a set that fails is a finding, and must not end the campaign
-            line = {"case": name, "multiple": multiple, "seed": seed, "limit": [],
+            return {"case": name, "multiple": multiple, "seed": seed, "limit": [],
                     "verdict": "failed", "why": f"{type(error).__name__}: {error}"}  # fmt: skip
-        append(options.lines, line | {"commit": commit})
-        forget_programs()
-        found = [f["key"] for f in line.get("found", [])]
-        print(name, multiple, seed, line["verdict"], found, line.get("seconds"), flush=True)
+
+    sets = range(options.first_seed, options.first_seed + options.sets)
+    # All sets of one instrument and seed go to one worker, because they share detection limits.
+    make_sets(options, jobs(names, options.multiples, sets), ("case", "multiple", "seed"), made,
+              together=lambda name, _, seed: (name.split("/")[0], seed))  # fmt: skip
+
+
+def summed(options: argparse.Namespace, lines: list[dict]) -> dict:
+    """The summary of the lines, with the settings of the campaign; draws the picture beside it."""
+    from power_summary import picture, summary
+
+    import vcal
+
+    vcal.enable_float64()
+    settings = {"alpha": ALPHA, "draws": DRAWS, "limit_draws": LIMIT_DRAWS}
+    record = {"settings": settings, **summary(lines)}
+    picture(record, options.out.with_suffix(".png"))
+    for name, value in record["summary"].items():
+        print(name, value)
+    return record
 
 
 def main() -> None:
-    """Run the campaign in single-threaded processes."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", nargs="+", default=["*"], help="patterns such as 'r_test/*'")
+    """Run the campaign in single-threaded processes, or summarise it."""
+    parser = campaign_parser(__doc__, "power", FIRST_SEED)
     parser.add_argument("--groups", nargs="+", default=[], help="such as clean, catalogue, outside")
     parser.add_argument("--multiples", nargs="+", type=float, default=[])
-    parser.add_argument("--sets", type=int, default=20, help="of every case and multiple; ten times"
-                        " as many clean ones")  # fmt: skip
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
-    parser.add_argument("--minutes", type=float, default=math.inf)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--lines", type=Path, default=LINES)
-    parser.add_argument("--part", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.part is not None:
-        work(options, options.part)
-        return
-    options.lines.parent.mkdir(parents=True, exist_ok=True)
-    in_parallel(__file__, options.jobs)
-
-
-def in_parallel(script: str, jobs: int) -> None:
-    """Run a script again, in single-threaded processes that are each told their --part."""
-    environment = dict(
-        os.environ,
-        PYTHONHASHSEED="0",
-        OPENBLAS_NUM_THREADS="1",
-        OMP_NUM_THREADS="1",
-        XLA_FLAGS="--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-    )
-    command = [sys.executable, script, *sys.argv[1:]]
-    running = [
-        subprocess.Popen([*command, "--part", str(part)], env=environment) for part in range(jobs)
-    ]
-    try:
-        codes = [process.wait() for process in running]
-    except KeyboardInterrupt:
-        for process in running:
-            process.terminate()
-        raise
-    if any(codes):
-        raise SystemExit(f"workers ended with {codes}")
+    campaign(__file__, options, work, lambda lines: summed(options, lines))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""What the loop is asked to find: a table of effects by instrument, and how a set of each is made.
+"""The cases of power.py: a table of effects by instrument, and how a data set of each is made.
 
-Every row says where an effect may be measured, in which unit its size counts, and how it is drawn:
-as the oracle of the tests takes it, and under which name vcal knows it.
+Every row states the instruments that can measure an effect, the unit of its size, and how it is
+drawn: the description for the oracle of the tests, and the name in vcal.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ DURATION_S = {"laser_tracker": 5000.0, "ball_array": 10000.0, "laser_frame": 480
               "reflectors": 12.0 * ARM_POSES}  # fmt: skip
 JOINTS = 6
 STRAYS = 0.02
-"""Share of the readings that go astray where some do."""
+"""Share of outliers among the readings of a set with outliers."""
 OWN_NOISE = 20_018
-"""Seed from which on every set with an effect has its own noise. Before, all sets of an instrument
-and seed have the same: what looks like an effect in it then does so in all of them.
+"""First seed whose sets with an effect have independent noise. With a smaller seed all sets of an
+instrument have the same noise, so that a pattern in it that resembles an effect is in all of them.
 """
 
 Rng = np.random.Generator
@@ -41,7 +41,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class World:
-    """What is the same for all sizes of one set."""
+    """The quantities that are the same for all sizes of one set."""
 
     instrument: str
     seed: int
@@ -51,35 +51,35 @@ class World:
 
     @property
     def duration(self) -> float:
-        """About how long the measurement takes, s."""
+        """Approximate duration of the measurement, s."""
         return DURATION_S[self.instrument]
 
     def moment(self, rng: Rng) -> float:
-        """A time not too near either end of the measurement, s."""
+        """A random time in the middle half of the measurement, s."""
         return float(self.duration * rng.uniform(0.25, 0.75))
 
     def carries(self, axis: str) -> bool:
-        """Whether the axis is on the tool's side of the bed."""
+        """Whether the axis is in the tool branch of the chain."""
         names = self.chain.split()
         return names.index(axis) > names.index("b")
 
 
 @dataclass(frozen=True)
 class Term:
-    """One effect of one size: as the oracle takes it, and as vcal should name it."""
+    """One effect of one size: its description for the oracle, and its right name."""
 
     effects: tuple[Mapping[str, Any], ...]
     """For the oracle."""
     key: str = ""
-    """Identifier and placement in vcal; empty for what is in no catalogue."""
+    """Name and placement in vcal; empty for an error that no catalogue holds."""
     parameters: tuple[str, ...] = ()
-    """Parameters that tell the component, where one placement has several."""
+    """Parameters of the component, where a placement has several components."""
     shape: Mapping[str, float] | None = None
     """True values of the parameters that enter non-linearly, SI."""
     covariates: tuple[str, ...] = ()
-    """Covariates one of which an *unexplained* should tell first."""
+    """Covariates of which an *unexplained* should name one first."""
     declared: tuple[Mapping[str, Any], ...] = ()
-    """Rows of [[model.effect]] that go with it."""
+    """Rows of [[model.effect]] that declare other effects of the set."""
 
 
 Sized = Callable[[float], Term]
@@ -92,8 +92,8 @@ class Kind:
     name: str
     unit: str
     large: float
-    """A large one, in that unit. Where it is below the detection limit, the plan does not see the
-    effect, and no set is made.
+    """A large size, in that unit. Where it is below the detection limit, the plan does not detect
+    the effect, and no set is made.
     """
     draw: Callable[[Rng, World], Sized]
     """Draws everything but the size."""
@@ -101,12 +101,12 @@ class Kind:
     recording: tuple[str, ...] = ()
     plan: Mapping[str, Any] | None = None
     cycles: bool = False
-    """Whether the axes are exercised in turn, so that their temperatures tell them apart, and from
-    time. The kind is then tried once more while the machine just warms up.
+    """Whether the axes are exercised in turn, so that their temperatures differ from each other and
+    from time. The kind is then also tried while the machine only warms up.
     """
     centred: bool = False
-    """Whether positions count from the middle of the travel. What grows in proportion to the
-    position is otherwise a translation as well, which other effects take for theirs.
+    """Whether positions count from the middle of the travel. An error in proportion to the position
+    otherwise contains a translation, which other effects can explain.
     """
 
 
@@ -126,28 +126,43 @@ def _unit(rng: Rng, size: int = 3) -> np.ndarray:
     return v / np.linalg.norm(v)
 
 
+def _grows(
+    effect: Mapping[str, Any],
+    sizes: Mapping[str, Any],
+    key: str = "",
+    parameters: tuple[str, ...] = (),
+    shape: Mapping[str, float] | None = None,
+    covariates: tuple[str, ...] = (),
+) -> Sized:
+    """The term of every size. `sizes` are the keys of the effect that are in proportion to it, with
+    their factors; the other arguments are those of `Term`.
+    """
+
+    def sized(size: float) -> Term:
+        grown = {name: factor * size for name, factor in sizes.items()}
+        return Term(({**effect, **grown},), key, parameters, shape, covariates)
+
+    return sized
+
+
 def _on_axis(
     name: str, key: str, components: str, named: str = "", **fixed: Callable[[Rng, World], float]
 ) -> Callable[[Rng, World], Sized]:
-    """An effect on an axis: `components` "=" along it, "x" across it, else out of these letters;
-    `named` what the parameter of a component is called in vcal.
+    """An effect on an axis. `components` is "=" for the direction of the axis, "x" for those across
+    it, or the letters to choose from; `named` is the prefix of the parameter in vcal.
     """
 
     def draw(rng: Rng, world: World) -> Sized:
         axis, sign = _axis(rng), _sign(rng)
         letters = {"=": axis, "x": "XYZ".replace(axis, "")}.get(components, components)
-        if axis == "Z":  # the tool stands in line with it: its roll moves nothing
+        if axis == "Z":  # the tool lies on the axis: a roll displaces nothing
             letters = letters.replace("C", "")
         component = _axis(rng, letters)
         more = {k: f(rng, world) for k, f in fixed.items()}
         shape = {k.removesuffix("_s"): v for k, v in more.items() if k == "tau_s"}
         parameters = (f"{named}_E{component}{axis}",) if named else ()
-
-        def sized(size: float) -> Term:
-            effect = {"effect": name, "axis": axis, "component": component, key: sign * size}
-            return Term(({**effect, **more},), f"{name} {axis}", parameters, shape or None)
-
-        return sized
+        effect = {"effect": name, "axis": axis, "component": component, **more}
+        return _grows(effect, {key: sign}, f"{name} {axis}", parameters, shape or None)
 
     return draw
 
@@ -158,59 +173,38 @@ def _tau(rng: Rng, world: World) -> float:
 
 def _jump(rng: Rng, world: World) -> Sized:
     axis, component, at, sign = _axis(rng), _axis(rng), world.moment(rng), _sign(rng)
-
-    def sized(size: float) -> Term:
-        effect = {"effect": "jump", "axis": axis, "component": component, "t0_s": at}
-        return Term(({**effect, "size_um": sign * size},), "jump tool", shape={"at": at})
-
-    return sized
+    effect = {"effect": "jump", "axis": axis, "component": component, "t0_s": at}
+    return _grows(effect, {"size_um": sign}, "jump tool", shape={"at": at})
 
 
 def _turn(rng: Rng, world: World) -> np.ndarray:
-    """Of the instrument's frame, urad beside a translation of 1 um: of a length that shows about
-    three times as much as that over the travel. A mere translation is one of the tool as well.
+    """A rotation of the instrument's frame, in urad per 1 um of translation. Over the travel it
+    displaces about three times as much as the translation, which alone would equal one of the tool.
     """
     return _unit(rng) * 3 / (0.5 * np.mean(world.travel))
 
 
 def _frame_jump(rng: Rng, world: World) -> Sized:
     at, v, w = world.moment(rng), _unit(rng), _turn(rng, world)
-
-    def sized(size: float) -> Term:
-        effect = {"effect": "station_jump", "t0_s": at, "translation_um": size * v,
-                  "rotation_urad": size * w}  # fmt: skip
-        # A stand that is displaced without turning is another one.
-        return Term((effect,), "jump frame", ("A",), shape={"at": at})
-
-    return sized
+    sizes = {"translation_um": v, "rotation_urad": w}
+    # A station that is displaced without rotation has another parameter.
+    return _grows({"effect": "station_jump", "t0_s": at}, sizes, "jump frame", ("A",), {"at": at})
 
 
 def _station_drift(rng: Rng, world: World) -> Sized:
     v, w = _unit(rng), _turn(rng, world)
-    return lambda size: Term(
-        (
-            {
-                "effect": "station_drift",
-                "translation_um_per_h": size * v,
-                "rotation_urad_per_h": size * w,
-            },
-        ),
-        "station_drift",
-    )
+    sizes = {"translation_um_per_h": v, "rotation_urad_per_h": w}
+    return _grows({"effect": "station_drift"}, sizes, "station_drift")
 
 
 def _screw(rng: Rng, world: World) -> Sized:
     axis, phase = _axis(rng), rng.uniform(0, 2 * np.pi)
     leads = (5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
-    # Half of the screws have a nominal lead, half any pitch (racks, couplings, their own make).
+    # Half of the screws have a nominal lead, half any pitch (racks, couplings, special makes).
     pitch = float(rng.choice(leads) if rng.uniform() < 0.5 else np.exp(rng.uniform(1.6, 3.9)))
-
-    def sized(size: float) -> Term:
-        effect = {"effect": "screw_cyclic", "axis": axis, "amplitude_um": size, "phase": phase,
-                  "pitch_mm": pitch}  # fmt: skip
-        return Term((effect,), f"screw_cyclic {axis}", shape={"pitch": 1e-3 * pitch})
-
-    return sized
+    effect = {"effect": "screw_cyclic", "axis": axis, "phase": phase, "pitch_mm": pitch}
+    key, shape = f"screw_cyclic {axis}", {"pitch": 1e-3 * pitch}
+    return _grows(effect, {"amplitude_um": 1.0}, key, shape=shape)
 
 
 def _crossed(rng: Rng, world: World) -> Sized:
@@ -218,18 +212,14 @@ def _crossed(rng: Rng, world: World) -> Sized:
     other = _axis(rng, "XYZ".replace(axis, ""))
     powers = ((1, 1), (2, 1), (1, 2))[rng.integers(3)]
     motion = f"E{component}{axis}_{axis.lower()}_{other.lower()}"
-
-    def sized(size: float) -> Term:
-        effect = {"effect": "cross_axis", "axis": axis, "other": other, "powers": powers,
-                  "component": component, "size_um": sign * size}  # fmt: skip
-        return Term((effect,), f"cross_axis {axis}", (motion,))
-
-    return sized
+    effect = {"effect": "cross_axis", "axis": axis, "other": other, "powers": powers,
+              "component": component}  # fmt: skip
+    return _grows(effect, {"size_um": sign}, f"cross_axis {axis}", (motion,))
 
 
 def unresolved_degree(row: Sequence[float]) -> int:
-    """The lowest Legendre degree of which the family with this row of the table, a constant and a
-    slope leave more than a tenth.
+    """The lowest Legendre degree of which more than a tenth remains after a fit of the family with
+    this row of the table, a constant and a slope.
     """
     x = np.linspace(-1, 1, 201)
     _, _, n1, b1, c1, n2, b2, c2 = row
@@ -248,43 +238,28 @@ def _order(rng: Rng, world: World) -> Sized:
     motion = [name for name in TABLE if name not in SQUARENESS and name[1] in "XYZ"]
     name = motion[rng.integers(len(motion))]
     degree, sign = unresolved_degree(TABLE[name]), _sign(rng)
-
-    def sized(size: float) -> Term:
-        effect = {"effect": "geometric_order", "axis": name[2], "component": name[1],
-                  "degree": degree, "size_um": sign * size}  # fmt: skip
-        return Term((effect,), f"geometric_order {name}", (f"P{degree}",))
-
-    return sized
+    effect = {"effect": "geometric_order", "axis": name[2], "component": name[1], "degree": degree}
+    return _grows(effect, {"size_um": sign}, f"geometric_order {name}", (f"P{degree}",))
 
 
 def _sag(rng: Rng, world: World) -> Sized:
     axis = _axis(rng, "".join(a for a in "XY" if world.carries(a)))
-    return lambda size: Term(
-        ({"effect": "payload_sag", "axis": axis, "um_per_kg": size},),
-        f"payload_sag {axis}",
-        ("sag_low",),
-    )
+    effect = {"effect": "payload_sag", "axis": axis}
+    return _grows(effect, {"um_per_kg": 1.0}, f"payload_sag {axis}", ("sag_low",))
 
 
 def _spindle(rng: Rng, world: World) -> Sized:
     tau = _tau(rng, world)
-    return lambda size: Term(
-        ({"effect": "spindle_growth", "size_um": size, "tau_s": tau},),
-        "spindle_growth",
-        shape={"tau": tau},
-    )
+    effect = {"effect": "spindle_growth", "tau_s": tau}
+    return _grows(effect, {"size_um": 1.0}, "spindle_growth", shape={"tau": tau})
 
 
 def _scaled(name: str, key: str, vcal_key: str = "", **drawn: Callable[[Rng], Any]):
-    """An effect without a place; further keys are drawn."""
+    """An effect without placement; further keys are drawn."""
 
     def draw(rng: Rng, world: World) -> Sized:
         sign, more = _sign(rng), {k: f(rng) for k, f in drawn.items()}
-
-        def sized(size: float) -> Term:
-            return Term(({"effect": name, key: sign * size, **more},), vcal_key or name)
-
-        return sized
+        return _grows({"effect": name, **more}, {key: sign}, vcal_key or name)
 
     return draw
 
@@ -295,50 +270,38 @@ def _phase(rng: Rng) -> float:
 
 def _axes_of_tracker(rng: Rng, world: World) -> Sized:
     tilt, collimation = _unit(rng, 2)
-    return lambda size: Term(
-        (
-            {
-                "effect": "tracker_axes",
-                "tilt_urad": size * tilt,
-                "collimation_urad": size * collimation,
-            },
-        ),
-        "tracker_axes",
-    )
+    sizes = {"tilt_urad": tilt, "collimation_urad": collimation}
+    return _grows({"effect": "tracker_axes"}, sizes, "tracker_axes")
 
 
 def _ball(rng: Rng, world: World) -> Sized:
     ball, v = int(rng.integers(11)), _unit(rng)
-    return lambda size: Term(
-        ({"effect": "ball_error", "ball": ball, "vector_um": size * v},), f"ball_error ball {ball}"
-    )
+    effect = {"effect": "ball_error", "ball": ball}
+    return _grows(effect, {"vector_um": v}, f"ball_error ball {ball}")
 
 
 def _bending(rng: Rng, world: World) -> Sized:
-    return lambda size: Term(
-        ({"effect": "artefact_bending", "size_um": size},), "artefact_bending", ("sag_down",)
+    return _grows(
+        {"effect": "artefact_bending"}, {"size_um": 1.0}, "artefact_bending", ("sag_down",)
     )
 
 
 def _frame_grows(rng: Rng, world: World) -> Sized:
     axis = _axis(rng)
-    return lambda size: Term(
-        ({"effect": "frame_expansion", "axis": axis, "um_per_K": size},), f"frame_expansion {axis}"
-    )
+    effect = {"effect": "frame_expansion", "axis": axis}
+    return _grows(effect, {"um_per_K": 1.0}, f"frame_expansion {axis}")
 
 
 def _diode(rng: Rng, world: World) -> Sized:
     reading, sign = "uv"[rng.integers(2)], _sign(rng)
-    return lambda size: Term(
-        ({"effect": "psd_linearity", "reading": reading, "b": 1e3 * sign * size},),
-        f"psd_linearity {reading}",
-    )
+    effect = {"effect": "psd_linearity", "reading": reading}
+    return _grows(effect, {"b": 1e3 * sign}, f"psd_linearity {reading}")
 
 
 def _on_circles(
     name: str, key: str, *, one: bool, **drawn: Callable[[Rng], Any]
 ) -> Callable[[Rng, World], Sized]:
-    """An effect of an R-test on one axis or on all; keys in mm and um stand for shapes too."""
+    """An effect of an R-test on one axis or on all; keys with a unit are shapes as well."""
 
     def draw(rng: Rng, world: World) -> Sized:
         axis, more = _axis(rng), {k: f(rng) for k, f in drawn.items()}
@@ -353,98 +316,60 @@ def _on_circles(
             "speed_mm_per_s": ("speed", 1e-3),
         }
         shape = {units[k][0]: v * units[k][1] for k, v in more.items() if k in units}
-
-        def sized(size: float) -> Term:
-            found = f"{name} {axis}" if one else name
-            return Term(({"effect": name, key: size, **place, **more},), found, parameters,
-                        shape or None)  # fmt: skip
-
-        return sized
+        found = f"{name} {axis}" if one else name
+        return _grows(
+            {"effect": name, **place, **more}, {key: 1.0}, found, parameters, shape or None
+        )
 
     return draw
 
 
 def _crosstalk(rng: Rng, world: World) -> Sized:
     matrix = rng.standard_normal((3, 3))
-    return lambda size: Term(
-        ({"effect": "acceleration_crosstalk", "matrix_um_s2_per_m": size * matrix},),
-        "acceleration_crosstalk",
-    )
+    name = "acceleration_crosstalk"
+    return _grows({"effect": name}, {"matrix_um_s2_per_m": matrix}, name)
 
 
-# --- what is in no catalogue ---------------------------------------------------------------------
+# --- errors that no catalogue holds --------------------------------------------------------------
 
 
 def _dent(rng: Rng, world: World) -> Sized:
     axis = _axis(rng)
-    # In the direction of the axis itself an instrument sees it as well as across.
+    # Along the axis an instrument detects a dent as well as across it.
     component, travel = _axis(rng), world.travel["XYZ".index(axis)]
     at, sigma = travel * rng.uniform(0.25, 0.75), travel * rng.uniform(0.03, 0.06)
-    return lambda size: Term(
-        (
-            {
-                "effect": "dent",
-                "axis": axis,
-                "component": component,
-                "depth_um": size,
-                "at": at,
-                "sigma": sigma,
-            },
-        ),
-        covariates=(axis,),
-    )
+    effect = {"effect": "dent", "axis": axis, "component": component, "at": at, "sigma": sigma}
+    return _grows(effect, {"depth_um": 1.0}, covariates=(axis,))
 
 
 def _kink(rng: Rng, world: World) -> Sized:
-    axis, sign = _axis(rng, "XY"), _sign(rng)  # of Z it moves nothing
+    axis, sign = _axis(rng, "XY"), _sign(rng)  # a roll of Z displaces nothing
     roll = "ABC"["XYZ".index(axis)]
     at = world.travel["XYZ".index(axis)] * rng.uniform(0.3, 0.7)
-    return lambda size: Term(
-        (
-            {
-                "effect": "kink",
-                "axis": axis,
-                "component": roll,
-                "urad_per_m": sign * size,
-                "at": at,
-            },
-        ),
-        covariates=(axis,),
-    )
+    effect = {"effect": "kink", "axis": axis, "component": roll, "at": at}
+    return _grows(effect, {"urad_per_m": sign}, covariates=(axis,))
 
 
 def _quartic(rng: Rng, world: World) -> Sized:
-    """u^2 v^2 of two axes, v the one nearer to the tool, along v. Across v it would be in the
-    catalogue: a rotation u^2 v of the first axis has the lever v.
+    """u^2 v^2 along v, of two axes of which v is nearer to the tool. Across v the catalogue holds
+    it: a rotation u^2 v of the first axis has the lever v.
     """
     order = [c for c in world.chain.split() if c in "XYZ"]
     first, second = sorted(rng.choice(3, 2, replace=False))
     axis, other, sign = order[second], order[first], _sign(rng)
-    return lambda size: Term(
-        (
-            {
-                "effect": "cross_axis",
-                "axis": axis,
-                "other": other,
-                "powers": (2, 2),
-                "component": axis,
-                "size_um": sign * size,
-            },
-        ),
-        covariates=(axis, other),
-    )
+    effect = {"effect": "cross_axis", "axis": axis, "other": other, "powers": (2, 2),
+              "component": axis}  # fmt: skip
+    return _grows(effect, {"size_um": sign}, covariates=(axis, other))
 
 
 def _growing_play(rng: Rng, world: World) -> Sized:
     axis, sign = _axis(rng), _sign(rng)
-    return lambda size: Term(
-        ({"effect": "growing_play", "axis": axis, "um_per_m": sign * size},),
-        covariates=(axis, f"dir_{axis}"),
-    )
+    effect = {"effect": "growing_play", "axis": axis}
+    return _grows(effect, {"um_per_m": sign}, covariates=(axis, f"dir_{axis}"))
 
 
 def _stuck(rng: Rng, world: World) -> Sized:
-    """A scale whose growth is compensated by a temperature that is no longer true."""
+    """A scale whose growth is compensated with a temperature that no longer changes."""
     axis = _axis(rng)
     at = float(world.duration * rng.uniform(0.2, 0.4))
     return lambda size: Term(
@@ -471,9 +396,7 @@ def _on_joint(
         more = {k: f(rng, world) for k, f in fixed.items()}
         shape = {"at": more["t0_s"]} if "t0_s" in more else None
         effect = {"effect": name, "joint": joint, **more}
-        return lambda size: Term(
-            ({**effect, key: sign * size},), f"{name} J{joint + 1}", parameters, shape
-        )
+        return _grows(effect, {key: sign}, f"{name} J{joint + 1}", parameters, shape)
 
     return draw
 
@@ -483,11 +406,11 @@ def _gear(rng: Rng, world: World) -> Sized:
     joint, order = int(rng.integers(JOINTS)), int(rng.integers(1, 5))
     effect = {"effect": "gear_harmonic", "joint": joint, "order": order, "phase": _phase(rng)}
     key = f"gear_harmonic J{joint + 1}", (f"sine{order}", f"cosine{order}")
-    return lambda size: Term(({**effect, "amplitude_urad": size},), *key)
+    return _grows(effect, {"amplitude_urad": 1.0}, *key)
 
 
 def _ripple(rng: Rng, world: World) -> Sized:
-    """A fine one: of a strain wave gear of a usual ratio, or of any."""
+    """A high harmonic: of a strain wave gear of a usual ratio, or of any order."""
     joint = int(rng.integers(JOINTS))
     usual = 2.0 * float(rng.choice((50, 80, 100, 120, 160)))
     order = usual if rng.uniform() < 0.5 else float(np.exp(rng.uniform(np.log(6), np.log(330))))
@@ -495,75 +418,70 @@ def _ripple(rng: Rng, world: World) -> Sized:
     effect = {"effect": "gear_ripple", "joint": joint, "pitch_deg": pitch, "phase": _phase(rng)}
     shape = {"pitch": math.radians(pitch)}
     key = f"gear_ripple J{joint + 1}"
-    return lambda size: Term(({**effect, "amplitude_urad": size},), key, shape=shape)
+    return _grows(effect, {"amplitude_urad": 1.0}, key, shape=shape)
 
 
 def _wound(rng: Rng, world: World) -> Sized:
-    """A gear that yields more to small loads than in proportion: what it does beside its
-    compliance, which would be another effect.
+    """A gear that yields more than in proportion to small loads: the departure from its linear
+    compliance, which is another effect.
     """
     joint = int(rng.choice((1, 2, 4)))
-    # Behind the wrist only the flange has a lever, which vcal knows as that of equal masses: of
+    # Behind the wrist only the flange has a lever, which vcal models as that of equal masses:
     # 36 mm, where the other joints have 0.3 to 0.7 m.
     masses = "arm" if joint == 4 else ("arm", "tool")[rng.integers(2)]
     knee = float(np.exp(rng.uniform(np.log(3.0), np.log(20.0 if joint == 4 else 100.0))))
     effect = {"effect": "gear_wind_up", "joint": joint, "knee_mm": knee, "masses": masses,
               "departure": True}  # fmt: skip
     key = f"gear_wind_up J{joint + 1}", (f"size_{masses}",), {"knee": 1e-3 * knee}
-    return lambda size: Term(({**effect, "size_urad": size},), *key)
+    return _grows(effect, {"size_urad": 1.0}, *key)
 
 
 def _loaded(name: str, among: Sequence[int]):
-    """What yields to a mass whose centre is off the flange, in any direction."""
+    """A compliance under a mass whose centre is off the flange in any direction."""
 
     def draw(rng: Rng, world: World) -> Sized:
         joint, sign = int(rng.choice(list(among))), _sign(rng)
         centre = np.append(rng.uniform(-0.08, 0.08, 2), rng.uniform(0.0, 0.1))
         effect = {"effect": name, "joint": joint, "centre": centre.tolist()}
         key = f"{name} J{joint + 1}"
-        return lambda size: Term(({**effect, "coefficient_urad": sign * size},), key)
+        return _grows(effect, {"coefficient_urad": sign}, key)
 
     return draw
 
 
 def _coupled(rng: Rng, world: World) -> Sized:
-    """Of an angle that turns with that of another joint."""
+    """A joint whose angle has a part in proportion to the angle of another joint."""
     joint, other = (int(i) for i in rng.choice(JOINTS, 2, replace=False))
     effect = {"effect": "joint_coupling", "joint": joint, "other": other}
     sign, own = _sign(rng), (f"k_J{other + 1}",)
-    return lambda size: Term(({**effect, "ppm": sign * size},), f"joint_coupling J{joint + 1}", own)
+    return _grows(effect, {"ppm": sign}, f"joint_coupling J{joint + 1}", own)
 
 
 def _follows(column: str, scale: float, components: str, unit: str):
-    """An error in proportion to a column that no effect knows."""
+    """An error in proportion to a column that no effect uses."""
 
     def draw(rng: Rng, world: World) -> Sized:
         effect = {"effect": "follows", "axis": _axis(rng), "column": column, "scale": scale,
                   "component": components[rng.integers(3)]}  # fmt: skip
         sign = _sign(rng)
-        return lambda size: Term(({**effect, f"size_{unit}": sign * size},), covariates=(column,))
+        return _grows(effect, {f"size_{unit}": sign}, covariates=(column,))
 
     return draw
 
 
 def _bumps(rng: Rng, world: World) -> Sized:
-    """All that a circle has to tell of a place on it."""
+    """A harmonic on the circle; any covariate of the place on it is right."""
     order = int(rng.integers(3, 6))
     motion = ("", "a_", "v_", "since_", "dir_")
-    return lambda size: Term(
-        ({"effect": "harmonic", "size_um": size, "order": order},),
-        covariates=(
-            *(f"{kind}{axis}" for kind in motion for axis in "XYZ"),
-            "t_run",
-            "circle_angle",
-        ),
-    )
+    place = (f"{kind}{axis}" for kind in motion for axis in "XYZ")
+    covariates = (*place, "t_run", "circle_angle")
+    return _grows({"effect": "harmonic", "order": order}, {"size_um": 1.0}, covariates=covariates)
 
 
 def _drifting(rng: Rng, world: World) -> Sized:
     """A sphere that drifts in every run."""
     effect, sign = {"effect": "drift", "component": "XYZ"[rng.integers(3)]}, _sign(rng)
-    return lambda size: Term(({**effect, "um_per_s": sign * size},), covariates=("t_run",))
+    return _grows(effect, {"um_per_s": sign}, covariates=("t_run",))
 
 
 TRACKER, BALLS, FRAME, CIRCLES = ("laser_tracker",), ("ball_array",), ("laser_frame",), ("r_test",)
@@ -577,7 +495,7 @@ _SPEED: dict[str, Callable[[Rng], Any]] = {
 _SMOOTH: dict[str, Callable[[Rng], Any]] = {
     "speed_mm_per_s": lambda rng: float(rng.uniform(10.0, 30.0))
 }
-"""Of 21 to 95 mm/s on the circles: below, friction sets in between two rows, and is a play."""
+"""The circles have 21 to 95 mm/s. Below, friction changes between two rows, as backlash does."""
 _PERIOD: dict[str, Callable[[Rng], Any]] = {
     "period_um": lambda rng: float(rng.choice([10.0, 20.0, 40.0, 100.0, 200.0])),
     "phase": _phase,
@@ -712,7 +630,7 @@ WITH_STRAYS: tuple[tuple[str, str], ...] = (
 
 @dataclass(frozen=True)
 class Entry:
-    """A case of the campaign: effects that are in it, at an instrument."""
+    """A case of the campaign: an instrument and the effects in its data."""
 
     name: str
     instrument: str
@@ -722,24 +640,24 @@ class Entry:
     noise: float = 1.0
     strays: float = 0.0
     warming: bool = False
-    """Whether the machine just warms up where its axes are exercised in turn otherwise."""
+    """Whether the machine only warms up, instead of exercising its axes in turn."""
     multiples: tuple[float, ...] = ()
 
     @property
     def clean(self) -> bool:
-        """Whether there is nothing to be found."""
+        """Whether nothing is missing from the declared model."""
         return not self.kinds and not self.strays
 
 
 GROUPS = {
     "clean": "nothing is missing",
-    "noisier": "nothing is missing, and the noise is 1.1 times what is declared",
+    "noisier": "nothing is missing, and the noise is 1.1 times the declared one",
     "catalogue": "one effect of the catalogue",
-    "warming up": "the same where temperatures and time look alike",
-    "outside": "what is in no catalogue",
+    "warming up": "the same where temperatures and time are nearly proportional",
+    "outside": "an error that no catalogue holds",
     "pairs": "two effects",
     "several": "three effects or four",
-    "strays": "some readings go astray",
+    "strays": "some readings are outliers",
 }
 MULTIPLES = (3.0, 1.0, 5.0, 2.0, 0.5)
 
@@ -778,7 +696,7 @@ def _entries() -> tuple[Entry, ...]:
     return tuple(found)
 
 
-# In an order of their own, so that a campaign that is cut short has some of everything.
+# In a mixed order, so that a campaign that ends early has some sets of every group.
 ENTRIES: dict[str, Entry] = {
     entry.name: entry for entry in sorted(_entries(), key=lambda e: zlib.crc32(e.name.encode()))
 }
@@ -789,15 +707,15 @@ ENTRIES: dict[str, Entry] = {
 
 @dataclass(frozen=True)
 class Made:
-    """A set: data of the oracle, and what is in them."""
+    """A set: data of the oracle, and the effects in them."""
 
     case: Case
     terms: tuple[Term, ...]
 
 
 def world_of(instrument: str, seed: int) -> World:
-    """The machine of a seed: three chains in turn, and for a tracker and balls every travel within
-    a quarter of that chain's usual one.
+    """The machine of a seed: three chains in turn. For a tracker and a ball array every travel is
+    0.8 to 1.25 times the usual one of the chain.
     """
     chain = CHAINS[seed % 3]
     if instrument in BOTH:
@@ -819,8 +737,8 @@ def drawn(entry: Entry, world: World) -> list[Sized]:
 
 
 def noise_seed(entry: Entry, multiple: float, seed: int) -> int:
-    """The seed of a set's noise. Sets with stray readings have that of the same set without, which
-    they are compared with.
+    """The seed of the noise of a set. A set with outliers has that of the same set without, with
+    which it is compared.
     """
     if seed < OWN_NOISE or not entry.kinds:
         return seed
@@ -836,8 +754,8 @@ def make(
     noise: float | None = None,
     noise_seed: int | None = None,
 ) -> Made:
-    """Measure the set, with its effects at the given sizes; `noise` instead of the entry's, of
-    this seed instead of the world's.
+    """Measure the set, with its effects at the given sizes. `noise` replaces the noise factor of
+    the entry, and `noise_seed` the seed of the world.
     """
     terms = tuple(f(size) for f, size in zip(sized, sizes, strict=True))
     effects = [dict(e) for term in terms for e in term.effects]
@@ -860,7 +778,7 @@ def make(
         rng = np.random.default_rng([world.seed, 3])
         matrix = draw_matrix(rng)
         if all(term.key != "acceleration_crosstalk" for term in terms):
-            # In every other set the machine bends as declared, else it is as stiff as declared.
+            # In every other set the machine has a declared cross-talk, in the others none.
             if world.seed % 2 == 0:
                 bends = "acceleration_crosstalk"
                 effects.append({"effect": bends, "matrix": matrix})

@@ -1,25 +1,18 @@
-"""What the lines of a power campaign say: results/power.json, and the picture of the power curves.
+"""The summary of the lines of power.py: results/power.json, and the picture of the power curves.
 
-    python benchmarks/power_summary.py
-
-A set's outcome is one of OUTCOMES. A name is right when it is that of the effect that is in the
-data, or when the loop itself says that these data cannot tell the two apart (`equivalent`).
+The outcome of a set is one of OUTCOMES. A name is right when it is that of the effect that is in
+the data, or when the loop itself states that these data cannot distinguish the two (`equivalent`).
 """
 
-import argparse
-import json
 import math
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from power import LINES, known, p_without
+from power import p_without
 from power_cases import ENTRIES, GROUPS, INSTRUMENTS, OWN_NOISE, noise_seed
 
-import vcal
-
-HERE = Path(__file__).resolve().parent
 OUTCOMES = (
     "right",
     "right first",
@@ -31,23 +24,23 @@ OUTCOMES = (
     "not detectable",
     "failed",
 )
-"""*right*: every effect that is in the data is named and nothing else is; *right first*: the same,
-but at least one of them as the first of several it may be; *one of two*: nothing wrong, but only
-one of two effects; *another first*: something else as the first of several it may be; *wrong*:
-something else, for certain; *unexplained* and *nothing*: no name. Beside a name the rest may still
-be called unexplained."""
+"""*right*: every effect in the data is named and nothing else is; *right first*: the same, but the
+right name is the first of several alternatives for at least one effect; *one of two*: no wrong
+name, but an effect is missing; *another first*: a wrong name is the first of several alternatives;
+*wrong*: a wrong name is the only one; *unexplained* and *nothing*: no name. Beside a name the rest
+of the residual may still be called unexplained."""
 FAR = 3.0
-"""Detection limits from which a name must be right."""
-TOLD_APART = 9.0
-"""Chi-square by which readings that fit the truth better tell it from something else."""
+"""Size in detection limits from which a name must be right."""
+DISTINGUISHED = 9.0
+"""Excess chi-square (three standard deviations) from which the readings favour the true model."""
 CERTAIN = {"right", "right first"}
 SAME_P = 1e-2
-"""Share of a p-value within which two are the same: a set may be of a commit whose screening
-differed a little, and of 500 draws a p-value is known to a tenth at best."""
+"""Relative difference within which two p-values count as equal. The screening of the commit that
+made a set may differ a little, and 500 draws give a p-value to a tenth at best."""
 
 
 def is_of(key: str, found: dict) -> bool:
-    """Whether the loop's finding is this effect, or one that it says it cannot tell from it."""
+    """Whether a finding of the loop is this effect, or is stated to be equivalent to it."""
     return key == found["key"] or key in found["equivalent"]
 
 
@@ -69,12 +62,12 @@ def outcome(line: dict) -> str:
 
 
 def is_beyond(line: dict) -> bool:
-    """Whether a size is above those that every campaign tries."""
+    """Whether a size is above the regular sizes of its entry."""
     return line["multiple"] > max(ENTRIES[line["case"]].multiples)
 
 
 def other_component(line: dict) -> bool:
-    """Whether a right name stands for another component of the effect than the true one."""
+    """Whether a right name holds for another component of the effect than the true one."""
     if outcome(line) not in CERTAIN:
         return False
     return any(
@@ -89,14 +82,14 @@ def other_component(line: dict) -> bool:
 
 
 def listed_as_rival(line: dict) -> bool:
-    """Whether an effect that is not first is among those the loop says it may be."""
+    """Whether every true effect is among the alternatives that the loop lists."""
     rivals = {name for f in line["found"] for name, _ in f["rivals"]}
     return all(key in rivals or any(is_of(key, f) for f in line["found"])
                for key, *_ in line["truth"])  # fmt: skip
 
 
 def something_else_too(line: dict) -> bool:
-    """Whether the right name has one beside it that is not right."""
+    """Whether all right names are found, and a wrong one beside them."""
     truth, found = [t[0] for t in line["truth"]], line["found"]
     return outcome(line) in {"wrong", "another first"} and all(
         any(is_of(key, f) for f in found) for key in truth
@@ -104,44 +97,44 @@ def something_else_too(line: dict) -> bool:
 
 
 def pointed(line: dict) -> bool:
-    """Whether an *unexplained* tells a covariate first that the effect depends on."""
+    """Whether the first covariate of an *unexplained* is one on which the true error depends."""
     wanted = set(line["covariates"])
     return bool(wanted & set(line.get("unexplained", {}).get("depends_on", [])[:1]))
 
 
-def told_apart(line: dict) -> bool:
-    """Whether the readings themselves speak for the true effect: what was found leaves chi-square
-    that is larger by more than nine.
+def distinguished(line: dict) -> bool:
+    """Whether the readings favour the true model: the loop's model has a chi-square that is larger
+    by more than DISTINGUISHED.
     """
-    return line["chi2_over_told"] > TOLD_APART
+    return line["chi2_over_told"] > DISTINGUISHED
 
 
 def ratio(line: dict) -> float | None:
-    """Error after over that of the fit that was told the truth."""
+    """Error after the loop, divided by that of the fit of the true model."""
     rms = line.get("rms", {})
     return rms["after"][0] / rms["told"][0] if "told" in rms else None
 
 
 def worse_than_nothing(line: dict) -> bool:
-    """Whether the error after is above the uncompensated one by more than its uncertainty."""
+    """Whether the error after exceeds the uncompensated one by more than its u."""
     rms = line.get("rms", {})
     return bool(rms) and rms["after"][0] > rms["uncompensated"][0] + rms["after"][1]
 
 
 def counted(lines: Iterable[dict]) -> dict[str, int]:
-    """How many sets had which outcome."""
+    """Number of sets by outcome."""
     found = Counter(map(outcome, lines))
     return {name: found[name] for name in OUTCOMES if found[name]}
 
 
 def median(values: Iterable[float | None]) -> float | None:
-    """The median of what is there, to four digits."""
+    """The median of the finite values, to four digits."""
     kept = [v for v in values if v is not None and math.isfinite(v)]
     return float(f"{np.median(kept):.4g}") if kept else None
 
 
 def limits(lines: Sequence[dict], place: int) -> dict | None:
-    """Median and range of a detection limit over the seeds."""
+    """Median and range over the seeds of the detection limit of one effect of a case."""
     found = {x["seed"]: x["limit"][place] for x in lines if len(x["limit"]) > place}
     kept = [v for v in found.values() if math.isfinite(v)]
     if not kept:
@@ -151,7 +144,7 @@ def limits(lines: Sequence[dict], place: int) -> dict | None:
 
 
 def case_row(name: str, lines: list[dict]) -> dict:
-    """Everything about one case."""
+    """Outcomes and detection limits of one case."""
     entry = ENTRIES[name]
     by_multiple = {}
     for multiple in sorted({x["multiple"] for x in lines}):
@@ -175,7 +168,7 @@ def case_row(name: str, lines: list[dict]) -> dict:
 
 
 def wilson(k: float, n: float) -> tuple[float, float]:
-    """95 % interval of a share (Wilson's)."""
+    """95 % interval of a share (Wilson)."""
     z, p = 1.96, k / n
     centre, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     low, high = (centre - half) / (1 + z * z / n), (centre + half) / (1 + z * z / n)
@@ -183,17 +176,18 @@ def wilson(k: float, n: float) -> tuple[float, float]:
 
 
 def draw(line: dict) -> tuple:
-    """What sets with the same noise have in common: one draw of it."""
+    """The draw of the noise of a set, which other sets may share."""
     instrument = line["case"].split("/")[0]
     own = noise_seed(ENTRIES[line["case"]], line["multiple"], line["seed"])
     return instrument, line["seed"], own
 
 
 def effective(hits: Sequence[bool], draws: Sequence[Hashable]) -> float:
-    """How many independent sets would tell a share as well: their number over the design effect
-    (Kish, Survey Sampling, 1965, 5.4 and 8.2), the variance of the share between draws over that
-    of as many independent sets. Never more than there are. Where all sets agree nothing tells it,
-    and every set counts.
+    """The effective number of independent sets: the number of sets divided by the design effect.
+
+    The design effect is the variance of the share from the scatter between draws, divided by that
+    of as many independent sets (Kish, Survey Sampling, 1965, 5.4 and 8.2). The result is at most
+    the number of sets, and equals it where all sets agree, because nothing can be estimated then.
     """
     n, p = len(hits), float(np.mean(hits))
     of: dict = defaultdict(list)
@@ -207,9 +201,7 @@ def effective(hits: Sequence[bool], draws: Sequence[Hashable]) -> float:
 
 
 def counts(hits: Iterable[bool], part: Sequence[dict]) -> list[float]:
-    """How many of how many, and the 95 % interval of the share: Wilson's of the `effective` number
-    of sets.
-    """
+    """Hits, sets, and the 95 % interval of the share (Wilson, `effective` number of sets)."""
     hits = [bool(hit) for hit in hits]
     k, n = sum(hits), len(hits)
     if not n:
@@ -219,7 +211,7 @@ def counts(hits: Iterable[bool], part: Sequence[dict]) -> list[float]:
 
 
 def share(part: Sequence[dict], wanted: set[str]) -> list[float]:
-    """`counts` of some outcomes."""
+    """`counts` of the sets with one of the wanted outcomes."""
     return counts((outcome(x) in wanted for x in part), part)
 
 
@@ -233,7 +225,7 @@ CURVES = (
 
 
 def curve_rows(lines: Sequence[dict], instrument: str) -> dict:
-    """Shares of the outcomes of an instrument by size, one effect of the catalogue each."""
+    """Shares of the outcomes by size, of the sets of an instrument with one catalogue effect."""
     part = [x for x in lines if ENTRIES[x["case"]].instrument == instrument]
     seen = [x for x in part if outcome(x) != "not detectable"]
     by_size = {
@@ -252,7 +244,7 @@ def curve_rows(lines: Sequence[dict], instrument: str) -> dict:
 
 
 def clean_row(lines: list[dict], group: str, instrument: str) -> dict:
-    """False alarms of an instrument."""
+    """False alarms of an instrument in sets where nothing is missing."""
     found = Counter(map(outcome, lines))
     named = sum(bool(x["found"]) for x in lines)
     return {
@@ -273,12 +265,14 @@ def undisturbed(lines: Sequence[dict]) -> dict[tuple[str, float, int], dict]:
 
 
 def verdict_of(line: dict) -> tuple[str, list[str]]:
-    """The verdict with the names that were found."""
+    """The verdict and the names that were found."""
     return line["verdict"], [f["key"] for f in line["found"]]
 
 
 def stray_row(name: str, lines: list[dict], every: dict) -> dict:
-    """What stray readings change: verdicts against the same set without, and which are listed."""
+    """Sets with outliers: verdicts compared with those of the same sets without, and the outliers
+    that the loop lists.
+    """
     entry = ENTRIES[name]
     base = f"{entry.instrument}/" + (entry.kinds[0].name if entry.kinds else "clean")
     pairs = [(x, every.get((base, x["multiple"], x["seed"]))) for x in lines]
@@ -301,7 +295,7 @@ def stray_row(name: str, lines: list[dict], every: dict) -> dict:
 
 
 def summary(lines: Sequence[dict]) -> dict:
-    """All tables."""
+    """All that the tables and the picture need."""
     lines = [x for x in lines if x["case"] in ENTRIES]
     of = {name: [x for x in lines if x["case"] == name] for name in ENTRIES}
     group = {g: [x for x in lines if ENTRIES[x["case"]].group == g] for g in GROUPS}
@@ -313,7 +307,7 @@ def summary(lines: Sequence[dict]) -> dict:
             good = [x for x in part if x["verdict"] != "failed"]
             if good:
                 clean.append(clean_row(good, name, at))
-    # Sizes that are tried now and then only, far above the others, have a row of their own.
+    # Sizes above the regular ones are tried in some campaigns only, and have rows of their own.
     beyond = {g: [x for x in group[g] if is_beyond(x) and outcome(x) != "not detectable"]
               for g in GROUPS}  # fmt: skip
     group = {g: [x for x in group[g] if not is_beyond(x)] for g in GROUPS}
@@ -332,8 +326,7 @@ def summary(lines: Sequence[dict]) -> dict:
     ratios = [ratio(x) for x in seen]
     at_limit = [x for x in group["catalogue"] if x["multiple"] == 1.0 and "p" in x]
     return {
-        "sets": len(lines),
-        "commits": sorted({x["commit"] for x in lines if x.get("commit")}),
+        "not_detectable": sum(x["verdict"] == "not detectable" for x in lines),
         "summary": {
             "clean_named": counts((bool(x["found"]) for x in nothing), nothing),
             "clean_unexplained": share(nothing, {"unexplained"}),
@@ -356,7 +349,7 @@ def summary(lines: Sequence[dict]) -> dict:
             "warming_listed": counts(
                 (bool(x["found"]) and listed_as_rival(x) for x in warming), warming
             ),
-            "warming_told_apart": counts(map(told_apart, other), other),
+            "warming_told_apart": counts(map(distinguished, other), other),
             "far_error_ratio": median(ratios),
             "far_worse_than_nothing": counts(map(worse_than_nothing, lines), lines),
             "outside_wrong": share(outside, {"wrong"}),
@@ -395,7 +388,7 @@ def summary(lines: Sequence[dict]) -> dict:
 
 
 def picture(found: dict, path: Path) -> None:
-    """Shares of the outcomes over size, one panel per instrument."""
+    """Draw the shares of the outcomes by size, one panel per instrument."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -429,21 +422,3 @@ def picture(found: dict, path: Path) -> None:
     figure.legend(*handles, fontsize=9, loc="lower center", ncols=len(CURVES), frameon=False)
     figure.tight_layout(rect=(0, 0.04, 1, 1))
     figure.savefig(path, dpi=110, metadata={"Software": None})
-
-
-def main() -> None:
-    """Sum the lines up."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--lines", type=Path, default=LINES)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "power.json")
-    options = parser.parse_args()
-    vcal.enable_float64()
-    found = summary(known(options.lines))
-    options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    picture(found, options.out.with_suffix(".png"))
-    for name, value in found["summary"].items():
-        print(name, value)
-
-
-if __name__ == "__main__":
-    main()

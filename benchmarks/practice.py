@@ -1,19 +1,19 @@
 """The loop on measurements with known and unknown causes, as a user runs it: verdicts and errors.
 
-Needs the measurement data that lies beside the checkout; nothing of it is copied, and no setting
-differs between the cases but the one that is printed.
+It needs the measurement data beside the checkout and copies nothing of it. The cases differ in no
+setting but the override that is printed.
 
-    python benchmarks/practice.py --data ../shared/data --out benchmarks/results/practice.json
+    python benchmarks/practice.py --data ../shared/data
 """
 
-import argparse
 import json
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
+from records import parser_of, write
+
 CASES: list[tuple[str, str, str, float | None]] = [
     ("practice/01_tracker_clean", "", "check", 0.82),
     ("practice/02_tracker_backlash", "", "check", 1.08),
@@ -28,11 +28,11 @@ CASES: list[tuple[str, str, str, float | None]] = [
     ("real/irb120", "", "heldout", 115.0),
     ("real/irb120", "instrument.joints=read", "heldout", None),
 ]
-"""Folder, override of the study file, error that counts, and its limit in um."""
+"""Folder, override of the study file, error that is compared, and its limit in um."""
 
 
 def run(folder: Path, override: str, error: str, limit: float | None) -> dict:
-    """What `vcal loop` reports of one study."""
+    """The verdict, effects and errors that `vcal loop` reports for one study."""
     with tempfile.TemporaryDirectory() as scratch:
         command = [sys.executable, "-m", "vcal", "loop", str(folder / "setup.toml")]
         command += ["--out", scratch + "/out", *(["--set", override] if override else [])]
@@ -64,10 +64,9 @@ def run(folder: Path, override: str, error: str, limit: float | None) -> dict:
 
 
 def main() -> None:
-    """Run every case and keep what was found."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Run every case and write the results."""
+    parser = parser_of(__doc__, "practice")
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "practice.json")
     options = parser.parse_args()
     results = []
     for name, *settings in CASES:
@@ -79,8 +78,7 @@ def main() -> None:
             f"{found['before_um']:8.3f} -> {found['after_um']:8.3f} um  {keys}",
             flush=True,
         )
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(results, indent=1) + "\n")
+    write(options.out, {"rows": results})
 
 
 if __name__ == "__main__":

@@ -4,32 +4,29 @@ A tracker and a ball array measure one machine of the declared family (or the tr
 twice, at other temperatures of its scales; or the two measure two machines), by the independent
 numpy generator of the tests, alpha = 1 % for the whole loop, 500 null draws.
 
-    python benchmarks/several.py --sets 40 --jobs 2 --minutes 60
+    python benchmarks/several.py --sets 20 --jobs 2 --minutes 60
     python benchmarks/several.py --summary
 
-The first appends a line per set to results/several.jsonl and leaves out those that are there, the
-second makes results/several.json from the lines.
+The first command appends one line per set to lines/several.jsonl and skips the sets that are there.
+The second makes results/several.json from the lines.
 """
 
 import argparse
 import dataclasses
-import json
 import math
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
-from power import ALPHA, DRAWS, FIRST_SEED, append, commit_of, in_parallel, known, limits_in
-from power_summary import outcome
+from power import ALPHA, DRAWS, FIRST_SEED, known_limit
+from power_summary import counted
+from records import campaign, campaign_parser, make_sets
 
-HERE = Path(__file__).resolve().parent
-LINES = HERE / "results" / "several.jsonl"
-RESULT = HERE / "results" / "several.json"
-LIMITS = HERE / "results" / "power.jsonl"
 MULTIPLE = 5.0
-"""Size of an effect in detection limits of the tracker, or of the ball array, by itself."""
+"""Size of an effect in detection limits of the tracker alone, or of the ball array alone."""
 NOTHING = ("clean", "clean, measured twice", "clean, cut in two")
 OF_THE_MACHINE = ("backlash", "angular_reversal", "thermal_tilt", "screw_cyclic", "cross_axis")
 OF_ONE = (("laser_tracker", "station_drift"), ("ball_array", "ball_error"))
@@ -45,8 +42,8 @@ def cases() -> Iterator[str]:
 
 
 def made(case: str, seed: int, limits: dict) -> tuple[dict, list[list[str]]] | None:
-    """The cases of the oracle by name of the data set, and the true names; None where the limit of
-    the effect at its instrument is not known.
+    """The cases of the oracle by name of the data set, and the true names; None where the plan does
+    not detect the effect.
     """
     from power_cases import ENTRIES, drawn, make, world_of
 
@@ -78,10 +75,10 @@ def made(case: str, seed: int, limits: dict) -> tuple[dict, list[list[str]]] | N
         if case == f"{one} of {NAMES[instrument]}":
             at, name = instrument, one
     entry = ENTRIES[f"{at}/{name}"]
-    limit = limits.get((at, name, False, seed), math.inf)
+    sized, found, keys = drawn(entry, world), {}, []
+    limit = known_limit(limits, entry, world, sized[0], entry.kinds[0])
     if not math.isfinite(limit):
         return None
-    sized, found, keys = drawn(entry, world), {}, []
     for instrument, data_set in NAMES.items():
         if name in OF_THE_MACHINE or instrument == at:
             it = of(instrument, sized, [MULTIPLE * limit], name)
@@ -97,12 +94,12 @@ def made(case: str, seed: int, limits: dict) -> tuple[dict, list[list[str]]] | N
 
 
 def _rows(case, which: slice):
-    """Some of the readings of a tracker, as a case."""
+    """A case with some of the readings of a tracker."""
     return dataclasses.replace(case, data={k: np.asarray(v)[which] for k, v in case.data.items()})
 
 
 def one_set(case: str, seed: int, limits: dict) -> dict | None:
-    """Make a study of two data sets and close the loop on it; None where the size is not known."""
+    """Make a study of two data sets and close the loop on it; None where no set can be made."""
     import vcal
     from joint import write_joint
     from vcal.loop.notes import data_set_consistency
@@ -131,7 +128,14 @@ def one_set(case: str, seed: int, limits: dict) -> dict | None:
     return line | {"seconds": round(time.perf_counter() - start, 2)}
 
 
+def jobs(sets: range, patterns: Sequence[str]) -> Iterator[tuple[str, int]]:
+    """Every set, seed by seed."""
+    names = [name for name in cases() if any(fnmatch(name, p) for p in patterns)]
+    yield from ((name, seed) for seed in sets for name in names)
+
+
 def work(options: argparse.Namespace) -> None:
+<<<<<<< HEAD
     import vcal
 
     vcal.enable_float64()
@@ -151,13 +155,21 @@ def work(options: argparse.Namespace) -> None:
             append(LINES, line | {"commit": commit})
             print(case, seed, line["verdict"], [f["key"] for f in line.get("found", [])],
                   line.get("data_set_consistency"), line.get("seconds"), flush=True)  # fmt: skip
+=======
+    """Make this worker's share of the sets."""
+    limits: dict = {}
+    sets = range(options.first_seed, options.first_seed + options.sets)
+    make_sets(options, jobs(sets, options.cases), ("case", "seed"),
+              lambda case, seed: one_set(case, seed, limits))  # fmt: skip
+>>>>>>> hygiene
 
 
-def summary(lines: Sequence[dict]) -> dict:
-    """Sets, outcomes and contradictions told, by case."""
+def summed(lines: Sequence[dict]) -> dict:
+    """Sets, outcomes and reported contradictions, by case."""
     rows = []
     for case in cases():
         mine = [line for line in lines if line["case"] == case]
+<<<<<<< HEAD
         counts: dict[str, int] = {}
         for line in mine:
             counts[outcome(line)] = counts.get(outcome(line), 0) + 1
@@ -166,23 +178,18 @@ def summary(lines: Sequence[dict]) -> dict:
             {"case": case, "sets": len(mine), "outcomes": counts, "data_set_consistency": told}
         )
     return {"rows": rows, "commits": sorted({line["commit"] for line in lines})}
+=======
+        contradictions = sum(line["contradiction"] for line in mine)
+        rows.append({"case": case, "sets": len(mine), "outcomes": counted(mine),
+                     "contradiction": contradictions})  # fmt: skip
+    return {"rows": rows}
+>>>>>>> hygiene
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sets", type=int, default=20, help="of every case")
-    parser.add_argument("--minutes", type=float, default=math.inf)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--summary", action="store_true", help="make several.json from the lines")
-    parser.add_argument("--part", type=int, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.summary:
-        RESULT.write_text(json.dumps(summary(known(LINES)), indent=1) + "\n", encoding="utf-8")
-        return
-    if options.part is not None:
-        work(options)
-        return
-    in_parallel(__file__, options.jobs)
+    """Run the campaign in single-threaded processes, or summarise it."""
+    options = campaign_parser(__doc__, "several", FIRST_SEED).parse_args()
+    campaign(__file__, options, work, summed)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,12 @@
-"""Whole-process time and peak memory of what a user runs, cold and warm; time of one loop.
+"""Time and peak memory of the commands that a user runs, cold and warm, and time of one loop.
 
-Cold: with an empty cache of compiled programs; warm: with the cache the cold run left. Of the loop,
-which is one of 504 tracker points with the whole catalogue, only `close_loop` is timed: the first
-of a process without any compiled program, and further ones in it. Needs a POSIX system.
+Cold is a run with an empty cache of compiled programs, warm one with the cache that the cold run
+left. Of the loop on 504 tracker points with the whole catalogue only `close_loop` is timed: the
+first in a process without any compiled program, and further ones in it. Needs a POSIX system.
 
-    python benchmarks/speed.py --data ../shared/data --out benchmarks/results/speed.json
+    python benchmarks/speed.py --data ../shared/data
 """
 
-import argparse
 import datetime
 import json
 import os
@@ -17,7 +16,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
+from records import HERE, parser_of, write
+
 LIMITS = {"import": 1.5, "demo": 20.0, "practice_02": 25.0, "irb120": 90.0, "loop_504": 20.0}
 """Seconds that a cold run may take on two cores."""
 POINTS = (7, 6, 6)
@@ -56,7 +56,7 @@ def timed(command: list[str], cache: Path) -> dict[str, float]:
 
 
 def loops(runs: int) -> list[float]:
-    """Seconds of loops, one after the other, on a tracker study of the tests' generator."""
+    """Seconds of successive loops on a tracker study of the tests' generator."""
     script = (
         "import json,sys,tempfile,time\n"
         "from pathlib import Path\n"
@@ -89,10 +89,9 @@ def loops(runs: int) -> list[float]:
 
 def main() -> None:
     """Run every command cold once and warm `--runs` times."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__, "speed")
     parser.add_argument("--data", type=Path, help="folder with practice/ and real/, if present")
     parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "speed.json")
     options = parser.parse_args()
     vcal = [sys.executable, "-m", "vcal"]
     commands = {"import": [sys.executable, "-c", "import vcal"], "demo": [*vcal, "demo"]}
@@ -138,8 +137,7 @@ def main() -> None:
         "system": platform.system(),
         "date": str(datetime.date.today()),
     }
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps({"machine": machine, "results": results}, indent=1) + "\n")
+    write(options.out, {"machine": machine, "results": results})
 
 
 if __name__ == "__main__":

@@ -1,28 +1,26 @@
 """The least-squares solver on the 27 non-linear NIST StRD sets, from both starts.
 
-One set of settings for all. Digits are -log10 of the largest relative error, at most the 11 that
-are certified. Beside it, on the same residuals with the same derivatives: MINPACK's `lmder` by
-scipy and the Levenberg-Marquardt of optimistix, both at tolerances of 1e-12; a star marks an answer
-that is called a success with less than four digits.
+All sets have the same settings. Digits are -log10 of the largest relative error, at most the 11
+that are certified. For comparison, on the same residuals with the same derivatives: MINPACK's
+`lmder` by scipy and the Levenberg-Marquardt of optimistix, both at tolerances of 1e-12. A star
+marks an answer with less than four digits that the solver reports as a success.
 
-    python benchmarks/strd.py --out benchmarks/results/strd.json
+    python benchmarks/strd.py
 """
 
-import argparse
 import json
 import sys
 import time
-from pathlib import Path
 
 import jax
 import numpy as np
 import optimistix as optx
+from records import HERE, parser_of, write
 from scipy.optimize import least_squares as scipy_least_squares
 
 import vcal
 from vcal.numerics.least_squares import Status, covariance, least_squares
 
-HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "tests"))
 from test_strd import MODELS, SETS, data, digits, residual_of  # noqa: E402
 
@@ -57,7 +55,7 @@ def by_optimistix(residual, start, xy) -> tuple[np.ndarray, bool]:
 
 
 def run(name: str, start: int) -> dict:
-    """One set from one start."""
+    """Results of all solvers for one set and start."""
     it, xy, residual = SETS[name], data(name), residual_of(MODELS[name])
     begin = jax.numpy.asarray(it[f"start{start}"])
     clock = time.perf_counter()
@@ -111,10 +109,9 @@ def table(lines: list[dict]) -> str:
 
 
 def main() -> None:
-    """All sets, or those that are named."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Run all sets, or those that are named."""
+    parser = parser_of(__doc__, "strd")
     parser.add_argument("--only", nargs="*", choices=list(SETS), default=list(SETS))
-    parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     vcal.enable_float64()
     lines = [run(name, start) for name in options.only for start in (1, 2)]
@@ -138,15 +135,11 @@ def main() -> None:
                 "silently_wrong": sum(x[other]["success"] and x[other]["digits"] < 4 for x in mine),
             }
         print(f"start {start}: {json.dumps(summary[f'start{start}'])}")
-    if options.out:
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        # No digits at all (minus infinity, not a number) have no place in JSON.
-        text = json.dumps({"summary": summary, "lines": finite(lines)}, indent=1, allow_nan=False)
-        options.out.write_text(text + "\n", encoding="utf-8")
+    write(options.out, {"summary": summary, "lines": finite(lines)})
 
 
 def finite(value):
-    """The same with null for what is not finite."""
+    """The same value with null for numbers that are not finite, which JSON does not have."""
     match value:
         case dict():
             return {key: finite(item) for key, item in value.items()}

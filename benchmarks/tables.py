@@ -1,33 +1,74 @@
 """The tables of benchmarks/README.md, made from results/*.json.
 
-    python benchmarks/tables.py
+    python benchmarks/tables.py              # renew every table of the README
+    python benchmarks/tables.py power_cases  # print tables that are too long for it
 
-Every table stands below a line `<!-- table NAME -->` and is replaced up to the next empty line.
+A table stands below a line `<!-- table NAME -->` and is replaced up to the next empty line.
 """
 
 import json
 import re
-from collections.abc import Callable, Iterable
-from pathlib import Path
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 
-HERE = Path(__file__).resolve().parent
-NAMES = {
+from records import HERE, RESULTS
+
+SPEED = {
     "import": "`import vcal`",
     "demo": "`vcal demo`",
     "practice_02": "`vcal loop`, tracker with backlash (630 readings)",
     "irb120": "`vcal loop`, arm and tracker (785 poses)",
     "loop_504": "`vcal.close_loop` alone, tracker with backlash (504 readings)",
 }
+COMMANDS = {
+    "campaigns_gpu": "batch.py --campaigns 100000 1000000",
+    "batch_gpu": "batch.py --host-draws 3 --draws 16384 --repeats 3 --campaigns",
+    "dynamics_gpu": "dynamics.py --repeats 2",
+    "power": "power.py --sets 20 --jobs 2 --minutes 60",
+    "several": "several.py --sets 20 --jobs 2 --minutes 60",
+    "five_axes": "five_axes.py --sets 30 --jobs 2 --minutes 20",
+    "within_u": "within_u.py --sets 90 --jobs 2",
+    "practice": "practice.py --data ../shared/data",
+    "speed": "speed.py --data ../shared/data",
+}
+"""Commands of the results that are not those of the script of the same name without options."""
+POWER = (
+    ("one effect, from three limits on (>= 97 %, <= 1 %)", "far_right", "far_wrong"),
+    ("- sets with independent noise (>= 97 %, <= 1 %)", "own_right", "own_wrong"),
+    ("- at 10 and 30 limits", "beyond_right", "beyond_wrong"),
+    ("- while the machine only warms up", "warming_right", "warming_wrong"),
+    ("two effects (>= 90 %)", "pairs_both", ""),
+    ("- at 10 and 30 limits", "beyond_both", ""),
+    ("three or four effects", "several_all", "several_wrong"),
+    ("error that no catalogue holds (>= 80 %, <= 5 %)", "outside_pointed", "outside_wrong"),
+    ("- at 10 and 30 limits", "beyond_outside_pointed", "beyond_outside_wrong"),
+    ("clean: with a name (0.3 to 2 %)", "", "clean_named"),
+    ("clean: unexplained", "", "clean_unexplained"),
+    ("one effect: another name first of several", "", "far_another_first"),
+    ("one effect: a second name that is wrong", "", "far_something_else_too"),
+    ("one effect, at the limit: screening significant (50 %)", "at_the_limit", ""),
+    ("warming up: true name among the alternatives", "warming_listed", ""),
+    ("warming up, not right: true model has chi2 lower by 9", "", "warming_told_apart"),
+    ("all: error after above uncompensated by more than u (none)", "", "far_worse_than_nothing"),
+)
+"""Label with required shares; keys in power.json of what is right and what is wrong."""
+NOISE = {"clean": "as declared", "noisier": "1.1 times as declared"}
+RIGHT = ("right", "right first")
 
 
-def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A Markdown table."""
-    head = list(head)
-    lines = [head, ["---"] * len(head), *map(list, rows)]
+def table(head: str, rows: Iterable[Iterable[object]]) -> str:
+    """A Markdown table; the head is separated by commas."""
+    names = head.split(",")
+    lines = [
+        names,
+        ["---"] * len(names),
+        *([str(v).replace("|", "\\|") for v in row] for row in rows),
+    ]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _of(pair: list[float]) -> str:
+def _of(pair: Sequence[float]) -> str:
     """k of n, with the share and its 95 % interval."""
     k, n, *interval = pair
     if not n:
@@ -36,103 +77,75 @@ def _of(pair: list[float]) -> str:
     return f"{k} of {n}: {100 * k / n:.1f} % ({low:.1f} to {high:.1f} %)"
 
 
-def power(found: dict) -> str:
-    s = found["summary"]
-    rows = [
-        ["clean sets that get a name", "0.3 to 2 %", _of(s["clean_named"])],
-        ["clean sets called unexplained", "", _of(s["clean_unexplained"])],
-        ["from three limits on: right name", ">= 97 %", _of(s["far_right"])],
-        ["for certain a wrong one", "<= 1 %", _of(s["far_wrong"])],
-        ["draws of the noise with a wrong one", "", "{} of {}".format(*s["far_wrong_draws"])],
-        ["where every set has its own noise: right name", ">= 97 %", _of(s["own_right"])],
-        ["for certain a wrong one", "<= 1 %", _of(s["own_wrong"])],
-        ["from three limits on: another first of several", "", _of(s["far_another_first"])],
-        ["the right one, and a second that is not", "", _of(s["far_something_else_too"])],
-        ["unexplained", "", _of(s["far_unexplained"])],
-        ["nothing", "", _of(s["far_nothing"])],
-        ["while the machine just warms up: right name", "", _of(s["warming_right"])],
-        ["for certain a wrong one", "", _of(s["warming_wrong"])],
-        ["the true one among those it may be", "", _of(s["warming_listed"])],
-        [
-            "not right, though the readings fit the truth better by more than 9 in chi2",
-            "",
-            _of(s["warming_told_apart"]),
-        ],
-        [
-            "at the limit: the screening says that something is missing",
-            "50 %",
-            _of(s["at_the_limit"]),
-        ],
-        ["outside the catalogue: a wrong name", "<= 5 %", _of(s["outside_wrong"])],
-        ["one that is called one of several", "", _of(s["outside_another_first"])],
-        ["unexplained, the right covariate first", ">= 80 %", _of(s["outside_pointed"])],
-        ["two effects, both found", ">= 90 %", _of(s["pairs_both"])],
-        ["three or four effects, all found", "", _of(s["several_all"])],
-        ["a wrong one for certain among them", "", _of(s["several_wrong"])],
-        ["at ten and at thirty limits: right name", "", _of(s["beyond_right"])],
-        ["for certain a wrong one", "", _of(s["beyond_wrong"])],
-        ["both of two", "", _of(s["beyond_both"])],
-        ["outside the catalogue: a wrong name", "", _of(s["beyond_outside_wrong"])],
-        ["unexplained, the right covariate first", "", _of(s["beyond_outside_pointed"])],
-        [
-            "error after / that of a fit that was told, median",
-            "<= 1.1",
-            _number(s["far_error_ratio"]),
-        ],
-        ["after above uncompensated by more than u", "none", _of(s["far_worse_than_nothing"])],
-    ]
-    rows.append(["made by the commits", "", ", ".join(found["commits"])])
-    return table(["", "wanted", "found"], rows)
-
-
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.3g}"
 
 
+def results() -> str:
+    rows = []
+    for path in sorted(RESULTS.glob("*.json")):
+        found = json.loads(path.read_text(encoding="utf-8"))
+        many = found.get("commits", {})
+        commit = found.get("commit") or (
+            ", ".join(many) if len(many) < 5 else f"{len(many)} commits"
+        )
+        sets = f"{found['sets']:,}" if many else ""
+        command = COMMANDS.get(path.stem, f"{path.stem}.py")
+        rows.append([f"`{path.name}`", f"`{command}`", commit, sets])
+    return table("result,script,commit,sets", rows)
+
+
+def power(found: dict) -> str:
+    s = found["summary"]
+    rows = [[label, *(_of(s[key]) if key else "" for key in keys)] for label, *keys in POWER]
+    ratio = f"{_number(s['far_error_ratio'])} (median)"
+    rows.append(["one effect: error after / that of the true model (<= 1.1)", ratio, ""])
+    return table("sets,right,wrong", rows)
+
+
 def power_clean(found: dict) -> str:
     rows = (
-        [
-            r["instrument"],
-            POWER_GROUPS[r["group"]],
-            str(r["sets"]),
-            str(r["named"]),
-            str(r["unexplained"]),
-            str(r["strays"]),
-            _number(r["seconds"]),
-        ]
+        [r["instrument"], NOISE[r["group"]], *(r[key] for key in ("sets", "named", "unexplained")),
+         r["strays"], _number(r["seconds"])]
         for r in found["clean"]
-    )
-    head = "instrument,noise and effects,clean sets,named,unexplained,some readings left out"
-    return table([*head.split(","), "median s per loop"], rows)
+    )  # fmt: skip
+    head = "instrument,noise,clean sets,named,unexplained,with outliers listed,median s per loop"
+    return table(head, rows)
 
 
-POWER_GROUPS = {
-    "clean": "as declared",
-    "noisier": "noise 1.1 times as declared",
-}
+def power_instruments(found: dict) -> str:
+    clean = {r["instrument"]: r for r in found["clean"] if r["group"] == "clean"}
+    rows = []
+    for r in found["curves"]:
+        right, wrong = r["curves"]["right name"], r["curves"]["wrong name"]
+        cells = (f"{k}/{n}, {wrong[m][0]}" for m, (k, n, *_) in right.items())
+        its = clean[r["instrument"]]
+        alarms = f"{its['named']} + {its['unexplained']} of {its['sets']}"
+        rows.append([r["instrument"], r["effects"], *cells, alarms, _number(its["seconds"])])
+    sizes = ",".join(found["curves"][0]["curves"]["right name"])
+    return table(f"instrument,effects,{sizes},clean: named + unexplained,median s per loop", rows)
 
 
 def _limits(case: dict) -> str:
-    parts = []
-    for limit, unit in zip(case["limits"], case["units"], strict=True):
-        parts.append("not seen" if limit is None else f"{limit['median']:.2g} {unit}")
-    return ", ".join(parts)
+    return ", ".join(
+        "not detected" if limit is None else f"{limit['median']:.2g} {unit}"
+        for limit, unit in zip(case["limits"], case["units"], strict=True)
+    )
 
 
-def _outcomes(part: dict | None) -> str:
-    if part is None:
-        return ""
-    counts = part["outcomes"]
-    n = part["sets"] - counts.get("not detectable", 0)
-    right = counts.get("right", 0) + counts.get("right first", 0)
-    others = {
-        k: v for k, v in counts.items() if k not in ("right", "right first", "not detectable")
+def _outcomes(part: dict | None, outside: bool = False) -> str:
+    """Right or pointed sets of all, then the other outcomes."""
+    counts = {
+        k: v for k, v in (part or {"outcomes": {}})["outcomes"].items() if k != "not detectable"
     }
-    return f"{right}/{n}" + "".join(f", {v} {k}" for k, v in others.items()) if n else ""
+    if part is None or not counts:
+        return ""
+    good = part["pointed"] if outside else sum(counts.pop(k, 0) for k in RIGHT)
+    n = part["sets"] - part["outcomes"].get("not detectable", 0)
+    return f"{good}/{n}" + "".join(f", {v} {k}" for k, v in counts.items())
 
 
 def power_cases(found: dict) -> str:
-    groups = ("catalogue", "warming up", "pairs", "several")
     multiples = ("0.5", "1", "2", "3", "5", "10", "30")
     rows = (
         [
@@ -142,66 +155,67 @@ def power_cases(found: dict) -> str:
             _number(c["multiples"].get("3", c["multiples"].get("5", {})).get("error_ratio")),
         ]
         for c in found["cases"]
-        if c["group"] in groups
+        if c["group"] in ("catalogue", "warming up", "pairs", "several")
     )
-    return table(["case", "limit", *multiples, "error / told"], rows)
+    return table(f"case,limit,{','.join(multiples)},error / true model", rows)
 
 
 def power_outside(found: dict) -> str:
     sizes = ("3", "5", "10", "30")
     rows = (
-        [
-            c["case"].replace("/", ": "),
-            _limits(c),
-            *(_outside(c["multiples"][m]) if m in c["multiples"] else "" for m in sizes),
-        ]
+        [c["case"].replace("/", ": "), _limits(c)]
+        + [_outcomes(c["multiples"].get(m), outside=True) for m in sizes]
         for c in found["cases"]
         if c["group"] == "outside"
     )
-    return table(["case", "limit", *sizes], rows)
-
-
-def _outside(part: dict) -> str:
-    counts = {k: v for k, v in part["outcomes"].items() if k != "not detectable"}
-    n = sum(counts.values())
-    return f"{part['pointed']}/{n}" + "".join(f", {v} {k}" for k, v in counts.items()) if n else ""
+    return table(f"case,limit,{','.join(sizes)}", rows)
 
 
 def power_strays(found: dict) -> str:
     rows = (
         [
             r["case"].replace("/", ": "),
-            str(r["sets"]),
+            r["sets"],
             f"{r['same']} of {r['compared']}",
             f"{r['as_without_the_rows']} of {r['compared'] - r['same']}",
             f"{r['listed']} of {r['astray']}",
-            str(r["listed_wrongly"]),
+            r["listed_wrongly"],
         ]
         for r in found["strays"]
     )
-    head = "case,sets,same verdict as without,others as without their rows,listed,listed wrongly"
-    return table(head.split(","), rows)
+    return table("case,sets,same verdict,others as without the rows,listed,listed wrongly", rows)
 
 
 def several(found: dict) -> str:
     outcomes = ["right", "right first", "another first", "wrong", "unexplained", "nothing"]
-    rows = (
-        [r["case"], str(r["sets"]), *(str(r["outcomes"].get(o, 0)) for o in outcomes),
-         str(r["data_set_consistency"])]
-        for r in found["rows"]
-    )  # fmt: skip
-    return table(["case", "sets", *outcomes, "told not to fit one machine"], rows)
+    totals: dict[str, Counter] = {}
+    for r in found["rows"]:
+        kind = r["case"]
+        if kind.startswith("clean"):
+            kind = "nothing missing"
+        elif kind != "two machines":
+            kind = f"effect of {'one instrument' if ' of ' in kind else 'the machine'}"
+        its = {"sets": r["sets"], "contradiction": r["contradiction"], **r["outcomes"]}
+        totals.setdefault(kind, Counter()).update(its)
+    keys = ["sets", *outcomes, "contradiction"]
+    rows = ([kind, *(total[key] for key in keys)] for kind, total in totals.items())
+    return table(f"case,sets,{','.join(outcomes)},reported not to fit one machine", rows)
 
 
 def five_axes(found: dict) -> str:
-    outcomes = ["right", "not certain", "ambiguous", "unexplained", "wrong", "nothing"]
+    cases = dict.fromkeys(r["case"] for r in found["rows"])
+    by_place = {(r["instrument"], r["case"]): r for r in found["rows"]}
     rows = (
-        [r["instrument"], r["case"], _of(r["good"]),
-         *(str(r["outcomes"].get(o, 0)) for o in outcomes), f"{r['median_s']:.1f}"]
-        for r in found["rows"]
-    )  # fmt: skip
-    head = ["instrument", "in the machine", "as it should be", *outcomes, "loop, s"]
-    return table(head, rows)
+        [instrument]
+        + [
+            f"{its['good'][0]}/{its['good'][1]}"
+            if (its := by_place.get((instrument, case)))
+            else ""
+            for case in cases
+        ]
+        for instrument in dict.fromkeys(r["instrument"] for r in found["rows"])
+    )
+    return table("instrument," + ",".join(case.replace(",", "") for case in cases), rows)
 
 
 def within_u(found: dict) -> str:
@@ -209,7 +223,7 @@ def within_u(found: dict) -> str:
         [
             r["case"],
             f"{r['named']} of {r['sets']}",
-            str(len(r["parameters"])),
+            len(r["parameters"]),
             _of(r["within_U"]),
             f"{r['sd_of_pulls']:.2f}",
             _of(r["jointly_beyond_5_percent"]),
@@ -220,17 +234,39 @@ def within_u(found: dict) -> str:
     for name, r in found["measured"].items():
         n = len(r["pulls"])
         inside = sum(abs(pull) <= 2.0 for pull in r["pulls"].values())
-        chance = f"chance of as far off: {r['chance']:.2g}"
-        rows.append([name, "1 of 1", str(n), f"{inside} of {n}", "", chance,
-                     f"{r['distance']:.1f}"])  # fmt: skip
-    head = "case,named,parameters,within U,sd of error / u,all together beyond 95 %,farthest chi2"
-    return table(head.split(","), rows)
+        p = f"p = {r['chance']:.2g}"
+        rows.append([name, "1 of 1", n, f"{inside} of {n}", "", p, f"{r['distance']:.1f}"])
+    head = "case,named,parameters,within U,sd of error / u,jointly beyond 95 %,largest chi2"
+    return table(head, rows)
+
+
+def practice(found: dict) -> str:
+    def left(rest: dict | None) -> str:
+        if rest is None:
+            return ""
+        where = "; ".join(f"{w['column']} {w['low']:.0f} to {w['high']:.0f}" for w in rest["where"])
+        return "; ".join(filter(None, [", ".join(rest["depends_on"]), where, rest["direction"]]))
+
+    rows = (
+        [
+            f"{c['study']} {c['override']}".strip(),
+            c["verdict"],
+            ", ".join(e["key"] for e in c["effects"]) or "none",
+            left(c["unexplained"]),
+            c["error"],
+            f"{c['before_um']:.3f}",
+            f"{c['after_um']:.3f}",
+            "" if c["limit_um"] is None else f"{c['limit_um']:g}",
+        ]
+        for c in found["rows"]
+    )
+    return table("study,verdict,named,not explained,rms,before um,after um,limit um", rows)
 
 
 def speed(found: dict) -> str:
     rows = (
         [
-            NAMES[name],
+            SPEED[name],
             f"{r['cold']['wall_s']:.1f}",
             f"{r['limit_s']:g}",
             f"{r['warm_median_wall_s']:.1f}",
@@ -238,82 +274,54 @@ def speed(found: dict) -> str:
         ]
         for name, r in found["results"].items()
     )
-    machine = f"{found['machine']['cores']} cores, Python {found['machine']['python']}"
-    return table([machine, "cold, s", "limit, s", "warm, s", "peak memory, MiB"], rows)
+    machine = f"{found['machine']['cores']} cores Python {found['machine']['python']}"
+    return table(f"{machine},cold s,limit s,warm s,peak memory MiB", rows)
 
 
-def practice(found: list[dict]) -> str:
-    def effects(case: dict) -> str:
-        return ", ".join(e["key"] for e in case["effects"]) or "none"
+def batch(*founds: dict) -> str:
+    def both(times: dict[str, float], name: str) -> list[str]:
+        return [f"{1e3 * times[name]:.3g}", f"{times[name] / times['vcal']:,.1f}"]
 
-    def left(case: dict) -> str:
-        rest = case["unexplained"]
-        if rest is None:
-            return ""
-        where = "; ".join(f"{w['column']} {w['low']:.0f} to {w['high']:.0f}" for w in rest["where"])
-        parts = [", ".join(rest["depends_on"]), where, rest["direction"]]
-        return "; ".join(filter(None, parts))
-
-    rows = (
-        [
-            f"{c['study']} {c['override']}".strip(),
-            c["verdict"],
-            effects(c),
-            left(c),
-            c["error"],
-            f"{c['before_um']:.3f}",
-            f"{c['after_um']:.3f}",
-            "" if c["limit_um"] is None else f"{c['limit_um']:g}",
-        ]
-        for c in found
-    )
-    head = "study,verdict,named,not explained,rms,before um,after um,limit um"
-    return table(head.split(","), rows)
+    every = [found["seconds_per_draw"] for found in founds]
+    devices = (f"{f['machine']['device']} {f['machine']['cores']} cores" for f in founds)
+    head = ",".join(f"{device}: ms per draw,/ vcal" for device in devices)
+    rows = ([name, *sum((both(times, name) for times in every), [])] for name in every[0])
+    return table(f"method,{head}", rows)
 
 
-def batch(found: dict) -> str:
-    times = found["seconds_per_draw"]
-    rows = (
-        [name, f"{1e3 * seconds:.3g}", f"{seconds / times['vcal']:,.1f}"]
-        for name, seconds in times.items()
-    )
-    machine = found["machine"]
-    return table([f"{machine['device']}, {machine['cores']} cores", "ms per draw", "/ vcal"], rows)
+def campaigns(*founds: dict) -> str:
+    def cell(c: dict) -> str:
+        return f"{c['peak_mib']:.0f} MiB; {c['wall_s']:.0f} s; {c['quantiles']}"
+
+    lengths = (f"{c['draws']:,}".replace(",", " ") for c in founds[0]["campaigns"])
+    head = ",".join(f"{draws} draws: peak memory; whole run; quantiles" for draws in lengths)
+    rows = ([f["machine"]["device"], *map(cell, f["campaigns"])] for f in founds)
+    return table(f"device,{head}", rows)
 
 
-def campaigns(found: dict) -> str:
-    rows = (
-        [f"{c['draws']:,}", f"{c['peak_mib']:.0f}", f"{c['wall_s']:.0f}", c["quantiles"]]
-        for c in found["campaigns"]
-    )
-    return table(["draws", "peak memory, MiB", "whole run, s", "quantiles"], rows)
+def interrupted(found: dict) -> str:
+    same, arrays = sum(found["same"].values()), len(found["same"])
+    kills = ", ".join(f"{life['to']:,}" for life in found["killed"])
+    return table("draws,killed after,arrays equal bit for bit",
+                 [[f"{found['draws']:,}", kills, f"{same} of {arrays}"]])  # fmt: skip
 
 
 def strd(found: dict) -> str:
     rows = (
         [
             start.removeprefix("start"),
-            str(r["sets"]),
-            str(r["eight_digits_and_six_of_sd"]),
-            str(r["silently_wrong"]),
-            f"{r['minpack']['eight_digits']}, {r['minpack']['silently_wrong']}",
-            f"{r['optimistix']['eight_digits']}, {r['optimistix']['silently_wrong']}",
+            r["sets"],
+            r["eight_digits_and_six_of_sd"],
+            r["silently_wrong"],
+            *(
+                f"{r[o]['eight_digits']} / {r[o]['silently_wrong']}"
+                for o in ("minpack", "optimistix")
+            ),
         ]
         for start, r in found["summary"].items()
     )
-    head = "from start,sets,8 digits and 6 of sd,silently wrong"
-    others = "(8 digits, silently wrong)"
-    return table([*head.split(","), f"MINPACK {others}", f"optimistix {others}"], rows)
-
-
-def interrupted(found: dict) -> str:
-    rows = (
-        [str(i), f"{life['from']:,}", f"{life['to']:,}"]
-        for i, life in enumerate(found["killed"], start=1)
-    )
-    same = "all" if all(found["same"].values()) else "not all"
-    last = ["end", f"{found['draws']:,} draws", f"{same} arrays the same bit for bit"]
-    return table(["kill", "first block told", "last block told"], [*rows, last])
+    others = "MINPACK 8 digits / silently wrong,optimistix 8 digits / silently wrong"
+    return table(f"start,sets,8 digits and 6 of sd,silently wrong,{others}", rows)
 
 
 def laser_frame(found: dict) -> str:
@@ -323,94 +331,101 @@ def laser_frame(found: dict) -> str:
             f"{r['cycles']:,}",
             f"{r['cold_s']:.1f}",
             f"{r['warm_s']:.1f}",
-            str(r["failed"]),
+            r["failed"],
             "" if r["rms_ln_ratio"] is None else f"{r['rms_ln_ratio']:.3f}",
         ]
         for r in found["rows"]
     )
-    head = "path and truth,cycles,cold s,warm s,failed,rms of ln(vcal / printed)"
-    return table(head.split(","), rows)
+    return table("path and truth,cycles,cold s,warm s,failed,rms of ln(vcal / printed)", rows)
 
 
 def artefact_design(found: dict) -> str:
+    by_case: dict[str, list[str]] = {}
+    for r in found["rows"]:
+        text = f"{r['cold_s']:.1f} / {r['warm_s']:.1f}; {r['found']}"
+        by_case.setdefault(r["case"].rpartition(", ")[0], []).append(text)
+    known = dict.fromkeys(r["case"].rpartition(", ")[2] for r in found["rows"])
+    head = ",".join(f"{name}: cold / warm s; result" for name in known)
+    return table(f"case,{head}", ([case, *its] for case, its in by_case.items()))
+
+
+def dynamics(*founds: dict) -> str:
+    def cells(r: dict) -> list[str]:
+        pace = r["simulated_s"] / r["warm_s"]
+        return [f"{r['cold_s']:.2f}", f"{pace:.3g}", f"{r['off_nm']:.1g}"]
+
+    head = ",".join(f"{f['device']}: first call s,simulated s per s,off by nm" for f in founds)
     rows = (
-        [r["case"], f"{r['cold_s']:.1f}", f"{r['warm_s']:.1f}", r["found"]] for r in found["rows"]
+        [same[0]["model"], same[0]["way"], *sum(map(cells, same), [])]
+        for same in zip(*(found["simulations"] for found in founds), strict=True)
     )
-    return table([f"{found['draws']} machines per design", "cold s", "warm s", "found"], rows)
+    return table(f"model,method,{head}", rows)
 
 
-def dynamics(found: dict) -> str:
+def r_tests(*founds: dict) -> str:
     rows = (
         [
-            r["model"],
-            r["way"],
-            f"{r['cold_s']:.2f}",
-            f"{r['simulated_s'] / r['warm_s']:.3g}",
-            f"{r['off_nm']:.1g}",
-        ]
-        for r in found["simulations"]
-    )
-    head = "model,way,first call s,simulated s per s,off by nm"
-    return table(head.split(","), rows)
-
-
-def r_tests(found: dict) -> str:
-    rows = (
-        [
-            r["run"],
+            f"{found['device']}, {r['run']}",
             f"{r['machines']:,}",
-            f"{r['circles']}",
+            r["circles"],
             f"{r['wall_s']:.0f}",
             f"{r['stable']:,}",
             f"{r['converged']:,}",
             f"{r['sd_of_pulls']:.2f}",
             f"{100 * r['within_U']:.1f}",
         ]
+        for found in founds
         for r in found["campaigns"]
     )
     head = "run,machines,circles each,whole run s,stable,converged,sd of error / u,within U %"
-    return table(head.split(","), rows)
+    return table(head, rows)
 
 
-TABLES: dict[str, tuple[str, Callable[..., str]]] = {
-    "power": ("power", power),
-    "power_clean": ("power", power_clean),
-    "power_cases": ("power", power_cases),
-    "power_outside": ("power", power_outside),
-    "power_strays": ("power", power_strays),
-    "several": ("several", several),
-    "five_axes": ("five_axes", five_axes),
-    "within_u": ("within_u", within_u),
-    "practice": ("practice", practice),
-    "speed": ("speed", speed),
-    "batch": ("batch", batch),
-    "batch_gpu": ("batch_gpu", batch),
-    "campaigns": ("batch", campaigns),
-    "campaigns_gpu": ("campaigns_gpu", campaigns),
-    "interrupted": ("interrupted", interrupted),
-    "strd": ("strd", strd),
-    "laser_frame": ("laser_frame", laser_frame),
-    "artefact_design": ("artefact_design", artefact_design),
-    "dynamics": ("dynamics", dynamics),
-    "r_tests": ("dynamics", r_tests),
-    "dynamics_gpu": ("dynamics_gpu", dynamics),
-    "r_tests_gpu": ("dynamics_gpu", r_tests),
+TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
+    "results": (results, ()),
+    **{f.__name__: (f, ("power",)) for f in (power, power_instruments)},
+    **{f.__name__: (f, (f.__name__,)) for f in (several, five_axes, within_u, practice, speed)},
+    "batch": (batch, ("batch", "batch_gpu")),
+    "campaigns": (campaigns, ("batch", "campaigns_gpu")),
+    **{f.__name__: (f, (f.__name__,)) for f in (strd, laser_frame, artefact_design)},
+    "dynamics": (dynamics, ("dynamics", "dynamics_gpu")),
+    "r_tests": (r_tests, ("dynamics", "dynamics_gpu")),
 }
-"""Name of the table: the file in results/ and how it is laid out."""
+"""Function and result files of every table of the README."""
+LONG = {
+    **{
+        f.__name__: (f, ("power",)) for f in (power_cases, power_outside, power_clean, power_strays)
+    },
+    "interrupted": (interrupted, ("interrupted",)),
+}
+"""The same of tables that are printed only."""
+
+
+def made(name: str) -> str:
+    """The text of a table."""
+    make, files = (TABLES | LONG)[name]
+    texts = ((RESULTS / f"{file}.json").read_text(encoding="utf-8") for file in files)
+    return make(*map(json.loads, texts))
+
+
+def renewed(text: str) -> str:
+    """The text of the README with every table made again."""
+    for name in TABLES:
+        pattern = rf"(<!-- table {name} -->\n).*?(?=\n\n|\n?\Z)"
+        places = list(re.finditer(pattern, text, re.DOTALL))
+        if len(places) != 1:
+            raise SystemExit(f"{len(places)} lines '<!-- table {name} -->', expected 1")
+        text = text[: places[0].end(1)] + made(name) + text[places[0].end() :]
+    return text
 
 
 def main() -> None:
-    """Renew every table of the README."""
+    """Renew the README, or print the tables that are named."""
+    if names := sys.argv[1:]:
+        print("\n\n".join(map(made, names)))
+        return
     readme = HERE / "README.md"
-    text = readme.read_text(encoding="utf-8")
-    for name, (file, make) in TABLES.items():
-        found = json.loads((HERE / "results" / f"{file}.json").read_text(encoding="utf-8"))
-        pattern = rf"(<!-- table {name} -->\n\n).*?(?=\n\n|\n?\Z)"
-        places = list(re.finditer(pattern, text, re.DOTALL))
-        if len(places) != 1:
-            raise SystemExit(f"{readme}: {len(places)} lines '<!-- table {name} -->', expected 1")
-        text = text[: places[0].end(1)] + make(found) + text[places[0].end() :]
-    readme.write_text(text, encoding="utf-8")
+    readme.write_text(renewed(readme.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
-"""How often a stated uncertainty is right: what is said of a named effect within its U (k = 2).
+"""How often a stated uncertainty is right: errors of named effects within their U (k = 2).
 
-For a handful of effects machines are drawn and measured by the independent numpy generator of the
-tests, the loop is closed on each, and what it says of the effect is compared with what was put in.
-With `--data`, the same of the R-tests beside the checkout, whose truth is told.
+For seven effects machines are drawn and measured by the independent numpy generator of the tests,
+the loop is closed on each, and its estimates of the effect are compared with the true values. With
+`--data` the summary has the same comparison for two R-tests beside the checkout of known truth.
 
-    python benchmarks/within_u.py --sets 200 --jobs 2 --data ../shared/data
+    python benchmarks/within_u.py --sets 90 --jobs 2
+    python benchmarks/within_u.py --summary --data ../shared/data
 
-keeps a line per set in results/within_u.jsonl, leaves out those that are there, and sums them up in
-results/within_u.json.
+The first command appends one line per set to lines/within_u.jsonl and skips the sets that are
+there. The second makes results/within_u.json from the lines.
 """
 
 import argparse
@@ -20,26 +21,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from power import append, commit_of, forget_programs, in_parallel, known, load
+from power import load
 from power_cases import CHAINS
-from scipy.stats import binomtest, chi2
+from records import campaign, campaign_parser, make_sets, share
+from scipy.stats import chi2
 
-HERE = Path(__file__).resolve().parent
-LINES = HERE / "results" / "within_u.jsonl"
 FIRST_SEED = 30_000
 MATRIX = [[0.9, 0.1, -1.55], [0.05, 0.6, 0.3], [-0.4, 0.2, 1.1]]
 CROSSTALK = {"matrix_um_s2_per_m": MATRIX}
-"""[i][j]: along i for an acceleration of axis j."""
+"""[i][j]: displacement along i per acceleration of axis j."""
 
 Drawn = tuple[dict[str, Any], dict[str, float]]
-"""An effect for the oracle, and the parameters that the loop should find, in the loop's units."""
+"""An effect for the oracle, and its true parameters in the units of the loop."""
+
+
+def _elements(matrix) -> dict[str, float]:
+    return {f"matrix_{a}{b}": matrix[i][j] for i, a in enumerate("XYZ") for j, b in
+            enumerate("XYZ")}  # fmt: skip
 
 
 def _matrix(rng: np.random.Generator) -> Drawn:
     matrix = rng.standard_normal((3, 3))
-    truth = {f"matrix_{a}{b}": matrix[i, j] for i, a in enumerate("XYZ") for j, b in
-             enumerate("XYZ")}  # fmt: skip
-    return {"effect": "acceleration_crosstalk", "matrix_um_s2_per_m": matrix}, truth
+    return {"effect": "acceleration_crosstalk", "matrix_um_s2_per_m": matrix}, _elements(matrix)
 
 
 def _spike(_: np.random.Generator) -> Drawn:
@@ -77,11 +80,11 @@ class Sized:
 
     instrument: str
     key: str
-    """What the loop should name."""
+    """The right name."""
     draw: Callable[[np.random.Generator], Drawn]
     plan: Mapping[str, Any] = field(default_factory=dict)
     declared: Mapping[str, Any] = field(default_factory=dict)
-    """Parameters of an effect that is there and declared, by their keys."""
+    """Parameters of `acceleration_crosstalk` where it is present and declared."""
 
     @property
     def name(self) -> str:
@@ -104,15 +107,16 @@ MEASURED = (
 
 
 def compared(closure, key: str, truth: Mapping[str, float]) -> dict:
-    """Of what the loop says of an effect, (value - truth) / u of every parameter, and their joint
-    distance d' C^-1 d with the posterior's correlations; `found` alone where it is not named.
+    """The errors of the loop's estimates of an effect: (value - truth) / u of every parameter, and
+    the joint distance d' C^-1 d with the correlations of the posterior; `found` alone where the
+    effect is not named.
     """
     found = [e.effect.key for e in closure.effects]
     line: dict[str, Any] = {"found": found}
     if key not in found:
         return line
-    told = {name: (value, u) for name, value, _, u in closure.effects[found.index(key)].parameters}
-    pulls = {name: (told[name][0] - true) / told[name][1] for name, true in truth.items()}
+    stated = {name: (v, u) for name, v, _, u in closure.effects[found.index(key)].parameters}
+    pulls = {name: (stated[name][0] - true) / stated[name][1] for name, true in truth.items()}
     fit = closure.after
     places = {p.name: i for i, (effect, p) in enumerate(fit.entries) if effect == key}
     rows = [places[name] for name in truth]
@@ -124,11 +128,12 @@ def compared(closure, key: str, truth: Mapping[str, float]) -> dict:
     return line
 
 
-def one_set(case: Sized, seed: int) -> dict:
-    """Draw, measure, close the loop, compare."""
+def one_set(name: str, seed: int) -> dict:
+    """Draw a machine, measure it, close the loop, and compare."""
     import vcal
     from oracle import make_case
 
+    (case,) = (case for case in CASES if case.name == name)
     effect, truth = case.draw(np.random.default_rng([seed, 1]))
     declared = {"effect": "acceleration_crosstalk", **case.declared} if case.declared else None
     rows = [{"name": "acceleration_crosstalk", **case.declared}] if case.declared else []
@@ -139,30 +144,20 @@ def one_set(case: Sized, seed: int) -> dict:
     return {"case": case.name, "seed": seed, **compared(closure, case.key, truth)}
 
 
-def jobs(sets: int, patterns: Sequence[str]) -> Iterator[tuple[Sized, int]]:
+def jobs(sets: range, patterns: Sequence[str]) -> Iterator[tuple[str, int]]:
     """Every set, seed by seed."""
-    cases = [case for case in CASES if any(fnmatch(case.name, p) for p in patterns)]
-    yield from ((case, seed) for seed in range(FIRST_SEED, FIRST_SEED + sets) for case in cases)
+    names = [case.name for case in CASES if any(fnmatch(case.name, p) for p in patterns)]
+    yield from ((name, seed) for seed in sets for name in names)
 
 
-def work(options: argparse.Namespace, part: int) -> None:
-    """Every `jobs`-th of the sets that are not there yet."""
-    import vcal
-
-    vcal.enable_float64()
-    done = {(line["case"], line["seed"]) for line in known(options.lines)}
-    commit = commit_of(HERE.parent)
-    for number, (case, seed) in enumerate(jobs(options.sets, options.cases)):
-        if number % options.jobs != part or (case.name, seed) in done:
-            continue
-        line = one_set(case, seed)
-        append(options.lines, line | {"commit": commit})
-        forget_programs()
-        print(line, flush=True)
+def work(options: argparse.Namespace) -> None:
+    """Make this worker's share of the sets."""
+    sets = range(options.first_seed, options.first_seed + options.sets)
+    make_sets(options, jobs(sets, options.cases), ("case", "seed"), one_set)
 
 
 def measured(data: Path) -> dict[str, dict]:
-    """The same of data sets of one draw, by their folder."""
+    """The same comparison for two measurements of known truth, by the name of their folder."""
     import vcal
 
     vcal.enable_float64()
@@ -172,9 +167,7 @@ def measured(data: Path) -> dict[str, dict]:
         (put_in,) = json.loads((data / folder / "truth.json").read_text())["undeclared"]
         truth = {"size": put_in.get("size_um"), "decay": put_in.get("decay_mm")}
         if "matrix_um_s2_per_m" in put_in:
-            its = put_in["matrix_um_s2_per_m"]
-            truth = {f"matrix_{a}{b}": its[i][j] for i, a in enumerate("XYZ") for j, b in
-                     enumerate("XYZ")}  # fmt: skip
+            truth = _elements(put_in["matrix_um_s2_per_m"])
         closure = vcal.close_loop(study.model, study.measurement, check=study.check)
         line = compared(closure, key, truth)
         line["chance"] = float(chi2.sf(line["distance"], len(truth)))
@@ -182,14 +175,8 @@ def measured(data: Path) -> dict[str, dict]:
     return found
 
 
-def share(k: int, n: int) -> list[float]:
-    """k of n with the 95 % interval of Clopper and Pearson."""
-    low, high = binomtest(k, n).proportion_ci()
-    return [k, n, float(low), float(high)]
-
-
 def summed(lines: list[dict]) -> list[dict]:
-    """Shares by case."""
+    """Shares by case, of the sets in which the effect is named."""
     rows = []
     for case in CASES:
         its = [line for line in lines if line["case"] == case.name]
@@ -217,27 +204,13 @@ def summed(lines: list[dict]) -> list[dict]:
 
 
 def main() -> None:
-    """Run the campaign in single-threaded processes, then sum it up."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", nargs="+", default=["*"], help="patterns such as 'r_test*'")
-    parser.add_argument("--sets", type=int, default=200, help="of every case")
-    parser.add_argument("--jobs", type=int, default=1)
+    """Run the campaign in single-threaded processes, or summarise it."""
+    parser = campaign_parser(__doc__, "within_u", FIRST_SEED)
     parser.add_argument("--data", type=Path, help="folder with the practice data")
-    parser.add_argument("--lines", type=Path, default=LINES)
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "within_u.json")
-    parser.add_argument("--part", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.part is not None:
-        work(options, options.part)
-        return
-    in_parallel(__file__, options.jobs)
-    lines = known(options.lines)
-    record = {
-        "commits": sorted({line["commit"] for line in lines}),
-        "cases": summed(lines),
-        "measured": measured(options.data) if options.data else {},
-    }
-    options.out.write_text(json.dumps(record, indent=1) + "\n")
+    campaign(__file__, options, work, lambda lines: {
+        "cases": summed(lines), "measured": measured(options.data) if options.data else {},
+    })  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The table of the power benchmark: what the oracle puts in is what vcal knows by that name."""
+"""The cases of the power benchmark: an effect of the oracle is the effect of that name in vcal."""
 
 import sys
 from pathlib import Path
@@ -31,22 +31,22 @@ QUICK = {"laser_tracker/payload_sag", "laser_frame/refraction"}
 @pytest.mark.parametrize(
     "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.campaign) for n in ALONE]
 )
-def test_told_the_truth_nothing_is_left(name):
-    """Without noise: the effect of this name, placement and component explains what was put in."""
+def test_the_true_effect_leaves_no_residual(name):
+    """Without noise the effect of this name, placement and component explains the data."""
     entry = ENTRIES[name]
     world = world_of(entry.instrument, SEED)
     made = make(entry, world, drawn(entry, world), [entry.kinds[0].large], noise=0.0)
     study = power.load(made.case)
     before = identify(study.model, study.measurement, room=len(study.model.entries) + 16)
     keep = np.ones(study.measurement.plan.rows, bool)
-    after = power.told(study, before, made.terms, keep)
+    after = power.true_fit(study, before, made.terms, keep)
     assert name not in QUICK or before.chi2 / before.dof > 0.3  # others may be hidden by the plan
     assert after.chi2 / after.dof < 0.02
 
 
 @pytest.mark.campaign
 def test_a_detection_limit_is_that_of_the_effect_by_itself():
-    """A plan that does not see a tilt sees it no better where some readings go astray."""
+    """A plan that does not detect a tilt does not detect it with outliers either."""
     limits = []
     for name in ("laser_tracker/thermal_tilt", "laser_tracker/thermal_tilt, strays"):
         entry = ENTRIES[name]
@@ -69,7 +69,7 @@ def test_sets_of_one_seed_share_all_but_the_size():
 
 
 def test_noise_of_its_own():
-    """From one seed on every set with an effect has its own noise; one with stray readings that of
+    """From one seed on every set with an effect has its own noise; a set with outliers has that of
     the same set without.
     """
     plain, strays = ENTRIES["laser_tracker/backlash"], ENTRIES["laser_tracker/backlash, strays"]
@@ -88,14 +88,14 @@ def test_noise_of_its_own():
 
 
 def test_intervals_count_draws_of_the_noise():
-    """Sets that all say the same tell as much as one; without groups, as many as there are."""
+    """Equal sets of one draw count as one set; sets of independent draws count in full."""
     hits = np.random.default_rng(1).uniform(size=400) < 0.3
     assert power_summary.effective(np.repeat(hits, 10), np.arange(4000) // 10) == pytest.approx(
         399, rel=1e-12
     )
     assert power_summary.effective(hits, np.arange(400)) == pytest.approx(399, rel=1e-12)
     assert power_summary.effective([False] * 7, np.arange(7)) == 7
-    # An independent estimate: the scatter of the share when whole draws are drawn again.
+    # An independent estimate: the scatter of the share in a bootstrap over whole draws.
     rng = np.random.default_rng(2)
     rates, sizes = rng.beta(1, 9, 200), rng.integers(1, 40, 200)
     draws = np.repeat(np.arange(200), sizes)
@@ -109,7 +109,7 @@ def test_intervals_count_draws_of_the_noise():
 
 
 def test_degrees_that_a_family_does_not_follow():
-    """Odd waves alone do not follow the second, half and whole waves of both kinds the third."""
+    """Odd waves alone leave the second degree, half and whole waves of both kinds the fourth."""
     assert unresolved_degree((0, 0, 0.5, 1, 0, 0, 0, 0)) == 2
     assert unresolved_degree((0, 0, 0.5, 1, 1, 1, 1, 1)) == 4
 
@@ -160,31 +160,31 @@ def test_every_set_has_its_place_once():
 @pytest.mark.parametrize(
     ("name", "seed", "sizes", "begun"),
     [
-        # An error that grows with Y from one moment on, for a tilt and a part of the backlash: it
-        # is a description that ends the first search, and the second one begins without any.
+        # An error that grows with Y from one moment on describes a tilt and a part of the backlash.
+        # This description ends the first search, and the second one begins without descriptions.
         ("laser_tracker/backlash and thermal_tilt", 20_005, [4.632, 7.689], 2),
-        # A product of two quantities; a frame that grows in Z is found first, and gives way.
+        # A product of two quantities. A frame that grows in Z is found first and removed later.
         ("laser_frame/head_expansion and backlash", 20_009, [0.2754, 2.117], 1),
     ],
 )
 def test_two_effects_that_one_description_fits_better_than_each(name, seed, sizes, begun):
-    """Both together fit better than the description."""
+    """The two effects together fit better than the description."""
     entry = ENTRIES[name]
     world = world_of(entry.instrument, seed)
     made = make(entry, world, drawn(entry, world), sizes)
     study = power.load(made.case)
-    told = []
-    closure = close_loop(study.model, study.measurement, draws=200, progress=told.append)
+    steps = []
+    closure = close_loop(study.model, study.measurement, draws=200, progress=steps.append)
     assert {e.effect.key for e in closure.effects} == {term.key for term in made.terms}
     assert closure.unexplained is None
     assert not any("describes the residual better" in r.reason for r in closure.rejected)
-    assert told.count("round 1: screening") == begun
+    assert steps.count("round 1: screening") == begun
 
 
 @pytest.mark.campaign
 def test_one_wrong_name_that_hides_another():
-    """A play and a jump: a temperature and a jump at another moment, of which each alone is the
-    best beside the other. Only where neither is to be the answer are the true ones found.
+    """Backlash and a jump are explained by a temperature effect and a jump at another moment, each
+    of which is the best name beside the other. The search must exclude both to find the true ones.
     """
     entry = ENTRIES["laser_tracker/payload_sag, backlash, cross_axis and jump of the tool"]
     world = world_of(entry.instrument, 20_074)
@@ -202,10 +202,10 @@ def test_one_wrong_name_that_hides_another():
 
 
 @pytest.mark.slow
-def test_what_a_plan_tells_little_of_is_not_lost_between_large_rivals():
-    """Of the true component the plan leaves a 50,000th part, in which a roll of 500 urad or a cross
-    term of 87 um explain the readings as well: the one nearer to what machines do is named, not for
-    certain, and the machine is not worse for it.
+def test_a_component_that_the_plan_hardly_determines_is_not_lost_between_large_rivals():
+    """The plan determines a 50,000th part of the true component, which a roll of 500 urad or a
+    cross term of 87 um explain as well. The effect with the more probable size is named first of
+    several alternatives, and the error after is not larger than without.
     """
     entry = ENTRIES["laser_frame/cross_axis"]
     world = world_of(entry.instrument, 20_078)
@@ -221,9 +221,9 @@ def test_what_a_plan_tells_little_of_is_not_lost_between_large_rivals():
 
 
 @pytest.mark.campaign
-def test_what_the_readings_cannot_have_a_size_of_is_no_rival():
-    """A reversal error of which the plan leaves next to nothing would explain a play with more than
-    256 times the size that is expected: it is forgiven none of that, and refutes no other name.
+def test_an_effect_of_impossible_size_is_no_rival():
+    """A reversal error that the plan hardly determines would explain backlash with more than 256
+    times its expected size. Its prior counts in full, and it refutes no other name.
     """
     entry = ENTRIES["laser_frame/backlash"]
     world = world_of(entry.instrument, 20_080)
