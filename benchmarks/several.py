@@ -122,7 +122,7 @@ def one_set(case: str, seed: int, limits: dict) -> dict | None:
             {"key": e.effect.key, "status": e.status, "equivalent": e.equivalent}
             for e in closure.effects
         ],
-        "data_set_consistency": bool(data_set_consistency(closure.before, closure.after, room)),
+        "contradiction": bool(data_set_consistency(closure.before, closure.after, room)),
         "rms": {k: float(f"{e.check.value:.4g}") for k, e in closure.errors.items() if e.check},
     }
     return line | {"seconds": round(time.perf_counter() - start, 2)}
@@ -154,7 +154,7 @@ def work(options: argparse.Namespace) -> None:
                 continue
             append(LINES, line | {"commit": commit})
             print(case, seed, line["verdict"], [f["key"] for f in line.get("found", [])],
-                  line.get("data_set_consistency"), line.get("seconds"), flush=True)  # fmt: skip
+                  line.get("contradiction"), line.get("seconds"), flush=True)  # fmt: skip
 =======
     """Make this worker's share of the sets."""
     limits: dict = {}
@@ -173,9 +173,9 @@ def summed(lines: Sequence[dict]) -> dict:
         counts: dict[str, int] = {}
         for line in mine:
             counts[outcome(line)] = counts.get(outcome(line), 0) + 1
-        told = sum(line["data_set_consistency"] for line in mine)
+        told = sum(line["contradiction"] for line in mine)
         rows.append(
-            {"case": case, "sets": len(mine), "outcomes": counts, "data_set_consistency": told}
+            {"case": case, "sets": len(mine), "outcomes": counts, "contradiction": told}
         )
     return {"rows": rows, "commits": sorted({line["commit"] for line in lines})}
 =======
