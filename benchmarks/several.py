@@ -135,33 +135,11 @@ def jobs(sets: range, patterns: Sequence[str]) -> Iterator[tuple[str, int]]:
 
 
 def work(options: argparse.Namespace) -> None:
-<<<<<<< HEAD
-    import vcal
-
-    vcal.enable_float64()
-    end = time.monotonic() + 60 * options.minutes
-    limits = limits_in(known(LIMITS))
-    done = {(line["case"], line["seed"]) for line in known(LINES)}
-    commit = commit_of(HERE.parent)
-    for seed in range(FIRST_SEED, FIRST_SEED + options.sets):
-        for place, case in enumerate(cases()):
-            if (case, seed) in done or (seed + place) % options.jobs != options.part:
-                continue
-            if time.monotonic() > end:
-                return
-            line = one_set(case, seed, limits)
-            if line is None:
-                continue
-            append(LINES, line | {"commit": commit})
-            print(case, seed, line["verdict"], [f["key"] for f in line.get("found", [])],
-                  line.get("contradiction"), line.get("seconds"), flush=True)  # fmt: skip
-=======
     """Make this worker's share of the sets."""
     limits: dict = {}
     sets = range(options.first_seed, options.first_seed + options.sets)
     make_sets(options, jobs(sets, options.cases), ("case", "seed"),
               lambda case, seed: one_set(case, seed, limits))  # fmt: skip
->>>>>>> hygiene
 
 
 def summed(lines: Sequence[dict]) -> dict:
@@ -169,21 +147,10 @@ def summed(lines: Sequence[dict]) -> dict:
     rows = []
     for case in cases():
         mine = [line for line in lines if line["case"] == case]
-<<<<<<< HEAD
-        counts: dict[str, int] = {}
-        for line in mine:
-            counts[outcome(line)] = counts.get(outcome(line), 0) + 1
-        told = sum(line["contradiction"] for line in mine)
-        rows.append(
-            {"case": case, "sets": len(mine), "outcomes": counts, "contradiction": told}
-        )
-    return {"rows": rows, "commits": sorted({line["commit"] for line in lines})}
-=======
         contradictions = sum(line["contradiction"] for line in mine)
         rows.append({"case": case, "sets": len(mine), "outcomes": counted(mine),
                      "contradiction": contradictions})  # fmt: skip
     return {"rows": rows}
->>>>>>> hygiene
 
 
 def main() -> None:

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from vcal.instruments.follow import carried_apart, followed
 
 import vcal
 from conftest import write_csv
@@ -16,6 +15,7 @@ from test_static_r_test import HEAD, INSTRUMENT, seen, still
 from vcal.design import covariance
 from vcal.design.next_measurement import plan_next
 from vcal.design.optimise import Compiled, optimise
+from vcal.instruments.follow import carried_apart, followed
 from vcal.machine.chain import chain_from_string
 from vcal.uncertainty import ErrorMotionErrors, ParameterErrors, linearised
 from vcal.uncertainty.campaign import virtual_pair

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize_scalar
-from vcal.geometry.compensated import compensated_points
 
 from known import Known
 from vcal import Effect, Measurement, Parameter, Plan, identify
 from vcal.effects.cyclic import ScrewCyclic
+from vcal.geometry.compensated import compensated_points
 from vcal.identification.fit import shape_step
 from vcal.identification.shape_steps import Step, Walk
 from vcal.loop.empirical import Kink
