@@ -1025,13 +1025,13 @@ OWN = {
         ("own.py, class A", "the name 'mine:Y'", "letters, digits and _", "rename the effect"),
     ),
     "no number": (
-        "from vcal.effects import Effect\nfrom vcal.parameters import Parameter\n"
+        "from vcal.effects import Effect\nfrom vcal.machine.parameters import Parameter\n"
         "class A(Effect):\n    name = 'mine'\n    parameters = (Parameter('size', 'um'),)\n"
         "    def response(self, plan, shape):\n        return {('EXX', 'size'): float('inf')}\n",
         ("key model.effect.0 (mine)", "found no finite deviation in row 1", "correct the values"),
     ),
     "unknown port": (
-        "from vcal.effects import Effect\nfrom vcal.parameters import Parameter\n"
+        "from vcal.effects import Effect\nfrom vcal.machine.parameters import Parameter\n"
         "class A(Effect):\n    name = 'mine'\n    parameters = (Parameter('size', 'um'),)\n"
         "    def response(self, plan, shape):\n        return {('EXQ', 'size'): 1.0}\n",
         ("setup.toml, key model.effect.0 (mine)", "no port named 'EXQ'", "mend A"),
