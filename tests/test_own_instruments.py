@@ -616,10 +616,10 @@ WRONG = {
         "np.full((plan.rows, 1), 1j)",
         "noise: found an array of complex128, expected standard deviations",
     ),
-    "warmer": (
+    "temperature_offset_K": (
         LAST,
-        LAST + '\n    warmer = "a"\n',
-        "warmer: found 'a', expected a finite number of K",
+        LAST + '\n    temperature_offset_K = "a"\n',
+        "temperature_offset_K: found 'a', expected a finite number of K",
     ),
     "an artefact": (
         LAST,

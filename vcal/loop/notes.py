@@ -303,7 +303,7 @@ def _other_shapes(facts: Facts) -> list[str]:
 
 def _went_together(facts: Facts) -> list[str]:
     """What went together with what an effect follows, and that nobody recorded the time."""
-    names = [name for item in facts.added for name in item.effect.betrayed_by]
+    names = [name for item in facts.added for name in item.effect.indicators]
     first = facts.unexplained.depends_on[:1] if facts.unexplained is not None else []
     return [
         *confounded(facts.plan, [*names, *first]),

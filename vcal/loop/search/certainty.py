@@ -48,7 +48,7 @@ def beside_the_rest(fit: Fit, place: int, rest: Unexplained | None) -> str:
     """
     if rest is None or rest.empirical is None:
         return ""
-    same = [n for n in rest.depends_on if n in fit.model.effects[place].betrayed_by]
+    same = [n for n in rest.depends_on if n in fit.model.effects[place].indicators]
     if not same:
         return ""
     mine = fit.places_of(place)[0]
@@ -90,7 +90,7 @@ def beside_the_untested(fit: Fit, place: int, untestable: Iterable[Untestable]) 
     effect = fit.model.effects[place]
     if not isinstance(effect, OfDataSet):
         return ""
-    own = {name.rpartition(":")[2] for name in effect.betrayed_by}
+    own = {name.rpartition(":")[2] for name in effect.indicators}
     twins = [
         other
         for other in untestable
