@@ -200,7 +200,7 @@ def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.nda
         excess = values_of(warm[0], plan) - REFERENCE_DEGC
         x = excess[used] * values_of(axes[0], plan)[used]
         if described(x, visible) > _CLEAR:
-            zero = f"{REFERENCE_DEGC + instrument.warmer:g} °C"
+            zero = f"{REFERENCE_DEGC + instrument.temperature_offset_K:g} °C"
             label = f"(temperature of {axes[0]} − {zero}) × its position, K m"
             return x, label, "scatter", None
     return visible, "what is visible of it, µm", "visible", None

@@ -73,8 +73,8 @@ def check_effect(trial: Trial, effect: Effect, setup: Setup, plan: Plan) -> None
         needs = effect.needs
     _check_names("needs", needs, trial)
     with trial.calling("indicators", "a tuple of names"):
-        betrayed = effect.indicators
-    _check_names("indicators", betrayed, trial)
+        indicators = effect.indicators
+    _check_names("indicators", indicators, trial)
     if not plan.has(*needs):
         return
     with trial.calling("scan", "a dict {shape: values}"):
