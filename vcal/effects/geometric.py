@@ -79,7 +79,8 @@ class GeometricErrors(Effect):
     """Error motions E.. as functions of their own axis, and location errors, with their family.
 
     E(x) = sum_k theta_k f_k(x) with f_k and the prior of theta_k from the declared family
-    (`vcal.basis`). ISO 230-1:2012, 3.4; error = actual - nominal, in the joint's own frame.
+    (`vcal.machine.error_functions`). ISO 230-1:2012, 3.4; error = actual - nominal, in the joint's
+    own frame.
     """
 
     name = "geometric"

@@ -78,9 +78,9 @@ class Instrument(Record):
     @property
     @abc.abstractmethod
     def ports(self) -> tuple[str, ...]:
-        """Names of its ports, ``GROUP.COMPONENT`` (`vcal.ports.group`): where a deviation of its
-        own can enter, m or rad. The components of a group stand together; the groups ``tool`` and
-        those of the axes are the machine's. Its effects name them in their response.
+        """Names of its ports, ``GROUP.COMPONENT`` (`vcal.machine.ports.group`): where a deviation
+        of its own can enter, m or rad. The components of a group stand together; the groups ``tool``
+        and those of the axes are the machine's. Its effects name them in their response.
         """
 
     @property
@@ -111,10 +111,10 @@ class Instrument(Record):
         workpiece frame with all errors of the machine, `ports` its own by group, zero for a nominal
         instrument: ``ports["frame"][0]`` is ``frame.X``.
 
-        In components (`vcal.rigid`), so that it stays one elementwise expression when it is mapped
-        over rows and draws. It is traced and differentiated: `jax.numpy` instead of numpy, no
-        ``float()`` and no ``if`` on what comes in, and a derivative that is finite at the nominal
-        machine. A port may also be a plain Python number.
+        In components (`vcal.numerics.rigid`), so that it stays one elementwise expression when it
+        is mapped over rows and draws. It is traced and differentiated: `jax.numpy` instead of
+        numpy, no ``float()`` and no ``if`` on what comes in, and a derivative that is finite at the
+        nominal machine. A port may also be a plain Python number.
         """
 
     def reduce(self, values: Float[Array, "n m *k"], plan: Plan) -> Float[Array, "n m *k"]:
@@ -247,8 +247,8 @@ class TableInstrument(Instrument):
         kind_file = "ball_bar.py"
 
     It needs no registration, and what it registers is forgotten. It is tried once when a study is
-    read (`vcal.io.own_trial`): whatever has another shape than is said here is told with the
-    class and the method. ``tests/own_instrument/ball_bar.py`` is one in full.
+    read (`vcal.study.plugins.instrument_trial`): whatever has another shape than is said here is
+    told with the class and the method. ``tests/own_instrument/ball_bar.py`` is one in full.
     """
 
     kind: ClassVar[str]

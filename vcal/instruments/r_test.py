@@ -74,9 +74,9 @@ class RTest(TableInstrument):
     them by the errors of the structure. `vcal.instruments.nest` says what the probes read of p.
 
     Every run is one circle or more. Positions, accelerations, directions and the distance since the
-    last reversal are those of its fundamental (`vcal.circles`); what else the scales read, their
-    noise among that, is taken from both the internal and the external reading, so that no residual
-    seems to depend on a position only because the noise of that position is in both.
+    last reversal are those of its fundamental (`vcal.machine.circles`); what else the scales read,
+    their noise among that, is taken from both the internal and the external reading, so that no
+    residual seems to depend on a position only because the noise of that position is in both.
     """
 
     kind = "r_test"

@@ -33,7 +33,7 @@ class Several(Instrument):
 
     A row has the readings of its instrument first; what it lacks to the widest is zero, whatever
     the parameters are, and counts nowhere (`present`). Ports are those of the members under the
-    names of their data sets (`vcal.plan.of_set`), and so are their effects
+    names of their data sets (`vcal.machine.plan.of_set`), and so are their effects
     (`vcal.effects.data_set`).
     """
 
