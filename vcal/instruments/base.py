@@ -79,8 +79,8 @@ class Instrument(Record):
     @abc.abstractmethod
     def ports(self) -> tuple[str, ...]:
         """Names of its ports, ``GROUP.COMPONENT`` (`vcal.machine.ports.group`): where a deviation
-        of its own can enter, m or rad. The components of a group stand together; the groups ``tool``
-        and those of the axes are the machine's. Its effects name them in their response.
+        of its own can enter, m or rad. The components of a group stand together; the groups
+        ``tool`` and those of the axes are the machine's. Its effects name them in their response.
         """
 
     @property
