@@ -1,6 +1,7 @@
 """References to modules, names and files of vcal in docstrings and documentation exist."""
 
 import importlib
+import inspect
 import re
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def exists(name: str) -> bool:
         except ModuleNotFoundError:
             continue
         for part in parts[count:]:
-            fields = (set(vars(kind).get("__annotations__", ())) for kind in _bases(found))
+            fields = (inspect.get_annotations(kind) for kind in _bases(found))
             if not hasattr(found, part) and not any(part in own for own in fields):
                 return False
             found = getattr(found, part, None)
