@@ -1,10 +1,10 @@
 """Machines that move: bodies on springs under their controllers, and what acceleration does.
 
-`vcal.io.machine.load_machine` reads a description; `assemble` gives its matrices, `modes` its
-frequencies, `compliance` how it bends while it is accelerated, `controlled` the machine under its
-controllers, `run` and `run_circle` what comes of set points, `identify_machine` what the circles of
-an R-test say of its stiffness, damping, centres of gravity and delay, and `campaign` how well they
-do so for many machines.
+`vcal.study.dynamic_machine.load_machine` reads a description; `assemble` gives its matrices,
+`modes` its frequencies, `compliance` how it bends while it is accelerated, `controlled` the machine
+under its controllers, `run` and `run_circle` what comes of set points, `identify_machine` what the
+circles of an R-test say of its stiffness, damping, centres of gravity and delay, and `campaign` how
+well they do so for many machines.
 """
 
 from .assemble import Structure, assemble

@@ -1,7 +1,7 @@
 """The base class of all effects, and what effects may know when they are placed.
 
 An effect is anything that makes reality differ from nominal. It defines which ports it disturbs
-(`vcal.ports`) and by how much per unit of each of its parameters; prediction, derivatives,
+(`vcal.machine.ports`) and by how much per unit of each of its parameters; prediction, derivatives,
 screening, evidence and reports follow from that.
 """
 
@@ -120,7 +120,7 @@ class Effect(Record):
 
         It must be elementwise over the rows: `shape` values may have a leading axis, (g, 1) against
         rows (n,), when a whole grid is evaluated at once. JAX also traces them to take the
-        derivative with respect to them: compute with `jax.numpy`, or with `vcal.arrays.namespace`
+        derivative with respect to them: compute with `jax.numpy`, or with `vcal.numerics.arrays.namespace`
         of the values, which is faster where they are plain numbers.
         """
 

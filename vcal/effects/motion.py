@@ -26,7 +26,7 @@ class ServoLag(Effect):
     name = "servo_lag"
     summary = "an axis, or a clock, that lags: displacement in proportion to velocity"
     ports: tuple[tuple[str, str, float], ...] = eqx.field(static=True)
-    """(axis, port along it, `vcal.chain.Joint.sign`)."""
+    """(axis, port along it, `vcal.machine.chain.Joint.sign`)."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

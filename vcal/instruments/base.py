@@ -114,7 +114,7 @@ class Instrument(Record):
         the workpiece frame with all errors of the machine; `ports` are the instrument's own ports
         by group, zero for a nominal instrument: ``ports["frame"][0]`` is ``frame.X``.
 
-        Vectors and rotations are in components (`vcal.rigid`), so that the function stays one
+        Vectors and rotations are in components (`vcal.numerics.rigid`), so that the function stays one
         elementwise expression when it is mapped over rows and draws. It is traced and
         differentiated: use `jax.numpy` instead of numpy, no ``float()`` and no ``if`` on the
         arguments; the derivative must be finite at the nominal machine. A port may also be a plain
@@ -252,7 +252,7 @@ class TableInstrument(Instrument):
         kind_file = "ball_bar.py"
 
     It needs no registration, and anything it registers is removed afterwards. It is tried once when
-    a study is read (`vcal.io.own_trial`): a method that returns anything but what is documented
+    a study is read (`vcal.study.plugins.instrument_trial`): a method that returns anything but what is documented
     here is reported with its class and name. ``tests/own_instrument/ball_bar.py`` is a complete
     example.
     """

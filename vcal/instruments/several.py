@@ -33,7 +33,7 @@ class Several(Instrument):
 
     A row has the readings of its instrument first; the rest, up to the largest number of readings,
     is zero for all parameters and has no weight (`present`). Ports are those of the members with
-    the names of their data sets in front (`vcal.plan.of_set`), and so are their effects
+    the names of their data sets in front (`vcal.machine.plan.of_set`), and so are their effects
     (`vcal.effects.data_set`).
     """
 

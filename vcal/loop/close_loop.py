@@ -55,8 +55,8 @@ def close_loop(
     Fit, screen every effect of the catalogue, pay for the search, refit the best, weigh it against
     its rivals, check it on held-out readings, add it, and repeat until nothing is significant at
     `alpha` (of the whole search). `effects` restricts the search to some classes, or names of the
-    catalogue; `check` adds the error at independent points; `learn` learns the
-    sizes of the declared families (`vcal.learn`) for the final fit, after the search.
+    catalogue; `check` adds the error at independent points; `learn` learns the sizes of the
+    declared families (`vcal.identification.family_sizes`) for the final fit, after the search.
     `KeyboardInterrupt` ends the search with what is known so far; before the declared model is
     fitted nothing is, and it passes on. Raises
     `RuntimeError` in float32, and `ValueError` for settings out of their bounds (`LoopSettings`).

@@ -87,8 +87,9 @@ def virtual_pair(
     """Both models on a plan, ready for many draws.
 
     `shapes` are the nominal shape parameters (SI) of the fitted model; those of the truth are
-    drawn, unless declared. Raises as `vcal.simulate.prepare` and `vcal.batch.prepare_batch` do,
-    and `ValueError` where the two models differ in more than their effects.
+    drawn, unless declared. Raises as `vcal.model.simulate.prepare` and
+    `vcal.identification.batch.prepare_batch` do, and `ValueError` where the two models differ in
+    more than their effects.
     """
     apart = [
         *_apart("machine", truth.chain, fit.chain),

@@ -99,7 +99,7 @@ def drawn_errors(
 def _drawn(
     amplitudes: Amplitudes, key: Array, index: Array, shape: tuple[int, ...]
 ) -> tuple[Float[Array, "draws k"], Float[Array, "draws n m"]]:
-    """Machines and noise as `vcal.simulate.draw` makes them."""
+    """Machines and noise as `vcal.model.simulate.draw` makes them."""
 
     def one(i: Array) -> tuple[Array, Array]:
         machine, noise, _ = jax.random.split(jax.random.fold_in(key, i), 3)

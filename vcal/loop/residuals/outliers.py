@@ -51,9 +51,9 @@ def outlying_rows(fit: Fit, robust: Callable[[], tuple[Fit, np.ndarray]]) -> lis
     """Rows whose own residual has a probability below 1e-3 / rows, given the robust scale of all.
 
     Where there are several, they are looked for in a fit that they cannot pull away: that and its
-    weights are what `robust` gives (`vcal.robust`). More than 5 % of the rows, or neighbours along
-    anything that is recorded, are something systematic: then only those are returned that are far
-    beyond it.
+    weights are what `robust` gives (`vcal.identification.robust`). More than 5 % of the rows, or
+    neighbours along anything that is recorded, are something systematic: then only those are
+    returned that are far beyond it.
     """
     found = _outstanding(fit, np.ones(len(fit.used)))
     if len(found) <= 1:
