@@ -294,7 +294,7 @@ def test_sheet():
         "<p>a &lt; b</p>",
         '<tr class="strong"><td>one</td><td class="n">&lt;2&gt;</td></tr>',
         '<img src="data:image/png;base64,iVBORw=="',
-        '<span class="badge unexplained">B</span>',
+        '<span class="badge bad">B</span>',
         "<details><summary>more</summary>",
         '<p class="warning">careful</p>',
     ):

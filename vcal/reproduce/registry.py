@@ -12,7 +12,7 @@ from ..plots import png
 from ..registry import nearest
 from ..report import Picture
 from ..report.html.folder import ReportFolder
-from ..report.loop.record import plain, versions
+from ..report.html.provenance import plain, versions
 
 Progress = Callable[[str], None]
 """progress(what is being done)."""

@@ -15,10 +15,9 @@ from ...study.design.written_plan import plan_table
 from ...study.study import Study
 from ..html import text
 from ..html.picture import Picture
-from ..html.provenance import provenance
+from ..html.provenance import plain, provenance_section, versions
 from ..html.sheet import Badge, Section, Table, Tile, sheet
-from ..loop.record import plain, versions
-from .page import CONVENTIONS
+from .page import CONVENTIONS, FILES
 from .pictures import ANGLES, angles_of, in_space, of_lines, travel_of, view_of
 from .record import DESIGN_SCHEMA, duration, share
 
@@ -163,7 +162,7 @@ def next_page(
             ),
             Section("What is left of every error", pictures=(shown["uncertainties"],)),
             Section("Frames, signs, units", points=(*CONVENTIONS, *_TESTS)),
-            provenance(study, {"seed": str(seed)}, command, seconds, "plan.csv and the pictures"),
+            provenance_section(study, {"seed": f"{seed}"}, FILES, command, seconds),
         ],
         kicker="vcal – what to measure next",
         badge=Badge("Next", "plain"),

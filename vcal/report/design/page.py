@@ -9,12 +9,13 @@ from ...design.optimise import Designed, Seen, valuation
 from ...study.study import Study
 from ..html import text
 from ..html.picture import Picture
-from ..html.provenance import EXPANDED, NAMES, provenance
+from ..html.provenance import EXPANDED, NAMES, provenance_section
 from ..html.sheet import Badge, Section, Table, Tile, sheet
 from .pictures import uncertain
 from .record import design_notes, design_sentence, duration, share
 
 _MOST_GROUPS = 40
+FILES = {"plan.csv": "the plan"}
 CONVENTIONS = (
     NAMES,
     "Expected rms volumetric error: root of the expected mean square, over a grid in the travel, "
@@ -54,7 +55,7 @@ def design_page(
             _worth(done, shown),
             _starts(done),
             Section("Frames, signs, units", points=CONVENTIONS),
-            provenance(study, {"seed": str(seed)}, command, seconds, "plan.csv and the pictures"),
+            provenance_section(study, {"seed": f"{seed}"}, FILES, command, seconds),
         ],
         kicker="vcal – a measurement designed",
         badge=Badge("Better plan", "good") if better else Badge("No better plan", "caution"),

@@ -6,8 +6,8 @@ from typing import Any
 
 from ...design.optimise import Designed, Seen, Value, valuation
 from ...study.study import Study
+from ..html.provenance import plain, versions
 from ..html.text import number, percent, unit
-from ..loop.record import plain, versions
 
 DESIGN_SCHEMA = "vcal-design/1"
 

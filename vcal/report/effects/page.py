@@ -13,9 +13,9 @@ from ...plots import png, signature, signatures
 from ...study.study import looked_for
 from ..html.folder import ReportFolder
 from ..html.picture import Picture
+from ..html.provenance import versions
 from ..html.sheet import Section, Table, sheet
 from ..html.text import DASH, number, unit
-from ..loop.record import versions
 
 _PLACE = ReportFolder(record="effects.json", schema="vcal-effects/")
 Example = tuple[Effect, Setup]

@@ -1,4 +1,4 @@
-"""Numbers and names as people read them."""
+"""Numbers, uncertainties and units as text."""
 
 import math
 import re
@@ -9,10 +9,12 @@ from ...plots.style import SUPERSCRIPTS
 DASH = "–"
 COVERAGE = 2.0
 """Coverage factor k of the expanded uncertainty U = k u."""
+STATED = ("value", "standard uncertainty u", "U (k = 2)", "unit")
+"""Header of the cells of `stated`."""
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with so many significant digits; a dash where there is none."""
+    """A number with this many significant digits; a dash for None and for non-finite numbers."""
     if value is None or not math.isfinite(value):
         return DASH
     if value == 0.0:
@@ -37,8 +39,14 @@ def rounded(value: float, u: float) -> tuple[str, str]:
     )
 
 
+def stated(value: float, u: float, unit_: str) -> tuple[str, str, str, str]:
+    """Value, standard and expanded uncertainty, unit: four cells under `STATED`."""
+    shown, shown_u = rounded(value, u)
+    return shown, shown_u, rounded(value, COVERAGE * u)[1], unit(unit_)
+
+
 def with_uncertainty(value: float | None, u: float | None) -> str:
-    """Value and standard uncertainty in one piece: ``"0.94 ± 0.18"``."""
+    """Value and standard uncertainty in one text: ``"0.94 ± 0.18"``."""
     if value is None or not math.isfinite(value):
         return DASH
     if u is None or not math.isfinite(u) or u <= 0.0:
@@ -53,7 +61,7 @@ def scientific(value: float, digits: int = 2) -> str:
 
 
 def probability(p: float) -> str:
-    """A p-value: plain down to a thousandth, as a power of ten below."""
+    """A p-value: plain down to 0.001, as a power of ten below."""
     if p < 1e-300:
         return "< 10⁻³⁰⁰"
     if p < 1e-3:
@@ -71,6 +79,11 @@ def unit(text: str) -> str:
     return pretty_unit(text)
 
 
+def sentence_of(words: str) -> str:
+    """The words with a capital letter and a full stop."""
+    return f"{words[:1].upper()}{words[1:]}{'' if words.endswith('.') else '.'}"
+
+
 def _minus(text: str) -> str:
-    """With a minus sign, which a zero has not."""
+    """With a minus sign, which zero does not have."""
     return re.sub(r"^-(?=[0.]+\D*$)", "", text).replace("-", "−")

@@ -9,9 +9,8 @@ from ...uncertainty.compare import Comparison
 from ...uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
 from ..html import text
 from ..html.picture import Picture
-from ..html.provenance import EXPANDED, NAMES, provenance
+from ..html.provenance import EXPANDED, NAMES, plain, provenance_section
 from ..html.sheet import Badge, Section, Table, Tile, sheet
-from ..loop.record import plain
 from .record import notes, sentence
 
 _ORIGINS = {
@@ -56,12 +55,12 @@ def virtual_page(
         _unseen(result),
         _draws(result),
         Section("Frames, signs, units", points=_CONVENTIONS),
-        provenance(
+        provenance_section(
             study,
             {"settings": ", ".join(f"{k} = {v}" for k, v in plain(settings).items())},
+            {"result.json": "all results, for programs"},
             command,
             seconds,
-            "and the pictures",
         ),
     ]
     return sheet(

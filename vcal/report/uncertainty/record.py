@@ -9,8 +9,8 @@ import numpy as np
 from ...study.study import Study
 from ...uncertainty.compare import Comparison
 from ...uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
+from ..html.provenance import plain, versions
 from ..html.text import number, percent
-from ..loop.record import plain, versions
 
 VIRTUAL_SCHEMA = "vcal-uncertainty/1"
 _EVERY = 0.99
