@@ -39,14 +39,14 @@ from vcal.plots.residuals import before_after, unexplained_views
 from vcal.plots.search import search
 from vcal.plots.style import AFTER, BEFORE, DOTS, column_label, figure, grid, ticks_apart
 from vcal.plots.views import View, effect_view, residual_without
-from vcal.report import check_folder, record, write_report
+from vcal.registry import unchanged
+from vcal.report import check_folder, effects_csv, formats, record, write_report
 from vcal.report.html import text
 from vcal.report.loop import write
 from vcal.report.loop.derived import in_short, parameters
 from vcal.report.loop.own_effect import own_effect
 from vcal.report.loop.page import page
 from vcal.report.loop.pictures import Picture, pictures
-from vcal.report.loop.tables import effects_csv
 from vcal.report.loop.tested import _by_round
 from vcal.study.simulated import parse_with
 from vcal.study.study import looked_for
@@ -458,7 +458,9 @@ def test_all_files_are_there_and_nothing_else(written):
 def test_page_is_self_contained_and_says_what_matters(written):
     page = (written / "index.html").read_text(encoding="utf-8")
     targets = re.findall(r"""(?:src|href)\s*=\s*["']([^"']*)""", page)
-    assert targets and all(t.startswith(("data:image/png;base64,", "#")) for t in targets)
+    beside = [t for t in targets if not t.startswith(("data:image/png;base64,", "#"))]
+    assert beside == ["report.json", "compensation.csv", "effects.csv"]
+    assert set(beside) < set(strict(written / "report.json")["files"])
     plain = re.sub('data:image/png;base64,[^"]*', "", page)
     assert not any(word in plain for word in ("<script", "http", "@import", "url("))
     for words in (
@@ -1251,6 +1253,63 @@ def test_earlier_record_reaches_no_file_outside_its_folder(closed, quick, tmp_pa
     (out / "report.json").write_text(json.dumps(tampered), encoding="utf-8")
     write_report(closure, study, out)
     assert (tmp_path / "precious").read_text(encoding="utf-8") == "mine"
+
+
+# --- output formats ------------------------------------------------------------------------------
+
+LEAF = '''"""backlash.txt: sizes of reversal errors.
+
+Source: the final fit. Sign: positive is a lead. Units: um.
+"""
+
+from vcal.report.formats.base import FORMATS, Format
+
+
+@FORMATS.register
+class BacklashTxt(Format):
+    """Sizes of backlash."""
+
+    file = "backlash.txt"
+    summary = "sizes of reversal errors <um>"
+
+    def text(self, results):
+        sizes = [e.parameters[0][1] for e in results.closure.effects if e.effect.name == "backlash"]
+        return "".join(f"{size:.3f}\\n" for size in sizes) or None
+'''
+
+
+def test_a_new_output_format_is_one_file(closed, quick, tmp_path, monkeypatch):
+    """It is found, written into the report, and listed on the page and in the record."""
+    _, study, closure = closed
+    (tmp_path / "leaves").mkdir()
+    (tmp_path / "leaves" / "backlash_txt.py").write_text(LEAF, encoding="utf-8")
+    monkeypatch.setattr(formats, "__path__", [*formats.__path__, str(tmp_path / "leaves")])
+    name = f"{formats.__name__}.backlash_txt"
+    with unchanged():
+        try:
+            formats.discover()
+            page = write_report(closure, study, tmp_path / "report")
+            without = write_report(dataclasses.replace(closure, effects=[]), study, tmp_path / "no")
+        finally:
+            sys.modules.pop(name, None)
+    ((_, size, *_),) = closure.effects[0].parameters
+    assert (tmp_path / "report" / "backlash.txt").read_text() == f"{size:.3f}\n"
+    assert "backlash.txt" in strict(tmp_path / "report" / "report.json")["files"]
+    link = (
+        '<a href="backlash.txt">backlash.txt</a></td><td>sizes of reversal errors &lt;um&gt;</td>'
+    )
+    assert link in page.read_text(encoding="utf-8")
+    # These results have no content for it.
+    assert not (tmp_path / "no" / "backlash.txt").exists()
+    assert "backlash.txt" not in without.read_text(encoding="utf-8")
+
+
+def test_every_format_states_source_sign_and_units():
+    assert list(formats.FORMATS) == ["compensation.csv", "effects.csv"]
+    for kind in formats.FORMATS.values():
+        about = sys.modules[kind.__module__].__doc__ or ""
+        assert about.startswith(f"{kind.file}: ")
+        assert all(f"\n{word}: " in about for word in ("Source", "Sign", "Units")), kind.file
 
 
 # --- numbers as text -----------------------------------------------------------------------------

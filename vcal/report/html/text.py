@@ -33,10 +33,7 @@ def rounded(value: float, u: float) -> tuple[str, str]:
     if round(u, places) >= 10.0 ** (2 - places):  # 0.0996 is 0.10, not 0.100
         places -= 1
     shown = max(places, 0)
-    return (
-        _minus(f"{round(value, places):.{shown}f}"),
-        f"{round(u, places):.{shown}f}",
-    )
+    return (_minus(f"{round(value, places):.{shown}f}"), f"{round(u, places):.{shown}f}")
 
 
 def stated(value: float, u: float, unit_: str) -> tuple[str, str, str, str]:
@@ -70,8 +67,18 @@ def probability(p: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in percent."""
+    """A share in percent; a dash for a share that is not finite."""
+    if not math.isfinite(share):
+        return DASH
     return _minus(f"{100.0 * share:.0f} %" if abs(share) >= 0.1 else f"{100.0 * share:.1f} %")
+
+
+def duration(seconds: float) -> str:
+    """A time in hours and minutes: ``"2 h 05 min"``."""
+    minutes = round(seconds / 60.0)
+    if minutes < 1:
+        return f"{seconds:.0f} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"
 
 
 def unit(text: str) -> str:
