@@ -271,7 +271,7 @@ def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):
     monkeypatch.setattr(plots, "error_motions", lambda tables: None)
     for one in (certain, doubted):
         (shown,) = (p for p in pictures(one, ["a table"]) if p.name == "error_motions")
-        assert ("the data said nothing" in shown.caption) == (one is certain)
+        assert ("the data give no information" in shown.caption) == (one is certain)
     (found,) = closure.effects
     rivals = dataclasses.replace(found, alternatives=[("jump", "", 0.01)])
     described = SimpleNamespace(effect=LocalBump(port="tool.Z", unit="um", placement="X"))
