@@ -29,7 +29,7 @@ from vcal.instruments.laser_frame import SegmentSettings
 from vcal.loop.outcome.closure import Errors
 from vcal.loop.weighing.cross_validation import Rms
 from vcal.plots import signatures
-from vcal.report.effects.page import effect_page
+from vcal.report.effects.page import page as effect_page
 from vcal.study import load_study, read_table
 from vcal.study.settings import (
     DataSettings,
@@ -158,7 +158,7 @@ def test_commands_on_pages_of_effects_can_be_used():
     vcal.enable_float64()
     catalogue = vcal.CATALOGUE
     pages = {
-        name: html.unescape(effect_page(catalogue[name], example(catalogue[name]))[0])
+        name: html.unescape(effect_page(catalogue[name], example(catalogue[name])))
         for name in ("ball_error", "repeatability")
     }
     assert "--with 'ball_error:ball " in pages["ball_error"]

@@ -9,9 +9,10 @@ from ..design.next_measurement import plan_next
 from ..design.optimise import optimise, seen
 from ..design.separation import Separation
 from ..errors import StudyError
-from ..report.design.next_page import carried_over, next_sentence
-from ..report.design.record import design_sentence
-from ..report.design.write import check_design_folder, write_design, write_next
+from ..report.design import record as design_record
+from ..report.design.write import check_design_folder, write_design
+from ..report.next_measurement.record import carried_over, sentence
+from ..report.next_measurement.write import write_next
 from ..study import Study, load_study
 from ..study.design.rivals import Wanted, parse_rivals, rivals_of
 from ..study.design.task import check_designed, design_task
@@ -71,7 +72,7 @@ def run_design(
         command=command,
         seconds=time.perf_counter() - began,
     )
-    return Done(page, [design_sentence(done)])
+    return Done(page, [design_record.sentence(done)])
 
 
 def _next(
@@ -102,7 +103,7 @@ def _next(
     progress("writing the report")
     seconds = time.perf_counter() - began
     page = write_next(done, study, out, why=why, seed=seed, command=command, seconds=seconds)
-    told = [why, next_sentence(done), carried_over(done, study)]
+    told = [why, sentence(done), carried_over(done, study)]
     return Done(page, [line for line in told if line])
 
 

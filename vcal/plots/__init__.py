@@ -1,4 +1,4 @@
-"""Pictures of what closing the loop found: functions that return a matplotlib figure."""
+"""Pictures of the results: functions that return a matplotlib figure."""
 
 from .changing import changing_sizes
 from .field import Field, check_errors, check_points, error_field, error_over_time, field
