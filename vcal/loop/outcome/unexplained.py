@@ -1,4 +1,4 @@
-"""What remains and has no name: along which covariate, where, in which direction, how large."""
+"""Unexplained residual: the covariates it depends on, its place, direction and size."""
 
 import math
 from collections.abc import Iterable
@@ -14,24 +14,25 @@ from ..residuals.dependence import Dependence, dependence, displacements
 from ..weighing.rivals import Rival
 
 _CLEARLY = 1.2
-"""What a covariate must describe of the variance, over what an empirical effect does, to be told
-first: that says where."""
+"""Ratio of the variance shares of a covariate and of an empirical description from which the
+covariate is reported first. The description has the advantage of saying where."""
 _AS_NOISE = "noise that is correlated in time, or a drift"
 _MOSTLY = 2.0
-"""Share of the variance that persists from reading to reading, over what the best covariate
-describes, from which no covariate is told alone: all that changes slowly describes some."""
+"""Ratio of the share of variance that persists from reading to reading to that of the best
+covariate, from which no covariate is reported alone. Every covariate that changes slowly describes
+some of such noise."""
 _SPREAD = 25.0
-"""chi2 per degree of freedom, against the declared noise, from which something must be missing even
-if nothing that is recorded tells it; noise that is declared too small is no such thing.
-"""
+"""Chi-square per degree of freedom, against the declared noise, from which something must be
+missing even if it depends on no recorded quantity. A too small declared noise alone does not reach
+it."""
 _BY_CHANCE = 0.01
-"""Probability from which what is this large for another reason depends on no covariate: the best of
-all that were recorded always describes a little."""
+"""Probability from which a residual that is large for another reason depends on no covariate. The
+best of all covariates always describes a little."""
 _LAST_LOOK = 0.25
-"""Share of alpha that the last look at what remains may spend beside the search."""
+"""Share of alpha that the final test of the remainder may use, in addition to the search."""
 _BEYOND = "what is beyond the declared noise"
 _BY_THE_BEST = "what the column or product that tells most describes"
-"""Of the residual, what is told in size and share where nothing describes it."""
+"""What size and share refer to, where no description was found."""
 
 
 @dataclass(frozen=True)
@@ -39,35 +40,34 @@ class Unexplained:
     """A residual that no effect that was tried explains."""
 
     depends_on: list[str]
-    """Covariates, most telling first."""
+    """Covariates, most important first."""
     shares: list[float]
-    """Share of the residual's variance each of them describes alone, corrected for chance."""
+    """Share of the residual's variance that each of them describes alone, corrected for chance."""
     where: list[Interval]
     direction: str
     """``"X"``, ``"Y"``, ``"Z"`` at the tool point, or ``"mixed"``; ``"A"``, ``"B"``, ``"C"`` where
-    only angles were read.
-    """
+    only angles were read."""
     size_um: float
     share_of_variance: float
     p_value: float
     reason: str
     words: str = ""
-    """What it is: the empirical description, or noise, where there is one."""
+    """The empirical description, or correlated noise, in words; empty where there is none."""
     empirical: Rival | None = None
     """The empirical description, where there is one."""
     products: tuple[tuple[str, str, float], ...] = ()
     """Pairs of covariates whose product describes some of it, with its share, largest first."""
     joint: bool = False
-    """Whether it is the product of two that it depends on first of all."""
+    """Whether it depends first of all on the product of two covariates."""
     size_is: str = ""
-    """What `size_um` is, in words."""
+    """Definition of `size_um`, in words."""
     share_is: str = ""
     """What `share_of_variance` is a share of, in words."""
 
 
 @dataclass(frozen=True)
 class Refused:
-    """An effect, or a description, that was significant in the last round, and did not hold."""
+    """An effect, or a description, that was significant in the last round and was rejected."""
 
     effect: Effect
     p_value: float
@@ -76,12 +76,12 @@ class Refused:
 
     @property
     def words(self) -> str:
-        """What it is."""
+        """Its name within a sentence."""
         return self.effect.words if isinstance(self.effect, Empirical) else self.effect.key
 
 
 def main_direction(vectors: np.ndarray, ways: str) -> str:
-    """The one of three ways that carries more than 60 % of the squared length, or ``"mixed"``."""
+    """The one of three directions with more than 60 % of the squared length, or ``"mixed"``."""
     squares = (vectors**2).sum(0)
     if squares.sum() == 0:
         return "mixed"
@@ -105,9 +105,11 @@ def described(
     draws: int,
     seed: int,
 ) -> Unexplained:
-    """The description where the `best` empirical one explains more than every effect that was
-    tried: by that or, where it leaves something and they describe clearly more, by a covariate
-    or a product of two. `tested` is the fit with the noise to test by.
+    """The residual described by the `best` empirical description, where that explains more than
+    every effect that was tried.
+
+    Where the description leaves a significant rest, and a covariate or a product of two describes
+    clearly more, these are reported instead. `tested` is the fit with the noise to test by.
     """
     told = dependence(tested, draws, seed)
     local = _from_empirical(fit, best, p_value, told)
@@ -124,8 +126,10 @@ def _best(what: Unexplained) -> float:
 
 
 def _beyond_noise(fit: Fit, described: Fit) -> tuple[float, float]:
-    """Chi-square of a fit, and how much of it is beyond the noise: as declared, or as little as a
-    description leaves. That of the fits themselves may be as large as all that is left.
+    """Chi-square of a fit, and the part of it beyond the noise.
+
+    The noise is the declared one, or less where the description leaves less. The estimated noise of
+    the fits may be as large as the whole residual.
     """
     without, left = declared_chi2(fit), declared_chi2(described)
     return without, without - fit.dof * min(1.0, left / described.dof)
@@ -175,9 +179,11 @@ def from_structure(
     refused: Refused | None = None,
     full: bool = False,
 ) -> Unexplained | None:
-    """The description where the residual depends on covariates, is correlated in time, or is far
-    larger than declared; or where an effect was significant and was `refused`. `full`: the search
-    ended because no more effects may be added.
+    """The unexplained residual of a final fit; None where there is none.
+
+    There is one where the residual depends on covariates, is correlated in time, or is far larger
+    than declared; or where an effect was significant and was `refused`. `full`: the search ended
+    because no more effects may be added.
     """
     told = dependence(fit, draws, seed)
     return _from_dependence(fit, told, chi2_per_dof, alpha, correlated, refused, full)
@@ -200,14 +206,14 @@ def _from_dependence(
         return None
     shares = dict(told.single)
     if told.joint and not quiet:
-        # A product shows in neither alone: both of it come first.
+        # A product shows in neither covariate alone, so both are listed first.
         first, second, _ = told.products[0]
         shares = _ahead(shares, (first, second))
     if correlated is not None and not shares and fit.measurement.plan.has("t"):
         shares = {"t": 0.0}
     only = refused if quiet else None
     if only is not None:
-        # Nothing else is significant: neither a product nor what a column tells by itself.
+        # Nothing else is significant: neither a product nor a single column.
         shares = _ahead(shares, only.effect.betrayed_by)
     best = max([*shares.values(), *(share for *_, share in told.products)], default=0.0)
     vectors = displacements(fit)[fit.used]
@@ -242,14 +248,14 @@ def _from_dependence(
 
 
 def _ahead(shares: dict[str, float], names: Iterable[str]) -> dict[str, float]:
-    """The shares with those of some covariates first."""
+    """The shares, with those of the given covariates first."""
     ahead = {name: shares.get(name, 0.0) for name in names}
     return ahead | {name: s for name, s in shares.items() if name not in ahead}
 
 
 def _reason(spread: bool, best: float, correlated: Serial | None, only: Refused | None) -> str:
-    """Why something is unexplained, where there is room for further effects. `only`: an effect
-    that was refused where nothing else is significant.
+    """Why something is unexplained, where further effects may be added. `only`: an effect that was
+    refused where nothing else is significant.
     """
     if correlated is not None:
         return (

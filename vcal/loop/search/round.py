@@ -318,13 +318,13 @@ def unlikely(rival: Rival, odds: float, kinds: int) -> str | None:
     """Why the evidence of an effect, with these log odds of its name, is too little; else None.
 
     What looking everywhere costs is in the p-value, and is not to be paid twice: the readings must
-    be likelier with it than without. A size that had to be forgiven makes chance as good a reason,
+    be likelier with it than without. A size that had to be size_cost makes chance as good a reason,
     and needs evidence for all `kinds` of effects together.
     """
-    evidence = odds - rival.leniency - rival.log_prior
+    evidence = odds - rival.size_allowance - rival.log_prior
     if evidence <= 0.0:
         return _UNLIKELIER
-    if rival.leniency > 0.0 and evidence <= math.log(kinds):
+    if rival.size_allowance > 0.0 and evidence <= math.log(kinds):
         return _UNEXPECTED
     return None
 

@@ -18,7 +18,7 @@ from ...model.measurement import Measurement
 from ...numerics.least_squares import Status
 from ..residuals.outliers import Outlier, displaced, outliers_apart, outlying_rows, scattered
 from ..residuals.variance_components import Components, components
-from ..screening.significance import LEAST_NOISE, TOLD
+from ..screening.significance import LEAST_DOF, LEAST_NOISE
 from ..weighing.cross_validation import folds_of
 from .initial_shapes import initial_shapes
 
@@ -225,7 +225,7 @@ def _clustered_whitener(fit: Fit) -> np.ndarray:
             continue
         present = np.flatnonzero(fit.counted[here[0]])
         rows, m = len(here), len(present)
-        if rows <= m or fit.chi2_and_dof(mine)[1] < TOLD:
+        if rows <= m or fit.chi2_and_dof(mine)[1] < LEAST_DOF:
             continue
         r = np.einsum("nij,nj->ni", found[np.ix_(here, present, present)],
                       fit.residual[np.ix_(here, present)])  # fmt: skip
