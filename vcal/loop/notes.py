@@ -1,4 +1,4 @@
-"""What is said of a result beside its numbers: what to mind, and what to do about it."""
+"""Notes on a result: what a user should know besides its numbers, what it means, and remedies."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -29,35 +29,37 @@ from .weighing.cross_validation import Rms, check_rms, fit_rms, predicted_rms
 from .weighing.rivals import Rival
 
 _NO_MACHINE_UM = 2000.0
-"""What remains of a fit beyond which the data are not what they are said to be, um."""
+"""Size of the residual, um, beyond which the data are not what they are declared to be."""
 _ALIGNED = 0.1
-"""Share of that which may be left after a rigid alignment, where it is one place that is wrong."""
+"""Largest ratio of the error after rigid alignment to that before, where a common offset is wrong.
+"""
 _MANY = 50.0
-"""Degrees of freedom from which a search is worth its name."""
+"""Degrees of freedom below which a search finds only large effects."""
 _BEYOND = 0.1
-"""Share of the span that was measured, and of the check points, from which on these are beyond."""
+"""Share of the measured range beyond which a point is outside it, and least share of such check
+points that is reported."""
 _SURELY, _FURTHER = 3.0, 1.5
-"""Standard uncertainties by which an error at the check points is surely beyond so many times what
-is foretold."""
+"""Standard uncertainties, and multiple of the predicted error, by which the error at the check
+points significantly exceeds it."""
 _FEW_POINTS = 10
-"""Check points below which an alignment takes a part of the error that is worth a word."""
+"""Number of check points below which the alignment removes a relevant part of the error."""
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What closing a loop has come to."""
+    """The results that the notes are made from."""
 
     before: Fit
     after: Fit
     errors: Mapping[Literal["uncompensated", "before", "after"], Errors]
-    """Of the nominal machine, and before and after closing the loop."""
+    """Of the nominal machine, before and after closing the loop."""
     check: CheckPoints | None
     found: Sequence[FoundEffect]
     added: Sequence[Added]
-    """The same as the search has them."""
+    """`found` as the search has them."""
     state: State
     scales: Mapping[str, float]
-    """Noise found of every data set, in what is declared."""
+    """Estimated noise of every data set, in units of the declared noise."""
     unexplained: Unexplained | None
     untestable: Sequence[Untestable]
     vibration: Vibration | None
@@ -71,17 +73,17 @@ class Facts:
 
     @property
     def described(self) -> Rival | None:
-        """What describes what is unexplained."""
+        """The empirical description of what is unexplained."""
         return self.unexplained.empirical if self.unexplained is not None else None
 
 
 def notes(facts: Facts) -> list[str]:
-    """All that is to be said, in the order in which it matters."""
+    """All notes, the most important first."""
     return [note for about in _NOTES for note in about(facts)]
 
 
 def _contradicting(facts: Facts) -> list[str]:
-    """That the data contradict what was declared."""
+    """Note where the data sets are inconsistent."""
     if facts.interrupted:
         return []
     apart = data_set_consistency(facts.before, facts.after, facts.room)
@@ -89,8 +91,8 @@ def _contradicting(facts: Facts) -> list[str]:
 
 
 def _elsewhere(facts: Facts) -> list[str]:
-    """That the check points as a whole are not where the machine is, where no machine is so wrong:
-    of another frame, or of another tool.
+    """Note where a common offset of the check points is larger than any machine error: another
+    frame, or another tool.
     """
     after = facts.errors["after"]
     if after.check is None or after.check_raw is None:
@@ -105,7 +107,9 @@ def _elsewhere(facts: Facts) -> list[str]:
 
 
 def _few_check_points(facts: Facts) -> list[str]:
-    """That a rigid alignment takes six numbers of the errors of few points."""
+    """Note where few check points make the rigid alignment, with six parameters, absorb a part of
+    the error.
+    """
     count = 0 if facts.check is None else facts.check.plan.rows
     if not 0 < count < _FEW_POINTS:
         return []
@@ -117,7 +121,9 @@ def _few_check_points(facts: Facts) -> list[str]:
 
 
 def _not_at_the_check(facts: Facts) -> list[str]:
-    """That the error at the check points leaves out effects for want of a column, where it does."""
+    """Note on effects that the error at the check points leaves out because a column is missing
+    there.
+    """
     check = facts.check
     if check is None:
         return []
@@ -137,8 +143,8 @@ def _not_at_the_check(facts: Facts) -> list[str]:
 
 
 def _beyond_at_the_check(facts: Facts) -> list[str]:
-    """Which of the effects found are foretold at the check points for times, temperatures or other
-    conditions that were not measured: how they go on there no reading tells.
+    """Note on effects whose prediction at the check points extrapolates times, temperatures or
+    other conditions beyond the measured range.
     """
     check = facts.check
     if check is None:
@@ -164,7 +170,7 @@ def _beyond_at_the_check(facts: Facts) -> list[str]:
 
 
 def _worse(facts: Facts) -> list[str]:
-    """That held-out readings or check points speak against what was found, where they do."""
+    """Note where held-out readings or check points contradict what was found."""
     before, after = facts.errors["before"], facts.errors["after"]
     what = "what was found describes" if facts.found else "the noise that was found suits"
     compared = (
@@ -180,7 +186,9 @@ def _worse(facts: Facts) -> list[str]:
 
 
 def _beyond_what_is_foretold(facts: Facts) -> list[str]:
-    """That the machine is off at the check points by more than what the readings leave open."""
+    """Note where the error at the check points significantly exceeds its prediction by the
+    posterior.
+    """
     check, after = facts.check, facts.errors["after"].check
     if check is None or after is None or facts.unexplained is not None:
         return []
@@ -196,8 +204,8 @@ def _beyond_what_is_foretold(facts: Facts) -> list[str]:
 
 
 def _described_at_the_check(facts: Facts) -> list[str]:
-    """What the error at the check points would be with the description of what is unexplained,
-    where that is most of its uncertainty.
+    """Note on the error at the check points with the description of what is unexplained, where that
+    makes up most of its uncertainty.
     """
     described, check, after = facts.described, facts.check, facts.errors["after"]
     if described is None or check is None or after.check is None:
@@ -214,7 +222,7 @@ def _described_at_the_check(facts: Facts) -> list[str]:
 
 
 def _untold(facts: Facts) -> list[str]:
-    """Which parameters of the effects that were `found` are as uncertain as before: such as an
+    """Note on parameters of the found effects whose uncertainty is that of the prior, such as an
     acceleration in a direction in which nothing moved.
     """
     told = zip(facts.after.entries, facts.after.information, strict=True)
@@ -228,7 +236,7 @@ def _untold(facts: Facts) -> list[str]:
 
 
 def _noise(facts: Facts) -> list[str]:
-    """That the readings scatter otherwise than declared."""
+    """Note where the readings scatter differently from what is declared."""
     noise = facts.state.noise
     if noise is not None and noise.uneven:
         each = ", ".join(
@@ -254,7 +262,7 @@ def _noise(facts: Facts) -> list[str]:
 
 
 def _little_left(facts: Facts) -> list[str]:
-    """That there are hardly more readings than parameters."""
+    """Note where there are hardly more readings than parameters."""
     dof = facts.state.fit.dof
     if dof >= _MANY:
         return []
@@ -265,7 +273,7 @@ def _little_left(facts: Facts) -> list[str]:
 
 
 def _blank(facts: Facts) -> list[str]:
-    """Which rows are left out as a reading of them is blank."""
+    """Note on rows that are left out because a reading is blank."""
     return [
         f"left out: {rows_in_words(rows)} of {file}, as a reading is blank"
         for file, rows in facts.after.measurement.blank.items()
@@ -273,7 +281,7 @@ def _blank(facts: Facts) -> list[str]:
 
 
 def _stray(facts: Facts) -> list[str]:
-    """That more readings are stray than are left out, and which of those may not be."""
+    """Notes on outliers: more than may be left out, and those that may be a displacement."""
     plan, fit, said = facts.plan, facts.state.fit, []
     if astray := too_many(fit):
         rows = ", ".join(
@@ -292,7 +300,7 @@ def _stray(facts: Facts) -> list[str]:
 
 
 def _other_shapes(facts: Facts) -> list[str]:
-    """Other pitches and moments of what was found."""
+    """Note on other pitches and moments of the found effects."""
     return [
         f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well (probability "
         f"{100 * probability:.2g} %): these positions and times hardly tell them apart"
@@ -302,7 +310,9 @@ def _other_shapes(facts: Facts) -> list[str]:
 
 
 def _went_together(facts: Facts) -> list[str]:
-    """What went together with what an effect follows, and that nobody recorded the time."""
+    """Notes on covariates that are confounded with what an effect depends on, and on a time that
+    was not recorded.
+    """
     names = [name for item in facts.added for name in item.effect.betrayed_by]
     first = facts.unexplained.depends_on[:1] if facts.unexplained is not None else []
     return [
@@ -312,7 +322,7 @@ def _went_together(facts: Facts) -> list[str]:
 
 
 def _no_machine(facts: Facts) -> list[str]:
-    """That what remains is nothing that a machine is off by."""
+    """Note where the residual is larger than any machine error."""
     worst = fit_rms(facts.state.fit).value
     if worst <= _NO_MACHINE_UM or chi2_per_dof(facts.state.fit) <= 1e4:
         return []
@@ -329,7 +339,7 @@ def _unconverged(facts: Facts) -> list[str]:
 
 
 def _vibrating(facts: Facts) -> list[str]:
-    """A vibration, where it is not told with what is unexplained."""
+    """Note on a vibration, where the verdict does not mention it."""
     if facts.vibration is None or facts.unexplained is not None:
         return []
     return [facts.vibration.words]
@@ -368,18 +378,19 @@ _NOTES = (
 
 
 _FACTOR = 2.0
-"""Of chi2 per degree of freedom together over that of every data set alone, from which they are
-taken to contradict each other: what is missing from all of them shows in each."""
+"""Ratio of chi-square per degree of freedom of all data sets together to that of each alone, from
+which they are inconsistent. An effect that is missing from all of them shows in each."""
 _CHANCE = 1e-3
-"""Probability by chance below which what is added by fitting them together counts."""
+"""Probability by chance of the chi-square that is added by fitting them together."""
 
 
 def data_set_consistency(before: Fit, after: Fit, room: int) -> str:
-    """That the data sets do not fit one machine, in words; empty where they do, or there is one.
+    """Sentence where the data sets do not fit one machine; empty where they do, or there is only
+    one.
 
-    The readings that the declared model leaves by every data set `alone`, against what it leaves
-    together, also with what was found: (dX / dn) / (X / n) is F with dn and n degrees of freedom
-    where one machine has made all of them.
+    The chi-square X that remains when the declared model is fitted to each data set `alone` is
+    compared with that of the common fit, before or after the search: (dX / dn) / (X / n) has the F
+    distribution with dn and n degrees of freedom where one machine produced all of them.
     """
     parts = before.measurement.plan.parts
     if len(parts) < 2:
@@ -388,7 +399,7 @@ def data_set_consistency(before: Fit, after: Fit, room: int) -> str:
     if any(fit.dof <= 1.0 for fit in each.values()):
         return ""
     own = {name: chi2_per_dof(fit) for name, fit in each.items()}
-    # What was found may be just what makes one machine of them, or what pulls them further apart.
+    # The effects found may be what makes the data sets consistent, or what makes them less so.
     together, fit = min(((chi2_per_dof(f), f) for f in (before, after)), key=lambda pair: pair[0])
     n = sum(one.dof for one in each.values())
     squares = sum(own[name] * one.dof for name, one in each.items())
@@ -407,7 +418,7 @@ def data_set_consistency(before: Fit, after: Fit, room: int) -> str:
 
 
 def alone(fit: Fit, rows: np.ndarray, room: int) -> Fit:
-    """The model of a fit, identified from one data set: without what acts in others only."""
+    """The model of a fit, identified from one data set, without effects that act in others only."""
     model, plan = fit.model, fit.measurement.plan
     places = [i for i, e in enumerate(model.effects) if (np.asarray(e.rows(plan)) & rows).any()]
     mine = tuple(model.effects[i] for i in places)

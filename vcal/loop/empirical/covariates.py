@@ -71,7 +71,7 @@ def has_zero(plan: Plan, name: str) -> bool:
 
 
 def _goes_round(angle: np.ndarray) -> bool:
-    """Whether angles (n,) in rad cover a full turn, unlike those of a swivel axis with end stops."""
+    """Whether angles (n,) in rad cover a full turn, unlike those of a swivel axis."""
     turn = 2.0 * np.pi
     places = np.unique(np.mod(angle, turn))
     widest = np.diff(places, append=places[0] + turn).max()
@@ -90,7 +90,7 @@ def in_rad(plan: Plan, name: str) -> float:
 
 
 def correlation(x: np.ndarray, y: np.ndarray) -> float:
-    """Magnitude of the correlation coefficient of two columns; zero where one of them is constant."""
+    """Magnitude of the correlation of two columns; zero where one of them is constant."""
     if np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
         return 0.0
     return float(abs(_direction(x) @ _direction(y)))

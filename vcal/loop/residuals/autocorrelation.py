@@ -46,7 +46,7 @@ class Serial:
 
     @property
     def length(self) -> float:
-        """Correlation length: number of rows after which the correlation has fallen by a factor e."""
+        """Correlation length: rows after which the correlation has fallen by a factor e."""
         return float(-1.0 / np.log(self.phi))
 
 

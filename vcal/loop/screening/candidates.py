@@ -1,6 +1,6 @@
 """Which effects could be missing: every class of the catalogue, at every place it can have."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from ...effects.base import Effect, Fitted
@@ -21,6 +21,23 @@ class Untestable:
     missing: tuple[tuple[str, tuple[str, ...]], ...] = ()
     """Covariates that it needs, each with the data sets that lack it. The data sets are empty where
     there is only one, or where all have the covariate and do not share it."""
+
+
+class UntestableError(ValueError):
+    """None of the requested effects can be tested with these data.
+
+    `untestable` lists them with the reasons; it is empty where none has a place on the machine.
+    """
+
+    def __init__(self, untestable: Sequence[Untestable]):
+        self.untestable = list(untestable)
+        reasons = "; ".join(self.reasons) or "no place for them"
+        super().__init__(f"none of the requested effects can be tested ({reasons})")
+
+    @property
+    def reasons(self) -> list[str]:
+        """``"effect: reason"`` of each kind, sorted."""
+        return sorted({f"{item.effect}: {item.reason}" for item in self.untestable})
 
 
 def candidates(

@@ -1,4 +1,4 @@
-"""What keeps a name from being certain, however likely it is among those that were tried."""
+"""Reasons why a name stays uncertain, however probable it is among the candidates tried."""
 
 import math
 from collections.abc import Iterable
@@ -16,15 +16,19 @@ from ..screening.score_test import ScoreTest
 from .state import State, without
 
 _OUT = 3.0
-"""By how many of its standard uncertainties a shape would have to leave its scan to be told."""
+"""Standard uncertainties by which a shape parameter would have to leave its grid to count as
+outside."""
 
 
 def doubted(
     found: FoundEffect, fit: Fit, rest: Unexplained | None, untestable: Iterable[Untestable]
 ) -> FoundEffect:
-    """The effect as it was found in a fit, or not for certain where something speaks against that:
-    what is unexplained beside it, a shape beyond what was looked for, an effect that could not be
-    tested, or readings that do not tell its size.
+    """The effect as found in a fit, or the same as ambiguous where something makes its name
+    uncertain.
+
+    Such reasons are a larger unexplained residual that depends on the same covariate, a shape
+    parameter outside its grid, an effect that could not be tested, and an amplitude that is poorly
+    determined.
     """
     if found.status != "named":
         return found
@@ -39,12 +43,11 @@ def doubted(
 
 
 def beside_the_rest(fit: Fit, place: int, rest: Unexplained | None) -> str:
-    """Where something that can be described is unexplained, more than the effect explains, and
-    depends on the same: it may be a part of that. What only scatters, or what many small things
-    leave, takes nothing from a name.
+    """Reason where a larger residual is unexplained and depends on the same covariate: the effect
+    may be a part of it. Only a residual with an empirical description counts, not scatter or many
+    small errors.
 
-    The effect explains theta' C^-1 theta of its amplitudes, the chi-square that would be there
-    without them.
+    The effect explains theta' C^-1 theta of its amplitudes, the chi-square that it removes.
     """
     if rest is None or rest.empirical is None:
         return ""
@@ -60,9 +63,9 @@ def beside_the_rest(fit: Fit, place: int, rest: Unexplained | None) -> str:
 
 
 def beyond_its_scan(fit: Fit, place: int) -> str:
-    """Where a pitch or a speed is held at an end of what is looked for, and a step of the
-    linearised fit beyond it would lower chi-square by more than chance: the true one is somewhere
-    else, and so may be the effect.
+    """Reason where a pitch or a speed is held at an end of its grid, and a step of the linearised
+    fit beyond it would lower chi-square significantly. The true value is then elsewhere, and the
+    effect may be another.
     """
     effect, (_, moving) = fit.model.effects[place], fit.places_of(place)
     if not len(moving):
@@ -84,8 +87,9 @@ def beyond_its_scan(fit: Fit, place: int) -> str:
 
 
 def beside_the_untested(fit: Fit, place: int, untestable: Iterable[Untestable]) -> str:
-    """Where an effect of the instrument of one data set follows what the data sets do not share:
-    one of the machine that follows the same could look like it, and was not tested.
+    """Reason where an effect of one data set's instrument follows a covariate that the data sets do
+    not share: an effect of the machine that follows the same could look like it, and was not
+    tested.
     """
     effect = fit.model.effects[place]
     if not isinstance(effect, OfDataSet):
@@ -107,8 +111,8 @@ def beside_the_untested(fit: Fit, place: int, untestable: Iterable[Untestable]) 
 
 
 def hardly_told(fit: Fit, place: int) -> str:
-    """Where the readings say next to nothing of any of its amplitudes: what got better with it is
-    then something else, such as a fit that had not come to its end.
+    """Reason where the readings determine none of its amplitudes. The fit then improved for another
+    reason, such as a fit that had not converged before.
     """
     if (fit.information[fit.places_of(place)[0]] > HARDLY_TOLD).any():
         return ""
@@ -116,10 +120,13 @@ def hardly_told(fit: Fit, place: int) -> str:
 
 
 def jump_time_uncertainty(state: State, place: int, room: int) -> dict[str, float]:
-    """Standard uncertainty (SI) of those of the effect at that position in the model, by name.
+    """Standard uncertainty (SI) of those shape parameters of an effect that take discrete values,
+    by name.
 
-    Seen from the model without it, every interval between two of its edges has the evidence of a
-    step there: about the value found, the second moment of the posterior, even within an interval.
+    `place` is the place of the effect in the model. The evidence of a step in every interval
+    between two edges is computed from the model without it. The uncertainty is the root of the
+    second moment of the posterior about the value found, including the width of the intervals. nan
+    where the fit without the effect does not converge.
     """
     effect, shape = state.model.effects[place], state.fit.shapes.get(place, {})
     edges = effect.edges(state.fit.measurement.plan)
