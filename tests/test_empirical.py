@@ -150,7 +150,7 @@ def test_a_name_is_not_certain_beside_more_that_is_unexplained(tracker):
     model = tracker.model.with_effects(named.effect)
     less = doubted(named, identify(model, both), rest, [])
     assert less.status == "ambiguous"
-    assert "what is unexplained, more than it explains, depends on" in less.separation
+    assert "larger than what the effect explains and depends on" in less.separation
     # Not where it explains more than is left, and not where that depends on something else.
     assert doubted(named, identify(model, alone), rest, []) is named
     elsewhere = dataclasses.replace(rest, depends_on=["T_Y"], shares=[1.0])
@@ -356,20 +356,20 @@ def test_when_a_description_puts_a_name_in_doubt(description, doubt):
     [
         (
             ("X",), "local_bump", ("X",),
-            "measure at further values of x_mm, between and beyond those there are",
+            "measure at further values of x_mm, between and beyond those measured",
         ),
         (("T_X",), "drift", ("t",), "vary T_x_degC independently of t_s"),
         (("T_X", "X"), "tilt", ("X",), "vary T_x_degC independently of x_mm"),
         (("X",), "backlash", ("dir_X", "X"), "vary dir_x independently of x_mm"),
         (
             ("T_X",), "tilt", ("T_X",),
-            "it follows T_x_degC, and so does tilt X: measure at further positions, where their "
+            "it depends on T_x_degC, and so does tilt X: measure at further positions, where their "
             "errors differ",
         ),
         (
             ("t",), "jump", ("t",),
-            "it follows t_s, and so does jump X: measure at further moments and positions, where "
-            "their errors differ",
+            "it depends on t_s, and so does jump X: measure at further moments and positions, "
+            "where their errors differ",
         ),
     ],
 )  # fmt: skip

@@ -294,7 +294,7 @@ def test_of_names_that_may_be_one_of_an_expected_size_goes_first():
 
 
 def test_a_size_that_is_forgiven_needs_more_evidence():
-    """Of 20 kinds, ln 20 = 3.0; what places and the size allowance add to the odds is no evidence."""
+    """Of 20 kinds, ln 20 = 3.0; what places and the allowance add to the odds is no evidence."""
     expected = SimpleNamespace(size_allowance=0.0, log_prior=-2.0)
     large = SimpleNamespace(size_allowance=4.0, log_prior=0.0)
 
@@ -302,7 +302,7 @@ def test_a_size_that_is_forgiven_needs_more_evidence():
         return unlikely(rival, evidence + rival.size_allowance + rival.log_prior, 20)
 
     assert why(expected, 0.1) is None and why(large, 3.1) is None
-    assert "no likelier" in why(expected, -0.1) and "no likelier" in why(large, -0.1)
+    assert all("no more probable" in why(it, -0.1) for it in (expected, large))
     assert "larger than expected" in why(large, 2.9)
 
 
@@ -505,7 +505,7 @@ def test_an_effect_of_which_the_readings_say_nothing_is_not_named(tracker):
     blind = dataclasses.replace(fit, jacobian=fit.jacobian.copy())
     blind.jacobian[:, fit.places_of(len(fit.model.effects) - 1)[0]] *= 1e-6
     less = doubted(found, blind, None, [])
-    assert less.status == "ambiguous" and "next to nothing of its size" in less.separation
+    assert less.status == "ambiguous" and "poorly determine its size" in less.separation
 
 
 def test_no_more_effects_are_added_than_may_be(tracker):
@@ -533,7 +533,7 @@ def test_what_check_points_ask_beyond_what_was_measured(tracker, told):
         tracker.model, measurement, check=check, effects=[CATALOGUE["drift"]], draws=100
     )
     (name,) = (e.effect.key for e in closure.effects)
-    beyond = [note for note in closure.notes if "beyond what was measured" in note]
+    beyond = [note for note in closure.notes if "beyond the measured range" in note]
     assert len(beyond) == told
     assert not told or (name in beyond[0] and f"t_s {t.min():.4g} to {t.max():.4g}" in beyond[0])
 
@@ -592,7 +592,7 @@ def test_a_search_anew_does_not_end_with_less(monkeypatch, left, kept):
     effect = SimpleNamespace(key="backlash X", name="backlash", placement="X")
     item = SimpleNamespace(effect=effect, p_value=0.001)
     state = SimpleNamespace(fit="good")
-    found = search.anew(state, item)
+    found = search.search_again(state, item)
     assert (found is state, search.unexplained is None) == (kept, kept)
     assert (search.rejected == ["before"]) == kept
 
@@ -633,7 +633,7 @@ def test_a_search_anew_takes_the_same_effect_at_a_better_moment(monkeypatch, lef
         return better
 
     monkeypatch.setattr(search, "step", step)
-    assert search.anew(state, old) is (better if taken else state)
+    assert search.search_again(state, old) is (better if taken else state)
     first, last = search.history
     assert (first.weighed, first.gain) == ("weighed 2", 2.0 if taken else 1.0)
     assert last is other and search.rejected == ["before"]
@@ -746,7 +746,7 @@ def test_what_is_barred_lets_others_be_found(monkeypatch, likelier):
         return likelier
 
     monkeypatch.setattr(search, "step", step)
-    monkeypatch.setattr(search, "anew", anew)
+    monkeypatch.setattr(search, "search_again", anew)
     monkeypatch.setattr(search, "_likelier", compare)
     search.refused, search.rejected = "something", ["before"]
     search.screenings = [SimpleNamespace(p_value=0.001)]
@@ -802,7 +802,10 @@ def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, mo
     holds.update({id(expected): "", id(large): "does not"})
     large.size_allowance, run.rejected = 0.0, []
     assert run.step(state) is None
-    assert [r.reason for r in run.rejected] == ["does not", "a far likelier one does not hold"]
+    assert [r.reason for r in run.rejected] == [
+        "does not",
+        "a far more probable effect does not hold",
+    ]
     holds[id(large)], small[id(large)] = "", "by 1 % only"
     run.rejected = []
     assert run.step(state) is expected

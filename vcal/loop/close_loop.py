@@ -26,7 +26,7 @@ from .search.certainty import doubted, jump_time_uncertainty
 from .search.forward_selection import Added, place_of
 from .search.initial_shapes import initial_shapes
 from .search.search import Search
-from .search.state import State, at_noise_found, chi2_per_dof, fitted, scales_told
+from .search.state import State, at_noise_found, chi2_per_dof, fitted, reported_noise_scales
 from .settings import checked, classes_of
 from .weighing.cross_validation import check_rms, fit_rms, heldout_rms
 from .weighing.weighing import CERTAIN, Weighed
@@ -171,7 +171,7 @@ def _finish(
     declared `model` before and of the identified one after it.
     """
     nominal = _nominal(model, state, run.room)
-    noise, scales = scales_told(state)
+    noise, scales = reported_noise_scales(state)
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, run.room) for item in run.added(state)]
     found = [doubted(effect, state.fit, run.unexplained, run.untestable) for effect in found]
@@ -203,7 +203,7 @@ def _finish(
         check=run.check,
         unexplained=run.unexplained,
         vibration=swings,
-        suspected=state.strays,
+        suspected=state.outliers,
         rejected=still_rejected(run.rejected, found),
         untestable=run.untestable,
         unseen=[e.key for first in run.screenings[:1] for e in first.unseen],
@@ -259,7 +259,7 @@ def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
         # and times.
         return (
             f"measure at further values of {columns(follows) or 'its own covariate'}, between and "
-            "beyond those there are"
+            "beyond those measured"
         )
     if alone := [name for name in follows if name not in theirs]:
         beside = columns(name for name in theirs if name not in alone)
@@ -269,7 +269,7 @@ def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
     names = " and ".join(f"{name} {place}".strip() for name, place, _ in rivals)
     further = "moments and positions" if {*CLOCKS} & {*follows} else "positions"
     return (
-        f"it follows {columns(follows) or 'the same'}, and so does {names}: measure at further "
+        f"it depends on {columns(follows) or 'the same'}, and so does {names}: measure at further "
         f"{further}, where their errors differ"
     )
 

@@ -82,7 +82,7 @@ def notes(facts: Facts) -> list[str]:
     return [note for about in _NOTES for note in about(facts)]
 
 
-def _contradicting(facts: Facts) -> list[str]:
+def _inconsistent_data_sets(facts: Facts) -> list[str]:
     """Note where the data sets are inconsistent."""
     if facts.interrupted:
         return []
@@ -101,8 +101,10 @@ def _elsewhere(facts: Facts) -> list[str]:
     if raw < _NO_MACHINE_UM or aligned > _ALIGNED * raw:
         return []
     return [
-        f"the check points as a whole are {raw / 1e3:.3g} mm off: they are of another tool offset, "
-        "or in another frame; the error after alignment, which leaves that out, is the one to go by"
+        f"the check points have a common offset of {raw / 1e3:.3g} mm, larger than any machine "
+        "error: their tool offset or their frame differs from that of the data; use the error "
+        "after alignment, which excludes the offset, or give the check points in the frame of "
+        "the data"
     ]
 
 
@@ -114,9 +116,9 @@ def _few_check_points(facts: Facts) -> list[str]:
     if not 0 < count < _FEW_POINTS:
         return []
     return [
-        f"there are {count} check points only, and their rigid alignment takes six of the "
-        f"{3 * count} numbers that they tell: the error elsewhere is larger than there after "
-        "alignment; more points tell it"
+        f"there are only {count} check points, and the rigid alignment is fitted with six "
+        f"parameters to their {3 * count} coordinates: the error elsewhere is larger than theirs "
+        "after alignment; measure more check points"
     ]
 
 
@@ -134,9 +136,9 @@ def _not_at_the_check(facts: Facts) -> list[str]:
     }
     axes = facts.plan.axes
     return [
-        f"{key} is not in the error at the check points, which have no "
-        f"{' and no '.join(file_column(name, axes)[0] for name in missing)}: it is that of the "
-        "machine without it there; record it with the check points"
+        f"{key} is not included in the error at the check points, which have no "
+        f"{' and no '.join(file_column(name, axes)[0] for name in missing)}: this error is that of "
+        "the machine without the effect; record these columns with the check points"
         for key, missing in lacking.items()
         if missing
     ]
@@ -161,10 +163,10 @@ def _beyond_at_the_check(facts: Facts) -> list[str]:
             share = float(((asked < low - room) | (asked > high + room)).mean())
             if share > _BEYOND:
                 said.append(
-                    f"{item.effect.key} is foretold for {100 * share:.2g} % of the check points "
-                    f"beyond what was measured ({column} {low:.4g} to {high:.4g}, there "
-                    f"{asked.min():.4g} to {asked.max():.4g}): whether it goes on as it did is not "
-                    "part of the uncertainty"
+                    f"{item.effect.key} is extrapolated at {100 * share:.2g} % of the check "
+                    f"points, beyond the measured range ({column} {low:.4g} to {high:.4g}, at the "
+                    f"check points {asked.min():.4g} to {asked.max():.4g}): the uncertainty does "
+                    "not include the error of the extrapolation; measure over the whole range"
                 )
     return said
 
@@ -172,34 +174,34 @@ def _beyond_at_the_check(facts: Facts) -> list[str]:
 def _worse(facts: Facts) -> list[str]:
     """Note where held-out readings or check points contradict what was found."""
     before, after = facts.errors["before"], facts.errors["after"]
-    what = "what was found describes" if facts.found else "the noise that was found suits"
+    what = "the effects found describe" if facts.found else "the estimated noise suits"
     compared = (
-        ("held-out readings are foretold worse", before.heldout, after.heldout),
+        ("held-out readings are predicted worse", before.heldout, after.heldout),
         ("the error at the check points is larger", before.check, after.check),
     )
     return [
-        f"{said} after closing the loop ({_um(new)}) than before ({_um(old)}): {what} the readings "
-        "that were fitted, no more, and is not to be relied on"
+        f"{said} after closing the loop ({_um(new)}) than before ({_um(old)}): {what} only the "
+        "readings that were fitted; do not rely on the result without a further measurement"
         for said, old, new in compared
         if old is not None and new is not None and new.value - old.value > math.hypot(old.u, new.u)
     ]
 
 
-def _beyond_what_is_foretold(facts: Facts) -> list[str]:
+def _beyond_prediction(facts: Facts) -> list[str]:
     """Note where the error at the check points significantly exceeds its prediction by the
     posterior.
     """
     check, after = facts.check, facts.errors["after"].check
     if check is None or after is None or facts.unexplained is not None:
         return []
-    foretold = predicted_rms(facts.after, check)
-    if after.value - _SURELY * after.u <= _FURTHER * foretold:
+    predicted = predicted_rms(facts.after, check)
+    if after.value - _SURELY * after.u <= _FURTHER * predicted:
         return []
     return [
-        f"the error at the check points is {_um(after)}, where what is declared and what was found "
-        f"foretell {foretold:.3g} µm: these readings do not show all that the machine or the "
-        "instrument has, or the declared family is too narrow; measure in another way, or from "
-        "another place, what they may have taken for the machine's own errors"
+        f"the error at the check points is {_um(after)}, larger than the {predicted:.3g} µm "
+        "predicted from the declared and identified errors: the readings do not show all errors of "
+        "the machine or the instrument, or the declared family is too narrow; measure with another "
+        "instrument or from another place, or declare a wider family"
     ]
 
 
@@ -215,21 +217,21 @@ def _described_at_the_check(facts: Facts) -> list[str]:
     if not apart > math.sqrt(0.5) * after.check.u:
         return []
     return [
-        f"the error at the check points is {_um(after.check)}: with what describes what is "
-        f"unexplained ({in_words(described.effect)}) it would be {value:.3g} µm, which is "
-        "most of its uncertainty"
+        f"the error at the check points is {_um(after.check)}; with the empirical description of "
+        f"what is unexplained ({in_words(described.effect)}) it would be {value:.3g} µm, which is "
+        "most of its uncertainty: find the cause of what is unexplained first"
     ]
 
 
-def _untold(facts: Facts) -> list[str]:
+def _poorly_determined(facts: Facts) -> list[str]:
     """Note on parameters of the found effects whose uncertainty is that of the prior, such as an
     acceleration in a direction in which nothing moved.
     """
-    told = zip(facts.after.entries, facts.after.information, strict=True)
-    hardly = [(key, p.name) for (key, p), share in told if share < HARDLY_TOLD]
+    shares = zip(facts.after.entries, facts.after.information, strict=True)
+    hardly = [(key, p.name) for (key, p), share in shares if share < HARDLY_TOLD]
     return [
-        f"{key}: the readings say next to nothing of {', '.join(names)}; what is given is what "
-        "was known before"
+        f"{key}: the readings poorly determine {', '.join(names)}; the values and uncertainties "
+        "given are those of the prior; measure where the effect would be larger"
         for key in dict.fromkeys(item.effect.key for item in facts.found)
         if (names := [name for its, name in hardly if its == key])
     ]
@@ -243,18 +245,19 @@ def _noise(facts: Facts) -> list[str]:
             f"{part.name} {part.factor:.2f}" for part in noise.parts if part.u == part.u
         )
         return [
-            f"the readings do not scatter alike, in parts of what is declared: {each}; tests and "
-            "uncertainties are with these, or what is declared where that is larger"
+            "the kinds of reading differ in the ratio of their noise to the declared noise: "
+            f"{each}; tests and uncertainties use these ratios, uncertainties at least the "
+            "declared noise; check the declared noise"
         ]
     return [
         f"the readings{f' of {name}' if name else ''} scatter "
         f"{'at most ' if noise <= LEAST_NOISE else ''}{max(noise, LEAST_NOISE):.2f} times as "
         "much as declared; uncertainties "
         + (
-            "are scaled accordingly"
+            "are scaled accordingly; check the declared noise"
             if noise > 1
-            else "are left as declared, and what was known before counts for more than it "
-            "would with the noise that was found"
+            else "stay as declared, and the priors have more weight than with the estimated noise; "
+            "declare a smaller noise if that is plausible"
         )
         for name, noise in facts.scales.items()
         if noise != 1.0
@@ -267,8 +270,8 @@ def _little_left(facts: Facts) -> list[str]:
     if dof >= _MANY:
         return []
     return [
-        f"only {dof:.0f} degrees of freedom are left beside what is declared: "
-        "effects that are not large go unseen"
+        f"only {dof:.0f} degrees of freedom are left beside the declared model, so that only large "
+        "effects can be detected; measure more points, or declare fewer parameters"
     ]
 
 
@@ -280,21 +283,19 @@ def _blank(facts: Facts) -> list[str]:
     ]
 
 
-def _stray(facts: Facts) -> list[str]:
+def _outliers(facts: Facts) -> list[str]:
     """Notes on outliers: more than may be left out, and those that may be a displacement."""
     plan, fit, said = facts.plan, facts.state.fit, []
-    if astray := too_many(fit):
-        rows = ", ".join(
-            plan.row_name(s.row) for s in sorted(astray, key=lambda s: -s.distance)[:5]
-        )
+    if found := too_many(fit):
+        rows = ", ".join(plan.row_name(s.row) for s in sorted(found, key=lambda s: -s.distance)[:5])
         said.append(
-            f"{len(astray)} rows of {fit.used.sum()} are too far out for noise, at random "
-            f"places: more stray readings than are left out; look at them first ({rows}, ...)"
+            f"{len(found)} rows of {fit.used.sum()} are outliers at random places, more than may "
+            f"be left out; check these readings first ({rows}, ...), and remove or repeat them"
         )
     said += [
-        f"row {plan.row_name(row)}, left out, is {where}: had something moved there and stayed, "
-        "that would look the same; more readings of the same would tell"
-        for row, where in at_an_end(fit, [s.row for s in facts.state.strays]).items()
+        f"row {plan.row_name(row)}, left out as an outlier, is {where}: a displacement at that "
+        "moment would look the same; more readings there would distinguish the two"
+        for row, where in at_an_end(fit, [s.row for s in facts.state.outliers]).items()
     ]
     return said
 
@@ -303,13 +304,14 @@ def _other_shapes(facts: Facts) -> list[str]:
     """Note on other pitches and moments of the found effects."""
     return [
         f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well (probability "
-        f"{100 * probability:.2g} %): these positions and times hardly tell them apart"
+        f"{100 * probability:.2g} %): these positions and times hardly distinguish them; measure "
+        "at further ones"
         for item in facts.added
         for shape, probability in item.weighed.other_shapes
     ]
 
 
-def _went_together(facts: Facts) -> list[str]:
+def _confounding(facts: Facts) -> list[str]:
     """Notes on covariates that are confounded with what an effect depends on, and on a time that
     was not recorded.
     """
@@ -327,7 +329,7 @@ def _no_machine(facts: Facts) -> list[str]:
     if worst <= _NO_MACHINE_UM or chi2_per_dof(facts.state.fit) <= 1e4:
         return []
     return [
-        f"what remains is {worst / 1e3:.3g} mm, which no machine is off by: compare the "
+        f"the residual is {worst / 1e3:.3g} mm, larger than any machine error: compare the "
         "columns, signs and units of the first rows with what was measured"
     ]
 
@@ -335,7 +337,10 @@ def _no_machine(facts: Facts) -> list[str]:
 def _unconverged(facts: Facts) -> list[str]:
     if facts.state.fit.converged:
         return []
-    return ["the final fit did not converge: its numbers are not to be relied on"]
+    return [
+        "the final fit did not converge, and its numbers are unreliable: declare fewer free "
+        "parameters, or measure more points"
+    ]
 
 
 def _vibrating(facts: Facts) -> list[str]:
@@ -356,21 +361,21 @@ def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
 
 
 _NOTES = (
-    _contradicting,
+    _inconsistent_data_sets,
     _elsewhere,
     _few_check_points,
     _not_at_the_check,
     _beyond_at_the_check,
     _worse,
-    _beyond_what_is_foretold,
+    _beyond_prediction,
     _described_at_the_check,
-    _untold,
+    _poorly_determined,
     _noise,
     _little_left,
     _blank,
-    _stray,
+    _outliers,
     _other_shapes,
-    _went_together,
+    _confounding,
     _no_machine,
     _unconverged,
     _vibrating,
@@ -412,8 +417,8 @@ def data_set_consistency(before: Fit, after: Fit, room: int) -> str:
     return (
         f"the data sets do not fit one machine: chi² per degree of freedom is {together:.3g} where "
         f"they are fitted together, but {said} where each is fitted alone with the declared model; "
-        "check that they are of one machine with the same tool, units and mounting, or study them "
-        "alone"
+        "check that they are of one machine with the same tool, units and mounting, or evaluate "
+        "each alone"
     )
 
 

@@ -31,8 +31,8 @@ class Harmonic(Empirical):
     """
 
     name = "harmonic"
-    summary = "empirical: comes round with an angle"
-    words = "an error that comes round with an angle"
+    summary = "empirical: periodic in an angle"
+    words = "an error that is periodic in an angle"
     angle: str = eqx.field(static=True)
     highest: int = eqx.field(static=True, repr=False)
 

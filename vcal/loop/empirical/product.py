@@ -153,7 +153,7 @@ class Interaction(Product):
 
     name = "interaction"
     summary = "empirical: product of two quantities"
-    words = "an error that two quantities make together"
+    words = "an error in proportion to the product of two quantities"
 
     @property
     def joint(self) -> bool:

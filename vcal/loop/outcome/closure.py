@@ -90,7 +90,9 @@ class FoundEffect:
         """Its name and place, with effects of other kinds that cannot be distinguished from it."""
         own = f"{self.effect.name} {self.placement}".strip()
         others = [key for key in self.equivalent if key.split(" ")[0] != self.effect.name]
-        return f"{own} (for these data the same as {', '.join(others)})" if others else own
+        return (
+            f"{own} (indistinguishable from {', '.join(others)} with these data)" if others else own
+        )
 
 
 @dataclass(frozen=True)
@@ -194,8 +196,8 @@ class Closure:
         for i, screening in enumerate(self.screenings):
             for kind in screening.kinds:
                 p_value, best = screening.corrected(kind), kind.peaks[0].effect
-                told = kind.kind in known or isinstance(best, Empirical)
-                if p_value <= self.settings["alpha"] and not told:
+                listed = kind.kind in known or isinstance(best, Empirical)
+                if p_value <= self.settings["alpha"] and not listed:
                     why = self._why_passed_over(i)
                     found[kind.kind] = Rejected(kind.kind, best.placement, p_value, why)
         return list(found.values())
@@ -203,16 +205,16 @@ class Closure:
     def _why_passed_over(self, number: int) -> str:
         """Reason why the remaining candidates of a round (counted from 0) were not refitted."""
         if number < len(self.screenings) - 1:
-            return "not significant any more beside what was added"
+            return "no longer significant after another effect was added"
         if self.interrupted:
             return "the search was interrupted"
         if self.screenings[number].added is not None:
-            return "less likely than what was added"
+            return "less probable than the effect that was added"
         if self.full:
             return "no more effects may be added (max_effects)"
         if self.unexplained is not None and self.unexplained.empirical is not None:
             return outdone_by(self.unexplained.empirical.effect)
-        return "its evidence is far behind that of others"
+        return "its evidence is far below that of others"
 
     @property
     def sentence(self) -> str:
@@ -224,11 +226,14 @@ class Closure:
         tried = set(self.settings.get("effects", ()))
         tested = {kind.kind for screening in self.screenings for kind in screening.kinds}
         if self.verdict == "nothing_missing" and tried and tested and not tried & tested:
-            return "Nothing could be tested: the data say nothing about any effect that was tried."
+            return (
+                "Nothing could be tested: the data contain no information about any effect that "
+                "was tried."
+            )
         if self.louder:
             return (
                 f"No effect was found, but {self._scatter()} times as declared: the noise is "
-                "larger than was declared, or something is missing that nothing tried describes."
+                "larger than declared, or an effect is missing that none of those tried describes."
             )
         if self.verdict == "nothing_missing":
             return "The declared model explains the measurement: nothing is missing."
@@ -284,7 +289,7 @@ class Closure:
     def _described(self) -> str:
         what = self.unexplained
         if what is None or not what.depends_on:
-            return "no covariate orders it"
+            return "it depends on no recorded covariate"
         axes = self.after.measurement.plan.axes
         columns = [file_column(name, axes)[0] for name in what.depends_on[:2]]
         on = " times ".join(columns if what.joint else columns[:1])

@@ -30,8 +30,8 @@ _BY_CHANCE = 0.01
 best of all covariates always describes a little."""
 _LAST_LOOK = 0.25
 """Share of alpha that the final test of the remainder may use, in addition to the search."""
-_BEYOND = "what is beyond the declared noise"
-_BY_THE_BEST = "what the column or product that tells most describes"
+_BEYOND = "the part beyond the declared noise"
+_BY_THE_BEST = "the part that the best column or product describes"
 """What size and share refer to, where no description was found."""
 
 
@@ -111,9 +111,9 @@ def described(
     Where the description leaves a significant rest, and a covariate or a product of two describes
     clearly more, these are reported instead. `tested` is the fit with the noise to test by.
     """
-    told = dependence(tested, draws, seed)
-    local = _from_empirical(fit, best, p_value, told)
-    spread = _from_dependence(fit, told, chi2_per_dof, alpha)
+    structure = dependence(tested, draws, seed)
+    local = _from_empirical(fit, best, p_value, structure)
+    spread = _from_dependence(fit, structure, chi2_per_dof, alpha)
     if spread is None or dependence(best.fit, draws, seed).p_value > alpha:
         return local
     without, beyond = _beyond_noise(fit, best.fit)
@@ -135,7 +135,7 @@ def _beyond_noise(fit: Fit, described: Fit) -> tuple[float, float]:
     return without, without - fit.dof * min(1.0, left / described.dof)
 
 
-def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> Unexplained:
+def _from_empirical(fit: Fit, best: Rival, p_value: float, structure: Dependence) -> Unexplained:
     effect = best.effect
     assert isinstance(effect, Empirical)
     plan, shape = fit.measurement.plan, best.fit.shapes.get(len(fit.model.effects), {})
@@ -147,7 +147,7 @@ def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> 
     moved[used] = np.linalg.solve(fit.whitener[used], step.reshape(n, m)[used][:, :, None])[:, :, 0]
     vectors = displacements(fit, moved)[used]
     words = effect.said(shape)
-    shares = dict(told.single)
+    shares = dict(structure.single)
     depends_on = list(dict.fromkeys([*effect.depends_on(plan, shape), *shares]))
     without, beyond = _beyond_noise(fit, best.fit)
     drop = (without - declared_chi2(best.fit)) / max(beyond, without / fit.dof)
@@ -162,10 +162,10 @@ def _from_empirical(fit: Fit, best: Rival, p_value: float, told: Dependence) -> 
         reason=f"{words} describes the residual better than every effect that was tried",
         words=words,
         empirical=best,
-        products=tuple(told.products),
+        products=tuple(structure.products),
         joint=effect.joint,
         size_is="largest displacement of the tool point by the description",
-        share_is="of χ² beyond the noise, what the description takes",
+        share_is="of χ² beyond the noise, the part that the description explains",
     )
 
 
@@ -185,13 +185,13 @@ def from_structure(
     than declared; or where an effect was significant and was `refused`. `full`: the search ended
     because no more effects may be added.
     """
-    told = dependence(fit, draws, seed)
-    return _from_dependence(fit, told, chi2_per_dof, alpha, correlated, refused, full)
+    structure = dependence(fit, draws, seed)
+    return _from_dependence(fit, structure, chi2_per_dof, alpha, correlated, refused, full)
 
 
 def _from_dependence(
     fit: Fit,
-    told: Dependence,
+    structure: Dependence,
     chi2_per_dof: float,
     alpha: float,
     correlated: Serial | None = None,
@@ -199,15 +199,15 @@ def _from_dependence(
     full: bool = False,
 ) -> Unexplained | None:
     spread = chi2_per_dof > _SPREAD
-    if spread and told.p_value > _BY_CHANCE:
-        told = Dependence([], [], False, told.p_value)
-    quiet = told.p_value > _LAST_LOOK * alpha and not spread and correlated is None
+    if spread and structure.p_value > _BY_CHANCE:
+        structure = Dependence([], [], False, structure.p_value)
+    quiet = structure.p_value > _LAST_LOOK * alpha and not spread and correlated is None
     if quiet and refused is None:
         return None
-    shares = dict(told.single)
-    if told.joint and not quiet:
+    shares = dict(structure.single)
+    if structure.joint and not quiet:
         # A product shows in neither covariate alone, so both are listed first.
-        first, second, _ = told.products[0]
+        first, second, _ = structure.products[0]
         shares = _ahead(shares, (first, second))
     if correlated is not None and not shares and fit.measurement.plan.has("t"):
         shares = {"t": 0.0}
@@ -215,7 +215,7 @@ def _from_dependence(
     if only is not None:
         # Nothing else is significant: neither a product nor a single column.
         shares = _ahead(shares, only.effect.betrayed_by)
-    best = max([*shares.values(), *(share for *_, share in told.products)], default=0.0)
+    best = max([*shares.values(), *(share for *_, share in structure.products)], default=0.0)
     vectors = displacements(fit)[fit.used]
     excess = max(1.0 - 1.0 / chi2_per_dof, 0.0)
     size = math.sqrt((vectors**2).sum(1).mean() * (excess if spread else best))
@@ -237,11 +237,11 @@ def _from_dependence(
         direction=main_direction(vectors, fit.ways),
         size_um=size * 1e6,
         share_of_variance=excess if spread else best,
-        p_value=only.p_value if only is not None else told.p_value,
+        p_value=only.p_value if only is not None else structure.p_value,
         reason=reason,
         words=words,
-        products=tuple(told.products),
-        joint=told.joint and not quiet,
+        products=tuple(structure.products),
+        joint=structure.joint and not quiet,
         size_is=f"rms displacement of the tool point, {_BEYOND if spread else _BY_THE_BEST}",
         share_is=f"of the variance of the residual, {_BEYOND if spread else _BY_THE_BEST}",
     )
@@ -259,17 +259,17 @@ def _reason(spread: bool, best: float, correlated: Serial | None, only: Refused 
     """
     if correlated is not None:
         return (
-            f"readings that follow each other are alike: {100 * correlated.share:.0f} % of the "
-            f"scatter persists over some {correlated.length:.0f} readings, as noise that is "
-            "correlated in time does, or a drift that no effect that was tried has"
+            f"successive readings are correlated: {100 * correlated.share:.0f} % of the scatter "
+            f"persists over about {correlated.length:.0f} readings, as with noise that is "
+            "correlated in time, or with a drift that none of the effects tried describes"
         )
     if only is not None:
         return f"{only.words} is significant, but {only.reason}"
     if spread and best < 0.1:
         return (
             "the residual is far larger than the declared noise, and no single covariate "
-            "describes a tenth of it: spread"
+            "describes a tenth of it"
         )
     if spread:
         return "the residual is far larger than the declared noise and depends on covariates"
-    return "the residual depends on covariates in a way that no effect that was tried has"
+    return "the residual depends on covariates in a way that none of the effects tried describes"

@@ -31,18 +31,18 @@ def confounded(plan: Plan, names: Iterable[str]) -> list[str]:
         if name in plan.groups
     }
     conditions = _varied(conditions)
-    found, told = [], set()
+    found, reported = [], set()
     for name in names:
-        if name not in conditions or name in told:
+        if name not in conditions or name in reported:
             continue
         linked = _linked(name, conditions, _TOGETHER)
-        told |= {name, *linked}
+        reported |= {name, *linked}
         if linked:
             columns = [file_column(n, plan.axes)[0] for n in (name, *linked)]
             found.append(
-                f"the columns {', '.join(columns[:-1])} and {columns[-1]} went together "
-                f"(correlation {min(linked.values()):.2f} or more): what depends on one of them "
-                "looks as if it depended on the others; vary them independently to tell"
+                f"the columns {', '.join(columns[:-1])} and {columns[-1]} are correlated "
+                f"({min(linked.values()):.2f} or more): a dependence on one of them cannot be "
+                "distinguished from one on the others; vary them independently"
             )
     return found
 
@@ -54,19 +54,20 @@ def confounding(plan: Plan, names: Iterable[str]) -> list[str]:
     names = list(names)
     positions = {axis: np.asarray(plan.x(axis), float) for axis in plan.axes}
     known = _varied(positions | {n: np.asarray(plan.covariates[n], float) for n in names})
-    found, told = [], set()
+    found, reported = [], set()
     for name in names:
-        if name not in known or name in told:
+        if name not in known or name in reported:
             continue
         linked = _linked(name, known, _CLOSELY)
-        told |= {name, *linked} - positions.keys()
+        reported |= {name, *linked} - positions.keys()
         if linked:
             column = file_column(name, plan.axes)[0]
             each = [f"{file_column(n, plan.axes)[0]} ({r:.2f})" for n, r in linked.items()]
-            do = "measure in random order" if linked.keys() & positions.keys() else "vary them"
+            random = linked.keys() & positions.keys()
+            do = "measure in random order" if random else "vary them independently"
             found.append(
-                f"{column} follows {', '.join(each)}: what depends on one looks as if it depended "
-                f"on the other{'s' * (len(each) > 1)}; {do} to tell them apart"
+                f"{column} is correlated with {', '.join(each)}: a dependence on one cannot be "
+                f"distinguished from one on the other{'s' * (len(each) > 1)}; {do}"
             )
     return found
 

@@ -89,7 +89,7 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         p_value = min(p_value, float(corrected(math.log(10.0) * best, trials)))
     usual = float(best_null.mean())
     count = len(names)
-    telling = [(names[i], share) for i, share in _by_share(singles) if rare[i, 0] > usual]
+    beyond_chance = [(names[i], share) for i, share in _by_share(singles) if rare[i, 0] > usual]
     joined = [(*pairs[i], share) for i, share in _by_share(products) if rare[count + i, 0] > usual]
     # Both probabilities may underflow. The larger share then decides.
     rarest = [
@@ -97,7 +97,7 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
         for part, table in ((rare[:count], singles), (rare[count:], products))
     ]
     joint = bool(joined) and rarest[1] > rarest[0]
-    return Dependence(telling, joined[:_SHOWN], joint, p_value)
+    return Dependence(beyond_chance, joined[:_SHOWN], joint, p_value)
 
 
 def _moved(fit: Fit, draws: int, seed: int) -> np.ndarray:
@@ -154,8 +154,8 @@ def _multiplied(
     pairs, columns = _products({n: x for n, x in known.items() if n in multiplied})
     along = np.tensordot(columns, moved, 1) if pairs else np.zeros((0, *moved.shape[1:]))
     shares = (along**2).sum(1) / total
-    told = shares[:, 1:].mean(1) >= _ROUNDING
-    return [pair for pair, one in zip(pairs, told, strict=True) if one], shares[told]
+    resolved = shares[:, 1:].mean(1) >= _ROUNDING
+    return [pair for pair, one in zip(pairs, resolved, strict=True) if one], shares[resolved]
 
 
 def _products(known: dict[str, np.ndarray]) -> tuple[list[tuple[str, str]], np.ndarray]:

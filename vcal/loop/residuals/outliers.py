@@ -67,7 +67,7 @@ def outliers_apart(fit: Fit, apart: np.ndarray) -> list[Outlier]:
     Effects that are missing from the model show in these rows too. The rows are therefore compared
     with their own scale, not with the noise, and only a few can be identified.
     """
-    strays: list[Outlier] = []
+    outliers: list[Outlier] = []
     whitened = np.einsum("nij,nj->ni", declared_whitener(fit.model, fit.measurement), fit.residual)
     present = fit.model.instrument.present(fit.measurement.plan)
     squares = np.where(present, whitened, 0.0) ** 2
@@ -76,8 +76,8 @@ def outliers_apart(fit: Fit, apart: np.ndarray) -> list[Outlier]:
         if len(rows):
             readings = present[rows].sum(1)
             found = _improbable(rows, squares[rows].sum(1), readings, len(rows))
-            strays += _far_beyond(found, min(_FEW, int(_MOST_APART * len(rows))))
-    return strays
+            outliers += _far_beyond(found, min(_FEW, int(_MOST_APART * len(rows))))
+    return outliers
 
 
 def _far_beyond(found: Sequence[Outlier], most: int = _FEW) -> list[Outlier]:
@@ -180,7 +180,7 @@ def _outstanding(fit: Fit, weights: np.ndarray) -> list[Outlier]:
     whitened = fit.whitened.reshape(n, m)
     solved = cho_solve(fit.factor, fit.jacobian.T).T.reshape(n, m, -1)
     own = np.eye(m) - np.einsum("nik,njk->nij", jacobian, solved)
-    strays = []
+    outliers = []
     for inside in fit.measurement.plan.parts.values():
         rows = np.flatnonzero(fit.used & inside)
         if not len(rows):
@@ -192,10 +192,10 @@ def _outstanding(fit: Fit, weights: np.ndarray) -> list[Outlier]:
         # An absent reading is not a constraint of the fit and must not count.
         readings = free.sum(1) - (own.shape[1] - fit.counted[rows].sum(1))
         seen = readings > 0
-        strays += _improbable(
+        outliers += _improbable(
             rows[seen], (distance / weights[rows])[seen], readings[seen], int(fit.used.sum())
         )
-    return strays
+    return outliers
 
 
 def _improbable(

@@ -90,15 +90,15 @@ def components(fit: Fit) -> Components:
     problem = _Problem(fit.residual[used], jacobian, fit.theta, precision, missing[used])
     whole, dof, level = problem.estimate(each.sum(0)[None], np.ones(1, bool))
     factors = np.full(len(each), whole[0])
-    told = problem.seen(each, factors) > LEAST_DOF  # the others share one factor
-    if told.sum() > 1:
-        factors, dof, apart = problem.estimate(each, told, factors)
-        p_value = float(gammaincc(0.5 * (told.sum() - 1), max(apart - level, 0.0)))
+    free = problem.seen(each, factors) > LEAST_DOF  # the others share one factor
+    if free.sum() > 1:
+        factors, dof, apart = problem.estimate(each, free, factors)
+        p_value = float(gammaincc(0.5 * (free.sum() - 1), max(apart - level, 0.0)))
     else:
-        told, dof, p_value = np.zeros(len(each), bool), np.full(len(each), np.nan), 1.0
+        free, dof, p_value = np.zeros(len(each), bool), np.full(len(each), np.nan), 1.0
     known = [
         Component(name, float(f), float(f / np.sqrt(2.0 * d)) if seen else float("nan"))
-        for (name, _), f, d, seen in zip(parts, factors, dof, told, strict=True)
+        for (name, _), f, d, seen in zip(parts, factors, dof, free, strict=True)
     ]
     every = np.array([v for _, v in parts])
     return Components(tuple(known), p_value, every, missing, float(whole[0]))
@@ -161,7 +161,7 @@ class _Problem:
         return factors**2 * self._shares(each, factors)[1]
 
     def estimate(
-        self, each: np.ndarray, told: np.ndarray, start: np.ndarray | None = None
+        self, each: np.ndarray, free: np.ndarray, start: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Factors, degrees of freedom and log likelihood. Components that are not in `free` (c,)
         keep their start.
@@ -169,7 +169,7 @@ class _Problem:
         factors = np.ones(len(each)) if start is None else start.copy()
         for _ in range(_ROUNDS):
             squares, trace, _ = self._shares(each, factors)
-            new = np.where(told, factors * np.sqrt(squares / np.where(told, trace, 1.0)), factors)
+            new = np.where(free, factors * np.sqrt(squares / np.where(free, trace, 1.0)), factors)
             new = np.maximum(new, LEAST_NOISE)
             moved = np.abs(new / factors - 1.0).max()
             factors = new

@@ -44,7 +44,7 @@ class Screening:
     """Candidates whose columns the declared model already spans."""
     added: Effect | None = None
     """The effect that was added after this screening, whether or not it was kept."""
-    told: Mapping[str, float] = field(default_factory=dict)
+    refined_p: Mapping[str, float] = field(default_factory=dict)
     """Corrected p-value, by kind, of the effect that was added or of the description that ended the
     search. It holds for its fitted shape, which may lie between the steps of the grid."""
 

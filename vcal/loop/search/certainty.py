@@ -34,15 +34,15 @@ def doubted(
         return found
     place = next(i for i, e in enumerate(fit.model.effects) if e.alike(found.effect))
     why = (
-        beside_the_rest(fit, place, rest)
-        or beyond_its_scan(fit, place)
-        or beside_the_untested(fit, place, untestable)
-        or hardly_told(fit, place)
+        part_of_unexplained(fit, place, rest)
+        or beyond_scan(fit, place)
+        or untested_twin(fit, place, untestable)
+        or poorly_determined(fit, place)
     )
     return replace(found, status="ambiguous", separation=why) if why else found
 
 
-def beside_the_rest(fit: Fit, place: int, rest: Unexplained | None) -> str:
+def part_of_unexplained(fit: Fit, place: int, rest: Unexplained | None) -> str:
     """Reason where a larger residual is unexplained and depends on the same covariate: the effect
     may be a part of it. Only a residual with an empirical description counts, not scatter or many
     small errors.
@@ -59,10 +59,13 @@ def beside_the_rest(fit: Fit, place: int, rest: Unexplained | None) -> str:
     if theta @ np.linalg.solve(covariance, theta) >= declared_chi2(fit) - fit.dof:
         return ""
     column = file_column(same[0], fit.measurement.plan.axes)[0]
-    return f"what is unexplained, more than it explains, depends on {column} too: find that first"
+    return (
+        f"the unexplained residual is larger than what the effect explains and depends on {column} "
+        "too: find its cause first"
+    )
 
 
-def beyond_its_scan(fit: Fit, place: int) -> str:
+def beyond_scan(fit: Fit, place: int) -> str:
     """Reason where a pitch or a speed is held at an end of its grid, and a step of the linearised
     fit beyond it would lower chi-square significantly. The true value is then elsewhere, and the
     effect may be another.
@@ -80,13 +83,14 @@ def beyond_its_scan(fit: Fit, place: int) -> str:
         if held and step[k] ** 2 > _OUT**2 * fit.covariance[k, k]:
             low, high = (end / p.si for end in ends)
             return (
-                f"its {p.name} would have to lie within what is looked for, {low:.3g} to "
-                f"{high:.3g} {p.unit}, and the readings ask for more"
+                f"its {p.name} would have to lie within the searched range, {low:.3g} to "
+                f"{high:.3g} {p.unit}, and the readings require a value beyond it: declare the "
+                "effect with its actual value, or look for another cause"
             )
     return ""
 
 
-def beside_the_untested(fit: Fit, place: int, untestable: Iterable[Untestable]) -> str:
+def untested_twin(fit: Fit, place: int, untestable: Iterable[Untestable]) -> str:
     """Reason where an effect of one data set's instrument follows a covariate that the data sets do
     not share: an effect of the machine that follows the same could look like it, and was not
     tested.
@@ -107,16 +111,16 @@ def beside_the_untested(fit: Fit, place: int, untestable: Iterable[Untestable]) 
     reason = twins[0].reason
     if "t" in own and any(not lacking for _, lacking in twins[0].missing):
         reason += ": say when each began by its start_s"
-    return f"{names} of the machine may look the same and could not be tested, as {reason}"
+    return f"{names} of the machine may look the same and could not be tested, because {reason}"
 
 
-def hardly_told(fit: Fit, place: int) -> str:
+def poorly_determined(fit: Fit, place: int) -> str:
     """Reason where the readings determine none of its amplitudes. The fit then improved for another
     reason, such as a fit that had not converged before.
     """
     if (fit.information[fit.places_of(place)[0]] > HARDLY_TOLD).any():
         return ""
-    return "the readings say next to nothing of its size: measure where it would be larger"
+    return "the readings poorly determine its size: measure where it would be larger"
 
 
 def jump_time_uncertainty(state: State, place: int, room: int) -> dict[str, float]:

@@ -26,7 +26,7 @@ from .state import State, chi2_per_dof, fitted
 _CONTRADICTED = math.log(5.0)
 """Log odds of a rejected effect over the next from which that one is not named either: what looks
 like one effect and holds as another is something else."""
-_NO_MINIMUM = "its fit does not end in a minimum"
+_NO_MINIMUM = "its fit does not converge to a minimum"
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class ForwardSelection:
             if not why and behind > _CONTRADICTED and id(likeliest) not in untried:
                 significant_itself = found.p_value(likeliest) <= self.alpha
                 held = "does not hold" if significant_itself else "is not significant itself"
-                why = f"a far likelier one {held}"
+                why = f"a far more probable effect {held}"
             if not why and (why := found.too_little(rival)):
                 small.add(id(rival))
             if not why:
@@ -165,9 +165,9 @@ class ForwardSelection:
         effect = self.refused
         if effect is None:
             return None
-        for told in self.rejected:
-            if (told.effect, told.placement) == (effect.name, effect.placement):
-                return Refused(effect, told.p_value, told.reason)
+        for known in self.rejected:
+            if (known.effect, known.placement) == (effect.name, effect.placement):
+                return Refused(effect, known.p_value, known.reason)
         tested = (
             screening.corrected(kind)
             for screening in reversed(self.screenings)
@@ -215,7 +215,7 @@ class ForwardSelection:
         after = found.at_declared(rival.fit)
         refitted = self._fitted(rival.fit.model, measurement, after)
         effect, p, trials = refitted.model.effects[-1], found.p_value(rival), found.trials(rival)
-        self.screenings[-1] = replace(found.screening, added=effect, told={effect.name: p})
+        self.screenings[-1] = replace(found.screening, added=effect, refined_p={effect.name: p})
         # Last, so that an interruption leaves no effect without its fit.
         self.history.append(Added(effect, weighed, p, gain, trials))
         return refitted
@@ -226,7 +226,7 @@ class ForwardSelection:
         assert best is not None
         self._description, self._description_trials = best, found.trials(best)
         p = found.p_value(best)
-        self.screenings[-1] = replace(found.screening, told={best.effect.name: p})
+        self.screenings[-1] = replace(found.screening, refined_p={best.effect.name: p})
         self.unexplained = described(
             found.fit,
             state.scored,

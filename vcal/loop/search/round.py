@@ -98,8 +98,8 @@ _BEHIND = 4
 _HOPELESS = 0.3
 """Share of the residual beyond the noise of the best effect above which a subset, by its linear
 fit, is not refitted: it could not reach the noise."""
-_UNLIKELIER = "the readings are no likelier with it than without"
-_UNEXPECTED = "it is far larger than expected, which its evidence does not make up for"
+_UNLIKELIER = "the readings are no more probable with it than without it"
+_UNEXPECTED = "its size is far larger than expected, and its evidence does not outweigh that"
 
 
 @dataclass(frozen=True)
@@ -187,8 +187,8 @@ class Round:
         Where the plan hardly determines it, a rare p-value does not imply a better fit.
         """
         found = (r for r in self.rivals if isinstance(r.effect, Empirical))
-        telling = (r for r in found if self.fit.chi2 - r.fit.chi2 > _SOMETHING)
-        return next((r for r in telling if self.p_value(r) <= self.alpha), None)
+        noticeable = (r for r in found if self.fit.chi2 - r.fit.chi2 > _SOMETHING)
+        return next((r for r in noticeable if self.p_value(r) <= self.alpha), None)
 
     def p_value(self, rival: Rival) -> float:
         """p-value corrected for the search."""
@@ -227,7 +227,7 @@ class Round:
         if _in_the_prior(self.fit, rival.fit, noise):
             return ""
         if fall <= (self._chosen(rival) if self._in_one_fold(rival) else error):
-            return "held-out readings are not foretold better beyond uncertainty"
+            return "held-out readings are not predicted better beyond their uncertainty"
         return ""
 
     def too_little(self, rival: Rival) -> str:
@@ -246,8 +246,8 @@ class Round:
         weighted = rms_fall(self.fit, rival.fit, self._rows(rival), weighted_squares)
         if max(share, weighted, predicted_squares_fall(self.fit, rival.fit, noise)) >= _PRACTICAL:
             return ""
-        way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
-        return f"held-out rms {way}"
+        way = f"falls by only {100 * share:.1f} %" if share > 0 else "does not fall"
+        return f"the held-out rms {way}"
 
     def hidden_by_each_other(self) -> Subset | None:
         """Significant effects that together leave no more than noise, where each alone, and each

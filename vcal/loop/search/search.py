@@ -23,7 +23,7 @@ from .state import State, fitted, without
 
 _INSTEAD = 1
 """How often several effects may replace a description that ended the search."""
-_SUPERFLUOUS = "superfluous after later effects"
+_SUPERFLUOUS = "not needed after later effects were added"
 _AGAIN = 2
 """How often the search continues after an effect was replaced."""
 _SAME = 1.0
@@ -82,7 +82,7 @@ class Search(ForwardSelection):
                 self.weigh_again(state)
             for item in self.added(state) if len(self.added(state)) > 1 else ():
                 if each or item.weighed.outweighed:
-                    reached(state := self.anew(state, item))
+                    reached(state := self.search_again(state, item))
                 if self.unexplained is not None:
                     return state
             if each and (others := self.exchanged(state, most)) is not None:
@@ -94,7 +94,7 @@ class Search(ForwardSelection):
             return self.rounds(state, most, reached)
         return state
 
-    def anew(self, state: State, item: Added) -> State:
+    def search_again(self, state: State, item: Added) -> State:
         """Search again for what one of several effects is, beside the others.
 
         An effect that was found early may stand for a part of what was unknown then. Where nothing
@@ -104,9 +104,9 @@ class Search(ForwardSelection):
         if not less.converged:
             return state
         kept = self._kept()
-        self.progress(f"searching anew for what was named {item.effect.key}")
+        self.progress(f"searching again for what was named {item.effect.key}")
         bare = fitted(less.model, less.measurement, less, self.room)
-        found, screening = self._step_untold(bare, kept)
+        found, screening = self._step_unreported(bare, kept)
         if screening.p_value > self.alpha:
             return self._drop(item, less, _SUPERFLUOUS)
         if found is None and (self.unexplained is None or not self._describes_better(state)):
@@ -120,10 +120,10 @@ class Search(ForwardSelection):
             left, before = (declared_chi2(one.fit, both) for one in (found, state))
             # An effect of the same name may have another shape, such as another moment.
             better = left < before - _SAME
-            told = again if better else replace(item, weighed=again.weighed)
-            self.history = [told if other is item else other for other in self.history]
+            kept_item = again if better else replace(item, weighed=again.weighed)
+            self.history = [kept_item if other is item else other for other in self.history]
             return found if better else state
-        self.rejected.append(_dropped(item, "beside the others it is something else"))
+        self.rejected.append(_dropped(item, "beside the other effects, another one fits better"))
         self.refused = None
         return bare if found is None else found
 
@@ -196,20 +196,20 @@ class Search(ForwardSelection):
         less = without(state, _place(state, item), self.room)
         if not less.converged:
             return None
-        self.progress(f"searching for what may take the place of {item.effect.key}")
+        self.progress(f"searching for effects that may replace {item.effect.key}")
         bare = fitted(less.model, less.measurement, less, self.room)
         kept, description = self._kept(), self._description
         if self.unexplained is None:
             description = None
         self.unexplained = self.refused = None
-        self.rejected.append(_dropped(item, "others leave nothing unexplained"))
+        self.rejected.append(_dropped(item, "other effects in its place leave nothing unexplained"))
         if barred:
             self._barred = frozenset({item.effect.key, *item.weighed.equivalent})
         done = False
         try:
             found = self._added_to(bare, most, state)
             if barred and not self._nothing_left():
-                found = self._looked_at_again(found, most)
+                found = self._revised(found, most)
             done = self._nothing_left()
             if done and barred:
                 # Nothing that was excluded may be significant either.
@@ -227,14 +227,14 @@ class Search(ForwardSelection):
     def _nothing_left(self) -> bool:
         return self.screenings[-1].p_value > self.alpha
 
-    def _looked_at_again(self, state: State, most: int) -> State:
+    def _revised(self, state: State, most: int) -> State:
         """A state whose effects were each searched for again beside the others, with what is then
         found in addition.
         """
         for item in self.added(state):
             if any(item.effect.alike(one.effect) for one in self.added(state)):
                 self.unexplained = None
-                state = self.anew(state, item)
+                state = self.search_again(state, item)
         self.unexplained = self.refused = None
         return self._added_to(state, most)
 
@@ -308,13 +308,13 @@ class Search(ForwardSelection):
         # Its dependence is determined again without them. An effect that is then significant is
         # added.
         kept = self._kept()
-        why = f"superfluous beside an empirical description ({in_words(effect)})"
+        why = f"not needed beside an empirical description ({in_words(effect)})"
         self.rejected += [_dropped(item, why) for item in dropped]
         self.unexplained = None
-        found, _ = self._step_untold(bare, kept)
+        found, _ = self._step_unreported(bare, kept)
         return bare if found is None else found
 
-    def _step_untold(self, state: State, kept: Kept) -> tuple[State | None, Screening]:
+    def _step_unreported(self, state: State, kept: Kept) -> tuple[State | None, Screening]:
         """A round and its screening, which is not reported; an interruption restores `kept`."""
         try:
             found = self.step(state)
@@ -357,7 +357,7 @@ class Search(ForwardSelection):
             gain = gain_beside(fit, np.concatenate(fit.places_of(_place(state, item))))
             if item.trials * math.exp(-min(gain, 700.0)) > self.alpha:
                 less = without(state, _place(state, item), self.room)
-                why = "noise that is correlated in time describes it too"
+                why = "noise that is correlated in time describes the same"
                 reached(state := self._drop(item, less, why))
         found = serial(state.remaining)
         return state, found if found is not None and found.p_value <= self.alpha else None

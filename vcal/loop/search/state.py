@@ -39,7 +39,7 @@ class State:
     more than one factor: the covariance of clustered readings, or unequal variance components; also
     where it is smaller. Else the same as `fit`."""
     keep: np.ndarray
-    strays: list[Outlier]
+    outliers: list[Outlier]
     noise: Components | None
     """None for clustered readings."""
 
@@ -71,33 +71,33 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     else:
         options["shapes"] = initial_shapes(model, measurement, keep, room)
     fit = whole = identify(model, measurement, **options)
-    _check_told(fit)
-    strays: list[Outlier] = []
+    _check_determined(fit)
+    outliers: list[Outlier] = []
     moved: set[int] = set()
     for _ in range(_SEARCHES):
         options |= {"theta": fit.theta, "shapes": fit.shapes}
-        found = [s for s in _stray(fit, options) if s.row not in moved]
+        found = [s for s in _outliers(fit, options) if s.row not in moved]
         if not found:
             break
-        strays += found
-        if not scattered(whole, [s.row for s in strays]):
+        outliers += found
+        if not scattered(whole, [s.row for s in outliers]):
             # Outliers that were found in succession turn out to be systematic.
-            strays, fit, keep = [], whole, whole_keep
+            outliers, fit, keep = [], whole, whole_keep
             options |= {"theta": fit.theta, "shapes": fit.shapes, "keep": keep}
             break
         options["keep"] = keep = keep.copy()
         keep[[s.row for s in found]] = False
         fit = identify(model, measurement, tolerance=NEARLY, **options)
-        if more := displaced(fit, [s.row for s in strays]):
+        if more := displaced(fit, [s.row for s in outliers]):
             moved |= more
-            strays = [s for s in strays if s.row not in more]
+            outliers = [s for s in outliers if s.row not in more]
             options["keep"] = keep = keep.copy()
             keep[sorted(more)] = whole_keep[sorted(more)]
             fit = identify(model, measurement, tolerance=NEARLY, **options)
-    if strays or moved:
+    if outliers or moved:
         fit = identify(model, measurement, **options | {"theta": fit.theta, "shapes": fit.shapes})
     if far := outliers_apart(fit, apart):
-        strays += far
+        outliers += far
         measurement = dataclasses.replace(measurement, aside=_rows(measurement, far))
         fit = dataclasses.replace(fit, measurement=measurement)
     scored, noise = fit, None
@@ -108,10 +108,10 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
         noise = components(fit)
         if noise.uneven or _quieter(fit):
             scored = identify(model, measurement, whitener=_found_whitener(noise, noise), **options)
-    return State(model, fit, scored, keep, sorted(strays, key=lambda s: s.row), noise)
+    return State(model, fit, scored, keep, sorted(outliers, key=lambda s: s.row), noise)
 
 
-def _check_told(fit: Fit) -> None:
+def _check_determined(fit: Fit) -> None:
     """Raise `LinAlgError` where parameters that neither the data nor a prior determine prevented
     convergence. Without a bound some diverge, to where the readings seem to determine them.
     """
@@ -122,10 +122,12 @@ def _check_told(fit: Fit) -> None:
         names = [f"{key} {p.name}" for key, p in fit.entries]
         free = [names[i] for i in flat_rank(fit.model, fit.measurement.plan).mixed]
     if free:
-        raise np.linalg.LinAlgError(f"no reading tells {' and '.join(free)} apart from the rest")
+        raise np.linalg.LinAlgError(
+            f"the readings cannot distinguish {' and '.join(free)} from the other parameters"
+        )
 
 
-def _stray(fit: Fit, options: dict) -> list[Outlier]:
+def _outliers(fit: Fit, options: dict) -> list[Outlier]:
     """Outliers of a fit with these options of `identify`.
 
     The estimated noise is used where it is smaller than declared. The priors would otherwise push
@@ -189,9 +191,9 @@ def without(state: State, place: int, room: int) -> Fit:
     )
 
 
-def _rows(measurement: Measurement, strays: list[Outlier]) -> np.ndarray:
+def _rows(measurement: Measurement, outliers: list[Outlier]) -> np.ndarray:
     found = np.zeros(measurement.rows, bool)
-    found[[s.row for s in strays]] = True
+    found[[s.row for s in outliers]] = True
     return found
 
 
@@ -269,7 +271,7 @@ def noise_scales(fit: Fit) -> dict[str, float]:
     return {name: noise_scale(fit, rows) for name, rows in fit.measurement.plan.parts.items()}
 
 
-def scales_told(state: State) -> tuple[float, dict[str, float]]:
+def reported_noise_scales(state: State) -> tuple[float, dict[str, float]]:
     """`noise_scale` of all readings and of every data set, as reported.
 
     Where readings are quieter than declared, a fit with the declared noise underestimates their

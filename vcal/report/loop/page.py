@@ -376,7 +376,7 @@ def _tried(closure: Closure, summaries: Mapping[str, str]) -> list[dict[str, Any
             significant = minus_log10_p(screening, kind) >= limit
             p_value = screening.corrected(kind)
             # Of what was added it is that of its own shape, which is told elsewhere too.
-            p_value = screening.told.get(kind.kind, p_value) if significant else p_value
+            p_value = screening.refined_p.get(kind.kind, p_value) if significant else p_value
             line["p"][i] = text.probability(p_value)
             line["significant"][i] = significant
     return sorted(lines.values(), key=lambda line: line["order"])
