@@ -217,7 +217,7 @@ def test_check(small_tracker_study):
 def test_check_names_what_did_not_vary(small_tracker_study):
     data = small_tracker_study / "data.csv"
     table = {**read_table(data, []), "payload_kg": np.full(48, 7.0)}
-    vcal.io.write_table(data, table | {"T_y_degC": np.full(48, 21.0)})
+    vcal.study.write_table(data, table | {"T_y_degC": np.full(48, 21.0)})
     shown = " ".join(run("check", small_tracker_study).output.split())
     assert "constant dir_x, T_y_degC, payload_kg: what depends on their change is not seen" in shown
 
@@ -228,13 +228,13 @@ def test_temperatures_that_were_hardly_recorded_are_ignored(small_tracker_study,
     data = small_tracker_study / "data.csv"
     table: dict = dict(read_table(data, []))
     table["T_y_degC"] = np.array([f"{20 + 0.1 * i:.1f}" if i < kept else "" for i in range(48)])
-    vcal.io.write_table(data, table | {"remark": np.full(48, "fine")})
+    vcal.study.write_table(data, table | {"remark": np.full(48, "fine")})
     assert not vcal.load_study(small_tracker_study).plan.has("T_Y")
     shown = " ".join(run("check", small_tracker_study).output.split())
     assert "ignored T_y_degC, remark: no more than half of the cells are numbers" in shown
     if kept:  # one more, and it is one of numbers
         table["T_y_degC"][kept] = "21.0"
-        vcal.io.write_table(data, table)
+        vcal.study.write_table(data, table)
         assert "row 26 (line 27), column T_y_degC" in refused("check", small_tracker_study)
 
 
@@ -244,11 +244,11 @@ def test_check_names_what_goes_together(small_tracker_study):
     table = dict(read_table(data, []))
     rng = np.random.default_rng(0)
     apart = {n: rng.uniform(20.0, 25.0, 48) for n in table if n.startswith("T_")}
-    vcal.io.write_table(data, table | apart | {"t_s": rng.permutation(48) * 60.0})
+    vcal.study.write_table(data, table | apart | {"t_s": rng.permutation(48) * 60.0})
     assert "together" not in run("check", small_tracker_study).output
     climbing = 100.0 + table["z_mm"] + rng.uniform(0.0, 20.0, 48)
     wet = {"humidity_pct": 30.0 - 2.0 * apart["T_y_degC"], "steady_pct": np.full(48, 5.0)}
-    vcal.io.write_table(data, table | apart | {"t_s": climbing} | wet)
+    vcal.study.write_table(data, table | apart | {"t_s": climbing} | wet)
     shown = " ".join(run("check", small_tracker_study).output.split())
     assert (
         "together t_s is correlated with z_mm (1.00): a dependence on one cannot be distinguished "
@@ -269,7 +269,7 @@ def test_check_says_of_which_axis_little_is_covered(small_tracker_study):
 def test_check_names_what_cannot_be_tested(small_tracker_study):
     table = read_table(small_tracker_study / "data.csv", [])
     kept = {name: v for name, v in table.items() if not name.startswith(("dir_", "T_"))}
-    vcal.io.write_table(small_tracker_study / "data.csv", kept)
+    vcal.study.write_table(small_tracker_study / "data.csv", kept)
     shown = " ".join(run("check", small_tracker_study).output.split())
     assert "not testable" in shown
     assert "backlash, lateral_reversal, angular_reversal: " in shown
@@ -277,7 +277,7 @@ def test_check_names_what_cannot_be_tested(small_tracker_study):
 
 def test_check_sees_a_column_in_another_case(small_tracker_study):
     data = small_tracker_study / "data.csv"
-    vcal.io.write_table(data, {**read_table(data, []), "Payload_kg": np.arange(48.0)})
+    vcal.study.write_table(data, {**read_table(data, []), "Payload_kg": np.arange(48.0)})
     shown = " ".join(run("check", small_tracker_study).output.split())
     assert "payload_sag: wants payload_kg (rename Payload_kg)" in shown
 
@@ -431,7 +431,7 @@ def test_simulate_depends_on_the_seed_alone(tmp_path, small_ball_study):
 def test_simulate_fills_a_plan_of_an_arm(tmp_path, small_arm_study):
     table = read_table(small_arm_study / "data.csv", [])
     plan = {name: v for name, v in table.items() if name == "pose" or name.startswith("q")}
-    vcal.io.write_table(small_arm_study / "data.csv", plan)
+    vcal.study.write_table(small_arm_study / "data.csv", plan)
     message = refused("loop", small_arm_study, "--out", tmp_path / "out")
     assert "data.csv, header: found no column of readings" in message
     run("simulate", small_arm_study, "--out", tmp_path / "made", "--with", "backlash:J1")
@@ -496,7 +496,7 @@ def test_an_effect_tells_what_it_has_to_be_told(name, said):
 def test_an_effect_without_its_covariate(tmp_path, small_tracker_study):
     table = read_table(small_tracker_study / "data.csv", [])
     del table["T_y_degC"]
-    vcal.io.write_table(small_tracker_study / "data.csv", table)
+    vcal.study.write_table(small_tracker_study / "data.csv", table)
     text = "thermal_tilt:Y:k_EAY_urad_per_K=40"
     out = tmp_path / "made"
     told = refused("simulate", small_tracker_study, "--out", out, "--with", text)

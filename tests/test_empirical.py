@@ -375,8 +375,8 @@ def test_when_a_description_puts_a_name_in_doubt(description, doubt):
 )  # fmt: skip
 def test_what_would_tell_an_effect_from_what_it_may_be(own, rival, theirs, expected):
     """Nothing can be varied independently of itself."""
-    other = SimpleNamespace(effect=SimpleNamespace(name=rival, placement="X", betrayed_by=theirs))
-    best = SimpleNamespace(effect=SimpleNamespace(betrayed_by=own))
+    other = SimpleNamespace(effect=SimpleNamespace(name=rival, placement="X", indicators=theirs))
+    best = SimpleNamespace(effect=SimpleNamespace(indicators=own))
     weighed = Weighed(best, 0.3, [], [(rival, "X", 0.7)], instead=((0.7, other),))
     assert _separation(weighed, ("X", "Y", "Z")) == expected
 

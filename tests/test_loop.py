@@ -106,7 +106,7 @@ def test_what_was_refused_is_told_where_nothing_else_shows(tracker):
     refused = Refused(effect, 0.004, "held-out readings are not predicted better")
     what = _from_dependence(fit, told, 1.0, 0.01, refused=refused)
     assert what is not None and not what.joint and what.p_value == 0.004
-    assert what.depends_on[: len(effect.betrayed_by)] == list(effect.betrayed_by)
+    assert what.depends_on[: len(effect.indicators)] == list(effect.indicators)
     assert what.reason == (
         "scale_growth Y is significant, but held-out readings are not predicted better"
     )

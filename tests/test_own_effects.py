@@ -138,7 +138,10 @@ def test_a_class_that_cannot_be_used(small_tracker_study, case):
 def test_what_is_made_of_a_shape(small_tracker_study, case):
     """It is evaluated for a whole grid at once, and traced."""
     made, expected = OF_A_SHAPE[case]
-    text = "import jax.numpy as jnp\nimport numpy as np\nfrom vcal.arrays import namespace\n" + OWN
+    text = (
+        "import jax.numpy as jnp\nimport numpy as np\nfrom vcal.numerics.arrays import namespace\n"
+        + OWN
+    )
     text = text.replace(PARAMETERS, AT).replace('plan.x("Z")}', made + "}")
     folder = with_own(small_tracker_study, text)
     if not expected:
@@ -376,7 +379,7 @@ def test_columns_that_were_exchanged(small_tracker_study):
     exchanged = {"azimuth_rad": "elevation_rad", "elevation_rad": "azimuth_rad"}
     head = ",".join(exchanged.get(name, name) for name in head.split(","))
     path.write_text(f"{head}\n{rows}", encoding="utf-8")
-    with pytest.raises(StudyError, match="away from where the axes take the tool"):
+    with pytest.raises(StudyError, match="away from the tool point"):
         load_study(small_tracker_study)
 
 
@@ -392,8 +395,8 @@ def test_readings_that_were_exchanged_in_a_program(small_tracker_study):
 @pytest.mark.parametrize(
     ("column", "change", "said"),
     [
-        ("azimuth_rad", lambda cell: str(-float(cell)), "they are a mirror image of that"),
-        ("x_mm", lambda cell: str(2000.0 - float(cell)), "they are a mirror image of that"),
+        ("azimuth_rad", lambda cell: str(-float(cell)), "the readings are a mirror image of that"),
+        ("x_mm", lambda cell: str(2000.0 - float(cell)), "the readings are a mirror image of that"),
         ("azimuth_rad", lambda cell: str(float(cell) * 0.9), "compare signs, units and order"),
     ],
 )
@@ -402,7 +405,7 @@ def test_readings_that_do_not_follow_linear_axes(small_tracker_study, column, ch
     take in what it must not.
     """
     edited(small_tracker_study, column, change)
-    with pytest.raises(StudyError, match=f"away from where the axes take the tool.*{said}"):
+    with pytest.raises(StudyError, match=f"away from the tool point.*{said}"):
         load_study(small_tracker_study)
 
 

@@ -789,7 +789,7 @@ def test_readings_do_not_hold_the_noise_of_the_positions(study):
         (lambda t: t | {"a_set_m_s2": 0 * t["t_s"] + 1.0}, r"column a_set_m_s2: found 1, while"),
         (lambda t: t | {"x_ext_mm": t["x_ext_mm"] + 2.5}, r"column x_ext_mm: found 4.* to 3;"),
         (lambda t: t | {"sense": np.where(t["run"] == 3, 0, t["sense"])},
-         r"run 3, column sense: found 0, expected 1 or -1; say which way"),
+         r"run 3, column sense: found 0, expected 1 or -1; enter the sense"),
         (lambda t: t | {"sense": np.where(np.arange(len(t["run"])) == 5, -1, t["sense"])},
          r"row 6 \(line 7\), run 0, column sense: found -1 after 1, expected one setting in a run"),
         (lambda t: t | {"a_set_m_s2": t["a_set_m_s2"] + (np.arange(len(t["run"])) == 5)},
@@ -843,7 +843,9 @@ def test_two_paces_in_one_run(tmp_path):
     joined |= {"t_s": np.concatenate([slow["t_s"], after]), "a_set_m_s2": 0 * joined["t_s"] + 3.0}
     order = np.lexsort([joined["t_s"], joined["run"]])
     table = {n: v[order] for n, v in joined.items()}
-    with pytest.raises(StudyError, match=r"run 0: found positions .* mm \(rms\) beside the circle"):
+    with pytest.raises(
+        StudyError, match=r"run 0: found positions .* mm \(rms\) from the best-fitting"
+    ):
         load_study(write(tmp_path / "two", table))
 
 

@@ -20,6 +20,7 @@ from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
 from vcal.effects.data_set import OfDataSet
 from vcal.geometry.acceptance import geometric_tests
+from vcal.geometry.error_motions import ErrorMotionTable
 from vcal.identification.model_averaging import Alternatives
 from vcal.instruments.ball_array import BallCalibration
 from vcal.instruments.conditions import file_column
@@ -924,7 +925,7 @@ def test_location_errors_alone_are_drawn():
     one = np.ones(1)
     values = (np.zeros(0), "mm", 4.0 * one, one, 40.0 * one, 0.9 * one)
     names = ("EC0Y", "EB0Z")
-    tables = [plots.ErrorMotionTable(name, name[-1], "urad", *values) for name in names]
+    tables = [ErrorMotionTable(name, name[-1], "urad", *values) for name in names]
     (ax,) = plots.error_motions(tables).axes
     assert [label.get_text() for label in ax.get_yticklabels()] == ["EC0Y", "EB0Z"]
 

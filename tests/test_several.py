@@ -15,7 +15,7 @@ from vcal import CATALOGUE, Measurement, StudyError, close_loop, identify, load_
 from vcal.demo import FOLDER
 from vcal.effects.data_set import OfDataSet
 from vcal.effects.geometric import GeometricErrors
-from vcal.effects.r_test import ProbeMatrix
+from vcal.effects.probes import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.loop.empirical.covariates import distinct_covariates
 from vcal.loop.notes import _elsewhere, _few_check_points, _worse, data_set_consistency

@@ -252,8 +252,8 @@ def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
     def columns(names: Iterable[str]) -> str:
         return " and ".join(dict.fromkeys(file_column(name, axes)[0] for name in names))
 
-    follows = own.betrayed_by
-    theirs = [name for other in others for name in other.betrayed_by]
+    follows = own.indicators
+    theirs = [name for other in others for name in other.indicators]
     if rivals and rivals[0][0] in {kind.name for kind in EMPIRICAL}:
         # A description depends on the same covariate, and differs between the measured positions
         # and times.

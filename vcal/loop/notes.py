@@ -315,7 +315,7 @@ def _confounding(facts: Facts) -> list[str]:
     """Notes on covariates that are confounded with what an effect depends on, and on a time that
     was not recorded.
     """
-    names = [name for item in facts.added for name in item.effect.betrayed_by]
+    names = [name for item in facts.added for name in item.effect.indicators]
     first = facts.unexplained.depends_on[:1] if facts.unexplained is not None else []
     return [
         *confounded(facts.plan, [*names, *first]),

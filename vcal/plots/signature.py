@@ -84,7 +84,7 @@ _TURNED = ("A", "B", "C", "azimuth", "elevation")
 
 
 def _against(effect: Effect, plan: Plan, shape: dict[str, float], y: np.ndarray):
-    names = [n for n in dict.fromkeys((*effect.betrayed_by, *effect.needs)) if plan.has(n)]
+    names = [n for n in dict.fromkeys((*effect.indicators, *effect.needs)) if plan.has(n)]
     names = [n for n in names if np.ptp(values_of(n, plan)) > 0.0]
     if not names:
         return np.arange(plan.rows, dtype=float), "row", None, ""

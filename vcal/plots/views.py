@@ -175,7 +175,7 @@ def _direction(
 
 def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.ndarray):
     plan, instrument = fit.measurement.plan, fit.model.instrument
-    named = [n for n in effect.betrayed_by if plan.has(n)]
+    named = [n for n in effect.indicators if plan.has(n)]
     if "pitch" in shape and effect.placement in plan.axes:
         (of,) = (p for p in effect.shapes if p.name == "pitch")
         pitch, unit = float(shape["pitch"]) / of.si, pretty_unit(of.unit)
@@ -200,7 +200,7 @@ def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.nda
         excess = values_of(warm[0], plan) - REFERENCE_DEGC
         x = excess[used] * values_of(axes[0], plan)[used]
         if described(x, visible) > _CLEAR:
-            zero = f"{REFERENCE_DEGC + instrument.warmer:g} °C"
+            zero = f"{REFERENCE_DEGC + instrument.temperature_offset_K:g} °C"
             label = f"(temperature of {axes[0]} − {zero}) × its position, K m"
             return x, label, "scatter", None
     return visible, "what is visible of it, µm", "visible", None
@@ -211,7 +211,7 @@ def _tone(
 ) -> tuple[np.ndarray | None, str]:
     """The betraying covariate that describes best what is visible, as ranks from 0 to 1."""
     plan = fit.measurement.plan
-    table = {n: values_of(n, plan)[used] for n in effect.betrayed_by if plan.has(n)}
+    table = {n: values_of(n, plan)[used] for n in effect.indicators if plan.has(n)}
     table = {n: x for n, x in table.items() if np.ptp(x) > 0}
     if not table:
         return None, ""

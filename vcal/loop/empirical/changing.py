@@ -67,7 +67,7 @@ class Changing(Empirical):
 
     def depends_on(self, plan: Plan, shape: Mapping[str, float]) -> tuple[str, ...]:
         del plan
-        return (self._quantity(shape).name, *self.effect.betrayed_by)
+        return (self._quantity(shape).name, *self.effect.indicators)
 
     def said(self, shape: Mapping[str, float]) -> str:
         del shape

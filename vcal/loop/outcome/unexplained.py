@@ -214,7 +214,7 @@ def _from_dependence(
     only = refused if quiet else None
     if only is not None:
         # Nothing else is significant: neither a product nor a single column.
-        shares = _ahead(shares, only.effect.betrayed_by)
+        shares = _ahead(shares, only.effect.indicators)
     best = max([*shares.values(), *(share for *_, share in structure.products)], default=0.0)
     vectors = displacements(fit)[fit.used]
     excess = max(1.0 - 1.0 / chi2_per_dof, 0.0)

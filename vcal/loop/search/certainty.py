@@ -51,7 +51,7 @@ def part_of_unexplained(fit: Fit, place: int, rest: Unexplained | None) -> str:
     """
     if rest is None or rest.empirical is None:
         return ""
-    same = [n for n in rest.depends_on if n in fit.model.effects[place].betrayed_by]
+    same = [n for n in rest.depends_on if n in fit.model.effects[place].indicators]
     if not same:
         return ""
     mine = fit.places_of(place)[0]
@@ -98,7 +98,7 @@ def untested_twin(fit: Fit, place: int, untestable: Iterable[Untestable]) -> str
     effect = fit.model.effects[place]
     if not isinstance(effect, OfDataSet):
         return ""
-    own = {name.rpartition(":")[2] for name in effect.betrayed_by}
+    own = {name.rpartition(":")[2] for name in effect.indicators}
     twins = [
         other
         for other in untestable

@@ -63,7 +63,7 @@ def _needs(instance: Effect, setup: Setup) -> Section:
         for p in instance.parameters
     ]
     needs = dict.fromkeys(file_name(n, axes) for n in instance.needs)
-    told = dict.fromkeys(file_name(n, axes) for n in instance.betrayed_by)
+    told = dict.fromkeys(file_name(n, axes) for n in instance.indicators)
     where = instance.placement or "no place of its own"
     return Section(
         "Parameters, and what it needs",

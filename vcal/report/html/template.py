@@ -12,7 +12,7 @@ def render(template: str, **values: Any) -> str:
     Raises `jinja2.UndefinedError` for a value that the template asks for and that is not given.
     """
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        loader=jinja2.FileSystemLoader([Path(__file__).parent, Path(__file__).parents[1] / "loop"]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

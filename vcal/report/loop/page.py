@@ -408,7 +408,10 @@ def _suspected(closure: Closure) -> list[dict[str, str]]:
 
 def _counts_from(study: Study) -> str:
     """From where temperatures count, by data set where that differs."""
-    zeros = {one.name: f"{REFERENCE_DEGC + one.instrument.warmer:g} °C" for one in study.sets}
+    zeros = {
+        one.name: f"{REFERENCE_DEGC + one.instrument.temperature_offset_K:g} °C"
+        for one in study.sets
+    }
     if len({*zeros.values()}) == 1:
         return next(iter(zeros.values()))
     return ", ".join(f"{zero} in {name}" for name, zero in zeros.items())
