@@ -251,10 +251,10 @@ def test_check_names_what_goes_together(small_tracker_study):
     vcal.study.write_table(data, table | apart | {"t_s": climbing} | wet)
     shown = " ".join(run("check", small_tracker_study).output.split())
     assert (
-        "together t_s follows z_mm (1.00): what depends on one looks as if it depended on the "
-        "other; measure in random order to tell them apart"
+        "together t_s is correlated with z_mm (1.00): a dependence on one cannot be distinguished "
+        "from one on the other; measure in random order"
     ) in shown
-    assert "together T_y_degC follows humidity_pct (1.00): " in shown
+    assert "together T_y_degC is correlated with humidity_pct (1.00): " in shown
     assert shown.count("together") == 2
 
 

@@ -389,7 +389,7 @@ def test_readings_that_were_exchanged_in_a_program(small_tracker_study):
     study = load_study(small_tracker_study, ["loop.draws=25", 'loop.effects=["backlash"]'])
     exchanged = study.measurement.readings[:, [0, 2, 1]]
     closure = close_study(study, Measurement(study.plan, exchanged), lambda text: None)
-    assert any("mm, which no machine is off by" in note for note in closure.notes)
+    assert any("mm, larger than any machine error" in note for note in closure.notes)
 
 
 @pytest.mark.parametrize(

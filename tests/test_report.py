@@ -482,7 +482,7 @@ def test_what_was_significant_is_added_or_told_why_not(closed):
     others = beyond & set(SEARCHED) - {"backlash"}  # without descriptions: those are for comparison
     told = {r.effect: r.reason for r in (*closure.rejected, *closure.passed_over)}
     assert others and others <= told.keys()
-    assert "not significant any more beside what was added" in told.values()
+    assert "no longer significant after another effect was added" in told.values()
     # The same search, had it ended with a description.
     dent = LocalBump(port="tool.Z", unit="um", placement="X")
     rival = SimpleNamespace(effect=dent)
@@ -514,10 +514,10 @@ def test_one_p_value_of_what_was_found(closed):
     closure = closed[2]
     first, *later = closure.screenings
     (found,) = closure.effects
-    assert first.added.alike(found.effect) and first.told == {"backlash": found.p_value}
-    assert later[-1].added is None and later[-1].told == {}
+    assert first.added.alike(found.effect) and first.refined_p == {"backlash": found.p_value}
+    assert later[-1].added is None and later[-1].refined_p == {}
     p_value = 1.25e-33  # not that of the step of the scan that is next to it
-    first = dataclasses.replace(first, told={"backlash": p_value})
+    first = dataclasses.replace(first, refined_p={"backlash": p_value})
     p_values = by_round(dataclasses.replace(closure, screenings=[first, *later]), "backlash")
     assert p_values[0] == text.probability(p_value) != p_values[1]
 
@@ -526,7 +526,7 @@ def test_every_round_tells_what_was_added_in_it(closed):
     """Whether that stayed or not: the effects in the end need not be those of the first rounds."""
     closure = closed[2]
     first, last = closure.screenings[0], closure.screenings[-1]
-    nothing = dataclasses.replace(first, added=None, told={})
+    nothing = dataclasses.replace(first, added=None, refined_p={})
     begun_anew = [nothing, last, first, last]
     drawn = search(begun_anew, closure.settings["alpha"])
     limit = -math.log10(closure.settings["alpha"])
@@ -541,7 +541,7 @@ def test_every_round_tells_what_was_added_in_it(closed):
     assert p_values[0] == text.probability(first.corrected(kind))
     assert p_values[2] == text.probability(closure.effects[0].p_value)
     # What was significant beside it in the last round was not looked at, whatever else was found.
-    for added, why in ((first.added, "less likely than"), (None, "its evidence is far behind")):
+    for added, why in ((first.added, "less probable than"), (None, "its evidence is far below")):
         screenings = [*begun_anew[:2], dataclasses.replace(first, added=added)]
         ended = dataclasses.replace(closure, screenings=screenings, rejected=[])
         assert ended.passed_over and all(r.reason.startswith(why) for r in ended.passed_over)

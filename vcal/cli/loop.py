@@ -6,7 +6,7 @@ import numpy as np
 
 from ..loop.close_loop import close_loop
 from ..loop.outcome.closure import Closure
-from ..loop.screening.candidates import candidates
+from ..loop.screening.candidates import UntestableError
 from ..model.measurement import Measurement
 from ..study import Study
 from ..study.messages import listed, refusal
@@ -18,16 +18,6 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
     Raises `StudyError` where the data can say nothing about the effects that were asked for, and
     where the readings do not determine what has to be found with every fit.
     """
-    found, missing = candidates(study.model, measurement, study.tried)
-    if study.options.effects and not found:
-        reasons = {f"{item.effect}: {item.reason}" for item in missing}
-        raise refusal(
-            study.path.name,
-            "key loop.effects",
-            f"none that could be tested ({'; '.join(sorted(reasons)) or 'no place for them'})",
-            "at least one for which the data have what it needs",
-            "record it, or name other effects",
-        )
     try:
         return close_loop(
             study.model,
@@ -35,8 +25,17 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
             check=study.check,
             effects=study.tried,
             **study.options.model_dump(exclude={"effects"}),
+            require_testable=bool(study.options.effects),
             progress=progress,
         )
+    except UntestableError as error:
+        raise refusal(
+            study.path.name,
+            "key loop.effects",
+            f"none that could be tested ({'; '.join(error.reasons) or 'no place for them'})",
+            "at least one for which the data have what it needs",
+            "record it, or name other effects",
+        ) from error
     except np.linalg.LinAlgError as error:
         raise refusal(
             listed([*(one.file for one in study.sets), study.path.name]),

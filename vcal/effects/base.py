@@ -120,8 +120,9 @@ class Effect(Record):
 
         It must be elementwise over the rows: `shape` values may have a leading axis, (g, 1) against
         rows (n,), when a whole grid is evaluated at once. JAX also traces them to take the
-        derivative with respect to them: compute with `jax.numpy`, or with `vcal.numerics.arrays.namespace`
-        of the values, which is faster where they are plain numbers.
+        derivative with respect to them: compute with `jax.numpy`, or with
+        `vcal.numerics.arrays.namespace` of the values, which is faster where they are plain
+        numbers.
         """
 
     @property

@@ -80,8 +80,8 @@ class GeometricErrors(Effect):
     """Error motions as functions of the position of their own axis, and location errors.
 
     E(x) = sum_k theta_k f_k(x) with f_k and the prior of theta_k from the declared family of
-    functions (`vcal.machine.error_functions`). ISO 230-1:2012, 3.4; error = actual - nominal, in the joint's own
-    frame.
+    functions (`vcal.machine.error_functions`). ISO 230-1:2012, 3.4; error = actual - nominal, in
+    the joint's own frame.
     """
 
     name = "geometric"

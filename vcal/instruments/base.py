@@ -114,8 +114,8 @@ class Instrument(Record):
         the workpiece frame with all errors of the machine; `ports` are the instrument's own ports
         by group, zero for a nominal instrument: ``ports["frame"][0]`` is ``frame.X``.
 
-        Vectors and rotations are in components (`vcal.numerics.rigid`), so that the function stays one
-        elementwise expression when it is mapped over rows and draws. It is traced and
+        Vectors and rotations are in components (`vcal.numerics.rigid`), so that the function stays
+        one elementwise expression when it is mapped over rows and draws. It is traced and
         differentiated: use `jax.numpy` instead of numpy, no ``float()`` and no ``if`` on the
         arguments; the derivative must be finite at the nominal machine. A port may also be a plain
         Python number.
@@ -252,9 +252,9 @@ class TableInstrument(Instrument):
         kind_file = "ball_bar.py"
 
     It needs no registration, and anything it registers is removed afterwards. It is tried once when
-    a study is read (`vcal.study.plugins.instrument_trial`): a method that returns anything but what is documented
-    here is reported with its class and name. ``tests/own_instrument/ball_bar.py`` is a complete
-    example.
+    a study is read (`vcal.study.plugins.instrument_trial`): a method that returns anything but what
+    is documented here is reported with its class and name. ``tests/own_instrument/ball_bar.py`` is
+    a complete example.
     """
 
     kind: ClassVar[str]

@@ -76,9 +76,10 @@ class RTest(TableInstrument):
     the errors of the structure. `vcal.instruments.nest` gives the readings of the probes from p.
 
     Every run is one circle or more. Positions, accelerations, directions and the distance since the
-    last reversal are those of its fundamental (`vcal.machine.circles`); the rest of the scales' readings,
-    with their noise, is subtracted from both the internal and the external reading. Otherwise, a
-    residual would correlate with a position merely because both contain the same noise.
+    last reversal are those of its fundamental (`vcal.machine.circles`); the rest of the scales'
+    readings, with their noise, is subtracted from both the internal and the external reading.
+    Otherwise, a residual would correlate with a position merely because both contain the same
+    noise.
     """
 
     kind = "r_test"

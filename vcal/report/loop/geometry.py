@@ -235,7 +235,10 @@ def conventions(study: Study) -> Section:
 
 def _zero(study: Study) -> str:
     """The temperature from which temperatures count, by data set where it differs."""
-    zeros = {one.name: f"{REFERENCE_DEGC + one.instrument.warmer:g} °C" for one in study.sets}
+    zeros = {
+        one.name: f"{REFERENCE_DEGC + one.instrument.temperature_offset_K:g} °C"
+        for one in study.sets
+    }
     if len({*zeros.values()}) == 1:
         return next(iter(zeros.values()))
     return ", ".join(f"{zero} in {name}" for name, zero in zeros.items())

@@ -80,7 +80,7 @@ def _by_round(closure: Closure, summaries: Mapping[str, str]) -> list[Table]:
             p_value = screening.corrected(kind)
             if minus_log10_p(screening, kind) >= limit:
                 # The p-value of an added effect is that at its fitted shape, as elsewhere.
-                p_value = screening.told.get(kind.kind, p_value)
+                p_value = screening.refined_p.get(kind.kind, p_value)
                 hits.add((kind.kind, 4 + i))
             line[4 + i] = text.probability(p_value)
     if not lines:
