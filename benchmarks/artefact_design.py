@@ -16,9 +16,8 @@ from records import parser_of, timed, write
 
 from vcal.cli.session import start
 from vcal.reproduce.artefact_design.expected import task
-from vcal.reproduce.artefact_design.optimised import optimise
 from vcal.reproduce.artefact_design.results import Effort, nominal_poses
-from vcal.reproduce.artefact_design.searches import FREEDOMS, Searches
+from vcal.reproduce.artefact_design.searches import FREEDOMS, Searches, optimise
 from vcal.reproduce.artefact_design.setting import KNOWN
 from vcal.reproduce.artefact_design.sweep import exact, linear
 from vcal.uncertainty.programs import Programs

@@ -11,7 +11,7 @@ from records import parser_of, timed, write
 
 import vcal
 from vcal.reproduce.laser_frame.cycles import cycles
-from vcal.reproduce.laser_frame.table_four import distance, exchanged
+from vcal.reproduce.laser_frame.recipe import distance, exchanged
 
 CASES = {
     "planar, noise": ("planar", "none", "thirteen with prior"),

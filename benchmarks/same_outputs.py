@@ -23,8 +23,8 @@ STARTS = ("ball_array", "laser_frame", "laser_tracker", "r_test", "reflectors", 
 REPRODUCTIONS = {
     "acceleration": 20,
     "artefact-design": 100,
-    "laser-frame": 60,
-    "tracker-verification": 40,
+    "laser-frame": 200,
+    "tracker-verification": 200,
 }
 """Draws of each: fewer than by default, as this asks for the same numbers, not for good ones."""
 KEPT = ("report.json", "result.json", "compensation.csv", "effects.csv", "data.csv")

@@ -14,8 +14,7 @@ from vcal.machine.plan import Plan
 from vcal.model.forward import Model
 from vcal.reproduce.artefact_design.expected import bayes_um, plain_least_squares, posterior, task
 from vcal.reproduce.artefact_design.machines import calibrate, measured_by
-from vcal.reproduce.artefact_design.optimised import optimise
-from vcal.reproduce.artefact_design.searches import FREEDOMS
+from vcal.reproduce.artefact_design.searches import FREEDOMS, optimise
 from vcal.reproduce.artefact_design.setting import (
     BALLS,
     KNOWN,

@@ -6,8 +6,14 @@ import pytest
 from vcal.design import volumetric_gram
 from vcal.model.forward import Model
 from vcal.reproduce.artefact_design.expected import bayes_um, task
-from vcal.reproduce.artefact_design.robust import AVERAGE, FAMILIES, Robust, robust
-from vcal.reproduce.artefact_design.searches import check_inside, with_spare
+from vcal.reproduce.artefact_design.searches import (
+    AVERAGE,
+    FAMILIES,
+    Robust,
+    check_inside,
+    robust,
+    with_spare,
+)
 from vcal.reproduce.artefact_design.setting import (
     KNOWN,
     NOMINAL,

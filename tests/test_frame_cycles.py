@@ -16,10 +16,17 @@ from vcal.reproduce import reproduction
 from vcal.reproduce.laser_frame import better as search
 from vcal.reproduce.laser_frame.better import Better, Step, segments_along
 from vcal.reproduce.laser_frame.budget import point_budget, point_parts, point_u
-from vcal.reproduce.laser_frame.cycles import cycles
+from vcal.reproduce.laser_frame.cycles import cycles, influences, under_conditions
 from vcal.reproduce.laser_frame.defined import Asked, places
-from vcal.reproduce.laser_frame.influences import influences, under_conditions
-from vcal.reproduce.laser_frame.recipe import Lever, largest, recipe
+from vcal.reproduce.laser_frame.recipe import (
+    PRINTED,
+    Lever,
+    distance,
+    exchanged,
+    largest,
+    recipe,
+    variants,
+)
 from vcal.reproduce.laser_frame.setting import (
     DEGREES,
     LEGS,
@@ -33,7 +40,6 @@ from vcal.reproduce.laser_frame.setting import (
     frame_setup,
     sizes,
 )
-from vcal.reproduce.laser_frame.table_four import PRINTED, distance, exchanged, variants
 from vcal.reproduce.laser_frame.verification import verification
 
 LEVER = Lever.seen()

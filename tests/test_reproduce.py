@@ -16,12 +16,14 @@ from vcal.cli import app
 from vcal.errors import StudyError
 from vcal.identification.batch import prepare_batch
 from vcal.model.forward import observe_all, tool_columns, tool_points_with_jacobian
+from vcal.plots.panels import Panel, bars, mark, panels
+from vcal.report import Table
 from vcal.reproduce import REPRODUCTIONS, reproduction
+from vcal.reproduce.document import Page, Row, rows_table, table
+from vcal.reproduce.registry import Reproduction
 from vcal.reproduce.tracker_verification.compared import normal_length
-from vcal.reproduce.tracker_verification.family import find_family
-from vcal.reproduce.tracker_verification.plots import bars
-from vcal.reproduce.tracker_verification.probing import Probe, probing
-from vcal.reproduce.tracker_verification.rank import rank_of
+from vcal.reproduce.tracker_verification.family import find_family, rank_of
+from vcal.reproduce.tracker_verification.results import Probe, probing
 from vcal.reproduce.tracker_verification.setting import (
     FINAL_UM,
     INITIAL_UM,
@@ -290,7 +292,10 @@ def test_probing_adds_what_is_independent(results):
 
 @pytest.mark.parametrize("longest", [0, 2, 4])
 def test_no_bar_is_behind_the_legend(longest):
-    drawn = bars([(f"influence {i}", 20.0 if i == longest else 1.0, 0.5) for i in range(5)])
+    sizes = {f"influence {i}": 20.0 if i == longest else 1.0 for i in range(5)}
+    series = {"as it is": sizes, "after rigid alignment": dict.fromkeys(sizes, 0.5)}
+    marks = bars(series, horizontal=True)
+    drawn = panels([Panel("Mean error", "µm", "", marks, "right")], width=9.0, height=4.0)
     drawn.draw_without_rendering()
     (ax,) = drawn.axes
     legend = ax.get_legend().get_window_extent()
@@ -298,6 +303,81 @@ def test_no_bar_is_behind_the_legend(longest):
     assert not any(legend.overlaps(bar.get_window_extent()) for bar in ax.patches)
     assert titles and not any(legend.overlaps(t.get_window_extent()) for t in titles)
     assert legend.x1 <= drawn.bbox.x1 and legend.y1 <= drawn.bbox.y1
+    names = [label.get_window_extent() for label in ax.get_yticklabels()]
+    assert min(name.x0 for name in names) >= drawn.bbox.x0
+    lengths = {bar.get_label(): [b.get_width() for b in bar] for bar in ax.containers}
+    assert lengths["as it is"] == list(sizes.values())
+
+
+def test_a_text_becomes_sections():
+    figure = panels([Panel(marks=[mark("plot", [0, 1], [0, 1])])], width=2.0, height=2.0)
+    one = table("error | u | share", [("EXX", 1.23456, "10 %"), ("EYX", None, "–")], fold="All")
+    text = """\
+What came
+out.
+# First
+One
+paragraph.
+
+Another one.
+- a point
+over two lines
+:numbers in µm
+:curve what it shows
+~ small print
+# Second
+"""
+    page = Page(text, [], {"numbers": one}, {"curve": figure})
+    first, second = page.sections()
+    assert page.summary == "What came out."
+    assert (first.title, second.title, second.paragraphs) == ("First", "Second", ())
+    assert first.paragraphs == ("One paragraph.", "Another one.")
+    assert first.points == ("a point over two lines",) and first.note == "small print"
+    (shown,) = first.tables
+    assert shown == Table(
+        ("error", "u", "share"), [["EXX", "1.23", "10 %"], ["EYX", "–", "–"]], "lrr", "in µm", "All"
+    )
+    (picture,) = first.pictures
+    assert (picture.name, picture.caption) == ("curve", "what it shows")
+    with pytest.raises(KeyError, match="surface"):
+        replace(page, text="# First\n:surface").sections()
+
+
+def test_a_notebook_shows_results_and_single_sections():
+    campaign = Reproduction(
+        name="little",
+        summary="",
+        title="Little",
+        publication="Author (2000)",
+        compute=lambda draws, seed, progress, size=1.0: size * (draws + seed),
+        rows=lambda value: [Row("sum", 3.5, value, "um")],
+        record=lambda value: {"sum": np.float64(value)},
+        page=lambda value: Page(f"Sum {value:g}.\n# All\n:numbers\n# Rest\nNone.", [], {}, {}),
+        counted="draws",
+        draws=5,
+        least=2,
+    )
+    result = campaign.results(4, 1, size=0.5)
+    assert result.values == 2.5 and campaign.results().values == 5.0
+    section = result.section("All")._repr_html_()
+    assert '<td>sum</td><td class="n">3.5</td><td class="n">2.500</td>' in section
+    assert "<h2" not in rows_table(result.rows)._repr_html_()
+    assert "Rest" not in section and "Rest" in result._repr_html_()
+    record = result.record()
+    row = {"quantity": "sum", "seed": 3.5, "vcal": 2.5, "unit": "um", "note": ""}
+    assert record["table"] == [row] and record["sum"] == 2.5
+    assert (record["draws"], record["seed"]) == (4, 1)
+    assert "Sum 2.5." in result.html()
+    with pytest.raises(KeyError, match="Nothing"):
+        result.section("Nothing")
+    with pytest.raises(StudyError, match="found draws = 1, seed = 0, expected at least 2 draws"):
+        campaign.results(1)
+
+
+def test_printed_numbers_are_shown_as_printed():
+    rows = [Row("cycles", 30_000.0, 200.0, "1"), Row("EXZ", -1.55, -1.6766, "um s2/m", "note")]
+    cells = [list(row[1:4]) for row in rows_table(rows).rows]
+    assert cells == [["30000", "200", ""], ["−1.55", "−1.677", "µm s²/m"]]
 
 
 @pytest.mark.slow

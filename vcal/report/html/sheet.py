@@ -74,6 +74,9 @@ class Table:
         hit = "hit" if (row, column) in self.marked else ""
         return " ".join(filter(None, (self.classes[column], hit)))
 
+    def _repr_html_(self) -> str:
+        return Fragment((Section("", tables=(self,)),))._repr_html_()
+
 
 @dataclass(frozen=True)
 class Section:

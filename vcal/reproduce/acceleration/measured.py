@@ -1,4 +1,4 @@
-"""The R-test of a simulated machine: what its data file would hold, and what is made of it."""
+"""The R-test of a simulated machine: its data and their evaluations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -91,7 +91,7 @@ class Joint:
 
 
 def fit_matrix(run: RTestRun, chain: Chain, *, device: bool = True) -> Joint:
-    """All nine elements, with the offsets of the runs and, unless told otherwise, the errors of
+    """All nine elements, with the offsets of the runs and, unless `device` is false, the errors of
     the probes.
     """
     plan = run.measurement.plan

@@ -59,7 +59,7 @@ class Task:
 
 
 def task(family: Family | None = None) -> Task:
-    """The publication's machine, or one of another family, with an instrument that stands for any
+    """The publication's machine, or one of another family, with an instrument in place of any
     artefact.
     """
     chain, errors = machine(family)

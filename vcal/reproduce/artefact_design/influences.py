@@ -50,8 +50,8 @@ class Cost:
     identified: float
     """With its amplitudes identified too."""
     size: float
-    """What the influence itself makes of the machine's error, where it stays; zero where it is
-    only there while the artefact is measured.
+    """Share of the influence itself in the machine's error; zero where it is present only while the
+    artefact is measured.
     """
 
 

@@ -1,7 +1,7 @@
 """Machines drawn, measured with an artefact and identified, with exact kinematics."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,7 +16,6 @@ from ...model.forward import Model
 from ...numerics.arrays import Array
 from ...uncertainty import Campaign, Measure, Output, Quantity, monte_carlo
 from ...uncertainty.mismatch import fitted_places
-from ...uncertainty.programs import Programs
 from ...uncertainty.quantities import Pair, State
 from .expected import Task, precision_of
 from .setting import PROBE_UM, Known, grid_points
@@ -102,48 +101,17 @@ class Machines:
         return float(np.sqrt((self.errors(when, kind) ** 2).mean()))
 
 
-def calibrate(
-    task: Task,
-    poses: ArrayPoses,
-    known: Known,
-    *,
-    draws: int,
-    seed: int,
-    progress: Callable[[int, int | None], None] = lambda done, total: None,
-    programs: Programs | None = None,
-) -> Machines:
-    """Draw machines, touch all balls, identify machine, poses and artefact together."""
+def calibrate(task: Task, poses: ArrayPoses, known: Known, **campaign: Any) -> Machines:
+    """Draw machines, touch all balls, identify machine, poses and artefact together; `campaign` are
+    the draws, seed, progress and programs of `monte_carlo`.
+    """
     model, plan = measured_by(task, poses, known)
-    points = grid_points(task.model.chain)
-    return calibrate_as(
-        model, model, plan, points, draws=draws, seed=seed, progress=progress, programs=programs
-    )
+    return calibrate_as(model, model, plan, grid_points(task.model.chain), **campaign)
 
 
-def calibrate_as(
-    truth: Model,
-    fit: Model,
-    plan: Plan,
-    points: Plan,
-    *,
-    draws: int,
-    seed: int,
-    progress: Callable[[int, int | None], None] = lambda done, total: None,
-    programs: Programs | None = None,
-) -> Machines:
-    """Draw machines from `truth`, identify `fit`, judge over `points`."""
-    return Machines(
-        monte_carlo(
-            truth,
-            fit,
-            plan,
-            draws=draws,
-            seed=seed,
-            quantities=[GridErrors(points)],
-            progress=progress,
-            programs=programs,
-        )
-    )
+def calibrate_as(truth: Model, fit: Model, plan: Plan, points: Plan, **campaign: Any) -> Machines:
+    """Draw machines from `truth`, identify `fit`, judge over `points`; `campaign` as above."""
+    return Machines(monte_carlo(truth, fit, plan, quantities=[GridErrors(points)], **campaign))
 
 
 def measured_by(task: Task, poses: ArrayPoses, known: Known) -> tuple[Model, Plan]:

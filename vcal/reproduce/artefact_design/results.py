@@ -15,9 +15,7 @@ from .expected import Plain, Task, bayes_um, plain_least_squares, task
 from .influences import Cost, costs
 from .influences import exact as with_influences
 from .machines import Machines, calibrate
-from .optimised import STARTS, STEPS, Optimised, optimise
-from .robust import Robust, robust
-from .searches import FREEDOMS, Searches
+from .searches import FREEDOMS, STARTS, STEPS, Optimised, Robust, Searches, optimise, robust
 from .setting import KNOWN, NOMINAL, POSES, TRAVEL, Known, ball_line, placed
 from .stylus import Star, star
 from .sweep import Drawn, Theory, Varied, drawn, exact, theory
@@ -55,7 +53,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class Searched:
-    """A design that was searched for, and what it does on machines it never saw."""
+    """A design found by search, judged on machines that the search did not use."""
 
     optimised: Optimised
     checked: Drawn
@@ -75,7 +73,6 @@ class Results:
     draws: int
     fresh: int
     """Machines that judge a design that was searched for."""
-    task: Task
     functions: np.ndarray
     """EXX of some machines, um, at equal distances along X."""
     before_um: tuple[float, float]
@@ -155,7 +152,6 @@ def compute(
         seed=seed,
         draws=draws,
         fresh=fresh,
-        task=given,
         functions=_functions(given, seed),
         before_um=(before[0], before[1]),
         sets=sets,
@@ -188,7 +184,7 @@ def _searched(
     progress: Callable[[str], None],
     checked: Callable[[ArrayPoses, Known], Drawn],
 ) -> dict[Known, dict[str, Searched]]:
-    """What searches find from the nominal design, and what `checked` makes of it."""
+    """Designs that searches find from the nominal one, judged by `checked`."""
     found: dict[Known, dict[str, Searched]] = {known: {} for known in KNOWN}
     for name in effort.searched:
         searches = Searches([given], FREEDOMS[name])

@@ -70,7 +70,7 @@ def with_star(poses: ArrayPoses, side_m: float = SIDE_M) -> ArrayPoses:
 
 
 def star(task: Task, nominal: ArrayPoses, known: Known, *, steps: int = 200, seed: int = 0) -> Star:
-    """Straight against alternating, and what a search makes of it."""
+    """Straight, alternating, and tips and poses found by search."""
     alternating = with_star(nominal)
     assert alternating.tool is not None
     tips, which = np.unique(

@@ -2,8 +2,9 @@
 
 A pose costs a set-up of the artefact, a ball its touches. For every number of balls and of poses
 the poses are first chosen out of many by exchange, which theory bounds from below, and the gradient
-then moves poses and balls. The front says what an hour buys; its cheapest design that is as good as
-the nominal one says what the nominal one wastes.
+then moves poses and balls. The front gives the error per
+measuring time; its cheapest design that is as good as the nominal one gives the time that the
+nominal one wastes.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -41,7 +42,7 @@ SHAPES: Mapping[int, tuple[int, ...]] = {
 }
 """Numbers of poses, by number of balls."""
 SCATTERED = 84
-"""Candidates beside the named sets of poses."""
+"""Candidates in addition to the named sets of poses."""
 FREEDOM = "poses, balls within 60 mm"
 
 _MICRO = 1e-6

@@ -1,9 +1,8 @@
 """The same 51 points, better placed: beam path, shares of the beams and places on them.
 
-What is minimised is the largest expanded uncertainty of the thirteen errors, each in um as the
-publication gives it, with least squares as the identification; beside it, that of the tool in the
-volume. One freedom after the other is given to the search, so that a reader sees what each is
-worth.
+The largest expanded uncertainty of the thirteen errors is minimised, each in um as the publication
+gives it, with least squares as the identification; that of the tool in the volume is given as well.
+The search gets one freedom after the other, so that the gain of each is visible.
 
 Paths are runs of edges of the work space that turn at every corner, as pentaprisms make them. For
 each the convex problem of how often to measure where gives a bound and the shares of the beams; the
@@ -142,13 +141,8 @@ def better(progress: Callable[[str], None] = lambda what: None) -> Better:
         refine("and a sixth beam", paths[1], lever=True),
     )
     progress("places for the tool")
-    return Better(
-        steps,
-        refine("for the tool in the volume", paths[0], goal="tool"),
-        tuple(five),
-        tuple(six),
-        (tried5, tried6),
-    )
+    for_tool = refine("for the tool in the volume", paths[0], goal="tool")
+    return Better(steps, for_tool, tuple(five), tuple(six), (tried5, tried6))
 
 
 def segments_along(corners: Sequence[Sequence[int]], counts: Sequence[int]) -> tuple[Segment, ...]:

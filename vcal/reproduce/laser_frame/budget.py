@@ -101,7 +101,7 @@ class Figure(NamedTuple):
     """One printed figure of the budget, and what comes out here."""
 
     quantity: str
-    seed: float
+    published: float
     exact: float
     """Without rounding."""
     rounded: float
@@ -184,7 +184,7 @@ def point_u(
 
 
 def refraction(facts: Facts = Facts()) -> float:
-    """Largest change of the shift in the filter, on the safe side, eq. (10), um."""
+    """Safe bound of the change of the shift in the filter, eq. (10), um."""
     slope = facts.psd / facts.segment
     with jax.ensure_compile_time_eval():  # a number also where a design is being traced
         return float(safe_filter_shift(slope, facts.turned, facts.filter)) * 1e6
@@ -200,52 +200,50 @@ def refraction_by_snell(facts: Facts = Facts()) -> float:
 
 def figures(facts: Facts = Facts()) -> tuple[Figure, ...]:
     """Every figure of the publication's budget."""
-    f = facts
+    f, found = facts, []
     alpha_off = shown(f.alpha_share * f.alpha, 2)
     frame_printed = 0.12  # um/K, as printed; 66 mm of invar make 0.112
-    found = [
-        Figure("expansion of invar, half-width", 0.43, f.alpha_share * f.alpha, alpha_off, 2,
-               "um/(m K)"),
-        Figure("head: initial length", 1e-4, f.head_half * f.alpha * f.head_change / SIGMAS,
-               shown(f.head_half * f.alpha * f.head_change / SIGMAS, 4), 4),
-        Figure("head: coefficient of expansion", 0.10,
-               f.head * f.alpha_share * f.alpha * f.head_change / SIGMAS,
-               shown(f.head * alpha_off * f.head_change / SIGMAS, 2), 2),
-        Figure("head: temperature sensor", 0.05, f.head * f.alpha * f.sensor / SIGMAS,
-               shown(f.head * f.alpha * f.sensor / SIGMAS, 2), 2),
-        Figure("head: temperature measuring chain", 0.02, f.head * f.alpha * f.chain / SIGMAS,
-               shown(f.head * f.alpha * f.chain / SIGMAS, 2), 2),
-        Figure("tool interface, axial", f.axial.printed, f.axial.u, shown(f.axial.u, 2), 2),
-        Figure("tool interface, radial", f.radial.printed, f.radial.u, shown(f.radial.u, 2), 2),
-        Figure("tool interface, rotational", f.rotational.printed, f.rotational.u,
-               shown(f.rotational.u, 2), 2),
-        Figure("frame", 0.12, f.frame * f.alpha * f.frame_change / SIGMAS,
-               shown(frame_printed * f.frame_change / SIGMAS, 2), 2, "um",
-               "printed from 0.12 um/K; 66 mm at 1.7 um/(m K) are 0.112 um/K"),
-        Figure("resolution", 0.06, f.resolution / SIGMAS, shown(f.resolution / SIGMAS, 2), 2),
-        Figure("deflection of the beam at 1.5 m", 0.75, f.deflection * f.longest**2,
-               shown(f.deflection * f.longest**2, 2), 2),
-        Figure("steepest beam", 25.0, 1e3 * f.psd / f.segment,
-               shown(1e3 * f.psd / f.segment), 0, "mrad"),
-        Figure("refraction in the filter, half-width", 0.55, refraction(f),
-               shown(refraction(f), 2), 2, "um",
-               f"without the glass; with it, {refraction_by_snell(f):.2f} um"),
-        Figure("refraction in the filter", 0.32, refraction(f) / SIGMAS,
-               shown(shown(refraction(f), 2) / SIGMAS, 2), 2),
-    ]  # fmt: skip
+
+    def add(
+        quantity: str,
+        published: float,
+        exact: float,
+        digits: int = 2,
+        unit: str = "um",
+        note: str = "",
+        rounded: float | None = None,
+    ) -> None:
+        rounded = shown(exact, digits) if rounded is None else rounded
+        found.append(Figure(quantity, published, exact, rounded, digits, unit, note))
+
+    add("expansion of invar, half-width", 0.43, f.alpha_share * f.alpha, unit="um/(m K)")
+    add("head: initial length", 1e-4, f.head_half * f.alpha * f.head_change / SIGMAS, 4)
+    add("head: coefficient of expansion", 0.10,
+        f.head * f.alpha_share * f.alpha * f.head_change / SIGMAS,
+        rounded=shown(f.head * alpha_off * f.head_change / SIGMAS, 2))  # fmt: skip
+    add("head: temperature sensor", 0.05, f.head * f.alpha * f.sensor / SIGMAS)
+    add("head: temperature measuring chain", 0.02, f.head * f.alpha * f.chain / SIGMAS)
+    for name in ("axial", "radial", "rotational"):
+        one: TableOne = getattr(f, name)
+        add(f"tool interface, {name}", one.printed, one.u)
+    add("frame", 0.12, f.frame * f.alpha * f.frame_change / SIGMAS,
+        note="printed from 0.12 um/K; 66 mm at 1.7 um/(m K) are 0.112 um/K",
+        rounded=shown(frame_printed * f.frame_change / SIGMAS, 2))  # fmt: skip
+    add("resolution", 0.06, f.resolution / SIGMAS)
+    add("deflection of the beam at 1.5 m", 0.75, f.deflection * f.longest**2)
+    add("steepest beam", 25.0, 1e3 * f.psd / f.segment, 0, "mrad")
+    add("refraction in the filter, half-width", 0.55, refraction(f),
+        note=f"without the glass; with it, {refraction_by_snell(f):.2f} um")  # fmt: skip
+    add("refraction in the filter", 0.32, refraction(f) / SIGMAS,
+        rounded=shown(shown(refraction(f), 2) / SIGMAS, 2))  # fmt: skip
     for (segment, axis), (half, deviation, printed) in PSD_RANGES.items():
-        lin = f.linearity * 2.0 * half * 1e3
-        u = psd_u(half, f)
         where = f"segment {segment} {axis}"
-        found.append(Figure(f"linearity deviation, {where}", deviation, lin, shown(lin, 1), 1))
-        found.append(Figure(f"diode, {where}", printed, u, shown(u, 2), 2))
-    whole, ours = combined(f), point_budget(1.3, f.longest, f)
-    exact = float(ours.u[0])
-    found += [
-        Figure("combined, largest", 1.13, exact, shown(whole, 2), 2),
-        Figure("expanded (k = 2), largest", 2.26, 2.0 * exact, 2.0 * shown(whole, 2), 2, "um",
-               "printed: twice the rounded 1.13; unrounded, 2.25"),
-    ]  # fmt: skip
+        add(f"linearity deviation, {where}", deviation, f.linearity * 2.0 * half * 1e3, 1)
+        add(f"diode, {where}", printed, psd_u(half, f))
+    whole, exact = shown(combined(f), 2), float(point_budget(1.3, f.longest, f).u[0])
+    add("combined, largest", 1.13, exact, rounded=whole)
+    add("expanded (k = 2), largest", 2.26, 2.0 * exact, rounded=2.0 * whole,
+        note="printed: twice the rounded 1.13; unrounded, 2.25")  # fmt: skip
     return tuple(found)
 
 

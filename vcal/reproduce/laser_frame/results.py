@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 from .better import Better, better
 from .budget import Figure, figures
-from .cycles import Cycles, Fitted, Machine, cycles
-from .influences import influences
+from .cycles import Cycles, Fitted, Machine, cycles, influences
+from .recipe import Variant, variants
 from .seen import Seen, seen
 from .setting import LEVER_M, Layout
-from .table_four import Variant, variants
 from .verification import Verification, verification
 
 CYCLES = 30_000

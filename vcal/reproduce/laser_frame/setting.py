@@ -46,10 +46,10 @@ five beams meet two positions of X and of Y only, so that positioning errors hav
 """
 TRANSLATION_UM, ROTATION_URAD = 10.0, 100.0 / 3.0
 """Standard deviation of every coefficient of an error. Three of the rotation are the 100 urad that
-the publication takes for its machine on the safe side.
+the publication takes for its machine as a safe bound.
 """
 HEAD_K = 2.0
-"""Change of the head's temperature since the reference run, on the safe side."""
+"""Safe bound of the change of the head's temperature since the reference run."""
 WIDE_M = 1e-3
 """Prior that leaves everything to the data, m or rad."""
 

@@ -95,7 +95,7 @@ class Agreement:
 
     @property
     def expected(self) -> float:
-        """What the stated uncertainties let one expect for it, um."""
+        """Expected from the stated uncertainties, um."""
         return float(np.sqrt(((self.U / _COVERAGE) ** 2).mean()))
 
     @property

@@ -1,4 +1,4 @@
-"""The GUM beside the Monte Carlo: where they agree, and where and why they part."""
+"""The GUM compared with the Monte Carlo: where they agree, and where and why they differ."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,7 @@ from jaxtyping import Float
 from scipy.integrate import quad
 
 from ...uncertainty.compare import Comparison, compare
-from .judge import component_labels, length_labels
-from .trials import Trials
+from .trials import Trials, component_labels, length_labels
 
 _PER_POINT = 3
 

@@ -56,14 +56,14 @@ class Family:
 class Influences:
     """What the publication names and leaves out. Zero switches an influence off.
 
-    All are standard deviations, and in reality only; what is fitted knows nothing of them, except
-    the tracker's pose where `fit_pose` says so.
+    All are standard deviations of the truth only; the fit does not contain them, except the
+    tracker's pose where `fit_pose` is set.
     """
 
     repeatability_um: float = 0.0
     """Of the position of every axis, fresh at every point."""
     expansion_um_per_m_kelvin: float = 0.0
-    """Of the expansion of the scales of X and Y that nobody compensates."""
+    """Of the uncompensated expansion of the scales of X and Y."""
     warming_kelvin: float = 0.0
     """By so much the scales warm up from 20 degC during the measurement; judged at 20 degC."""
     pose_um: float = 0.0
@@ -119,9 +119,7 @@ def machine(setting: Setting, family: Family) -> Model:
     sizes = {True: family.translation_um * 1e-6, False: family.rotation_urad * 1e-6}
     motions = tuple(
         ErrorMotion(
-            f"E{c}{axis}",
-            axis,
-            Legendre((0.0, AREA_MM * 1e-3), setting.degrees, sizes[c in "XYZ"]),
+            f"E{c}{axis}", axis, Legendre((0.0, AREA_MM * 1e-3), setting.degrees, sizes[c in "XYZ"])
         )
         for axis in chain.axes
         for c in COMPONENTS
