@@ -505,7 +505,7 @@ def test_what_was_significant_is_added_or_told_why_not(closed):
 
 def by_round(closure, name):
     """P-values of a kind of effect in every round, as the page has them."""
-    (table,) = _by_round(closure, {})
+    table = _by_round(closure, {})
     (row,) = (row for row in table.rows if row[0] == name)
     return row[4:]
 

@@ -1,20 +1,25 @@
 """The page of a designed measurement."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from ...design.optimise import Designed, Seen, valuation
+from ...design.optimise import Designed, Seen, Task, Value, valuation
 from ...study.study import Study
 from ..html import text
-from ..html.picture import Picture, by_section
+from ..html.picture import Picture, Shown, by_section
 from ..html.provenance import EXPANDED, NAMES, provenance_section
 from ..html.sheet import Badge, Section, Table, Tile, sheet
 from .pictures import uncertain
 from .record import notes, sentence
 
 _MOST_GROUPS = 40
+_FOLDER = (
+    "plan.csv beside this page holds the nominal axis positions, in the columns of a data file. "
+    "The folder is a study of its own: vcal uncertainty can evaluate it, and the readings of the "
+    "measurement can be added to it."
+)
 FILES = {"result.json": "all results, for programs", "plan.csv": "the plan"}
 CONVENTIONS = (
     NAMES,
@@ -49,7 +54,7 @@ def page(
         sentence(done),
         [
             _compared(done, seen),
-            _places(done, shown),
+            Section("Measuring positions", (_FOLDER,), pictures=shown.get("places", ())),
             *([_artefact(done, shown)] if "artefact" in shown else []),
             _errors(done, shown),
             _worth(done, shown),
@@ -61,7 +66,13 @@ def page(
         badge=Badge("Better plan", "good") if better else Badge("No better plan", "caution"),
         facts=_facts(done, study),
         warnings=notes(done),
-        tiles=_tiles(done),
+        tiles=tiles(
+            done.task,
+            ("present plan", "designed plan"),
+            (done.before, done.after),
+            done.gain,
+            done.prior,
+        ),
     )
 
 
@@ -82,53 +93,43 @@ def _facts(done: Designed, study: Study) -> list[tuple[str, str]]:
     return found
 
 
-def _tiles(done: Designed) -> list[Tile]:
-    criterion = done.task.criterion
-    unit = text.unit(criterion.unit)
+def tiles(
+    task: Task,
+    names: tuple[str, str],
+    values: tuple[Value, Value],
+    gain: float,
+    prior: Value | None,
+) -> list[Tile]:
+    """Criterion and valuation before and after; `gain` is the share by which the former falls."""
+    criterion = task.criterion
+    before, after = (f"{text.number(v.criterion)} {text.unit(criterion.unit)}" for v in values)
+    shares = [text.percent(valuation(v, prior)) for v in values]
+    removed = f"of the prior rms volumetric error is removed; {shares[0]} with the {names[0]}"
     return [
-        Tile("present plan", f"{text.number(done.before.criterion)} {unit}", criterion.words),
-        Tile(
-            "designed plan",
-            f"{text.number(done.after.criterion)} {unit}",
-            f"{text.percent(done.gain)} less",
-        ),
-        Tile(
-            "valuation of the designed plan",
-            text.percent(valuation(done.after, done.prior)),
-            "of the prior rms volumetric error is removed; "
-            f"{text.percent(valuation(done.before, done.prior))} with the present one",
-        ),
+        Tile(names[0], before, criterion.words),
+        Tile(names[1], after, f"{text.percent(gain)} less"),
+        Tile("valuation", shares[1], removed),
     ]
 
 
 def _compared(done: Designed, seen: tuple[Seen, Seen]) -> Section:
     criterion, space = done.task.criterion, done.task.space
     values, unit = (done.before, done.after), text.unit(criterion.unit)
-    rows = [(criterion.words, *(text.number(v.criterion) for v in values), unit)]
-    if criterion.name != "volume":
-        rows.append(
-            (
-                "expected rms volumetric error, aligned",
-                *(text.number(v.aligned_um) for v in values),
-                "µm",
-            )
-        )
-    rows += [
-        ("without rigid alignment", *(text.number(v.raw_um) for v in values), "µm"),
-        (
-            "valuation: share of the prior rms that is removed",
-            *(text.percent(valuation(v, done.prior)) for v in values),
-            "",
-        ),
+    removed = (text.percent(valuation(v, done.prior)) for v in values)
+    times = (text.duration(space.seconds(p)) for p in (done.nominal, done.best))
+    aligned = (text.number(v.aligned_um) for v in values)
+    rows = [
+        (criterion.words, *(text.number(v.criterion) for v in values), unit),
+        ("expected rms volumetric error, aligned", *aligned, "µm"),
+        ("the same without rigid alignment", *(text.number(v.raw_um) for v in values), "µm"),
+        ("valuation: share of the prior rms that is removed", *removed, ""),
         ("rank of all readings", *(f"{s.rank} of {s.columns}" for s in seen), ""),
-        (
-            "measuring time",
-            *(text.duration(space.seconds(p)) for p in (done.nominal, done.best)),
-            "",
-        ),
+        ("measuring time", *times, ""),
     ]
-    lines = [
-        f"The {word} plan determines only combinations of {', '.join(one.unseen)}."
+    if criterion.name == "volume":
+        del rows[1]  # the criterion itself
+    combined = [
+        f" The {word} plan determines only combinations of {', '.join(one.unseen)}."
         for word, one in zip(("present", "designed"), seen, strict=True)
         if one.unseen
     ]
@@ -136,23 +137,11 @@ def _compared(done: Designed, seen: tuple[Seen, Seen]) -> Section:
     return Section(
         "Present and designed plan",
         tables=(Table(("", "present", "designed", ""), rows, "lrrl"),),
-        note=" ".join([note, *lines]),
+        note="".join([note, *combined]),
     )
 
 
-def _places(done: Designed, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
-    return Section(
-        "Measuring positions",
-        (
-            "plan.csv beside this page holds the nominal axis positions, in the columns of a data "
-            "file. The folder is a study of its own: vcal uncertainty can evaluate it, and the "
-            "readings of the measurement can be added to it.",
-        ),
-        pictures=shown.get("places", ()),
-    )
-
-
-def _artefact(done: Designed, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
+def _artefact(done: Designed, shown: Shown) -> Section:
     before, after = (done.task.space.artefact(p) for p in (done.nominal, done.best))
     assert before is not None and after is not None
     axes = ("x_mm", "y_mm", "z_mm")
@@ -170,46 +159,32 @@ def _artefact(done: Designed, shown: Mapping[str, tuple[Picture, ...]]) -> Secti
     )
 
 
-def _errors(done: Designed, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
+def _errors(done: Designed, shown: Shown) -> Section:
     rows = [
-        (u.name, *(text.number(v) for v in (u.prior, u.before, u.after)), text.unit(u.unit))
+        (u.name, *map(text.number, (u.prior, u.before, u.after)), text.unit(u.unit))
         for u in uncertain(done.task, done.prior, done.before, done.after)
     ]
     header = ("error", "U before any measurement", "U, present plan", "U, designed plan", "unit")
-    return Section(
-        "Uncertainty of every error",
-        tables=(
-            Table(header, rows, "lrrrl", fold="Every error at its largest uncertainty, k = 2"),
-        ),
-        pictures=shown["uncertainties"],
-    )
+    table = Table(header, rows, "lrrrl", fold="Every error at its largest uncertainty, k = 2")
+    title = "Uncertainty of every error"
+    return Section(title, tables=(table,), pictures=shown["uncertainties"])
 
 
-def _worth(done: Designed, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
-    group = done.task.space.group
+def _worth(done: Designed, shown: Shown) -> Section:
+    group, groups = done.task.space.group, done.task.space.groups
     order = np.argsort(-done.worse_after, kind="stable")[:_MOST_GROUPS]
-    rows = [
-        (
-            str(done.task.space.groups[i]),
-            text.percent(float(done.worse_after[i])),
-            text.percent(float(done.worse_before[i])),
-        )
-        for i in order
-    ]
+    worse = (done.worse_after, done.worse_before)
+    rows = [(str(groups[i]), *(text.percent(float(w[i])) for w in worse)) for i in order]
     header = (group, "increase of the criterion without it", "in the present plan")
     some = "" if len(rows) == len(done.worse_after) else f"; the {len(rows)} most important"
-    return Section(
-        f"Contribution of every {group}",
-        tables=(Table(header, rows, "lrr", fold=f"Every {group}{some}"),),
-        pictures=shown["worth"],
-    )
+    table = Table(header, rows, "lrr", fold=f"Every {group}{some}")
+    return Section(f"Contribution of every {group}", tables=(table,), pictures=shown["worth"])
 
 
 def _starts(done: Designed) -> Section:
     rows = [
         (
-            text.number(f.start, 4),
-            text.number(f.value, 4),
+            *(text.number(x, 4) for x in (f.start, f.value)),
             str(f.iterations),
             "yes" if f.converged else f"no: {f.message}",
             "yes" if fits else "no",
@@ -217,6 +192,10 @@ def _starts(done: Designed) -> Section:
         for f, fits in zip(done.found, done.fits, strict=True)
     ]
     header = ("criterion at the start", "at the end", "steps", "converged", "within the travel")
+    about = (
+        "Quasi-Newton search with exact gradients, best end first. Agreement of the ends indicates "
+        "a global optimum."
+    )
     smooth = ""
     if done.task.criterion.name == "largest":
         smooth = (
@@ -224,11 +203,5 @@ def _starts(done: Designed) -> Section:
             "and slightly larger; the best end is selected by the largest U itself."
         )
     return Section(
-        "Starts of the search",
-        (
-            "Quasi-Newton search with exact gradients, best end first. Agreement of the ends "
-            "indicates a global optimum.",
-        ),
-        tables=(Table(header, rows, "rrrll"),) if rows else (),
-        note=smooth,
+        "Starts of the search", (about,), tables=(Table(header, rows, "rrrll"),), note=smooth
     )

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ...errors import StudyError
 from ...study.folder import check_way
 from ...study.messages import listed, refusal
 from .picture import Picture
@@ -59,31 +60,22 @@ class ReportFolder:
         if not out.exists():
             return
         if not out.is_dir():
-            raise refusal(
-                str(out),
-                "output folder",
-                "a file",
-                "a folder, or a name that is free",
-                "choose another",
-            )
+            raise _refused(out, "a file", "a folder, or a name that is free", "choose another")
         others = sorted(p.name for p in out.iterdir() if p.name != self.beside or not p.is_dir())
         if others and not self.files(out):
-            raise refusal(
-                str(out),
-                "output folder",
+            raise _refused(
+                out,
                 f"other files ({', '.join(others[:3])}, ...)",
                 "an empty folder, one that holds an earlier report, or a name that is free",
                 "choose another folder",
             )
         changed, known = self._changed(out, files)
         if changed:
-            raise refusal(
-                str(out),
-                "output folder",
-                f"{listed(changed)}, "
-                + ("not as" if known else "which may have been changed since")
-                + " the earlier report left "
-                + ("them" if changed[1:] else "it"),
+            way = "not as" if known else "which may have been changed since"
+            them = "them" if changed[1:] else "it"
+            raise _refused(
+                out,
+                f"{listed(changed)}, {way} the earlier report left {them}",
                 "only files that can be replaced without loss",
                 "rename or move what is to be kept, or choose another folder",
             )
@@ -169,6 +161,10 @@ class ReportFolder:
         if earlier:
             found[self.record] = _sum(_text(content).encode())
         return [n for n, value in found.items() if sums.get(n) != value], True
+
+
+def _refused(out: Path, found: str, expected: str, action: str) -> StudyError:
+    return refusal(str(out), "output folder", found, expected, action)
 
 
 def _sum(content: bytes) -> str:

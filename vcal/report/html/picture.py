@@ -2,7 +2,7 @@
 
 import base64
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 
@@ -29,8 +29,12 @@ class Picture:
         return "data:image/png;base64," + base64.b64encode(self.data).decode("ascii")
 
 
-def by_section(pictures: Iterable[Picture]) -> dict[str, tuple[Picture, ...]]:
-    """Pictures by the part of the page that shows them; no entry for a part without any."""
+Shown = Mapping[str, tuple[Picture, ...]]
+"""Pictures by the part of the page that shows them; no entry for a part without any."""
+
+
+def by_section(pictures: Iterable[Picture]) -> Shown:
+    """The pictures by their sections."""
     found: dict[str, tuple[Picture, ...]] = {}
     for picture in pictures:
         found[picture.section] = (*found.get(picture.section, ()), picture)

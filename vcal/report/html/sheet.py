@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
+
+import jinja2
 
 from .picture import Picture
-from .template import render
 
 Tone = Literal["good", "plain", "caution", "bad"]
 _SIDES = {"l": "", "r": "n", "c": "code"}
@@ -87,6 +89,7 @@ class Section:
     points: tuple[str, ...] = ()
     """Items of a list."""
     tables: tuple[Table, ...] = ()
+    """Tables without rows are not shown."""
     pictures: tuple[Picture, ...] = ()
     note: str = ""
     """Small print at the end."""
@@ -103,7 +106,7 @@ class Fragment:
     sections: tuple[Section, ...]
 
     def _repr_html_(self) -> str:
-        return render("sections.html.j2", sections=self.sections)
+        return _render("sections.html.j2", sections=self.sections)
 
 
 def sheet(
@@ -122,7 +125,7 @@ def sheet(
     `summary` is the sentence at the top, after the `badge`; `kicker` the line above the title;
     `facts` are terms with their descriptions; framed `warnings` stand before the `tiles`.
     """
-    return render(
+    return _render(
         "sheet.html.j2",
         title=title,
         summary=summary,
@@ -133,3 +136,15 @@ def sheet(
         tiles=tiles,
         sections=sections,
     )
+
+
+def _render(template: str, **values: Any) -> str:
+    """A template of this folder; every value is escaped for HTML, an undefined one is an error."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(**values)

@@ -1,14 +1,12 @@
 """Sections of the page: errors, identified and declared effects, the unexplained residual."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from ...loop.outcome.closure import Closure, FoundEffect
 from ...plots import column_of
 from ...study.study import Study
 from ..html import text
-from ..html.picture import Picture
+from ..html.picture import Picture, Shown
 from ..html.sheet import Badge, Section, Table, Tone
 from .derived import (
     FEW,
@@ -24,7 +22,6 @@ from .derived import (
 from .own_effect import FILE, own_effect
 from .tested import restricted
 
-Shown = Mapping[str, tuple[Picture, ...]]
 _LEAST = 0.0005
 """Probability below which an alternative is left out: it would be printed as 0.0 %."""
 _TONES: dict[str, Tone] = {"named": "plain", "ambiguous": "caution"}
@@ -196,17 +193,11 @@ def declared_effects(closure: Closure) -> list[Section]:
         row for effect, listed in found if len(listed) <= FEW for row in _rows(effect.key, listed)
     ]
     header = ("effect", "parameter", *text.STATED)
-    tables = [Table(header, few, "llrrrl")] if few else []
-    tables += [
-        Table(
-            header,
-            _rows(effect.key, listed),
-            "llrrrl",
-            fold=f"{effect.key}: {in_short(effect, listed)}",
-        )
-        for effect, listed in found
-        if len(listed) > FEW
-    ]
+    tables = [Table(header, few, "llrrrl")]
+    for effect, listed in found:
+        if len(listed) > FEW:
+            fold = f"{effect.key}: {in_short(effect, listed)}"
+            tables.append(Table(header, _rows(effect.key, listed), "llrrrl", fold=fold))
     about = "Effects declared in the study, with the values of the final fit. Known values have no "
     return [Section("Declared effects", (about + "uncertainty.",), tables=(*tables,))] * bool(found)
 

@@ -1,6 +1,6 @@
 """Sections of the page: identified geometry, noise, and the conventions of frames and signs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,7 +11,8 @@ from ...identification.fit import HARDLY_TOLD, Learnt
 from ...loop.outcome.closure import Closure
 from ...study.study import Study
 from ..html import text
-from ..html.picture import Picture
+from ..html.picture import Shown
+from ..html.provenance import NAMES
 from ..html.sheet import Section, Table
 
 _DIFFERENT = 3.0
@@ -24,7 +25,7 @@ def geometry(
     study: Study,
     tables: Sequence[ErrorMotionTable],
     tests: Sequence[GeometricTest],
-    shown: Mapping[str, tuple[Picture, ...]],
+    shown: Shown,
 ) -> list[Section]:
     """What the data determine, location errors, deviations of ISO 230-1, error motions."""
     sections = [_determined(closure)]
@@ -41,7 +42,7 @@ def geometry(
         "error", "axis", "lowest", "highest", "largest U (k = 2)", "unit", f"{_INFORMATION}, mean",
     )  # fmt: skip
     fold = "Error motions in numbers (on a grid in compensation.csv)"
-    folded = (Table(header, motions, "llrrrlr", fold=fold),) if motions else ()
+    folded = Table(header, motions, "llrrrlr", fold=fold)
     note = (
         "Information: 1 − variance after / variance before the measurement, both from noise and "
         "declared priors alone. 0 %: the value is that of the declared prior."
@@ -52,26 +53,25 @@ def geometry(
             "predict."
         )
     drawn = shown.get("geometry", ())
-    return [*sections, Section("Error motions", (), (), folded, drawn, note, minor=True)]
+    return [*sections, Section("Error motions", (), (), (folded,), drawn, note, minor=True)]
 
 
 def _determined(closure: Closure) -> Section:
-    after = closure.after
+    after, title = closure.after, "Identified geometry"
     found = Learnt.of(after.entries, np.sqrt(after.precision), after.planned_covariance)
-    paragraphs, tables = (), ()
-    if found.directions:
-        paragraphs = (
-            f"Of {found.directions} independent directions in the parameters with a prior, the "
-            f"measurement determines {found.determined} to better than half their prior variance "
-            f"and leaves {found.unseen} practically at their prior.",
-        )
-    if found.directions and found.hardly:
-        fold = (
-            f"{len(found.hardly)} parameters that are poorly determined (less than 5 % of the "
-            "information is from the data)"
-        )
-        tables = (Table(("",), [(", ".join(found.hardly),)], fold=fold),)
-    return Section("Identified geometry", paragraphs, tables=tables)
+    if not found.directions:
+        return Section(title)
+    about = (
+        f"Of {found.directions} independent directions in the parameters with a prior, the "
+        f"measurement determines {found.determined} to better than half their prior variance and "
+        f"leaves {found.unseen} practically at their prior."
+    )
+    fold = (
+        f"{len(found.hardly)} parameters that are poorly determined (less than 5 % of the "
+        "information is from the data)"
+    )
+    hardly = [(", ".join(found.hardly),)] if found.hardly else []
+    return Section(title, (about,), tables=(Table(("",), hardly, fold=fold),))
 
 
 def _deviations(study: Study, table: Table) -> Section:
@@ -124,7 +124,7 @@ def _motion(table: ErrorMotionTable) -> tuple[str, ...]:
     )
 
 
-def noise(closure: Closure, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
+def noise(closure: Closure, shown: Shown) -> Section:
     """Scatter of the residuals relative to the declared noise."""
     rows = [
         (part.name, text.number(part.factor), text.number(part.u, 2))
@@ -144,9 +144,7 @@ def noise(closure: Closure, shown: Mapping[str, tuple[Picture, ...]]) -> Section
             "estimated their covariance from the residuals."
         )
     table = Table(("reading", "scatter / declared", "u"), rows, "lrr")
-    return Section(
-        "Noise", (words,), tables=(table,) if rows else (), pictures=shown.get("noise", ())
-    )
+    return Section("Noise", (words,), tables=(table,), pictures=shown.get("noise", ()))
 
 
 def _scatter(closure: Closure) -> str:
@@ -189,9 +187,9 @@ def _different(closure: Closure) -> list[str]:
 def conventions(study: Study) -> Section:
     """Frames, signs and units of all numbers in the report."""
     rotary = _rotary(study)
-    points = ["Right-handed frames. Error = actual − nominal; a compensation subtracts it."]
     if study.chain.arm:
-        points += [
+        points = [
+            "Right-handed frames. Error = actual − nominal; a compensation subtracts it.",
             "Joints follow standard Denavit-Hartenberg rows: rotation by the joint angle about z, "
             "then the error twist (E, component X, Y, Z, A, B, C, joint), then the link. ECJ2 is "
             "an error of the angle of joint 2. The pose of the base in the instrument's frame and "
@@ -199,11 +197,10 @@ def conventions(study: Study) -> Section:
             "Residuals of the tool point are given in the frame of the tool.",
         ]
     else:
-        points += [
-            "Names of ISO 230-1: E, then the component (X, Y, Z translations; A, B, C rotations "
-            "about them), then the axis that moves. EXY is the straightness error of Y along X. "
-            "Location errors: EC0Y, EB0Z, EA0Z tilt the direction of travel, so that y moves by "
-            "(−EC0Y y, y, 0) and z by (EB0Z z, −EA0Z z, z).",
+        points = [
+            NAMES,
+            "EXY is the straightness error of Y along X. EC0Y, EB0Z, EA0Z tilt the direction of "
+            "travel, so that y moves by (−EC0Y y, y, 0) and z by (EB0Z z, −EA0Z z, z).",
             f"{'A linear axis' if rotary else 'An axis'} translates by its position plus its error "
             "translation, then rotates by its error rotation about its own moving frame: levers "
             "extend from there to the tool point. Errors refer to the axis's own frame; an axis "

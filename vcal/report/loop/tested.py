@@ -11,7 +11,7 @@ from ...loop.outcome.closure import Closure
 from ...plots import minus_log10_p
 from ...study.study import Study, looked_for
 from ..html import text
-from ..html.picture import Picture
+from ..html.picture import Shown
 from ..html.sheet import Section, Table
 from .derived import missing_columns
 
@@ -28,9 +28,7 @@ def restricted(closure: Closure) -> str:
     return f"{len(wanted)} of the {len(kinds)} kinds in the catalogue{beside}"
 
 
-def tested(
-    closure: Closure, study: Study, shown: Mapping[str, tuple[Picture, ...]]
-) -> list[Section]:
+def tested(closure: Closure, study: Study, shown: Shown) -> list[Section]:
     """Significance of every kind of effect in every round, and the reasons of rejections."""
     summaries, asked = _summaries(closure, study), restricted(closure)
     rows = [
@@ -52,19 +50,19 @@ def tested(
                 f"over the kinds; the limit is {100 * closure.settings['alpha']:g} % for the "
                 "search as a whole.",
             ),
-            tables=tuple(_by_round(closure, summaries)),
+            tables=(_by_round(closure, summaries),),
             pictures=shown.get("tried", ()),
         ),
         Section(
             "Significant, but rejected",
             () if rows else (none,),
-            tables=(Table(header, rows, "llrl"),) if rows else (),
+            tables=(Table(header, rows, "llrl"),),
             minor=True,
         ),
     ]
 
 
-def _by_round(closure: Closure, summaries: Mapping[str, str]) -> list[Table]:
+def _by_round(closure: Closure, summaries: Mapping[str, str]) -> Table:
     """One row per kind of effect: its best placement, and its p-value in every round."""
     screenings = closure.screenings
     limit = -math.log10(closure.settings["alpha"])
@@ -83,49 +81,47 @@ def _by_round(closure: Closure, summaries: Mapping[str, str]) -> list[Table]:
                 p_value = screening.refined_p.get(kind.kind, p_value)
                 hits.add((kind.kind, 4 + i))
             line[4 + i] = text.probability(p_value)
-    if not lines:
-        return []
     names = sorted(lines, key=lambda name: orders[name])
     added = {found.effect.name for found in closure.effects}
     rounds = [f"p, round {i + 1}" for i in range(len(screenings))]
-    return [
-        Table(
-            ("effect", "description", "placements", "best", *rounds),
-            [lines[name] for name in names],
-            "llrl" + "r" * len(rounds),
-            fold="Every kind of effect, with its best placement and its p-value in each round",
-            strong=frozenset(i for i, name in enumerate(names) if name in added),
-            marked=frozenset((names.index(name), column) for name, column in hits),
-        )
-    ]
+    return Table(
+        ("effect", "description", "placements", "best", *rounds),
+        [lines[name] for name in names],
+        "llrl" + "r" * len(rounds),
+        fold="Every kind of effect, with its best placement and its p-value in each round",
+        strong=frozenset(i for i, name in enumerate(names) if name in added),
+        marked=frozenset((names.index(name), column) for name, column in hits),
+    )
 
 
 def not_tested(closure: Closure, study: Study) -> list[Section]:
     """Effects without the columns that they need, effects that the model spans, and outliers."""
     summaries, asked = _summaries(closure, study), restricted(closure)
-    missing, spanned = _untestable(closure), _grouped(closure.unseen)
-    paragraphs, tables = (), []
-    if missing:
-        rows = [(k, summaries.get(k, ""), places, columns) for k, places, columns in missing]
-        header = ("effect", "description", "placements", "missing columns")
-        caption = "These effects need columns that the data do not have:"
-        tables.append(Table(header, rows, "lllc", caption=caption))
-    elif not closure.screenings:
-        paragraphs = ("The search had not begun.",)
-    else:
+    missing = [(k, summaries.get(k, ""), *cells) for k, *cells in _untestable(closure)]
+    spanned = [(k, summaries.get(k, ""), at) for k, at in _grouped(closure.unseen).items()]
+    header = ("effect", "description", "placements")
+    lacking = Table(
+        (*header, "missing columns"),
+        missing,
+        "lllc",
+        caption="These effects need columns that the data do not have:",
+    )
+    unobservable = Table(
+        header,
+        spanned,
+        caption="The declared model spans these effects on this plan, in some or all components. "
+        "They are not observable beside it and do not impair the identified values:",
+    )
+    paragraph = "The search had not begun."
+    if closure.screenings:
         requested = f"that was requested ({asked}) and " if asked else ""
-        paragraphs = (
+        paragraph = (
             f"The data have the necessary columns for every effect {requested}that can occur on "
-            "this machine.",
+            "this machine."
         )
-    if spanned:
-        rows = [(k, summaries.get(k, ""), places) for k, places in spanned.items()]
-        caption = (
-            "The declared model spans these effects on this plan, in some or all components. They "
-            "are not observable beside it and do not impair the identified values:"
-        )
-        tables.append(Table(("effect", "description", "placements"), rows, caption=caption))
-    return [Section("Effects not tested", paragraphs, tables=tuple(tables)), _outliers(closure)]
+    tables = (lacking, unobservable)
+    section = Section("Effects not tested", () if missing else (paragraph,), tables=tables)
+    return [section, _outliers(closure)]
 
 
 def _outliers(closure: Closure) -> Section:
@@ -141,8 +137,7 @@ def _outliers(closure: Closure) -> Section:
         caption="Excluded from the fits, because they deviate strongly from all other readings:",
         note="Data rows are counted from 1 below the header of the table.",
     )
-    paragraphs, tables = ((), (table,)) if rows else (("None.",), ())
-    return Section("Outliers", paragraphs, tables=tables, minor=True)
+    return Section("Outliers", () if rows else ("None.",), tables=(table,), minor=True)
 
 
 def _summaries(closure: Closure, study: Study) -> dict[str, str]:

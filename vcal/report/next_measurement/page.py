@@ -6,15 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...design.next_measurement import NextMeasurement
-from ...design.optimise import valuation
 from ...design.separation import ALPHA, Lambda, Separation
 from ...study.design.written_plan import plan_table
 from ...study.study import Study
-from ..design.page import CONVENTIONS, FILES
+from ..design.page import CONVENTIONS, FILES, tiles
 from ..html import text
 from ..html.picture import Picture, by_section
 from ..html.provenance import provenance_section
-from ..html.sheet import Badge, Section, Table, Tile, sheet
+from ..html.sheet import Badge, Section, Table, sheet
 from .record import carried_over, centre, conditions_of, decrease, lambda_text, lambdas, sentence
 
 _TESTS = (
@@ -71,7 +70,13 @@ def page(
             ("Reason", why),
             ("Measuring time", text.duration(task.space.seconds(done.best.placed))),
         ],
-        tiles=_tiles(done),
+        tiles=tiles(
+            task,
+            ("data so far", "next measurement"),
+            (done.before, done.best.value),
+            decrease(done, done.best),
+            done.prior,
+        ),
     )
 
 
@@ -80,26 +85,6 @@ def _goal(done: NextMeasurement, goal: str) -> str:
         return f"{goal}: {done.task.criterion.words}"
     first, second = (r.effect.key for r in done.separation.rivals)
     return f"distinguish {first} from {second}"
-
-
-def _tiles(done: NextMeasurement) -> list[Tile]:
-    criterion, best = done.task.criterion, done.best
-    unit = text.unit(criterion.unit)
-    before, after = (valuation(v, done.prior) for v in (done.before, best.value))
-    return [
-        Tile("data so far", f"{text.number(done.before.criterion)} {unit}", criterion.words),
-        Tile(
-            "with the next measurement",
-            f"{text.number(best.value.criterion)} {unit}",
-            f"{text.percent(decrease(done, best))} less",
-        ),
-        Tile(
-            "valuation",
-            text.percent(after),
-            "of the prior rms volumetric error is removed; "
-            f"{text.percent(before)} with the data so far",
-        ),
-    ]
 
 
 def _rivals(separation: Separation, before: Lambda, after: Lambda) -> Section:

@@ -8,11 +8,12 @@ from ...study.study import Study
 from ...uncertainty.compare import Comparison
 from ...uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
 from ..html import text
-from ..html.picture import Picture, by_section
+from ..html.picture import Picture, Shown, by_section
 from ..html.provenance import EXPANDED, NAMES, plain, provenance_section
 from ..html.sheet import Badge, Section, Table, Tile, sheet
-from .record import notes, sentence
+from .record import VERDICTS, notes, sentence
 
+FILES = {"result.json": "all results, for programs"}
 _ORIGINS = {
     "noise": "noise of the instrument",
     "fitted": "identified: remainder of its prior",
@@ -46,6 +47,7 @@ def page(
 ) -> str:
     """The page as one self-contained HTML text, pictures included."""
     shown = by_section(drawn)
+    quoted = {"settings": ", ".join(f"{k} = {v}" for k, v in plain(settings).items())}
     sections = [
         _volumetric(result, shown),
         _sources(result, shown),
@@ -55,13 +57,7 @@ def page(
         _unseen(result),
         _draws(result),
         Section("Frames, signs, units", points=_CONVENTIONS),
-        provenance_section(
-            study,
-            {"settings": ", ".join(f"{k} = {v}" for k, v in plain(settings).items())},
-            {"result.json": "all results, for programs"},
-            command,
-            seconds,
-        ),
+        provenance_section(study, quoted, FILES, command, seconds),
     ]
     return sheet(
         study.name,
@@ -107,33 +103,25 @@ def _tiles(result: VirtualCalibration) -> list[Tile]:
         found = result.volumetric("rms", when)
         span = f"{share} of the machines: {text.number(found.low)} to {text.number(found.high)} µm"
         tiles.append(Tile(f"rms volumetric error {when}", f"{text.number(found.mean)} µm", span))
-    verdicts = result.parameters.verdicts
-    tiles.append(
-        Tile(
-            "GUM confirmed (JCGM 101, clause 8)",
-            f"{verdicts.count('passed')} of {len(verdicts)}",
-            f"parameters; {verdicts.count('failed')} failed, {verdicts.count('undecided')} "
-            "undecided",
-        )
-    )
-    return tiles
+    passed, *others = _verdicts(result.parameters)
+    confirmed = f"{passed[0]} of {len(result.parameters.verdicts)}"
+    note = "parameters; " + ", ".join(f"{n} {name}" for n, name in others)
+    return [*tiles, Tile("GUM confirmed (JCGM 101, clause 8)", confirmed, note)]
 
 
-def _volumetric(result: VirtualCalibration, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
-    rows = []
-    for statistic in STATISTICS:
-        for when in WHEN:
-            v = result.volumetric(statistic, when)
-            rows.append((f"{statistic}, {when}", *(text.number(x) for x in v), "µm"))
-    share = text.percent(result.coverage)
-    header = (
-        "statistic over the points of a machine",
-        "mean",
-        "standard deviation",
-        f"{share} from",
-        "to",
-        "",
-    )
+def _verdicts(c: Comparison) -> list[tuple[int, str]]:
+    """How many outputs have each verdict of clause 8."""
+    return [(c.verdicts.count(name), name) for name in VERDICTS]
+
+
+def _volumetric(result: VirtualCalibration, shown: Shown) -> Section:
+    rows = [
+        (f"{statistic}, {when}", *map(text.number, result.volumetric(statistic, when)), "µm")
+        for statistic in STATISTICS
+        for when in WHEN
+    ]
+    low = f"{text.percent(result.coverage)} from"
+    header = ("over the points of a machine", "mean", "standard deviation", low, "to", "")
     smaller = f"The error decreased on {text.percent(result.improved)} of the machines."
     if result.faultless:
         smaller = "No machine drawn has an error."
@@ -145,15 +133,15 @@ def _volumetric(result: VirtualCalibration, shown: Mapping[str, tuple[Picture, .
     )
 
 
-def _sources(result: VirtualCalibration, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
+def _sources(result: VirtualCalibration, shown: Shown) -> Section:
     rows = [
         (c.source, _ORIGINS[c.origin], text.number(c.rms), text.percent(c.share))
         for c in result.contributions
     ]
     if result.known > 0.0:
-        total = result.rms_gum**2
-        share = text.percent(result.known**2 / total)
+        share = text.percent(result.known**2 / result.rms_gum**2)
         rows.append(("known values", _ORIGINS["not fitted"], text.number(result.known), share))
+    total, header = len(rows), ("source", "kind", "rms, µm", "share")
     rows.append(("total", "", text.number(result.rms_gum), ""))
     return Section(
         "Sources of uncertainty",
@@ -162,14 +150,7 @@ def _sources(result: VirtualCalibration, shown: Mapping[str, tuple[Picture, ...]
             "by the GUM, with sensitivities of the identification from the implicit function "
             f"theorem. By Monte Carlo the rms is {text.number(result.rms_monte_carlo)} µm.",
         ),
-        tables=(
-            Table(
-                ("source", "kind", "rms, µm", "share"),
-                rows,
-                "llrr",
-                strong=frozenset([len(rows) - 1]),
-            ),
-        ),
+        tables=(Table(header, rows, "llrr", strong=frozenset([total])),),
         pictures=shown.get("sources", ()),
     )
 
@@ -181,52 +162,50 @@ def _parameters(result: VirtualCalibration) -> Section:
     for key, p in result.entries:
         row = _compared(c, places[f"{key}: {p.name} [{p.unit}]"], f"{key}: {p.name}", p.unit)
         # Error motions are reported along the axis; their coefficients are folded.
-        coefficient = key == "geometric" and "." in p.name
-        (folded if coefficient else open_).append(row)
-    share = text.percent(result.coverage)
-    header = (
-        "parameter", "u, GUM", "u, Monte Carlo", f"{share}, GUM", f"{share}, Monte Carlo", "δ",
-        "unit", "clause 8",
-    )  # fmt: skip
+        (folded if key == "geometric" and "." in p.name else open_).append(row)
+    ways = ("GUM", "Monte Carlo")
+    spans = (f"{text.percent(result.coverage)}, {way}" for way in ways)
+    header = ("parameter", *(f"u, {way}" for way in ways), *spans, "δ", "unit", "clause 8")
     fold = f"{len(folded)} coefficients of error motions"
-    tables = [Table(header, open_, "lrrrrrll")] if open_ else []
-    tables += [Table(header, folded, "lrrrrrll", fold=fold)] if folded else []
+    digit = {1: "first", 2: "second"}[c.digits]
     return Section(
         "Parameters: GUM and Monte Carlo",
         ("Identified minus true value over the machines drawn.",),
-        tables=tuple(tables),
+        tables=(
+            Table(header, open_, "lrrrrrll"),
+            Table(header, folded, "lrrrrrll", fold=fold),
+        ),
         note="Clause 8 of JCGM 101: passed where both ends of the GUM interval lie within δ of "
-        f"those by Monte Carlo; δ is half a unit of the {_digit(c)} significant digit of u.",
+        f"those by Monte Carlo; δ is half a unit of the {digit} significant digit of u.",
     )
 
 
-def _motions(result: VirtualCalibration, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
+def _compared(c: Comparison, i: int, name: str, unit: str) -> tuple[str, ...]:
+    spans = (f"{text.number(c.low[i, k])} … {text.number(c.high[i, k])}" for k in (0, 1))
+    delta = text.number(c.delta[i], 1)
+    return (name, *map(text.number, c.u[i]), *spans, delta, text.unit(unit), c.verdicts[i])
+
+
+def _expanded(result: VirtualCalibration) -> tuple[str, ...]:
+    """Header of expanded uncertainties before and after, and of the interval after."""
+    return ("U before", "U, GUM", "U, Monte Carlo", f"{text.percent(result.coverage)} from", "to")
+
+
+def _motions(result: VirtualCalibration, shown: Shown) -> Section:
     rows = []
     for m in result.motions:
-        if not (m.prior.any() or m.u.any()):
-            continue
-        k = int(m.u.argmax())
-        cells = (2 * m.prior[k], 2 * m.u_gum[k], 2 * m.u[k], m.low[k], m.high[k])
-        rows.append((m.name, m.axis, *map(text.number, cells), text.unit(m.unit)))
-    share = text.percent(result.coverage)
-    header = (
-        "error", "axis", "U before", "U, GUM", "U, Monte Carlo", f"{share} from", "to", "",
-    )  # fmt: skip
-    verdicts = result.motion_comparison.verdicts
+        if m.prior.any() or m.u.any():
+            k = int(m.u.argmax())
+            cells = (2 * m.prior[k], 2 * m.u_gum[k], 2 * m.u[k], m.low[k], m.high[k])
+            rows.append((m.name, m.axis, *map(text.number, cells), text.unit(m.unit)))
+    header = ("error", "axis", *_expanded(result), "unit")
+    fold = "Every error motion at its largest uncertainty, U for k = 2"
+    c = result.motion_comparison
+    counts = ", ".join(f"{n} {name}" for n, name in _verdicts(c))
     return Section(
         "Error motions along the axes",
-        (
-            f"Clause 8 over all {len(verdicts)} positions: {verdicts.count('passed')} passed, "
-            f"{verdicts.count('failed')} failed, {verdicts.count('undecided')} undecided.",
-        ),
-        tables=(
-            Table(
-                header,
-                rows,
-                "llrrrrrl",
-                fold="Every error motion at its largest uncertainty, U for k = 2",
-            ),
-        ),
+        (f"Clause 8 over all {len(c.verdicts)} positions: {counts}.",),
+        tables=(Table(header, rows, "llrrrrrl", fold=fold),),
         pictures=shown.get("motions", ()),
     )
 
@@ -239,24 +218,14 @@ def _lines(result: VirtualCalibration) -> list[Section]:
         if max(result.lines_before[i], *c.u[i]) > _NOTHING:
             cells = (2 * result.lines_before[i], *(2 * c.u[i]), c.low[i, 1], c.high[i, 1])
             rows.append((name, *map(text.number, cells), text.unit(unit), c.verdicts[i]))
-    if not rows:
-        return []
-    share = text.percent(result.coverage)
-    header = (
-        "error", "U before", "U, GUM", "U, Monte Carlo", f"{share} from", "to", "", "clause 8",
-    )  # fmt: skip
-    return [
-        Section(
-            "Squareness and scale of the axes",
-            (
-                "Least-squares lines through the tool point's paths, one axis after the other over "
-                "its travel, the others at mid-travel (ISO 230-1): residual error of the angle "
-                "between two of them and of the slope of positioning. The values depend neither "
-                "on the frame nor on how slopes are divided between parameters.",
-            ),
-            tables=(Table(header, rows, "lrrrrrll"),),
-        )
-    ]
+    about = (
+        "Least-squares lines through the tool point's paths, one axis after the other over its "
+        "travel, the others at mid-travel (ISO 230-1): residual error of the angle between two of "
+        "them and of the slope of positioning. The values depend neither on the frame nor on how "
+        "slopes are divided between parameters."
+    )
+    table = Table(("error", *_expanded(result), "unit", "clause 8"), rows, "lrrrrrll")
+    return [Section("Squareness and scale of the axes", (about,), tables=(table,))] * bool(rows)
 
 
 def _unseen(result: VirtualCalibration) -> Section:
@@ -279,7 +248,7 @@ def _unseen(result: VirtualCalibration) -> Section:
             "information comes from the measurement:",
         ),
         points=result.unseen,
-        tables=(table,) if result.hardly else (),
+        tables=(table,),
         note="Many of them have no effect: a combination without influence on any point of the "
         "plan need not move the tool point anywhere else. The volumetric error above includes "
         "those that do.",
@@ -300,26 +269,6 @@ def _draws(result: VirtualCalibration) -> Section:
         done = "all results stable" if ensemble.adaptive.settled else "not all results stable"
         rows.append(("adaptive (JCGM 101, 7.9.4)", done))
     return Section("Draws", tables=(Table(("", ""), rows, "lr"),))
-
-
-def _compared(c: Comparison, i: int, name: str, unit: str) -> tuple[str, ...]:
-    def interval(way: int) -> str:
-        return f"{text.number(c.low[i, way])} … {text.number(c.high[i, way])}"
-
-    return (
-        name,
-        text.number(c.u[i, 0]),
-        text.number(c.u[i, 1]),
-        interval(0),
-        interval(1),
-        text.number(c.delta[i], 1),
-        text.unit(unit),
-        c.verdicts[i],
-    )
-
-
-def _digit(c: Comparison) -> str:
-    return {1: "first", 2: "second"}[c.digits]
 
 
 def _count(n: int) -> str:

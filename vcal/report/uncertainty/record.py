@@ -1,7 +1,7 @@
 """The record of a virtual calibration for programs: the content of ``result.json``."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..html.provenance import plain, provenance_record
 from ..html.text import number, percent
 
 UNCERTAINTY_SCHEMA = "vcal-uncertainty/1"
+VERDICTS = ("passed", "failed", "undecided")
 _EVERY = 0.99
 """Share of the machines from which on all are said to improve."""
 _OFTEN = 0.1
@@ -122,7 +123,7 @@ def record(
         "error_motions": [m._asdict() for m in result.motions],
         "straight_lines": _lines(result),
         "clause_8": {
-            name: _counts(c.verdicts)
+            name: {verdict: c.verdicts.count(verdict) for verdict in VERDICTS}
             for name, c in (
                 ("parameters", result.parameters),
                 ("error_motions", result.motion_comparison),
@@ -152,12 +153,11 @@ def record(
 def _parameters(result: VirtualCalibration) -> list[dict[str, Any]]:
     c = result.parameters
     places = {label: i for i, label in enumerate(c.labels)}
-    rows = []
-    for key, p in result.entries:
-        i = places[f"{key}: {p.name} [{p.unit}]"]
-        own = {"effect": key, "parameter": p.name, "unit": p.unit, "prior": p.sigma}
-        rows.append(own | _compared(c, i))
-    return rows
+    return [
+        {"effect": key, "parameter": p.name, "unit": p.unit, "prior": p.sigma}
+        | _compared(c, places[f"{key}: {p.name} [{p.unit}]"])
+        for key, p in result.entries
+    ]
 
 
 def _lines(result: VirtualCalibration) -> list[dict[str, Any]]:
@@ -183,18 +183,6 @@ def _draws(result: VirtualCalibration) -> dict[str, Any]:
 
 def _compared(c: Comparison, i: int) -> dict[str, Any]:
     """One output by the GUM and by Monte Carlo, and the verdict of clause 8."""
-    return {
-        "gum": _way(c, i, 0),
-        "monte_carlo": _way(c, i, 1),
-        "delta": c.delta[i],
-        "verdict": c.verdicts[i],
-    }
-
-
-def _way(c: Comparison, i: int, way: int) -> dict[str, Any]:
     columns = {"value": c.value, "u": c.u, "low": c.low, "high": c.high}
-    return {name: column[i, way] for name, column in columns.items()}
-
-
-def _counts(verdicts: Sequence[str]) -> dict[str, int]:
-    return {name: list(verdicts).count(name) for name in ("passed", "failed", "undecided")}
+    gum, monte_carlo = ({name: x[i, way] for name, x in columns.items()} for way in (0, 1))
+    return {"gum": gum, "monte_carlo": monte_carlo, "delta": c.delta[i], "verdict": c.verdicts[i]}
