@@ -13,6 +13,7 @@ from designing import run
 from vcal.cli.loop import close_study
 from vcal.effects.registry import load_effects
 from vcal.errors import StudyError
+from vcal.loop.screening.candidates import UntestableError
 from vcal.model.measurement import Measurement
 from vcal.report.html.folder import ReportFolder
 from vcal.study import load_study
@@ -279,6 +280,16 @@ def test_none_of_the_effects_can_be_tested(small_tracker_study):
     expected = r"found none that could be tested \(spindle_growth: the data have no speed_rpm\)"
     with pytest.raises(StudyError, match=expected):
         close_study(study, study.measurement, lambda text: None)
+    texts = []
+    with pytest.raises(UntestableError, match="the data have no speed_rpm") as caught:
+        vcal.close_loop(
+            study.model,
+            study.measurement,
+            effects=study.tried,
+            require_testable=True,
+            progress=texts.append,
+        )
+    assert texts == [] and [one.effect for one in caught.value.untestable] == ["spindle_growth"]
 
 
 def test_equations_without_a_solution_may_be_due_to_either_file(small_tracker_study, monkeypatch):

@@ -135,6 +135,29 @@ def test_evidence_does_not_depend_on_chunks(tracker, monkeypatch):
         np.testing.assert_allclose(parts.drops.null[rank], drop, rtol=1e-5)
 
 
+def test_candidates_of_a_model_are_found_once(tracker, monkeypatch):
+    """The list that is checked before the first fit is that of the first screening."""
+    module, models = importlib.import_module("vcal.loop.search.forward_selection"), []
+
+    def counted(model, *rest):
+        models.append(model)
+        return candidates(model, *rest)
+
+    monkeypatch.setattr(module, "candidates", counted)
+    run = Search(None, [CATALOGUE["backlash"]], 0.01, 50, 0, tracker.room, lambda text: None)
+    state = fitted(tracker.model, noisy(tracker, 3), None, tracker.room)
+    checked = run.candidates(tracker.model, tracker.measurement)
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "_describing", False)
+        _, screening = run._screened(state)
+    # One call for the effects, one for the descriptions, of which there are none.
+    assert len(models) == 2 and {kind.kind for kind in screening.kinds} == {"backlash"}
+    assert screening.kinds[0].instances == len(checked[0])
+    other = tracker.model.with_effects(checked[0][0])
+    assert len(run.candidates(other, tracker.measurement)[0]) == len(checked[0]) - 1
+    assert len(models) == 3 and models[-1] is other
+
+
 def test_candidates_are_tested_together_as_alone(tracker):
     """Twice, the second time with what was kept of the first, and with room for a part of it."""
     true = tracker.effect("screw_cyclic:X:sine_um=8,cosine_um=4,pitch_mm=10")

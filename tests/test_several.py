@@ -499,9 +499,9 @@ def test_readings_and_check_points_that_speak_against_what_was_found_are_told():
     before = errors(Rms(25.6, 0.5))
     (said,) = said_of(before, errors(Rms(27.2, 0.8)), True)
     assert said.startswith("held-out") and "the readings that were fitted" in said
-    assert "(27.2 ± 0.8 µm) than before (25.6 ± 0.5 µm): what was found" in said
+    assert "(27.2 ± 0.8 µm) than before (25.6 ± 0.5 µm): the effects found" in said
     (said,) = said_of(before, errors(Rms(27.2, 0.8)), False)
-    assert "the noise that was found" in said
+    assert "the estimated noise" in said
     for after in (Rms(26.4, 0.8), Rms(20.0, 0.5), Rms(np.nan, np.nan)):
         assert said_of(before, errors(after), True) == []
     before = errors(Rms(25.6, 0.5), Rms(3.9, 1.6))
