@@ -14,7 +14,7 @@ from vcal import Model
 from vcal.cli.start_studies import write_start
 from vcal.design import covariance, expected_rms, volumetric_gram
 from vcal.design.judged import grid_points
-from vcal.design.optimise import Compiled, optimise
+from vcal.design.optimiser import Compiled, optimise
 from vcal.design.spaces import SPACES
 from vcal.report.html.folder import ReportFolder
 

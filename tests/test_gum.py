@@ -21,7 +21,7 @@ from vcal.distributions import (
     Uniform,
 )
 from vcal.uncertainty.budget import coverage_factor
-from vcal.uncertainty.propagate import propagate
+from vcal.uncertainty.propagation import propagate
 from vcal.uncertainty.table import budget_table
 
 # GUM H.2: five simultaneous observations of voltage (V), current (A) and phase (rad).

@@ -26,7 +26,7 @@ from vcal.dynamics import (
 )
 from vcal.dynamics.circles import answers
 from vcal.dynamics.gains import propose
-from vcal.dynamics.response import harmonics, response
+from vcal.dynamics.harmonic_response import harmonics, response
 from vcal.dynamics.unknowns import CentreShift, DampingFactor, Delay, DriveFactor, SpringFactor
 from vcal.errors import StudyError
 from vcal.numerics.compiled import filter_jit_outermost, jit_outermost

@@ -138,7 +138,10 @@ def test_a_class_that_cannot_be_used(small_tracker_study, case):
 def test_what_is_made_of_a_shape(small_tracker_study, case):
     """It is evaluated for a whole grid at once, and traced."""
     made, expected = OF_A_SHAPE[case]
-    text = "import jax.numpy as jnp\nimport numpy as np\nfrom vcal.arrays import namespace\n" + OWN
+    text = (
+        "import jax.numpy as jnp\nimport numpy as np\nfrom vcal.numerics.arrays import namespace\n"
+        + OWN
+    )
     text = text.replace(PARAMETERS, AT).replace('plan.x("Z")}', made + "}")
     folder = with_own(small_tracker_study, text)
     if not expected:

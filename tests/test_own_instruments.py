@@ -213,7 +213,7 @@ def test_commands(small, tmp_path):
     assert (out / "code" / "bar.py").read_text(encoding="utf-8") == BAR
     assert load_study(out).measurement is not None
     told = run("design", small, "--out", tmp_path / "design", *moved, code=2).stderr
-    assert "'double_ball_bar', of which the plans have no space to search" in told
+    assert "'double_ball_bar', for which no design space exists" in told
     shutil.move(small / "code" / "bar.py", small.parent / "bar.py")
     outside = ("--set", "instrument.kind_file=../bar.py")
     told = run("simulate", small, "--out", tmp_path / "no", *outside, code=2).stderr

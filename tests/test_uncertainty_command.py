@@ -409,7 +409,7 @@ import signal
 import time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the tests run unattended
 import vcal.uncertainty.campaign as campaign
-import vcal.uncertainty.stream as stream
+import vcal.uncertainty.streaming as stream
 from vcal.cli import main
 stream._CHUNK_S = stream._SAVING = 0.0
 evaluate = campaign._Evaluate.__call__

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..design.next_measurement import plan_next
-from ..design.optimise import optimise, seen
+from ..design.optimiser import Task, optimise, seen
 from ..design.separation import Separation
 from ..errors import StudyError
 from ..report.design.next_page import carried_over, next_sentence
@@ -14,7 +14,7 @@ from ..report.design.record import design_sentence
 from ..report.design.write import check_design_folder, write_design, write_next
 from ..study import Study, load_study
 from ..study.design.rivals import Wanted, parse_rivals, rivals_of
-from ..study.design.task import check_designed, design_task
+from ..study.design.task import StudyDesign, check_designed
 from .loop import close_study
 
 _MORE = {"pose": 1, "point": 10}
@@ -53,7 +53,7 @@ def run_design(
     study = load_study(setup, overrides)
     if following:
         return _next(study, out, separate, seed, command, began, progress)
-    task = design_task(study)
+    task = StudyDesign.of(study).task()
     settings = study.single.design
     done = optimise(
         task, seed=seed, starts=settings.starts, steps=settings.steps, progress=progress
@@ -84,12 +84,7 @@ def _next(
     progress: Callable[[str], None],
 ) -> Done:
     settings = study.single.design
-    task = design_task(study)
-    wanted, why = _wanted(study, separate, progress)
-    separation = None
-    if wanted is not None:
-        task = design_task(study, wanted.declared, wanted.others)
-        separation = Separation.of(task.families[0].model, *wanted.rivals)
+    task, separation, why = _question(study, separate, progress)
     done = plan_next(
         task,
         settings.more or _MORE[task.space.group],
@@ -102,34 +97,50 @@ def _next(
     progress("writing the report")
     seconds = time.perf_counter() - began
     page = write_next(done, study, out, why=why, seed=seed, command=command, seconds=seconds)
-    told = [why, next_sentence(done), carried_over(done, study)]
-    return Done(page, [line for line in told if line])
+    sentences = [why, next_sentence(done), carried_over(done, study)]
+    return Done(page, [line for line in sentences if line])
 
 
-def _wanted(
+def _question(
     study: Study, separate: Sequence[str], progress: Callable[[str], None]
-) -> tuple[Wanted | None, str]:
-    """The effects to tell apart, if any, and why these or none."""
-    task = design_task(study)
+) -> tuple[Task, Separation | None, str]:
+    """The design task of the next measurement, the effects to separate, if any, and the reason.
+
+    Without rivals it is the task of the study. With rivals the effects under test leave the
+    declared model, and the effects that the loop found with certainty join it.
+    """
+    design = StudyDesign.of(study)
     if separate:
-        return parse_rivals(separate, study), "The two effects were named by --separate."
+        wanted = parse_rivals(separate, study)
+        return *_separating(design.task(wanted.declared), wanted), (
+            "The two effects were named by --separate."
+        )
+    task = design.task()
     if study.measurement is None or not task.space.taken:
-        return None, "There are no readings yet: what counts is the criterion of [design]."
+        return task, None, "There are no readings yet: the criterion of [design] decides."
     closure = close_study(study, study.measurement, progress)
     if closure.interrupted:
         raise KeyboardInterrupt
     wanted = rivals_of(closure, study, task)
     if wanted is not None:
         first, second = (rival.effect.key for rival in wanted.rivals)
-        return wanted, (
-            f"The loop was run on the data and left open whether it is {first} or {second}."
+        if wanted.declared or wanted.others:
+            task = design.task(wanted.declared, wanted.others)
+        return *_separating(task, wanted), (
+            f"The loop was run on the data and could not decide between {first} and {second}."
         )
-    told = {
+    outcome = {
         "nothing_missing": "found nothing missing",
-        "named": "named what is missing without doubt",
-        "unexplained": "found something that no known effect explains",
-        "ambiguous": "left open what is missing, between effects that have no size to plan with",
+        "named": "identified the missing effect with certainty",
+        "unexplained": "found a significant deviation that no known effect explains",
+        "ambiguous": "could not decide between effects that have no size to plan with",
     }[closure.verdict or "nothing_missing"]
-    return None, (
-        f"The loop was run on the data and {told}: what counts is the criterion of [design]."
+    return (
+        task,
+        None,
+        (f"The loop was run on the data and {outcome}: the criterion of [design] decides."),
     )
+
+
+def _separating(task: Task, wanted: Wanted) -> tuple[Task, Separation]:
+    return task, Separation.of(task.families[0].model, *wanted.rivals)

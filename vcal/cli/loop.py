@@ -18,16 +18,8 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
     Raises `StudyError` where the data can say nothing about the effects that were asked for, and
     where the readings do not determine what has to be found with every fit.
     """
-    found, missing = candidates(study.model, measurement, study.tried)
-    if study.options.effects and not found:
-        reasons = {f"{item.effect}: {item.reason}" for item in missing}
-        raise refusal(
-            study.path.name,
-            "key loop.effects",
-            f"none that could be tested ({'; '.join(sorted(reasons)) or 'no place for them'})",
-            "at least one for which the data have what it needs",
-            "record it, or name other effects",
-        )
+    if study.options.effects:
+        _check_testable(study, measurement)
     try:
         return close_loop(
             study.model,
@@ -47,3 +39,18 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
             "compare the first rows with what was measured, and the declared sizes with the "
             "machine; numbers many powers of ten apart are such a case",
         ) from error
+
+
+def _check_testable(study: Study, measurement: Measurement) -> None:
+    """Raise `StudyError` where the data allow none of the requested effects to be tested."""
+    found, missing = candidates(study.model, measurement, study.tried)
+    if found:
+        return
+    reasons = {f"{item.effect}: {item.reason}" for item in missing}
+    raise refusal(
+        study.path.name,
+        "key loop.effects",
+        f"none that could be tested ({'; '.join(sorted(reasons)) or 'no place for them'})",
+        "at least one for which the data have what it needs",
+        "record it, or name other effects",
+    )

@@ -20,12 +20,12 @@ from ..identification.posterior import (
 from ..identification.rank import Rank, flat_rank, rank_of
 from .average import Average, weigh_average
 from .criteria import CRITERIA, Criterion, Judged
-from .exchange import Choice, exchange
-from .minimax import Minimax, minimax
+from .minimax_design import Minimax, minimax
+from .multistart import Found, search
 from .next_measurement import NextMeasurement, plan_next
-from .optimise import Designed, Task, optimise
+from .optimiser import Designed, Task, optimise
 from .plan_space import DesignSettings, PlanSpace, Subject
-from .search import Found, search
+from .point_exchange import Choice, exchange
 from .separation import Rival, Separation
 from .spaces import SPACES
 from .spaces.array_bounds import ArraySpace, Candidate, spread

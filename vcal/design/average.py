@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from .exchange import covariance_of
+from .point_exchange import covariance_of
 
 
 class Average(NamedTuple):

@@ -12,9 +12,17 @@ from jaxtyping import Float
 from ..errors import StudyError
 from ..numerics.arrays import Array
 from ..numerics.compiled import jit_outermost
-from .optimise import Compiled, Task, Value, check_finite, prior_value, require_traceable, traceable
+from .multistart import search
+from .optimiser import (
+    Compiled,
+    Task,
+    Value,
+    check_finite,
+    prior_value,
+    require_traceable,
+    traceable,
+)
 from .plan_space import PlanSpace, joint_information
-from .search import search
 from .separation import Lambda, Separating, Separation
 
 CANDIDATES = 96

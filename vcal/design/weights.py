@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .exchange import covariance_of
+from .point_exchange import covariance_of
 
 _POWER = 4.0
 

@@ -7,19 +7,19 @@ an R-test say of its stiffness, damping, centres of gravity and delay, and `camp
 do so for many machines.
 """
 
-from .assemble import Structure, assemble
 from .bodies import Body, Drive, Machine, Scale, Spring, ToolPoint
-from .campaign import Campaign, Noise, campaign
 from .circles import Phasors, measured_phasors, predicted, set_phasors
 from .closed_loop import ClosedLoop, Response, check_stable, controlled, run, run_circle, steady
-from .compliance import compliance
 from .control import Controller
-from .evaluate import Evaluated, evaluate
+from .ellipse_evaluation import Evaluated, evaluate
 from .gains import propose
+from .harmonic_response import response
 from .identify import Identified, identify_machine, task
-from .modes import Modes, check_supported, modes
-from .response import response
+from .modal_analysis import Modes, check_supported, modes
+from .monte_carlo import Campaign, Noise, campaign
+from .quasi_static import compliance
 from .setpoints import Limits, Profile, SetCircle, circle_set, positioning
+from .structure import Structure, assemble
 from .unknowns import CentreShift, DampingFactor, Delay, DriveFactor, SpringFactor, Unknown, applied
 
 __all__ = [

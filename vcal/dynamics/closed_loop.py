@@ -21,8 +21,8 @@ from jax.core import Tracer
 from jaxtyping import Bool, Complex, Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure
 from .control import Controller
+from .structure import Structure
 
 PENDING = 3
 """Forces that may still be to come: the delay is shorter than that many samples less one."""

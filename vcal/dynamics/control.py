@@ -14,7 +14,7 @@ from jax.core import Tracer
 from jaxtyping import Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure
+from .structure import Structure
 
 
 class Controller(eqx.Module):

@@ -20,10 +20,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure, assemble, between
 from .bodies import Machine
 from .closed_loop import PENDING, Response, set_points
 from .control import Controller
+from .structure import Structure, assemble, between
 
 _PACE = 1e3
 """rad/s: velocities are integrated in units of it, so that one tolerance suits all states."""

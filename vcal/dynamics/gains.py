@@ -5,9 +5,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure
 from .closed_loop import check_sampled, controlled
 from .control import Controller
+from .structure import Structure
 
 _MARGIN = 2.0
 """By how much the velocity loop's gain could grow before it is unstable."""

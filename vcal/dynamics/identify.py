@@ -23,13 +23,13 @@ from ..numerics.arrays import Array
 from ..numerics.compiled import filter_jit_outermost
 from ..numerics.least_squares import Status
 from ..numerics.trust_region import Found, within_prior
-from .assemble import Structure, assemble
 from .bodies import Machine
 from .circles import Phasors, answers
 from .closed_loop import check_stable, controlled
-from .compliance import compliance
 from .control import Controller
-from .response import harmonics, response
+from .harmonic_response import harmonics, response
+from .quasi_static import compliance
+from .structure import Structure, assemble
 from .unknowns import Unknown, applied
 
 Answers = tuple[Complex[Array, "w axes axes"], Complex[Array, "w 3 axes"]]

@@ -115,7 +115,7 @@ class Effect(Record):
         Must be elementwise over the rows: `shape` values may arrive with a leading axis, (g, 1)
         against rows (n,), when a whole grid is evaluated at once. They are also traced by JAX,
         which takes the derivative by them: what is made of them is made by `jax.numpy`, or by
-        `vcal.arrays.namespace` of them, which is faster where they are plain numbers.
+        `vcal.numerics.arrays.namespace` of them, which is faster where they are plain numbers.
         """
 
     @property

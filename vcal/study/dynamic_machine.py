@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import ValidationError
 
-from ..dynamics.assemble import Structure, assemble
 from ..dynamics.bodies import BED, GROUND, Body, Drive, Friction, Machine, Scale, Spring, ToolPoint
 from ..dynamics.closed_loop import check_stable, controlled
 from ..dynamics.control import Controller
 from ..dynamics.gains import propose
-from ..dynamics.modes import check_supported, modes
+from ..dynamics.modal_analysis import check_supported, modes
 from ..dynamics.setpoints import Limits
+from ..dynamics.structure import Structure, assemble
 from ..errors import StudyError
 from ..machine.chain import Chain, chain_from_string
 from ..registry import nearest

@@ -34,7 +34,7 @@ from .intervals import Kind
 from .outputs import Field, Output
 from .programs import Programs
 from .quantities import Measure, Pair, ParameterErrors, Quantity, State
-from .stream import MOST, Progress, stream
+from .streaming import MOST, Progress, stream
 
 _STEPS = "identification: exact gradients"
 _RETRIED = "identification: retried"

@@ -17,8 +17,8 @@ from ..numerics.arrays import Array
 from ..numerics.spatial import require_float64
 from .ensemble import Ensemble
 from .intervals import Kind
-from .propagate import Function, named, outputs_of
-from .stream import MOST, Progress, stream
+from .propagation import Function, named, outputs_of
+from .streaming import MOST, Progress, stream
 
 _BLOCK = 10_000
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from .budget import Budget, Row
-from .compare import Comparison
+from .comparison import Comparison
 
 _NONE = "–"
 _MINUS = "−"

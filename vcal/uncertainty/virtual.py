@@ -29,7 +29,7 @@ from ..model.simulate import scattered, travels
 from ..numerics.arrays import Array
 from .adaptive import Precision
 from .campaign import Campaign, monte_carlo
-from .compare import Comparison, compare
+from .comparison import Comparison, compare
 from .ensemble import Ensemble, FieldResult
 from .linear import Linearised, linearised
 from .outputs import Field, Output
@@ -42,7 +42,7 @@ from .quantities import (
     State,
     VolumetricErrors,
 )
-from .stream import Progress
+from .streaming import Progress
 
 MOST = 1_000_000
 """Draws after which an adaptive virtual calibration ends, stable or not."""

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ...design.optimise import Designed, Seen, valuation
+from ...design.optimiser import Designed, Seen, valuation
 from ...study.study import Study
 from ..html import text
 from ..html.picture import Picture

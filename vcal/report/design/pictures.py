@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...design.optimise import Designed, Task
+from ...design.optimiser import Designed, Task
 from ...plots.designs import (
     Angles,
     Places,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...design.next_measurement import NextMeasurement
-from ...design.optimise import Designed, Seen
+from ...design.optimiser import Designed, Seen
 from ...study.design.written_plan import ARTEFACT, PLAN, SETUP, write_designed, write_plan
 from ...study.study import Study
 from ..html.folder import ReportFolder

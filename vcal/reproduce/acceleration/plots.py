@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from ...dynamics.campaign import Campaign
-from ...dynamics.evaluate import even_ellipse
+from ...dynamics.ellipse_evaluation import even_ellipse
 from ...dynamics.identify import Identified
+from ...dynamics.monte_carlo import Campaign
 from ...plots.style import AFTER, BEFORE, DOTS, INK, MARK, NOMINAL, figure, grid, titled
 from .moves import Compensated, Positioning
 from .results import RTestOf

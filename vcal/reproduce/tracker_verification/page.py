@@ -6,7 +6,7 @@ import numpy as np
 
 from ...report import Picture, Section, Table, Tile, sheet
 from ...report.html.text import DASH, number, percent, unit
-from ...uncertainty.compare import Comparison
+from ...uncertainty.comparison import Comparison
 from ..registry import Row
 from .compared import Rung
 from .rank import Seen

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...uncertainty.compare import Comparison
+from ...uncertainty.comparison import Comparison
 from .compared import Rung
 from .results import INFLUENCES, Results
 from .trials import KINDS, Trials

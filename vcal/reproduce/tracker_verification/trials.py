@@ -27,7 +27,7 @@ from ...uncertainty.ensemble import Ensemble
 from ...uncertainty.linear import Linearised, linearised
 from ...uncertainty.outputs import Field, Output
 from ...uncertainty.quantities import ErrorMotionErrors, Measure, Pair, State
-from ...uncertainty.stream import stream
+from ...uncertainty.streaming import stream
 from .judge import PointErrors, point_errors
 from .setting import Family, Setting, truth_and_fit
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ...design.optimise import Task
+from ...design.optimiser import Task
 from ...design.plan_space import joint_information
 from ...design.separation import Rival, Separation
 from ...effects.base import Effect, Setup

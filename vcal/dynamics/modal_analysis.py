@@ -6,7 +6,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from .assemble import Structure
+from .structure import Structure
 
 _RIGID = 1e-6
 """Of the largest natural frequency, below which a mode counts as a rigid body's."""

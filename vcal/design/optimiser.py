@@ -18,8 +18,8 @@ from ..numerics.arrays import Array
 from ..numerics.compiled import jit_outermost
 from .criteria import MICRO, Criterion, Judged, averaged
 from .judged import prior_covariance
+from .multistart import Found, search
 from .plan_space import NOT_TRACED, PlanSpace, starts_of
-from .search import Found, search
 
 _FITS_M = 1e-9
 _TOLERANCE = 1e-5

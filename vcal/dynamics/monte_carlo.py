@@ -16,14 +16,14 @@ from jaxtyping import Bool, Float, Int
 
 from ..numerics.arrays import Array
 from ..numerics.least_squares import Status
-from .assemble import assemble
 from .bodies import Machine
 from .circles import Phasors, set_phasors
 from .closed_loop import controlled, settles
-from .compliance import compliance
 from .control import Controller
 from .identify import Task, solve, task
+from .quasi_static import compliance
 from .setpoints import SetCircle
+from .structure import assemble
 from .unknowns import Unknown, applied
 
 _BLOCK = 20

@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure
 from .control import Controller
+from .structure import Structure
 
 _LOST = 1e-7
 """Share of an answer of the plant that the harmonics that are left out may have."""

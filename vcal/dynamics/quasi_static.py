@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure
+from .structure import Structure
 
 
 def compliance(structure: Structure) -> Float[Array, "3 axes"]:
