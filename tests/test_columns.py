@@ -138,7 +138,7 @@ def test_what_can_be_read_can_be_simulated(small_tracker_study, tmp_path, names)
 # --- what is refused -----------------------------------------------------------------------------
 
 TWICE = "found two columns of one quantity, expected one, "
-RESERVED = "found the name that vcal itself has for what stands in "
+RESERVED = "found the internal name of the quantity in column "
 REFUSED = {
     "directions": ({"dir_X": np.ones(48)}, f"columns dir_x and dir_X: {TWICE}dir_x; remove one"),
     "temperatures": (
@@ -183,7 +183,7 @@ def test_check_points_have_the_same_names(small_tracker_study):
 def test_moves_of_joints_are_computed(small_arm_study, name):
     with pytest.raises(StudyError) as caught:
         load_study(with_columns(small_arm_study, **{name: np.ones(16)}))
-    assert f"header, column {name}: found a column of the moves of a joint" in str(caught.value)
+    assert f"header, column {name}: found a column of joint moves" in str(caught.value)
 
 
 def test_the_order_of_poses_has_one_column(small_arm_study):
@@ -253,7 +253,7 @@ def test_readings_of_another_name_make_no_plan(tmp_path, case):
         load_study(folder)
     message = str(caught.value)
     assert message.startswith(f"data.csv, header, column {column}: found no column of readings")
-    assert f"named like {meant}, expected" in message
+    assert f"a name similar to {meant}, expected" in message
 
 
 @pytest.mark.parametrize("kind", ["r_test", "static_r_test"])

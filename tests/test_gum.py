@@ -635,4 +635,4 @@ def test_budget_as_a_table():
 
 def test_table_tells_the_notes():
     text = budget_table(propagate(mismatch, mismatched(0.0, 0.0)))
-    assert text.splitlines()[-1].startswith("- no input moves y at first order")
+    assert text.splitlines()[-1].startswith("- y has no first-order sensitivity to any input")

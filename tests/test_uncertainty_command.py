@@ -344,7 +344,7 @@ def test_only_a_report_of_its_own_kind_is_replaced(tmp_path):
         (("--draws", "1e4"), "found '1e4'"),
         (("--draws", str(2**32 + 1)), "or 'adaptive'; correct it"),
         (("--with", "backlsh:Y"), "unknown effect 'backlsh' (did you mean 'backlash'?)"),
-        (("--with", "backlash:Z"), "effect backlash Z: found what the study has already"),
+        (("--with", "backlash:Z"), "effect backlash Z: found an effect that the study or"),
         (("--with", "backlash:Q"), "--with backlash:Q"),
         (("--noise-factor", "-1"), "--noise-factor, value: found -1"),
         (("--set", "instrument.kind=tracker"), "(did you mean 'laser_tracker'?)"),
@@ -458,7 +458,7 @@ def test_interrupted_killed_and_resumed(study, report, tmp_path):
     code, stdout, stderr = Process(study, out, 0.4).stop_after_a_checkpoint(signal.SIGINT)
     assert (code, stderr) == (
         130,
-        "vcal: interrupted: the report holds what was known by then; the same command goes on\n",
+        "vcal: interrupted: the report holds the results so far; the same command resumes\n",
     )
     first = strict(out / "result.json")
     assert first["interrupted"] and 1000 <= first["draws"]["done"] < 9500

@@ -1,4 +1,4 @@
-"""What `vcal design` does: from its arguments to the report."""
+"""The command `vcal design`: from its arguments to the report."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -18,11 +18,11 @@ from ..study.design.task import StudyDesign, check_designed
 from .loop import close_study
 
 _MORE = {"pose": 1, "point": 10}
-"""Groups of the next measurement, where the study does not say."""
+"""Default size of the next measurement, by the group that a space places."""
 
 
 class Done(NamedTuple):
-    """How it ended."""
+    """The written report and the sentences to print."""
 
     page: Path
     sentences: list[str]
@@ -39,16 +39,16 @@ def run_design(
     command: str,
     progress: Callable[[str], None],
 ) -> Done:
-    """Read a study, make its plan better, or find what to measure next, and write it into `out`.
+    """Improve the plan of a study, or design its next measurement, and write the report to `out`.
 
-    Raises `StudyError` for what cannot be used, before anything is written.
+    Raises `StudyError` for a mistake in the input, before anything is written.
     """
     began = time.perf_counter()
     check_design_folder(out)
     if separate and not following:
         raise StudyError(
-            "--separate: found it without --next, expected both, as it is a further measurement "
-            "that tells effects apart; add --next"
+            "--separate: found it without --next, expected both, as a further measurement is what "
+            "separates effects; add --next, or leave out --separate"
         )
     study = load_study(setup, overrides)
     if following:

@@ -1,4 +1,11 @@
-"""Measurements designed before they are made: what they will leave uncertain, and its gradient."""
+"""Design of measurements: the posterior uncertainty of a plan, its gradient, and better plans.
+
+`spaces` holds the plans that may be searched, a file per instrument; `criteria` the numbers to
+minimise; `optimise` searches a plan, `plan_next` a further measurement; `exchange`, `weigh` and
+`minimax` solve the selection problems behind published designs. Uses `identification`, `geometry`
+and what lies below; knows nothing of `loop` and `uncertainty`. `study`, `report`, `reproduce` and
+`cli` stand on it.
+"""
 
 from ..geometry.volumetric import (
     Displacements,

@@ -1,10 +1,11 @@
-"""Machines that move: bodies on springs under their controllers, and what acceleration does.
+"""Dynamics of machines: rigid bodies on springs under their controllers.
 
-`vcal.io.machine.load_machine` reads a description; `assemble` gives its matrices, `modes` its
-frequencies, `compliance` how it bends while it is accelerated, `controlled` the machine under its
-controllers, `run` and `run_circle` what comes of set points, `identify_machine` what the circles of
-an R-test say of its stiffness, damping, centres of gravity and delay, and `campaign` how well they
-do so for many machines.
+`vcal.study.dynamic_machine.load_machine` reads a description of a machine. `assemble` gives its
+matrices, `modes` its natural frequencies, `compliance` its deflection under acceleration and
+`controlled` the machine under its controllers. `run` and `run_circle` simulate set points.
+`identify_machine` identifies stiffness, damping, centres of gravity and delay from the circles of
+an R-test, and `campaign` does so for many simulated machines. Uses `identification` and what lies
+below; knows nothing of `geometry`. `study`, `reproduce` and the rooms between may stand on it.
 """
 
 from .bodies import Body, Drive, Machine, Scale, Spring, ToolPoint

@@ -1,9 +1,9 @@
-"""Quasi-static compliance: how a structure bends under its own inertial forces.
+"""Quasi-static compliance: the deflection of a structure under its own inertial forces.
 
-Accelerated so slowly that no mode is excited, every body moves with the acceleration of its axis,
-q'' = R a with R the rigid motion of the axes. What is left, K q = B F - M R a, is solved for the
-deflection and for the forces F that keep the scales at zero: one linear system. The displacement of
-the tool point against the scales is E a.
+With slowly varying acceleration no mode is excited, and every body has the acceleration of its
+axis, q'' = R a, with R the rigid motion of the axes. K q = B F - M R a is solved for the deflection
+q and for the forces F that keep the scales at zero, as one linear system. The displacement of the
+tool point relative to the scales is E a.
 """
 
 import jax.numpy as jnp
@@ -14,13 +14,14 @@ from .structure import Structure
 
 
 def compliance(structure: Structure) -> Float[Array, "3 axes"]:
-    """E, m per m/s^2: in-talk on the diagonal, cross-talk beside it, columns by axis.
+    """E, m per m/s^2: in-talk on the diagonal, cross-talk off the diagonal, columns by axis.
 
-    For one body with its drive h beside the centre of gravity and the tool at a lever L along the
-    drive, E = m h L / k_phi across, with k_phi = sum k_i r_i^2.
+    For one body with its drive at a distance h from the centre of gravity and the tool at a lever L
+    along the drive, the cross-talk is E = m h L / k_phi, with k_phi = sum k_i r_i^2.
     """
     n, axes = structure.size, len(structure.axes)
-    # Stiffness in N/m and readings in m: brought to one size, or the system is badly conditioned.
+    # Stiffness in N/m and readings in m are scaled to one size, as the system is ill-conditioned
+    # otherwise.
     size = jnp.trace(structure.stiffness) / n
     whole = jnp.block(
         [

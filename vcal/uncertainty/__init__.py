@@ -1,4 +1,10 @@
-"""Uncertainty: by the GUM, by Monte Carlo, and how far the two agree."""
+"""Uncertainty by the GUM, by Monte Carlo, and the comparison of both (JCGM 100, 101 and 102).
+
+`propagate` and `propagate_distributions` take a measurement function; `monte_carlo` and
+`linearised` take a virtual calibration, that is, a simulated measurement with its identification;
+`compare` validates the first method by the second. Uses `identification`, `geometry` and what lies
+below; knows nothing of `loop` and `design`. `study`, `report`, `reproduce` and `cli` stand on it.
+"""
 
 from .adaptive import Adaptive, Precision, numerical_tolerance
 from .budget import Budget
