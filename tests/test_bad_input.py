@@ -437,7 +437,7 @@ FAMILY = {
     ),
     "no wave number": (
         cell(4, "n1", "0", ERRORS),
-        ("row 4 (line 5), column n1", "0 beside b1 = 15", "a wave number above 0"),
+        ("row 4 (line 5), column n1", "0 with b1 = 15", "a wave number above 0"),
     ),
     "no column": (drop_column("c2", ERRORS), ("column c2", "no such column")),
     "no components": (drop_column("component", ERRORS), ("column component", "no such column")),
@@ -1025,13 +1025,13 @@ OWN = {
         ("own.py, class A", "the name 'mine:Y'", "letters, digits and _", "rename the effect"),
     ),
     "no number": (
-        "from vcal.effects import Effect\nfrom vcal.parameters import Parameter\n"
+        "from vcal.effects import Effect\nfrom vcal.machine.parameters import Parameter\n"
         "class A(Effect):\n    name = 'mine'\n    parameters = (Parameter('size', 'um'),)\n"
         "    def response(self, plan, shape):\n        return {('EXX', 'size'): float('inf')}\n",
         ("key model.effect.0 (mine)", "found no finite deviation in row 1", "correct the values"),
     ),
     "unknown port": (
-        "from vcal.effects import Effect\nfrom vcal.parameters import Parameter\n"
+        "from vcal.effects import Effect\nfrom vcal.machine.parameters import Parameter\n"
         "class A(Effect):\n    name = 'mine'\n    parameters = (Parameter('size', 'um'),)\n"
         "    def response(self, plan, shape):\n        return {('EXQ', 'size'): 1.0}\n",
         ("setup.toml, key model.effect.0 (mine)", "no port named 'EXQ'", "correct A"),

@@ -471,7 +471,7 @@ def test_mistakes_in_with(tmp_path, small_tracker_study, text, message):
 def test_an_effect_that_is_there_already(tmp_path, small_tracker_study):
     out, twice = tmp_path / "made", ("--with", "backlash:Y", "--with", "backlash:Y:size_um=3")
     told = refused("simulate", small_tracker_study, "--out", out, *twice)
-    assert "--with backlash:Y:size_um=3, effect backlash Y: found what the study has" in told
+    assert "--with backlash:Y:size_um=3, effect backlash Y: found an effect that the study" in told
     setup = small_tracker_study / "setup.toml"
     declared = '\n[[model.effect]]\nname = "backlash"\nplacement = "Y"\nsize_um = 3\n'
     setup.write_text(setup.read_text(encoding="utf-8") + declared, encoding="utf-8")

@@ -175,7 +175,7 @@ def test_two_columns_of_one_quantity(small_tracker_study, case):
 
 def test_check_points_have_the_same_names(small_tracker_study):
     renamed(small_tracker_study, {"t_s": "t"}, "check.csv")
-    with pytest.raises(StudyError, match="check.csv, header, column t: found the name that"):
+    with pytest.raises(StudyError, match="check.csv, header, column t: found the internal name"):
         load_study(small_tracker_study)
 
 
@@ -187,7 +187,9 @@ def test_moves_of_joints_are_computed(small_arm_study, name):
 
 
 def test_the_order_of_poses_has_one_column(small_arm_study):
-    with pytest.raises(StudyError, match="column order: found the name that .* stands in pose,"):
+    with pytest.raises(
+        StudyError, match="column order: found the internal name .* in column pose,"
+    ):
         load_study(with_columns(small_arm_study, order=np.arange(16.0)[::-1]))
 
 
@@ -263,7 +265,9 @@ def test_readings_of_other_settings_make_no_plan(tmp_path, kind):
     with pytest.raises(StudyError) as caught:
         load_study(folder, probes)
     message = str(caught.value)
-    assert message.startswith("data.csv, header, columns x_ext_mm, y_ext_mm, z_ext_mm: found what")
+    assert message.startswith(
+        "data.csv, header, columns x_ext_mm, y_ext_mm, z_ext_mm: found readings of"
+    )
     assert "expected p1_mm, p2_mm, p3_mm; or no readings, in a plan; correct the set" in message
     bare = start_with(tmp_path / "plan", kind, dict.fromkeys(SPHERE, ""))
     assert load_study(bare, probes).measurement is None

@@ -111,7 +111,7 @@ def test_report(loose, tmp_path):
 
 
 def test_nothing_is_found_where_nothing_is_missing(study):
-    drawn = vcal.simulate.simulate(study.model, study.plan, jax.random.key(3))
+    drawn = vcal.model.simulate.simulate(study.model, study.plan, jax.random.key(3))
     closure = vcal.close_loop(study.model, drawn.measurement, draws=100)
     assert closure.verdict == "nothing_missing" and not closure.effects
 
@@ -358,7 +358,11 @@ OF_FILE = {
 WRONG = {
     "a kind there is": (HEAD, 'kind = "r_test"\n', "kind: found 'r_test', which is taken, expec"),
     "a kind with a blank": (HEAD, 'kind = "ball bar"\n', "kind: found 'ball bar', expected letter"),
-    "not all methods": ("def noise", "def nois", "body: found no noise, expected all that"),
+    "not all methods": (
+        "def noise",
+        "def nois",
+        "body: found no noise, expected all abstract methods",
+    ),
     "settings": ("Settings = BallBarSettings", "Settings = 3", "Settings: found 3, expected a cl"),
     "dimension": ("dimension = 1", "dimension = 0", "dimension: found 0, expected a whole number"),
     "labels": ("dimension = 1", 'dimension = 1; labels = "a"', "labels: found 'a', expected a t"),
@@ -706,7 +710,7 @@ OF_EFFECTS = {
     "scatter without a size": (
         '("error", "um", sigma=self.u_um),)',
         '("error", "um"),)\n\n    kind = "random"',
-        "BarLength, parameters: found error of a random effect without sigma, expected how much",
+        "BarLength, parameters: found error of a random effect without sigma, expected its standard deviation",
     ),
     "what was not recorded": (
         'return ("run",)',
@@ -793,7 +797,7 @@ def test_a_validator_that_fails(small):
 @pytest.mark.parametrize(
     ("value", "expected"),
     [
-        ("3", "key instrument.kind_file: found 3, expected a Python file beside the study file"),
+        ("3", "key instrument.kind_file: found 3, expected the name of a Python file"),
         ("no.py", "no.py, file: found no such file in "),
         ("setup.toml", "setup.toml: not a Python file, expected a name that ends in .py"),
     ],
