@@ -17,7 +17,7 @@ from vcal.effects.thermal import Drift, WarmUp
 from vcal.effects.tracker import StationDrift, StationSettling
 from vcal.identification.linearised import linearised_terms
 from vcal.model.forward import port_values
-from vcal.report.loop.tables import effects_csv
+from vcal.report import effects_csv
 
 OFF_THE_FLANGE = [0.06, -0.04, 0.05]
 

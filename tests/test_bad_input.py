@@ -508,7 +508,7 @@ BALLS = {
             "data.csv, row 1 (line 2), column ball: found the balls 0, 1, 2, 3, 4, 5 of pose 0, "
             "all on one line of artefact.csv",
             "expected balls that span a plane",
-            "measure a ball beside the line",
+            "measure a ball off the line",
         ),
     ),
     "three balls of a pose on a line": (
@@ -564,11 +564,11 @@ def other_unit(name: str, factor: float) -> Change:
 ARMS = {
     "reflectors in metres": (
         other_unit("smr", 1e-3),
-        ("data.csv, row ", "columns smr1_x_mm", "while the arm takes its tool", "correct the unit"),
+        ("data.csv, row ", "columns smr1_x_mm", "while the arm moves its tool", "correct the unit"),
     ),
     "angles in radians": (
         other_unit("q", 0.017453292519943295),
-        ("data.csv, row ", "columns of the joint angles", "turn the angles into degrees"),
+        ("data.csv, row ", "columns of the joint angles", "convert the angles to degrees"),
     ),
     "more reflectors than anyone has": (
         replace("tool_reflectors = 3", "tool_reflectors = 100000000"),
@@ -594,7 +594,7 @@ ARMS = {
     "missing base": (drop_column("base2_z_mm"), ("data.csv, column base2_z_mm", "no such column")),
     "base on a line": (
         lines(base_on_a_line),
-        ("key instrument.base_reflectors", "3 reflectors that stand on one line", "turns about"),
+        ("key instrument.base_reflectors", "3 reflectors on one line", "rotation about"),
     ),
     "joint out of order": (
         replace("low_deg = -170", "low_deg = 175"),

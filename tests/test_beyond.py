@@ -130,7 +130,7 @@ def test_a_station_that_is_displaced_at_once_is_not_taken_for_the_tool():
 
 def test_what_the_readings_do_not_show_is_told_at_the_check_points():
     """A range that is wrong in proportion passes for the scales of the three axes."""
-    said = "do not show all"
+    said = "predicted from the declared and identified errors"
     for effects in ([], [{"effect": "range_scale", "um_per_m": 12.0}]):
         case = make_case("laser_tracker", "w X b Y Z t", 3, effects)
         study = study_of(case)

@@ -29,7 +29,7 @@ from vcal.instruments.laser_frame import SegmentSettings
 from vcal.loop.outcome.closure import Errors
 from vcal.loop.weighing.cross_validation import Rms
 from vcal.plots import signatures
-from vcal.report.effects.page import effect_page
+from vcal.report.effects.page import page as effect_page
 from vcal.study import load_study, read_table
 from vcal.study.settings import (
     DataSettings,
@@ -158,7 +158,7 @@ def test_commands_on_pages_of_effects_can_be_used():
     vcal.enable_float64()
     catalogue = vcal.CATALOGUE
     pages = {
-        name: html.unescape(effect_page(catalogue[name], example(catalogue[name]))[0])
+        name: html.unescape(effect_page(catalogue[name], example(catalogue[name])))
         for name in ("ball_error", "repeatability")
     }
     assert "--with 'ball_error:ball " in pages["ball_error"]
@@ -245,17 +245,17 @@ def test_check_names_what_goes_together(small_tracker_study):
     rng = np.random.default_rng(0)
     apart = {n: rng.uniform(20.0, 25.0, 48) for n in table if n.startswith("T_")}
     vcal.study.write_table(data, table | apart | {"t_s": rng.permutation(48) * 60.0})
-    assert "correlated" not in run("check", small_tracker_study).output
+    assert "confounded" not in run("check", small_tracker_study).output
     climbing = 100.0 + table["z_mm"] + rng.uniform(0.0, 20.0, 48)
     wet = {"humidity_pct": 30.0 - 2.0 * apart["T_y_degC"], "steady_pct": np.full(48, 5.0)}
     vcal.study.write_table(data, table | apart | {"t_s": climbing} | wet)
     shown = " ".join(run("check", small_tracker_study).output.split())
     assert (
-        "correlated t_s follows z_mm (1.00): what depends on one looks as if it depended on the "
-        "other; measure in random order to tell them apart"
+        "confounded t_s is correlated with z_mm (1.00): a dependence on one cannot be "
+        "distinguished from one on the other; measure in random order"
     ) in shown
-    assert "correlated T_y_degC follows humidity_pct (1.00): " in shown
-    assert shown.count("correlated") == 2
+    assert "confounded T_y_degC is correlated with humidity_pct (1.00): " in shown
+    assert shown.count("confounded") == 2
 
 
 def test_check_says_of_which_axis_little_is_covered(small_tracker_study):

@@ -20,7 +20,7 @@ from vcal.design import (
 )
 from vcal.design.judged import error_motions, judge, straight_lines
 from vcal.effects.geometric import ErrorMotion, GeometricErrors, LocationError
-from vcal.effects.random import Repeatability
+from vcal.effects.reversal import Repeatability
 from vcal.effects.thermal import WarmUp
 from vcal.identification.batch import prepare_batch
 from vcal.instruments.laser_frame import LaserFrame, beam_path

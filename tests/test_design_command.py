@@ -39,7 +39,8 @@ def test_the_folder_is_a_study(designed, few_poses):
     assert sorted(found["files"]) == sorted(p.name for p in out.iterdir())
     assert {"setup.toml", "plan.csv", "artefact.csv", "places.png"} <= set(found["files"])
     page = (out / "index.html").read_text(encoding="utf-8")
-    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    beside = set(re.findall(r'(?:src|href)="(?!data:|#)([^"]*)', page))
+    assert beside == {"result.json", "plan.csv"} <= set(found["files"])
     assert found["sentence"].replace("'", "&#39;") in page
     before, after = vcal.load_study(few_poses), vcal.load_study(out)
     assert after.plan.rows == before.plan.rows

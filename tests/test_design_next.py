@@ -17,8 +17,8 @@ from vcal.design.next_measurement import CANDIDATES, plan_next
 from vcal.design.optimiser import Compiled
 from vcal.design.separation import ALPHA, Rival, Separation
 from vcal.loop.outcome.closure import FoundEffect
-from vcal.report.design.next_page import _conditions as conditions
-from vcal.report.design.next_page import carried_over
+from vcal.report.next_measurement.page import _conditions as conditions
+from vcal.report.next_measurement.record import carried_over
 from vcal.study.design.rivals import parse_rivals, rivals_of
 
 pytestmark = pytest.mark.usefixtures("kept_programs")

@@ -111,7 +111,7 @@ def test_what_a_name_may_be_instead(sizes, apart, certain, doubted, tmp_path):
     fit, rivals = rivals_on(it, *given)
     assert len(rivals) == 3
     ranked = [
-        dataclasses.replace(r, log_bayes=-apart * i, surprise=0.0) for i, r in enumerate(rivals)
+        dataclasses.replace(r, log_bayes=-apart * i, size_surplus=0.0) for i, r in enumerate(rivals)
     ]
     weighed = weigh(classes_of(fit, ranked), ranked[0])
     assert (weighed.probability >= CERTAIN) == certain

@@ -1,6 +1,7 @@
 """Every effect against finite differences, and against the oracle's effect of the same name."""
 
 import dataclasses
+from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -27,11 +28,11 @@ from oracle.effects import (
     joint_tilts,
     stretched_reach,
 )
-from vcal import CATALOGUE, load_study, predict
+from vcal import CATALOGUE, effects, load_study, predict
 from vcal.demo import FOLDER
 from vcal.effects import Setup, wind_up
 from vcal.effects.arm import gravity_moments
-from vcal.effects.random import Repeatability
+from vcal.effects.reversal import Repeatability
 from vcal.identification.fit import shape_step
 from vcal.identification.linearised import linearised_terms
 from vcal.instruments.reflectors import moves
@@ -109,6 +110,29 @@ DECLARED_ONLY = ("head_temperature", "tool_interface")
 """Influences of a laser frame that the loop does not look for."""
 
 OF_AN_ARM = ("bearing_compliance", "gear_wind_up", "joint_compliance", "readback_lag")
+
+IN_ORDER = """
+    acceleration_crosstalk jerk_crosstalk snap_crosstalk joint_compliance bearing_compliance
+    joint_error_motion readback_lag scale_growth thermal_offset thermal_tilt
+    squareness_temperature warm_up drift ball_error artefact_bending artefact_expansion
+    cross_axis joint_coupling tool_offset screw_cyclic gear_ripple scale_interpolation
+    gear_harmonic jump geometric_order head_expansion frame_expansion frame_growth refraction
+    psd_linearity head_temperature tool_interface filter_refraction psd_resolution servo_lag
+    probe_lobing probe_matrix repeatability backlash lateral_reversal angular_reversal
+    reversal_spike stribeck_friction coulomb_friction payload_sag spindle_growth range_scale
+    encoder_eccentricity tracker_axes station_drift station_settling gear_wind_up
+""".split()
+"""Effects in the order of the catalogue. It decides ties of candidates, and must not change."""
+
+
+def test_every_effect_is_found_in_its_order():
+    """Of the modules in the folder, none of which is listed anywhere; new ones may come between."""
+    assert [name for name in CATALOGUE if name in IN_ORDER] == IN_ORDER
+    modules = {kind.__module__ for name, kind in CATALOGUE.items() if name in IN_ORDER}
+    assert modules <= {
+        f"vcal.effects.{path.stem}" for path in Path(effects.__file__).parent.iterdir()
+    }
+
 
 # --- derivatives ---------------------------------------------------------------------------------
 

@@ -150,7 +150,7 @@ def test_a_name_is_not_certain_beside_more_that_is_unexplained(tracker):
     model = tracker.model.with_effects(named.effect)
     less = doubted(named, identify(model, both), rest, [])
     assert less.status == "ambiguous"
-    assert "what is unexplained, more than it explains, depends on" in less.separation
+    assert "larger than what the effect explains and depends on" in less.separation
     # Not where it explains more than is left, and not where that depends on something else.
     assert doubted(named, identify(model, alone), rest, []) is named
     elsewhere = dataclasses.replace(rest, depends_on=["T_Y"], shares=[1.0])
@@ -294,11 +294,11 @@ def test_the_order_of_peaks_has_no_say(tracker):
     assert shares[0] < 0.0
 
 
-def rival(chi2: float, weight: float, parameters: int, surprise: float = 0.0):
+def rival(chi2: float, weight: float, parameters: int, size_surplus: float = 0.0):
     """As much of a rival as the preference looks at, with odds of one beforehand."""
     fit = SimpleNamespace(chi2=chi2, dof=100.0)
     peak = SimpleNamespace(effect=SimpleNamespace(parameters=(None,) * parameters))
-    return Rival(peak, fit, weight, 0.0, 0.0, surprise=surprise)
+    return Rival(peak, fit, weight, 0.0, 0.0, size_surplus=size_surplus)
 
 
 @pytest.mark.parametrize(
@@ -308,9 +308,9 @@ def rival(chi2: float, weight: float, parameters: int, surprise: float = 0.0):
         (rival(109.0, 18.0, 3), False),
         (rival(103.0, 14.0, 3), True),  # far less likely, with as many parameters
         (rival(103.0, 14.0, 4), False),  # for its parameters
-        (rival(103.0, 14.0, 3, surprise=1.5), False),  # for its size
-        (rival(103.0, 8.0, 3, surprise=1.5), True),  # for more than its size
-        (rival(103.0, 8.0, 3, surprise=9.5), False),
+        (rival(103.0, 14.0, 3, size_surplus=1.5), False),  # for its size
+        (rival(103.0, 8.0, 3, size_surplus=1.5), True),  # for more than its size
+        (rival(103.0, 8.0, 3, size_surplus=9.5), False),
         (rival(99.0, 14.0, 3), False),  # fits better
     ],
 )
@@ -325,11 +325,13 @@ def test_a_description_is_not_preferred_for_the_size_of_an_effect():
     assert outdoes(description, [(effect, effect.log_weight)])
     # Places and shapes of one name together are likelier than each.
     assert not outdoes(description, [(effect, 18.5)])
-    large = rival(111.0, 15.5, 1, surprise=2.5)
+    large = rival(111.0, 15.5, 1, size_surplus=2.5)
     assert not outdoes(description, [(large, large.log_weight)])
-    beyond = rival(111.0, 5.0, 1, surprise=13.0)  # of which all but ln 20 is made up for already
+    beyond = rival(
+        111.0, 5.0, 1, size_surplus=13.0
+    )  # of which all but ln 20 is made up for already
     assert not outdoes(description, [(beyond, beyond.log_weight)])
-    worse = rival(111.0, 3.0, 1, surprise=13.0)
+    worse = rival(111.0, 3.0, 1, size_surplus=13.0)
     assert outdoes(description, [(worse, worse.log_weight)])
 
 
@@ -345,8 +347,8 @@ def test_a_description_is_not_preferred_for_the_size_of_an_effect():
 def test_when_a_description_puts_a_name_in_doubt(description, doubt):
     assert in_doubt(description, rival(100.0, 18.0, 2)) == doubt
     # What the effect loses by its size does not speak for a description.
-    assert in_doubt(description, rival(100.0, 8.0, 2, surprise=10.0)) == doubt
-    assert in_doubt(rival(98.0, 14.0, 2), rival(100.0, 8.0, 2, surprise=1.0))
+    assert in_doubt(description, rival(100.0, 8.0, 2, size_surplus=10.0)) == doubt
+    assert in_doubt(rival(98.0, 14.0, 2), rival(100.0, 8.0, 2, size_surplus=1.0))
 
 
 @pytest.mark.parametrize(
@@ -354,27 +356,27 @@ def test_when_a_description_puts_a_name_in_doubt(description, doubt):
     [
         (
             ("X",), "local_bump", ("X",),
-            "measure at further values of x_mm, between and beyond those there are",
+            "measure at further values of x_mm, between and beyond those measured",
         ),
         (("T_X",), "drift", ("t",), "vary T_x_degC independently of t_s"),
         (("T_X", "X"), "tilt", ("X",), "vary T_x_degC independently of x_mm"),
         (("X",), "backlash", ("dir_X", "X"), "vary dir_x independently of x_mm"),
         (
             ("T_X",), "tilt", ("T_X",),
-            "it follows T_x_degC, and so does tilt X: measure at further positions, where their "
+            "it depends on T_x_degC, and so does tilt X: measure at further positions, where their "
             "errors differ",
         ),
         (
             ("t",), "jump", ("t",),
-            "it follows t_s, and so does jump X: measure at further moments and positions, where "
-            "their errors differ",
+            "it depends on t_s, and so does jump X: measure at further moments and positions, "
+            "where their errors differ",
         ),
     ],
 )  # fmt: skip
 def test_what_would_tell_an_effect_from_what_it_may_be(own, rival, theirs, expected):
     """Nothing can be varied independently of itself."""
-    other = SimpleNamespace(effect=SimpleNamespace(name=rival, placement="X", betrayed_by=theirs))
-    best = SimpleNamespace(effect=SimpleNamespace(betrayed_by=own))
+    other = SimpleNamespace(effect=SimpleNamespace(name=rival, placement="X", indicators=theirs))
+    best = SimpleNamespace(effect=SimpleNamespace(indicators=own))
     weighed = Weighed(best, 0.3, [], [(rival, "X", 0.7)], instead=((0.7, other),))
     assert _separation(weighed, ("X", "Y", "Z")) == expected
 

@@ -9,7 +9,7 @@ from vcal.effects.registry import CATALOGUE
 from vcal.identification.linearised import slopes
 from vcal.loop.screening.candidates import candidates
 from vcal.numerics.anderson import anderson_step
-from vcal.numerics.gauss_newton import Point, quickly
+from vcal.numerics.gauss_newton import Point, minimise
 
 
 def problem(residual, jacobian, precision):
@@ -40,14 +40,14 @@ def test_a_linear_problem_takes_one_step():
     a, y = rng.standard_normal((40, 5)), rng.standard_normal(40)
     precision = np.array([0.0, 1.0, 4.0, 0.0, 2.0])
     at, _ = problem(lambda x: y - a @ x, lambda _: -a, precision)
-    found, steps, ended = quickly(at, np.zeros(5), 1e-9)
+    found, steps, ended = minimise(at, np.zeros(5), 1e-9)
     both = np.concatenate([a, np.diag(np.sqrt(precision))])
     expected = np.linalg.lstsq(both, np.concatenate([y, np.zeros(5)]))[0]
     np.testing.assert_allclose(found.theta, expected, rtol=1e-12, atol=1e-12)
     assert (steps, ended) == (1, True)
     left = np.concatenate([y, np.zeros(5)]) - both @ expected
     assert found.cost == pytest.approx(left @ left, rel=1e-12)
-    assert found.left < 1e-10
+    assert found.decrement < 1e-10
 
 
 def circle(seed, noise):
@@ -72,7 +72,7 @@ def test_curved_problems_with_large_residuals_end_where_scipy_does():
     for seed in range(8):
         residual, jacobian = circle(seed, 0.6)
         at, points = problem(residual, jacobian, np.zeros(2))
-        found, steps, ended = quickly(at, begin, 1e-8)
+        found, steps, ended = minimise(at, begin, 1e-8)
         expected = least_squares(residual, begin, jac=jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-14)
         assert ended
         np.testing.assert_allclose(found.theta, expected.x, atol=1e-7)
@@ -93,8 +93,8 @@ def test_what_is_badly_conditioned_is_left_alone():
     for third in (a[:, 0] + 1e-8 * a[:, 2], 0.0 * a[:, 0], np.nan * a[:, 0]):
         columns = np.column_stack([a[:, :2], third])
         at, _ = problem(lambda x, c=columns: y - c @ x, lambda _, c=columns: -c, np.zeros(3))
-        found, steps, ended = quickly(at, np.zeros(3), 1e-6)
-        assert (steps, ended, found.certain) == (0, False, False)
+        found, steps, ended = minimise(at, np.zeros(3), 1e-6)
+        assert (steps, ended, found.well_conditioned) == (0, False, False)
         np.testing.assert_array_equal(found.theta, 0.0)
 
 
@@ -105,7 +105,7 @@ def test_what_runs_away_is_left_alone():
         lambda x: -np.exp(-x)[None] * np.ones((3, 1)),
         np.zeros(1),
     )
-    found, steps, ended = quickly(at, np.zeros(1), 1e-9)
+    found, steps, ended = minimise(at, np.zeros(1), 1e-9)
     assert not ended
     assert found.cost < points[0].cost
     assert found is points[-1]
@@ -114,7 +114,7 @@ def test_what_runs_away_is_left_alone():
 
 def test_without_parameters_there_is_nothing_to_do():
     at, _ = problem(lambda _: np.ones(4), lambda _: np.zeros((4, 0)), np.zeros(0))
-    found, steps, ended = quickly(at, np.zeros(0), 1e-5)
+    found, steps, ended = minimise(at, np.zeros(0), 1e-5)
     assert (steps, ended, found.cost) == (0, True, 4.0)
 
 
@@ -186,11 +186,11 @@ def test_on_the_way_the_derivative_of_the_step_before_is_enough_where_it_is_the_
         return Point(np.array([x]), np.zeros(1), left[:, None], by_port, left, derive)
 
     begin = np.array([1.0])
-    found, steps, ended = quickly(at, begin, 1e-2, alike=True)
+    found, steps, ended = minimise(at, begin, 1e-2, reuse_derivative=True)
     assert ended and steps >= 1
     assert found.theta[0] == pytest.approx(0.01, abs=1e-2)
     np.testing.assert_allclose(found.rows[0], a, rtol=1e-2)
     assert (derived == [1.0]) == same
     # What is reported has its own.
-    exact, *_ = quickly(at, begin, 1e-9)
+    exact, *_ = minimise(at, begin, 1e-9)
     assert derived[-1] == exact.theta[0]

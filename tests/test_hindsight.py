@@ -122,7 +122,7 @@ def test_of_many_effects_those_are_looked_for_anew_that_their_rivals_outweigh(mo
     monkeypatch.setattr(run, "step", step)
     monkeypatch.setattr(run, "added", lambda state: items)
     monkeypatch.setattr(run, "weigh_again", lambda state: looked.append(-1))
-    monkeypatch.setattr(run, "anew", anew)
+    monkeypatch.setattr(run, "search_again", anew)
     reached: list[str] = []
     assert run.rounds("as it is", 16, reached.append) == "as it is"  # type: ignore[arg-type]
     assert looked == [-1, 1, 4]

@@ -243,10 +243,10 @@ def test_correlated_noise_gets_no_name(tracker):
     noise = white(tracker, 8) + 1.5 * persisting(tracker, 9, 0.9)
     closure = closed(tracker, with_noise(tracker, noise))
     assert (closure.verdict, closure.effects) == ("unexplained", [])
-    assert "follow each other" in closure.unexplained.reason
+    assert "successive readings are correlated" in closure.unexplained.reason
     beside = closed(tracker, with_noise(tracker, noise, tracker.effect("backlash:Y:size_um=25")))
     assert [e.effect.key for e in beside.effects] == ["backlash Y"]
-    assert "follow each other" in beside.unexplained.reason
+    assert "successive readings are correlated" in beside.unexplained.reason
 
 
 @pytest.mark.parametrize(
@@ -257,7 +257,7 @@ def test_noise_that_only_persists_is_told_as_such(tracker, seed, phi):
     closure = closed(tracker, with_noise(tracker, persisting(tracker, seed, phi)))
     assert (closure.verdict, closure.effects) == ("unexplained", [])
     assert closure.unexplained.empirical is None
-    assert "as noise that is correlated in time does" in closure.unexplained.reason
+    assert "as with noise that is correlated in time" in closure.unexplained.reason
     # No covariate is told alone where the noise says far more.
     persists = int(re.search(r"(\d+) % of the scatter", closure.unexplained.reason)[1]) / 100.0
     assert ("noise that is correlated in time" in closure.sentence) == (
@@ -368,7 +368,7 @@ def test_one_gross_reading_among_those_that_are_only_foretold(tmp_path):
     clean = identify(arm.model, with_noise(arm, noise), keep=folds < 0, room=arm.room)
     noise[row] += 1e4
     state = fitted(arm.model, with_noise(arm, noise), None, arm.room)
-    assert [stray.row for stray in state.strays] == [row]
+    assert [stray.row for stray in state.outliers] == [row]
     np.testing.assert_allclose(state.fit.theta, clean.theta, atol=1e-6)
     residuals, without = heldout_residuals(clean), heldout_residuals(state.fit)
     assert np.isnan(without[row]).all()
@@ -444,7 +444,7 @@ def test_stray_readings_among_those_that_are_quieter_than_declared(tmp_path):
     assert {stray.row for stray in closure.suspected} == set(rows)
 
 
-# --- few readings, and covariates that went together ---------------------------------------------
+# --- few readings, and confounded covariates -----------------------------------------------------
 
 
 def test_a_share_of_few_squares_against_f():
@@ -558,7 +558,7 @@ def test_what_cannot_be_fitted_leaves_something_unexplained(tracker, monkeypatch
     closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
     assert (closure.verdict, closure.effects) == ("unexplained", [])
     (told,) = closure.rejected
-    assert (told.placement, told.reason) == ("Y", "its fit does not end in a minimum")
+    assert (told.placement, told.reason) == ("Y", "its fit does not converge to a minimum")
     assert told.p_value < 1e-6
 
 
@@ -578,7 +578,8 @@ def test_a_description_that_cannot_be_fitted_leaves_something_unexplained(tracke
     closure = closed(tracker, measurement, effects=[])
     assert (closure.verdict, closure.rejected) == ("unexplained", [])
     assert (
-        closure.unexplained.reason == "a kink is significant, but its fit does not end in a minimum"
+        closure.unexplained.reason
+        == "a kink is significant, but its fit does not converge to a minimum"
     )
     assert closure.unexplained.depends_on[0] == "X"
 
@@ -609,4 +610,4 @@ def test_noise_alone_depends_on_nothing_however_large_it_is(seed):
     closure = close_loop(study.model, made.measurement, effects=["backlash"], draws=100)
     assert not closure.effects and closure.unexplained is not None
     assert closure.unexplained.depends_on == []
-    assert "no covariate orders it" in closure.sentence
+    assert "it depends on no recorded covariate" in closure.sentence

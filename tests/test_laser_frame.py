@@ -275,7 +275,7 @@ def test_what_a_diode_shows_is_corrected_to_what_it_was(tmp_path):
             'beam_path = "3d"',
             'beam_path = "3d"\n[[instrument.segment]]\nnumber = 1\nstart_mm = [0, 0, 0]\n'
             'direction = "+Y"\nlength_mm = 100',
-            "beside segments",
+            "and [[instrument.segment]] rows",
         ),
         (
             'beam_path = "3d"',

@@ -85,8 +85,11 @@ def test_what_remains_may_depend_on_a_product(tracker, size):
     assert told.p_value < 0.01 and told.joint
     assert set(told.products[0][:2]) == {"Y", "dir_X"} and told.products[0][2] > 0.2
     assert set(what.depends_on[:2]) == {"Y", "dir_X"} and what.joint
-    assert "in a way that no effect that was tried has" in what.reason
-    assert what.share_of_variance == told.products[0][2] and "tells most" in what.share_is
+    assert "in a way that none of the effects tried describes" in what.reason
+    assert (
+        what.share_of_variance == told.products[0][2]
+        and "the best column or product" in what.share_is
+    )
     far = from_structure(fit, 50.0, 0.01, 200, 0)
     assert far.share_of_variance == 0.98 and "beyond the declared noise" in far.share_is
     closure = closed(tracker, measurement, effects=[CATALOGUE["backlash"]])
@@ -100,12 +103,12 @@ def test_what_was_refused_is_told_where_nothing_else_shows(tracker):
     told = dependence(fit, 200, 0)._replace(p_value=0.5)
     told = told._replace(products=[("Y", "dir_X", 0.004)], joint=True)
     effect = tracker.effect("scale_growth:Y")
-    refused = Refused(effect, 0.004, "held-out readings are not foretold better")
+    refused = Refused(effect, 0.004, "held-out readings are not predicted better")
     what = _from_dependence(fit, told, 1.0, 0.01, refused=refused)
     assert what is not None and not what.joint and what.p_value == 0.004
-    assert what.depends_on[: len(effect.betrayed_by)] == list(effect.betrayed_by)
+    assert what.depends_on[: len(effect.indicators)] == list(effect.indicators)
     assert what.reason == (
-        "scale_growth Y is significant, but held-out readings are not foretold better"
+        "scale_growth Y is significant, but held-out readings are not predicted better"
     )
     assert what.words == "what looks like scale_growth Y, which is not certain"
     assert _from_dependence(fit, told, 1.0, 0.01) is None
@@ -180,7 +183,8 @@ def test_what_the_data_cannot_tell_apart_is_said_in_one_sentence(backlash):
     assert names == {"backlash Y", "windup Y"}
     (other,) = names - {found.effect.key}
     assert closure.sentence == (
-        f"The declared model lacked {found.effect.key} (for these data the same as {other})."
+        f"The declared model lacked {found.effect.key} "
+        f"(indistinguishable from {other} with these data)."
     )
 
 

@@ -56,7 +56,7 @@ def test_a_pitch_at_the_end_of_what_is_looked_for_is_not_certain(tmp_path):
     closure = closed(tmp_path, 1, cyclic("Y", 8.0), effects=[Short], draws=200)
     (found, *_) = closure.effects
     assert (found.effect.key, found.status) == ("short Y", "ambiguous")
-    assert "its pitch would have to lie within what is looked for" in found.separation
+    assert "its pitch would have to lie within the searched range" in found.separation
 
 
 @pytest.mark.campaign

@@ -7,7 +7,7 @@ import pytest
 
 from vcal.design import gram_for, volumetric_gram
 from vcal.effects.base import Setup
-from vcal.effects.sag import PayloadSag
+from vcal.effects.structure import PayloadSag
 from vcal.machine.chain import chain_from_string
 from vcal.machine.plan import Plan
 from vcal.model.forward import Model

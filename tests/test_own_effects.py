@@ -379,7 +379,7 @@ def test_columns_that_were_exchanged(small_tracker_study):
     exchanged = {"azimuth_rad": "elevation_rad", "elevation_rad": "azimuth_rad"}
     head = ",".join(exchanged.get(name, name) for name in head.split(","))
     path.write_text(f"{head}\n{rows}", encoding="utf-8")
-    with pytest.raises(StudyError, match="away from where the axes take the tool"):
+    with pytest.raises(StudyError, match="away from the tool point"):
         load_study(small_tracker_study)
 
 
@@ -389,14 +389,14 @@ def test_readings_that_were_exchanged_in_a_program(small_tracker_study):
     study = load_study(small_tracker_study, ["loop.draws=25", 'loop.effects=["backlash"]'])
     exchanged = study.measurement.readings[:, [0, 2, 1]]
     closure = close_study(study, Measurement(study.plan, exchanged), lambda text: None)
-    assert any("mm, which no machine is off by" in note for note in closure.notes)
+    assert any("mm, larger than any machine error" in note for note in closure.notes)
 
 
 @pytest.mark.parametrize(
     ("column", "change", "said"),
     [
-        ("azimuth_rad", lambda cell: str(-float(cell)), "they are a mirror image of that"),
-        ("x_mm", lambda cell: str(2000.0 - float(cell)), "they are a mirror image of that"),
+        ("azimuth_rad", lambda cell: str(-float(cell)), "the readings are a mirror image of that"),
+        ("x_mm", lambda cell: str(2000.0 - float(cell)), "the readings are a mirror image of that"),
         ("azimuth_rad", lambda cell: str(float(cell) * 0.9), "compare signs, units and order"),
     ],
 )
@@ -405,7 +405,7 @@ def test_readings_that_do_not_follow_linear_axes(small_tracker_study, column, ch
     take in what it must not.
     """
     edited(small_tracker_study, column, change)
-    with pytest.raises(StudyError, match=f"away from where the axes take the tool.*{said}"):
+    with pytest.raises(StudyError, match=f"away from the tool point.*{said}"):
         load_study(small_tracker_study)
 
 

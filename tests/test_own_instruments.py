@@ -18,6 +18,7 @@ from vcal.errors import StudyError
 from vcal.instruments import INSTRUMENTS
 from vcal.loop.screening.significance import LEAST_NOISE
 from vcal.loop.search.state import fitted
+from vcal.model.simulate import simulate
 from vcal.study import load_study
 from vcal.study.plugins.instrument_trial import check_clusters
 from vcal.study.plugins.trial import Trial
@@ -111,7 +112,7 @@ def test_report(loose, tmp_path):
 
 
 def test_nothing_is_found_where_nothing_is_missing(study):
-    drawn = vcal.model.simulate.simulate(study.model, study.plan, jax.random.key(3))
+    drawn = simulate(study.model, study.plan, jax.random.key(3))
     closure = vcal.close_loop(study.model, drawn.measurement, draws=100)
     assert closure.verdict == "nothing_missing" and not closure.effects
 
@@ -619,10 +620,10 @@ WRONG = {
         "np.full((plan.rows, 1), 1j)",
         "noise: found an array of complex128, expected standard deviations",
     ),
-    "warmer": (
+    "temperature_offset_K": (
         LAST,
-        LAST + '\n    warmer = "a"\n',
-        "warmer: found 'a', expected a finite number of K",
+        LAST + '\n    temperature_offset_K = "a"\n',
+        "temperature_offset_K: found 'a', expected a finite number of K",
     ),
     "an artefact": (
         LAST,
@@ -710,7 +711,8 @@ OF_EFFECTS = {
     "scatter without a size": (
         '("error", "um", sigma=self.u_um),)',
         '("error", "um"),)\n\n    kind = "random"',
-        "BarLength, parameters: found error of a random effect without sigma, expected its standard deviation",
+        "BarLength, parameters: found error of a random effect without sigma, expected its "
+        "standard deviation",
     ),
     "what was not recorded": (
         'return ("run",)',

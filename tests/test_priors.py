@@ -175,7 +175,7 @@ def test_scatter_has_a_distribution_too(tracker):
     assert np.abs(drawn).max() <= np.sqrt(3.0)
     assert drawn.std() == pytest.approx(1.0, abs=0.05)
     shifted = dataclasses.replace(effect, priors=(Prior(p.name, Uniform(0.0, 3.0)),))
-    with pytest.raises(ValueError, match="expected one of one number with the mean zero"):
+    with pytest.raises(ValueError, match="expected a univariate one with the mean zero"):
         prepare(tracker.model.with_effects(shifted), tracker.plan)
 
 

@@ -248,8 +248,8 @@ def test_what_a_missing_plane_leaves_open_is_told(tmp_path):
     s = load_study(write(tmp_path / "one", circles(planes=("XY",))))
     found = close_loop(s.model, s.measurement)
     assert [e.effect.key for e in found.effects] == ["acceleration_crosstalk"]
-    (note,) = (n for n in found.notes if "next to nothing" in n)
-    assert "of matrix_XZ, matrix_YZ, matrix_ZZ; what" in note
+    (note,) = (n for n in found.notes if "poorly determine" in n)
+    assert "determine matrix_XZ, matrix_YZ, matrix_ZZ; the values" in note
 
 
 @pytest.mark.slow
@@ -581,7 +581,7 @@ def test_more_stray_readings_than_are_left_out_are_told(tmp_path):
     table["y_ext_mm"][rows] += 5e-3 * rng.choice([-1.0, 1.0], len(rows))
     s = load_study(write(tmp_path / "strays", table))
     found = close_loop(s.model, s.measurement)
-    (note,) = (n for n in found.notes if "more stray readings than are left out" in n)
+    (note,) = (n for n in found.notes if "outliers at random places" in n)
     assert int(note.split(" ")[0]) == pytest.approx(len(rows), rel=0.05)
 
 
@@ -789,7 +789,7 @@ def test_readings_do_not_hold_the_noise_of_the_positions(study):
         (lambda t: t | {"a_set_m_s2": 0 * t["t_s"] + 1.0}, r"column a_set_m_s2: found 1, while"),
         (lambda t: t | {"x_ext_mm": t["x_ext_mm"] + 2.5}, r"column x_ext_mm: found 4.* to 3;"),
         (lambda t: t | {"sense": np.where(t["run"] == 3, 0, t["sense"])},
-         r"run 3, column sense: found 0, expected 1 or -1; say which way"),
+         r"run 3, column sense: found 0, expected 1 or -1; enter the sense"),
         (lambda t: t | {"sense": np.where(np.arange(len(t["run"])) == 5, -1, t["sense"])},
          r"row 6 \(line 7\), run 0, column sense: found -1 after 1, expected one setting in a run"),
         (lambda t: t | {"a_set_m_s2": t["a_set_m_s2"] + (np.arange(len(t["run"])) == 5)},
@@ -843,7 +843,9 @@ def test_two_paces_in_one_run(tmp_path):
     joined |= {"t_s": np.concatenate([slow["t_s"], after]), "a_set_m_s2": 0 * joined["t_s"] + 3.0}
     order = np.lexsort([joined["t_s"], joined["run"]])
     table = {n: v[order] for n, v in joined.items()}
-    with pytest.raises(StudyError, match=r"run 0: found positions .* mm \(rms\) beside the circle"):
+    with pytest.raises(
+        StudyError, match=r"run 0: found positions .* mm \(rms\) from the best-fitting"
+    ):
         load_study(write(tmp_path / "two", table))
 
 

@@ -20,6 +20,7 @@ from vcal.cli.show import show_closure
 from vcal.effects import Setup, load_effects
 from vcal.effects.data_set import OfDataSet
 from vcal.geometry.acceptance import geometric_tests
+from vcal.geometry.error_motions import ErrorMotionTable
 from vcal.identification.model_averaging import Alternatives
 from vcal.instruments.ball_array import BallCalibration
 from vcal.instruments.conditions import file_column
@@ -38,15 +39,15 @@ from vcal.plots.residuals import _means as means
 from vcal.plots.residuals import before_after, unexplained_views
 from vcal.plots.style import AFTER, BEFORE, DOTS, column_label, figure, grid, ticks_apart
 from vcal.plots.views import View, effect_view, residual_without
-from vcal.report import check_folder, record, write_report
+from vcal.registry import unchanged
+from vcal.report import check_folder, effects_csv, formats, record, write_report
 from vcal.report.html import text
 from vcal.report.loop import write
 from vcal.report.loop.derived import in_short, parameters
 from vcal.report.loop.own_effect import own_effect
-from vcal.report.loop.page import _tried as tried
 from vcal.report.loop.page import page
 from vcal.report.loop.pictures import Picture, pictures
-from vcal.report.loop.tables import effects_csv
+from vcal.report.loop.tested import _by_round
 from vcal.study.simulated import parse_with
 from vcal.study.study import looked_for
 
@@ -229,16 +230,16 @@ def test_page_says_what_was_tried_and_why_nothing_is_named(closed):
     tried = [*SEARCHED, "of_ones_own"]
     few = said(tried, untestable=[])
     told = f"5 of the {kinds} kinds in the catalogue and 1 of your own"
-    assert f"of those that were tried, {told}, none explains it.</p>" in few
-    assert f"The search was restricted to {told}; each of them was tried at every place" in few
-    assert f"Every effect that was looked for ({told}) and could sit on" in few
+    assert f"none of the effects that were tested, {told}, explains it.</p>" in few
+    assert f"The search was restricted to {told}. Each of them was tested at every place" in few
+    assert f"for every effect that was requested ({told}) and that can occur on this" in few
     every = said(list(CATALOGUE), untestable=[])
-    assert "of those that were tried none explains it.</p>" in every
-    assert "Every kind of effect was tried at every place" in every
-    assert "Every effect that could sit on this machine found" in every
-    assert "No effect is named for it.</p>" in said(tried, most=1)
+    assert "none of the effects that were tested explains it.</p>" in every
+    assert "<p>Every kind of effect was tested at every place" in every
+    assert "for every effect that can occur on this machine" in every
+    assert "No effect is identified for it.</p>" in said(tried, most=1)
     unbegun = said(tried, untestable=[], screenings=[])
-    assert "found the columns" not in unbegun and "The search had not begun" in unbegun
+    assert "the necessary columns for" not in unbegun and "The search had not begun" in unbegun
 
 
 def test_page_says_what_effects_of_one_data_set_are(closed):
@@ -261,7 +262,7 @@ def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):
     doubted = dataclasses.replace(
         closure, alternatives=[Alternatives(closure.after, ((1.0, closure.before),))]
     )
-    assert [("u also holds what" in page(one, study, [], [])) for one in (certain, doubted)] == [
+    assert [("u also includes what" in page(one, study, [], [])) for one in (certain, doubted)] == [
         0,
         1,
     ]
@@ -270,7 +271,7 @@ def test_page_says_where_doubt_is_part_of_the_uncertainty(closed, monkeypatch):
     monkeypatch.setattr(plots, "error_motions", lambda tables: None)
     for one in (certain, doubted):
         (shown,) = (p for p in pictures(one, ["a table"]) if p.name == "error_motions")
-        assert ("the data said nothing" in shown.caption) == (one is certain)
+        assert ("the data give no information" in shown.caption) == (one is certain)
     (found,) = closure.effects
     rivals = dataclasses.replace(found, alternatives=[("jump", "", 0.01)])
     described = SimpleNamespace(effect=LocalBump(port="tool.Z", unit="um", placement="X"))
@@ -457,7 +458,9 @@ def test_all_files_are_there_and_nothing_else(written):
 def test_page_is_self_contained_and_says_what_matters(written):
     page = (written / "index.html").read_text(encoding="utf-8")
     targets = re.findall(r"""(?:src|href)\s*=\s*["']([^"']*)""", page)
-    assert targets and all(t.startswith(("data:image/png;base64,", "#")) for t in targets)
+    beside = [t for t in targets if not t.startswith(("data:image/png;base64,", "#"))]
+    assert beside == ["report.json", "compensation.csv", "effects.csv"]
+    assert set(beside) < set(strict(written / "report.json")["files"])
     plain = re.sub('data:image/png;base64,[^"]*', "", page)
     assert not any(word in plain for word in ("<script", "http", "@import", "url("))
     for words in (
@@ -479,7 +482,7 @@ def test_what_was_significant_is_added_or_told_why_not(closed):
     others = beyond & set(SEARCHED) - {"backlash"}  # without descriptions: those are for comparison
     told = {r.effect: r.reason for r in (*closure.rejected, *closure.passed_over)}
     assert others and others <= told.keys()
-    assert "not significant any more beside what was added" in told.values()
+    assert "no longer significant after another effect was added" in told.values()
     # The same search, had it ended with a description.
     dent = LocalBump(port="tool.Z", unit="um", placement="X")
     rival = SimpleNamespace(effect=dent)
@@ -500,25 +503,30 @@ def test_what_was_significant_is_added_or_told_why_not(closed):
     assert not any(r.effect == "backlash" for r in closure.passed_over)
 
 
+def by_round(closure, name):
+    """P-values of a kind of effect in every round, as the page has them."""
+    (table,) = _by_round(closure, {})
+    (row,) = (row for row in table.rows if row[0] == name)
+    return row[4:]
+
+
 def test_one_p_value_of_what_was_found(closed):
     closure = closed[2]
     first, *later = closure.screenings
     (found,) = closure.effects
-    assert first.added.alike(found.effect) and first.told == {"backlash": found.p_value}
-    assert later[-1].added is None and later[-1].told == {}
+    assert first.added.alike(found.effect) and first.refined_p == {"backlash": found.p_value}
+    assert later[-1].added is None and later[-1].refined_p == {}
     p_value = 1.25e-33  # not that of the step of the scan that is next to it
-    first = dataclasses.replace(first, told={"backlash": p_value})
-    lines = tried(dataclasses.replace(closure, screenings=[first, *later]), {})
-    (line,) = (line for line in lines if line["kind"] == "backlash")
-    assert line["p"][0] == text.probability(p_value)
-    assert line["p"][1] != line["p"][0]
+    first = dataclasses.replace(first, refined_p={"backlash": p_value})
+    p_values = by_round(dataclasses.replace(closure, screenings=[first, *later]), "backlash")
+    assert p_values[0] == text.probability(p_value) != p_values[1]
 
 
 def test_every_round_tells_what_was_added_in_it(closed):
     """Whether that stayed or not: the effects in the end need not be those of the first rounds."""
     closure = closed[2]
     first, last = closure.screenings[0], closure.screenings[-1]
-    nothing = dataclasses.replace(first, added=None, told={})
+    nothing = dataclasses.replace(first, added=None, refined_p={})
     begun_anew = [nothing, last, first, last]
     drawn = search(begun_anew, closure.settings["alpha"])
     limit = -math.log10(closure.settings["alpha"])
@@ -528,13 +536,12 @@ def test_every_round_tells_what_was_added_in_it(closed):
             added = screening.added is not None and name == screening.added.name
             colour = AFTER if added else BEFORE if bar.get_width() >= limit else DOTS
             assert bar.get_facecolor() == to_rgba(colour)
-    lines = tried(dataclasses.replace(closure, screenings=begun_anew), {})
-    (line,) = (line for line in lines if line["kind"] == "backlash")
+    p_values = by_round(dataclasses.replace(closure, screenings=begun_anew), "backlash")
     (kind,) = (k for k in first.kinds if k.kind == "backlash")
-    assert line["p"][0] == text.probability(first.corrected(kind))
-    assert line["p"][2] == text.probability(closure.effects[0].p_value)
+    assert p_values[0] == text.probability(first.corrected(kind))
+    assert p_values[2] == text.probability(closure.effects[0].p_value)
     # What was significant beside it in the last round was not looked at, whatever else was found.
-    for added, why in ((first.added, "less likely than"), (None, "its evidence is far behind")):
+    for added, why in ((first.added, "less probable than"), (None, "its evidence is far below")):
         screenings = [*begun_anew[:2], dataclasses.replace(first, added=added)]
         ended = dataclasses.replace(closure, screenings=screenings, rejected=[])
         assert ended.passed_over and all(r.reason.startswith(why) for r in ended.passed_over)
@@ -603,8 +610,9 @@ def test_what_could_not_be_tested_on_the_same_axis_stands_beside_a_name(closed):
     ]
     few = dataclasses.replace(closure, untestable=wanting)
     said = "stribeck_friction Y, coulomb_friction Y (no v_y_m_s); payload_sag Y (no payload_kg)"
-    assert f"</b>, for want of columns: {said}. Where" in page(few, study, [], [])
-    assert "Could not be tested on the same axis" not in page(closure, study, [], [])
+    heading = "Not tested on the same axis because columns are missing"
+    assert f"<td>{heading}</td><td>{said}. If one" in page(few, study, [], [])
+    assert heading not in page(closure, study, [], [])
     (effect,) = record(few, study)["effects"]
     assert effect["untested"] == [
         {"effects": ["stribeck_friction Y", "coulomb_friction Y"], "missing": "v_y_m_s"},
@@ -668,7 +676,7 @@ def test_geometry_is_told_as_tests_of_it_would(closed, written):
     assert [(t["name"], t["what"]) for t in told] == [(t.name, t.what) for t in tests]
     assert [t["value"] for t in told] == pytest.approx([t.value for t in tests], rel=1e-6)
     page = (written / "index.html").read_text(encoding="utf-8")
-    table = page[page.index("As tests of the geometry state it") : page.index("comes on top")]
+    table = page[page.index("Geometric deviations (ISO 230-1)") : page.index("are not included")]
     for t in tests:
         shown = text.rounded(t.value, t.u)[0] if t.information >= 0.05 else text.DASH
         assert f'<td>{t.name}</td><td>{t.what}</td><td class="n">{shown}</td>' in table
@@ -691,7 +699,7 @@ def test_effects_table_repeats_the_record(written):
 def test_values_are_those_of_one_placement_of_several(closed, capsys):
     """At the other one, which the data do not tell from it, they may have the opposite sign."""
     _, study, closure = closed
-    values = "Its values if it is <b>backlash Y</b>"
+    values = "Values for backlash Y; for another effect of this class"
     assert values not in page(closure, study, [], [])
     (found,) = closure.effects
     found = dataclasses.replace(found, placement="X|Y", equivalent=["backlash X"])
@@ -727,7 +735,7 @@ def test_declared_effects_are_told_as_they_were_fitted(tmp_path):
         ["backlash", "X", "size", "declared", "X"], ["scale_growth", "Y", "alpha", "declared", "Y"]
     ]  # fmt: skip
     assert float(table[0][3]) == pytest.approx(size["value"])
-    assert "What was declared" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert "Declared effects</h2>" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
 
 
 ALL = "the readings scatter 2.8 times as declared"
@@ -762,11 +770,11 @@ def test_noise_far_beyond_what_was_declared_is_part_of_the_verdict(
     said = page(found, study, [], [])
     if told:
         assert found.sentence.startswith(f"No effect was found, but {told}: the noise is larger")
-        assert '<span class="badge louder">Noise larger than declared</span>' in said
+        assert '<span class="badge caution">Noise larger than declared</span>' in said
         assert dataclasses.replace(found, verdict="named").louder == {}
     else:
         assert found.sentence.endswith("nothing is missing.")
-        assert '<span class="badge nothing_missing">Nothing is missing</span>' in said
+        assert '<span class="badge good">Nothing is missing</span>' in said
     if uneven:
         assert not dataclasses.replace(found, noise_components=tuple(unsure)).louder
 
@@ -778,7 +786,7 @@ def test_many_declared_values_are_told_in_short(closed, monkeypatch, capsys):
     listed = [(p.name, 0.8 * (p.name == "2.X"), "um", 0.1) for p in array.parameters]
     play = closure.effects[0].effect
     told = [(array, listed), (play, [("size", 12.98, "um", 0.21)])]
-    for module in ("vcal.cli.show", "vcal.report.loop.page"):
+    for module in ("vcal.cli.show", "vcal.report.loop.findings"):
         monkeypatch.setattr(f"{module}.declared", lambda _: told)
     short = "ball_calibration: 9 declared values; the fit moved 2.X most, by 1.60 of its sigma"
     show_closure(closure)
@@ -786,7 +794,7 @@ def test_many_declared_values_are_told_in_short(closed, monkeypatch, capsys):
     assert f"  {short}\n" in shown and "0.X = " not in shown
     assert "backlash Y: size = 12.98 ± 0.42 um (k = 2), declared" in shown
     said = page(closure, study, [], [])
-    section = said[said.index('id="declared"') : said.index('id="tried"')]
+    section = said[said.index("Declared effects</h2>") : said.index("Effects tested</h2>")]
     before, folded = section.split(f"<details><summary>{short}</summary>")
     assert "<td>backlash Y</td>" in before
     assert "ball_calibration" not in before and folded.count("<td>ball_calibration</td>") == 9
@@ -924,7 +932,7 @@ def test_location_errors_alone_are_drawn():
     one = np.ones(1)
     values = (np.zeros(0), "mm", 4.0 * one, one, 40.0 * one, 0.9 * one)
     names = ("EC0Y", "EB0Z")
-    tables = [plots.ErrorMotionTable(name, name[-1], "urad", *values) for name in names]
+    tables = [ErrorMotionTable(name, name[-1], "urad", *values) for name in names]
     (ax,) = plots.error_motions(tables).axes
     assert [label.get_text() for label in ax.get_yticklabels()] == ["EC0Y", "EB0Z"]
 
@@ -1245,6 +1253,63 @@ def test_earlier_record_reaches_no_file_outside_its_folder(closed, quick, tmp_pa
     (out / "report.json").write_text(json.dumps(tampered), encoding="utf-8")
     write_report(closure, study, out)
     assert (tmp_path / "precious").read_text(encoding="utf-8") == "mine"
+
+
+# --- output formats ------------------------------------------------------------------------------
+
+LEAF = '''"""backlash.txt: sizes of reversal errors.
+
+Source: the final fit. Sign: positive is a lead. Units: um.
+"""
+
+from vcal.report.formats.base import FORMATS, Format
+
+
+@FORMATS.register
+class BacklashTxt(Format):
+    """Sizes of backlash."""
+
+    file = "backlash.txt"
+    summary = "sizes of reversal errors <um>"
+
+    def text(self, results):
+        sizes = [e.parameters[0][1] for e in results.closure.effects if e.effect.name == "backlash"]
+        return "".join(f"{size:.3f}\\n" for size in sizes) or None
+'''
+
+
+def test_a_new_output_format_is_one_file(closed, quick, tmp_path, monkeypatch):
+    """It is found, written into the report, and listed on the page and in the record."""
+    _, study, closure = closed
+    (tmp_path / "leaves").mkdir()
+    (tmp_path / "leaves" / "backlash_txt.py").write_text(LEAF, encoding="utf-8")
+    monkeypatch.setattr(formats, "__path__", [*formats.__path__, str(tmp_path / "leaves")])
+    name = f"{formats.__name__}.backlash_txt"
+    with unchanged():
+        try:
+            formats.discover()
+            page = write_report(closure, study, tmp_path / "report")
+            without = write_report(dataclasses.replace(closure, effects=[]), study, tmp_path / "no")
+        finally:
+            sys.modules.pop(name, None)
+    ((_, size, *_),) = closure.effects[0].parameters
+    assert (tmp_path / "report" / "backlash.txt").read_text() == f"{size:.3f}\n"
+    assert "backlash.txt" in strict(tmp_path / "report" / "report.json")["files"]
+    link = (
+        '<a href="backlash.txt">backlash.txt</a></td><td>sizes of reversal errors &lt;um&gt;</td>'
+    )
+    assert link in page.read_text(encoding="utf-8")
+    # These results have no content for it.
+    assert not (tmp_path / "no" / "backlash.txt").exists()
+    assert "backlash.txt" not in without.read_text(encoding="utf-8")
+
+
+def test_every_format_states_source_sign_and_units():
+    assert list(formats.FORMATS) == ["compensation.csv", "effects.csv"]
+    for kind in formats.FORMATS.values():
+        about = sys.modules[kind.__module__].__doc__ or ""
+        assert about.startswith(f"{kind.file}: ")
+        assert all(f"\n{word}: " in about for word in ("Source", "Sign", "Units")), kind.file
 
 
 # --- numbers as text -----------------------------------------------------------------------------

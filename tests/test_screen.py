@@ -322,7 +322,7 @@ def test_no_size_gains_more_than_the_drop_says(known):
         most = 0.5 * tested.drops.stat.max()
         for peak in (*tested.peaks(5), *map(state.refine, tested.peaks(2))):
             assert peak.log_bayes_at_its_size <= max(most, 0.5 * peak.statistic) + 1e-6, peak
-            far_larger += peak.leniency > 20.0
+            far_larger += peak.size_allowance > 20.0
     assert far_larger
 
 

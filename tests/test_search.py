@@ -191,16 +191,16 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     place = len(rival.fit.model.effects) - 1
     size = rival.fit.values_of(place)[0][2] / effect.amplitudes[0].sigma
     assert abs(size * effect.amplitudes[0].sigma - 120) < 2  # not pulled towards what is expected
-    surprise = 0.5 * (size**2 - 1.0)
-    assert surprise > np.log(20.0)
-    assert rival.surprise == pytest.approx(surprise, rel=0.01)
-    assert rival.leniency == pytest.approx(rival.surprise - np.log(20.0))
-    expected = rival.log_bayes + np.log(0.5) + rival.leniency
+    size_surplus = 0.5 * (size**2 - 1.0)
+    assert size_surplus > np.log(20.0)
+    assert rival.size_surplus == pytest.approx(size_surplus, rel=0.01)
+    assert rival.size_allowance == pytest.approx(rival.size_surplus - np.log(20.0))
+    expected = rival.log_bayes + np.log(0.5) + rival.size_allowance
     assert rival.log_weight == pytest.approx(expected)
     small = identify(tracker.model, noisy(tracker, 4, tracker.effect("backlash:Y:size_um=12")))
     (peak,) = ScoreTest(small, 20, 0).tests([effect])[0].peaks(1)
     (rival,) = refit_all(small, [peak], {"backlash": 2}, small.used, tracker.room)
-    assert rival.leniency == 0.0
+    assert rival.size_allowance == 0.0
 
 
 def test_names_are_ranked_by_all_their_places_however_unlikely():
@@ -271,11 +271,13 @@ def test_other_shapes_share_the_probability_of_the_name(apart):
 
 
 def test_of_names_that_may_be_one_of_an_expected_size_goes_first():
-    """The size of another had to be forgiven; what excludes all others goes first whatever."""
+    """The size of another needed an allowance; what excludes all others goes first whatever."""
     odds = {}
 
-    def rival(log_odds: float, leniency: float, key: str = ""):
-        made = SimpleNamespace(leniency=leniency, effect=SimpleNamespace(key=key or f"{log_odds}"))
+    def rival(log_odds: float, size_allowance: float, key: str = ""):
+        made = SimpleNamespace(
+            size_allowance=size_allowance, effect=SimpleNamespace(key=key or f"{log_odds}")
+        )
         odds[id(made)] = log_odds
         return made
 
@@ -292,15 +294,15 @@ def test_of_names_that_may_be_one_of_an_expected_size_goes_first():
 
 
 def test_a_size_that_is_forgiven_needs_more_evidence():
-    """Of 20 kinds, ln 20 = 3.0; what places and leniency add to the odds is no evidence."""
-    expected = SimpleNamespace(leniency=0.0, log_prior=-2.0)
-    large = SimpleNamespace(leniency=4.0, log_prior=0.0)
+    """Of 20 kinds, ln 20 = 3.0; what places and the allowance add to the odds is no evidence."""
+    expected = SimpleNamespace(size_allowance=0.0, log_prior=-2.0)
+    large = SimpleNamespace(size_allowance=4.0, log_prior=0.0)
 
     def why(rival, evidence: float) -> str | None:
-        return unlikely(rival, evidence + rival.leniency + rival.log_prior, 20)
+        return unlikely(rival, evidence + rival.size_allowance + rival.log_prior, 20)
 
     assert why(expected, 0.1) is None and why(large, 3.1) is None
-    assert "no likelier" in why(expected, -0.1) and "no likelier" in why(large, -0.1)
+    assert all("no more probable" in why(it, -0.1) for it in (expected, large))
     assert "larger than expected" in why(large, 2.9)
 
 
@@ -503,7 +505,7 @@ def test_an_effect_of_which_the_readings_say_nothing_is_not_named(tracker):
     blind = dataclasses.replace(fit, jacobian=fit.jacobian.copy())
     blind.jacobian[:, fit.places_of(len(fit.model.effects) - 1)[0]] *= 1e-6
     less = doubted(found, blind, None, [])
-    assert less.status == "ambiguous" and "next to nothing of its size" in less.separation
+    assert less.status == "ambiguous" and "poorly determine its size" in less.separation
 
 
 def test_no_more_effects_are_added_than_may_be(tracker):
@@ -531,7 +533,7 @@ def test_what_check_points_ask_beyond_what_was_measured(tracker, told):
         tracker.model, measurement, check=check, effects=[CATALOGUE["drift"]], draws=100
     )
     (name,) = (e.effect.key for e in closure.effects)
-    beyond = [note for note in closure.notes if "beyond what was measured" in note]
+    beyond = [note for note in closure.notes if "beyond the measured range" in note]
     assert len(beyond) == told
     assert not told or (name in beyond[0] and f"t_s {t.min():.4g} to {t.max():.4g}" in beyond[0])
 
@@ -590,7 +592,7 @@ def test_a_search_anew_does_not_end_with_less(monkeypatch, left, kept):
     effect = SimpleNamespace(key="backlash X", name="backlash", placement="X")
     item = SimpleNamespace(effect=effect, p_value=0.001)
     state = SimpleNamespace(fit="good")
-    found = search.anew(state, item)
+    found = search.search_again(state, item)
     assert (found is state, search.unexplained is None) == (kept, kept)
     assert (search.rejected == ["before"]) == kept
 
@@ -631,7 +633,7 @@ def test_a_search_anew_takes_the_same_effect_at_a_better_moment(monkeypatch, lef
         return better
 
     monkeypatch.setattr(search, "step", step)
-    assert search.anew(state, old) is (better if taken else state)
+    assert search.search_again(state, old) is (better if taken else state)
     first, last = search.history
     assert (first.weighed, first.gain) == ("weighed 2", 2.0 if taken else 1.0)
     assert last is other and search.rejected == ["before"]
@@ -744,7 +746,7 @@ def test_what_is_barred_lets_others_be_found(monkeypatch, likelier):
         return likelier
 
     monkeypatch.setattr(search, "step", step)
-    monkeypatch.setattr(search, "anew", anew)
+    monkeypatch.setattr(search, "search_again", anew)
     monkeypatch.setattr(search, "_likelier", compare)
     search.refused, search.rejected = "something", ["before"]
     search.screenings = [SimpleNamespace(p_value=0.001)]
@@ -774,7 +776,7 @@ def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, mo
     run = searching(tracker)
     state = fitted(tracker.model, noisy(tracker, 3), None, tracker.room)
     large, expected = (
-        SimpleNamespace(effect=bare(tracker, f"backlash:{a}:size_um=1"), leniency=x)
+        SimpleNamespace(effect=bare(tracker, f"backlash:{a}:size_um=1"), size_allowance=x)
         for a, x in (("X", 9.0), ("Y", 0.0))
     )
     holds, small = {id(large): "", id(expected): ""}, {id(large): "", id(expected): ""}
@@ -798,9 +800,12 @@ def test_a_name_stands_behind_a_likelier_one_only_where_that_is_none(tracker, mo
     assert run.step(state) is large
     # The likelier one was tried, and is none.
     holds.update({id(expected): "", id(large): "does not"})
-    large.leniency, run.rejected = 0.0, []
+    large.size_allowance, run.rejected = 0.0, []
     assert run.step(state) is None
-    assert [r.reason for r in run.rejected] == ["does not", "a far likelier one does not hold"]
+    assert [r.reason for r in run.rejected] == [
+        "does not",
+        "a far more probable effect does not hold",
+    ]
     holds[id(large)], small[id(large)] = "", "by 1 % only"
     run.rejected = []
     assert run.step(state) is expected

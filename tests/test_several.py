@@ -15,7 +15,7 @@ from vcal import CATALOGUE, Measurement, StudyError, close_loop, identify, load_
 from vcal.demo import FOLDER
 from vcal.effects.data_set import OfDataSet
 from vcal.effects.geometric import GeometricErrors
-from vcal.effects.r_test import ProbeMatrix
+from vcal.effects.probes import ProbeMatrix
 from vcal.instruments.several import DataSet, one_clock, several
 from vcal.loop.empirical.covariates import distinct_covariates
 from vcal.loop.notes import _elsewhere, _few_check_points, _worse, data_set_consistency
@@ -838,7 +838,7 @@ def test_check_points_of_another_tool_are_told():
         return _elsewhere(SimpleNamespace(errors={"after": after}))
 
     (told,) = said(3.0, 150_000.0)
-    assert "as a whole are 150 mm off" in told and "after alignment" in told
+    assert "common offset of 150 mm" in told and "after alignment" in told
     # A machine's own errors, an arm before its calibration, and no check points in its frame.
     assert said(3.0, 1_500.0) == said(9_000.0, 20_000.0) == said(3.0, None) == []
 
@@ -851,7 +851,7 @@ def test_an_alignment_of_few_points_is_told():
         return _few_check_points(SimpleNamespace(check=rows))
 
     (told,) = said(3)
-    assert "3 check points only" in told and "six of the 9 numbers" in told
+    assert "only 3 check points" in told and "to their 9 coordinates" in told
     assert said(10) == _few_check_points(SimpleNamespace(check=None)) == []
     rng = np.random.default_rng(0)
     for count in (3, 4, 6):

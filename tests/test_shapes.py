@@ -1,4 +1,4 @@
-"""Shape parameters on their way: at the end of a scan, and where the linear model leads astray."""
+"""Steps of shape parameters: at the end of a scan, and where the linear model is wrong."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -13,7 +13,7 @@ from vcal import Effect, Measurement, Parameter, Plan, identify
 from vcal.effects.cyclic import ScrewCyclic
 from vcal.geometry.compensated import compensated_points
 from vcal.identification.fit import shape_step
-from vcal.identification.shape_steps import Step, Walk
+from vcal.identification.shape_steps import ShapeSteps, Step
 from vcal.loop.empirical import Kink
 
 
@@ -93,9 +93,9 @@ def test_at_an_end_of_the_scan_all_others_are_at_their_best(tracker):
     assert width < -0.1  # and the width would go further
 
 
-def walked(factor: float, start: float, best: float = 0.3) -> tuple[list[float], bool]:
-    """The places of a shape whose linear model goes `factor` times as far as the minimum of
-    100 (s - best)^2 is, in a scan of steps of 0.1 from 0 to 1.
+def iterated(factor: float, start: float, best: float = 0.3) -> tuple[list[float], bool]:
+    """The values of a shape whose linear model steps `factor` times the distance to the minimum of
+    100 (s - best)^2, in a scan of steps of 0.1 from 0 to 1; and whether the iteration ended.
     """
     p = SimpleNamespace(name="s", moves=True, si=1.0)
     effect = SimpleNamespace(shapes=(p,), scan=lambda plan: {"s": np.linspace(0.0, 1.0, 11)})
@@ -105,21 +105,20 @@ def walked(factor: float, start: float, best: float = 0.3) -> tuple[list[float],
         cost = 100.0 * (s - best) ** 2
 
         def step(still):
-            # As far as it can see, the linear model leaves half.
+            # The linear model predicts half of the reduction.
             moves = np.where(still, 0.0, factor * (best - s) / 0.1)
             return Step(np.zeros(1), moves, 0.0 if still.all() else 0.5 * cost)
 
         return SimpleNamespace(shapes=shapes, cost=cost, step=step)
 
-    walk = Walk(SimpleNamespace(effects=(effect,)), None)  # type: ignore[arg-type]
-    shapes, places = {0: {"s": start}}, []
+    iteration = ShapeSteps(SimpleNamespace(effects=(effect,)), None)  # type: ignore[arg-type]
+    shapes, values = {0: {"s": start}}, []
     for _ in range(25):
-        place = at_best(shapes)
-        places.append(shapes[0]["s"])
-        if walk.ends(place):
-            return places, True
-        shapes, _ = walk.onward()
-    return places, False
+        values.append(shapes[0]["s"])
+        if iteration.converged(at_best(shapes)):
+            return values, True
+        shapes, _ = iteration.propose()
+    return values, False
 
 
 def test_what_is_foretold_elsewhere_is_as_certain_as_its_shape(tracker):
@@ -153,26 +152,26 @@ def test_what_is_foretold_elsewhere_is_as_certain_as_its_shape(tracker):
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.6, 2.8, 6.0])
-def test_a_walk_comes_to_rest_where_steps_are_too_long(factor):
-    places, ended = walked(factor, 0.33)
+def test_the_iteration_converges_where_steps_are_too_long(factor):
+    values, ended = iterated(factor, 0.33)
     assert ended
-    assert places[-1] == pytest.approx(0.3, abs=2e-3)
+    assert values[-1] == pytest.approx(0.3, abs=2e-3)
 
 
-def test_a_walk_goes_no_further_than_a_step_of_its_scan():
-    places, ended = walked(1.0, 0.85)
-    assert ended and places[-1] == pytest.approx(0.3, abs=2e-3)
-    assert np.abs(np.diff(places)).max() <= 0.1 + 1e-12
+def test_no_shape_moves_by_more_than_a_step_of_its_scan():
+    values, ended = iterated(1.0, 0.85)
+    assert ended and values[-1] == pytest.approx(0.3, abs=2e-3)
+    assert np.abs(np.diff(values)).max() <= 0.1 + 1e-12
 
 
-def test_a_walk_stands_still_at_the_end_of_its_scan():
-    places, ended = walked(1.0, 0.15, best=-0.2)
+def test_a_shape_is_held_at_the_end_of_its_scan():
+    values, ended = iterated(1.0, 0.15, best=-0.2)
     assert ended
-    assert places[-1] == 0.0
+    assert values[-1] == 0.0
 
 
 @pytest.mark.parametrize("seed", [1, 7])
-def test_a_walk_ends_at_a_corner(tracker, seed):
+def test_the_iteration_ends_at_a_corner(tracker, seed):
     """A kink at a position that was measured: on either side the cost says that it is on the other
     one, and no slope is zero. Against scipy over the position, at which all else is linear.
     """
@@ -229,8 +228,8 @@ def test_a_warming_up_longer_than_the_measurement_against_scipy(tracker):
     np.testing.assert_allclose(step / sigma, 0.0, atol=0.05)
 
 
-def test_a_walk_whose_problem_has_no_solution_is_at_no_corner():
-    """Numbers that are none, as of weights beyond all bounds, are not divided by a step of zero."""
+def test_a_problem_without_a_solution_has_no_corner():
+    """Numbers that are nan, as for weights beyond all bounds, are not divided by a step of zero."""
     place = SimpleNamespace(
         shapes={0: {"s": np.nan}},
         cost=np.nan,
@@ -238,9 +237,9 @@ def test_a_walk_whose_problem_has_no_solution_is_at_no_corner():
     )
     p = SimpleNamespace(name="s", moves=True, si=1.0)
     effect = SimpleNamespace(shapes=(p,), scan=lambda plan: {"s": np.linspace(0.0, 1.0, 11)})
-    walk = Walk(SimpleNamespace(effects=(effect,)), None)  # type: ignore[arg-type]
+    iteration = ShapeSteps(SimpleNamespace(effects=(effect,)), None)  # type: ignore[arg-type]
     for _ in range(2):
-        assert not walk.ends(place)
+        assert not iteration.converged(place)
 
 
 @pytest.mark.parametrize("grid", [[0.2], [0.2, 0.2, 0.2], [0.1, 0.2, 0.2, 0.2]])

@@ -17,6 +17,7 @@ from vcal.identification.batch import identify_alone, identify_one, prepare_batc
 from vcal.machine.chain import chain_from_string
 from vcal.model.forward import Model
 from vcal.model.simulate import simulate
+from vcal.numerics.rigid import Vector
 
 PROBES = np.array([[0.8, 0.0, 0.6], [-0.4, 0.69, 0.6], [-0.4, -0.69, 0.6]])
 INSTRUMENT = """
@@ -114,7 +115,7 @@ def test_readings_are_those_of_the_matrices(tmp_path, nest):
     for row in (0, 17, 60):
         q, twists = np.asarray(plan.position)[row], ports[:5]
         rotation, t = it.pose(list(q), [list(e) for e in twists])
-        tool = t + rotation @ vcal.rigid.Vector.of(it.tool_offset)
+        tool = t + rotation @ Vector.of(it.tool_offset)
         place, zero, matrix = ports[5, :3], ports[6, :3], rng.normal(0.0, 1e-2, 9)
         own = {"place": list(place), "zero": list(zero), "matrix": list(matrix)}
         found = [float(v) for v in instrument.observe(sphere, rotation, tool, own)]

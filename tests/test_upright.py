@@ -12,7 +12,7 @@ from vcal import StudyError, load_study
 from vcal.design.spaces.ball_information import ArrayPoses, derived
 from vcal.effects import Setup
 from vcal.effects.arm import gravity_moments
-from vcal.effects.sag import PayloadSag
+from vcal.effects.structure import PayloadSag
 from vcal.machine.chain import chain_from_dh, chain_from_string
 from vcal.machine.plan import Plan
 from vcal.machine.ports import PortLayout

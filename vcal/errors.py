@@ -1,10 +1,10 @@
-"""The one exception a user's mistake raises."""
+"""The exception for mistakes in a user's input, and its variants for rows and keys."""
 
 
 class StudyError(ValueError):
-    """A user's input cannot be used as it stands.
+    """A user's input cannot be used.
 
-    The message is complete on its own: it names the file and the row, column or key, says what was
+    The message is self-contained: it names the file and the row, column or key, states what was
     found and what was expected, and what to do. The command line prints it and exits with code 2.
     """
 
@@ -12,8 +12,8 @@ class StudyError(ValueError):
 class RowError(StudyError):
     """A row of a data set that its instrument cannot use.
 
-    The instrument knows the row, and who read the table its file and line: what a user sees is made
-    by both (`vcal.io.study`).
+    The instrument knows the row, and the reader of the table knows file and line. The message for
+    the user is composed from both (`vcal.study.messages`).
     """
 
     def __init__(self, row: int, place: str, found: str, expected: str, do: str):
@@ -24,8 +24,9 @@ class RowError(StudyError):
 
 
 class KeyedError(StudyError):
-    """A key of the study file that does not go with the others, or with the machine; the instrument
-    knows the key, and who read the study file its name.
+    """A key of the study file that is inconsistent with other keys, or with the machine.
+
+    The instrument knows the key, and the reader of the study file knows the name of the file.
     """
 
     def __init__(self, key: str, found: str, expected: str, do: str):

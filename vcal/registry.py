@@ -1,6 +1,4 @@
-"""Catalogues: classes by the names by which study files and commands call them, and those that a
-user wrote in a file of their own.
-"""
+"""Catalogues of classes by the names that study files and commands use; classes of user files."""
 
 import difflib
 import hashlib
@@ -20,12 +18,14 @@ C = TypeVar("C", bound=type[Any])
 D = TypeVar("D", bound=type[Any])
 T = TypeVar("T")
 _OWN = "vcal_user_"
-"""How the names of modules begin that are files of a user's own."""
+"""Prefix of the names of modules that are user files."""
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:
-    """The known name most like `name`, upper and lower case counting as the same; none of a single
-    letter, which is as much like all that have it.
+    """The known name most similar to `name`, regardless of case, or None.
+
+    A single letter only matches the same letter: it is equally similar to all names that contain
+    it.
     """
     if len(name) < 2:
         return next((k for k in known if k.casefold() == name.casefold()), None)
@@ -41,9 +41,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 class Catalogue(dict[str, C], Generic[C]):
-    """Classes of one sort by their names.
+    """Classes of one kind by their names.
 
-    `what` is what messages call one of them, `attribute` the class attribute with its name.
+    `what` is the word for one of them in messages, `attribute` the class attribute with its name.
     """
 
     _all: ClassVar[list["Catalogue[Any]"]] = []
@@ -54,9 +54,9 @@ class Catalogue(dict[str, C], Generic[C]):
         Catalogue._all.append(self)
 
     def register(self, kind: D) -> D:
-        """Class decorator that enters a class under its name.
+        """Class decorator that registers a class under its name.
 
-        Raises `ValueError` if another class holds that name.
+        Raises `ValueError` if another class has that name.
         """
         name = getattr(kind, self.attribute)
         known = self.get(name)
@@ -66,7 +66,7 @@ class Catalogue(dict[str, C], Generic[C]):
         return kind
 
     def named(self, name: str) -> C:
-        """The class of that name; raises `StudyError` that offers the nearest one."""
+        """The class of that name. Raises `StudyError` that suggests the nearest name."""
         if name not in self:
             raise StudyError(
                 f"unknown {self.what} {name!r}{nearest(name, self)}; known: {', '.join(self)}"
@@ -74,10 +74,10 @@ class Catalogue(dict[str, C], Generic[C]):
         return self[name]
 
     def defined_in(self, module: ModuleType, base: type[T]) -> list[type[T]]:
-        """The classes derived from `base` that a file of the user's own defines.
+        """The classes derived from `base` that a user file defines.
 
-        One without a name from which another derives is what they have in common. Raises
-        `StudyError` where there is none, or another one without a name.
+        A class without a name that is the base of another one is a common base class, and is left
+        out. Raises `StudyError` where there is no class, or another class without a name.
         """
         found = [
             value
@@ -105,7 +105,7 @@ class Catalogue(dict[str, C], Generic[C]):
 
 @contextmanager
 def unchanged() -> Iterator[None]:
-    """What is registered meanwhile, in any catalogue, is forgotten afterwards."""
+    """Context after which all catalogues are as before: registrations within it are undone."""
     before = [(catalogue, dict(catalogue)) for catalogue in Catalogue._all]
     try:
         yield
@@ -116,23 +116,23 @@ def unchanged() -> Iterator[None]:
 
 
 def run_file(path: Path, what: str) -> ModuleType:
-    """A Python file of the user's own as a module; it is run anew every time.
+    """Run a Python file of the user, every time it is called, and return it as a module.
 
-    It stays among the modules under a name that no other file has, the last run in place of those
-    before. `what` is what its classes are, for messages. Raises `StudyError` if it cannot be read
-    or run.
+    The module stays in `sys.modules` under a name that no other file has, and replaces the one of
+    an earlier run. `what` is the word for its classes in messages. Raises `StudyError` if the file
+    cannot be read or run.
     """
     if not path.is_file():
         raise StudyError(f"{path}: no such file, expected a Python file with classes of {what}s")
-    # A name of its own for every file: own_effect.py is one of many.
+    # The name is unique for every file: many studies have an own_effect.py.
     digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
     spec = importlib.util.spec_from_file_location(f"{_OWN}{path.stem}_{digest}", path)
     if spec is None or spec.loader is None:
         raise StudyError(f"{path}: not a Python file, expected a name that ends in .py; rename it")
     module = importlib.util.module_from_spec(spec)
     earlier = sys.modules.get(spec.name)
-    # Annotations that are text (`from __future__ import annotations`) are looked up there, by
-    # dataclasses while the file is run, and by others later.
+    # Annotations that are strings (`from __future__ import annotations`) are looked up there: by
+    # dataclasses while the file is run, and by other code later.
     sys.modules[spec.name] = module
     try:
         spec.loader.exec_module(module)
@@ -143,12 +143,14 @@ def run_file(path: Path, what: str) -> ModuleType:
             sys.modules[spec.name] = earlier
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise StudyError(f"{path}: cannot be run: {in_own_words(error)}; mend the file") from error
+        raise StudyError(
+            f"{path}: cannot be run: {in_own_words(error)}; correct the file"
+        ) from error
     return module
 
 
 def in_own_words(error: BaseException) -> str:
-    """An error of a file of the user's own in one line: its kind, what it says, and where."""
+    """An error of a user file in one line: its type, its message and its line number."""
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         what = f"{'.'.join(map(str, first['loc']))}: {first['msg']} ({error.title})"
@@ -160,7 +162,7 @@ def in_own_words(error: BaseException) -> str:
 
 
 def own_place(error: BaseException) -> tuple[str, int, str] | None:
-    """File, line and function of the user's own in which an error arose; None where in none."""
+    """Name, line and function of the user file in which an error was raised; None if in none."""
     found, step = None, error.__traceback__
     while step is not None:
         code = step.tb_frame.f_code

@@ -1,4 +1,4 @@
-"""While the modules are imported, which takes seconds: Ctrl-C, no garbage collection, threads."""
+"""Import of the modules, which takes seconds: Ctrl-C, garbage collection and threads meanwhile."""
 
 import contextlib
 import gc
@@ -15,25 +15,26 @@ _INTERRUPTED = 130
 
 @contextlib.contextmanager
 def importing() -> Iterator[None]:
-    """Import in this block what takes seconds.
+    """Context for imports that take seconds.
 
-    A process that was started as ``vcal`` or ``python -m vcal`` ends at once where it is
-    interrupted here, without a traceback, and its linear algebra is for one core. Any other program
-    sees its `KeyboardInterrupt` and keeps its threads.
+    A process that was started as ``vcal`` or ``python -m vcal`` exits at once on Ctrl-C in this
+    context, without a traceback, and its linear algebra uses one thread. Any other program gets its
+    `KeyboardInterrupt` and keeps its threads.
     """
     with contextlib.ExitStack() as stack:
         stack.enter_context(_uncollected())
         if _is_command():
-            _alone()
+            _single_thread()
             stack.enter_context(_ended_at_once())
         yield
 
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """Importing leaves nothing behind to be freed, and looking for it is a quarter of the time.
+    """Context without garbage collection, which would take a quarter of the time of an import.
 
-    Nor is it looked for right afterwards: what was imported goes to the oldest generation as it is.
+    Imports leave nothing to free. Nothing is collected right afterwards either: imported objects
+    move to the oldest generation.
     """
     if not gc.isenabled():
         yield
@@ -42,27 +43,31 @@ def _uncollected() -> Iterator[None]:
     try:
         yield
     finally:
-        if not gc.get_freeze_count():  # else what the program froze would thaw
+        if not gc.get_freeze_count():  # else objects frozen by the program would be unfrozen
             gc.freeze()
             gc.unfreeze()
         gc.enable()
 
 
-def _alone() -> None:
-    """One thread for OpenBLAS, unless the user wants more: the matrices of a command are small.
-    Further threads make nothing faster, and where other work shares the cores they wait for each
-    other, fifty times as long in a campaign of R-tests.
+def _single_thread() -> None:
+    """One thread for OpenBLAS, unless the user sets another number: the matrices of a command are
+    small.
+
+    Further threads make nothing faster. Where other work shares the cores, they wait for each
+    other: a campaign of R-tests then takes fifty times as long.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @contextlib.contextmanager
 def _ended_at_once() -> Iterator[None]:
-    """By a handler, as an exception can be lost: in a callback of the garbage collector, of which
-    JAX has one, it is printed and forgotten.
+    """Exit at once on Ctrl-C, by a signal handler.
+
+    An exception can be lost: in a callback of the garbage collector, of which JAX has one, it is
+    printed and ignored.
     """
     before = signal.getsignal(signal.SIGINT)
-    # Whoever started the process without Ctrl-C, such as nohup, meant it.
+    # A process that was started without Ctrl-C, as by nohup, keeps it that way.
     if before is not signal.default_int_handler:
         yield
         return
@@ -74,13 +79,13 @@ def _ended_at_once() -> Iterator[None]:
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
-    """Nothing was begun that would have to be ended."""
+    """Exit without cleaning up: nothing has been started yet."""
     os.write(2, b"vcal: interrupted\n")
     os._exit(_INTERRUPTED)
 
 
 def _is_command() -> bool:
-    if sys.argv[0] == "-m":  # as it is until the package is imported
+    if sys.argv[0] == "-m":  # its value until the package is imported
         return ("-m", "vcal") in itertools.pairwise(sys.orig_argv)
     path = Path(sys.argv[0])
     return path.stem == "vcal" or path.parts[-2:] == ("vcal", "__main__.py")

@@ -1,7 +1,8 @@
 """Conversion between the units of files and reports and the SI units used inside.
 
-Everything inside vcal is in metre, radian, second and kelvin (temperatures are differences to, or
-values in, degree Celsius: the same scale). Units appear in the *names* of columns and parameters.
+All internal values are in metre, radian, second and kelvin. Temperatures are differences in kelvin,
+or values in degree Celsius, which has the same scale. Units appear in the *names* of columns and
+parameters.
 """
 
 import functools
@@ -30,13 +31,13 @@ _FACTORS = {
 
 @functools.cache
 def si_factor(unit: str) -> float:
-    """Factor that turns a value given in `unit` into SI.
+    """Factor from a value in `unit` to SI.
 
     `unit` is a product of symbols separated by spaces, optionally divided by one symbol or one
-    parenthesised product, powers as a trailing digit: ``"um"``, ``"um/(m K)"``, ``"urad/m2"``;
-    ``"1"`` or nothing is a plain number.
+    product in parentheses. A power is a digit after the symbol: ``"um"``, ``"um/(m K)"``,
+    ``"urad/m2"``. ``"1"`` or an empty text is a plain number.
 
-    Raises `ValueError` for a symbol that is not known.
+    Raises `ValueError` for an unknown symbol.
     """
     numerator, _, denominator = unit.partition("/")
     return _product(numerator, unit) / _product(denominator.strip("() "), unit)
@@ -58,6 +59,6 @@ def _product(text: str, unit: str) -> float:
 
 
 def in_name(unit: str) -> str:
-    """The unit as it is written at the end of a name: ``"um/(m K)"`` gives ``"um_per_m_K"``."""
+    """The unit as the suffix of a name: ``"um/(m K)"`` gives ``"um_per_m_K"``."""
     text = unit.replace("/", " per ").replace("(", "").replace(")", "").replace("%", "percent")
     return "_".join(text.split())

@@ -1,13 +1,14 @@
-"""An instrument of one's own: the double ball bar of ISO 230-4.
+"""A user's own instrument: the double ball bar of ISO 230-4.
 
-A bar with a ball at either end reads the distance from the one on the table to the one in the
+A bar with a ball at each end reads the distance from the ball on the table to the one in the
 spindle, while the axes travel circles about the former. A study names it by
 
     [instrument]
     kind = "double_ball_bar"
     kind_file = "ball_bar.py"
 
-What each method owes is said in vcal/instruments/base.py.
+Everything it builds on comes from `vcal` and `vcal.instruments`; vcal/instruments/base.py documents
+each method.
 """
 
 import equinox as eqx
@@ -21,11 +22,11 @@ from vcal.instruments import (
     Column,
     InstrumentSettings,
     TableInstrument,
+    Vector,
+    group,
     linear_plan,
     linear_plan_table,
 )
-from vcal.machine.ports import group
-from vcal.numerics.rigid import Vector
 
 
 class BallBarSettings(InstrumentSettings):

@@ -467,7 +467,7 @@ def effects(
 
     chosen = list(CATALOGUE.values()) if name is None else [effect_class(name)]
     if out is not None:
-        from ..report.effects.page import write_effects
+        from ..report.effects.write import write_effects
 
         start()
         page = write_effects(chosen, {e.name: example(e) for e in chosen}, out)

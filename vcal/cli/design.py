@@ -9,9 +9,10 @@ from ..design.next_measurement import plan_next
 from ..design.optimiser import Task, optimise, seen
 from ..design.separation import Separation
 from ..errors import StudyError
-from ..report.design.next_page import carried_over, next_sentence
-from ..report.design.record import design_sentence
-from ..report.design.write import check_design_folder, write_design, write_next
+from ..report.design import record as design_record
+from ..report.design.write import check_design_folder, write_design
+from ..report.next_measurement.record import carried_over, sentence
+from ..report.next_measurement.write import write_next
 from ..study import Study, load_study
 from ..study.design.rivals import Wanted, parse_rivals, rivals_of
 from ..study.design.task import StudyDesign, check_designed
@@ -71,7 +72,7 @@ def run_design(
         command=command,
         seconds=time.perf_counter() - began,
     )
-    return Done(page, [design_sentence(done)])
+    return Done(page, [design_record.sentence(done)])
 
 
 def _next(
@@ -97,7 +98,7 @@ def _next(
     progress("writing the report")
     seconds = time.perf_counter() - began
     page = write_next(done, study, out, why=why, seed=seed, command=command, seconds=seconds)
-    sentences = [why, next_sentence(done), carried_over(done, study)]
+    sentences = [why, sentence(done), carried_over(done, study)]
     return Done(page, [line for line in sentences if line])
 
 
@@ -106,8 +107,8 @@ def _question(
 ) -> tuple[Task, Separation | None, str]:
     """The design task of the next measurement, the effects to separate, if any, and the reason.
 
-    Without rivals it is the task of the study. With rivals the effects under test leave the
-    declared model, and the effects that the loop found with certainty join it.
+    Without rivals it is the task of the study. With rivals, these leave the declared model, and the
+    other effects that the loop found join it.
     """
     design = StudyDesign.of(study)
     if separate:
@@ -135,11 +136,8 @@ def _question(
         "unexplained": "found a significant deviation that no known effect explains",
         "ambiguous": "could not decide between effects that have no size to plan with",
     }[closure.verdict or "nothing_missing"]
-    return (
-        task,
-        None,
-        (f"The loop was run on the data and {outcome}: the criterion of [design] decides."),
-    )
+    why = f"The loop was run on the data and {outcome}: the criterion of [design] decides."
+    return task, None, why
 
 
 def _separating(task: Task, wanted: Wanted) -> tuple[Task, Separation]:

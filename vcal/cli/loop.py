@@ -6,7 +6,7 @@ import numpy as np
 
 from ..loop.close_loop import close_loop
 from ..loop.outcome.closure import Closure
-from ..loop.screening.candidates import candidates
+from ..loop.screening.candidates import UntestableError
 from ..model.measurement import Measurement
 from ..study import Study
 from ..study.messages import listed, refusal
@@ -18,8 +18,6 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
     Raises `StudyError` where the data allow none of the requested effects to be tested, and where
     the equations of a fit have no solution.
     """
-    if study.options.effects:
-        _check_testable(study, measurement)
     try:
         return close_loop(
             study.model,
@@ -27,8 +25,17 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
             check=study.check,
             effects=study.tried,
             **study.options.model_dump(exclude={"effects"}),
+            require_testable=bool(study.options.effects),
             progress=progress,
         )
+    except UntestableError as error:
+        raise refusal(
+            study.path.name,
+            "key loop.effects",
+            f"none that could be tested ({'; '.join(error.reasons) or 'no place for them'})",
+            "at least one for which the data have the columns that it needs",
+            "record the missing columns, or name other effects",
+        ) from error
     except np.linalg.LinAlgError as error:
         raise refusal(
             listed([*(one.file for one in study.sets), study.path.name]),
@@ -39,18 +46,3 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
             "compare the first rows with the measurement protocol, and the declared sizes with the "
             "machine; values that are wrong by many powers of ten are a common cause",
         ) from error
-
-
-def _check_testable(study: Study, measurement: Measurement) -> None:
-    """Raise `StudyError` where the data allow none of the requested effects to be tested."""
-    found, missing = candidates(study.model, measurement, study.tried)
-    if found:
-        return
-    reasons = {f"{item.effect}: {item.reason}" for item in missing}
-    raise refusal(
-        study.path.name,
-        "key loop.effects",
-        f"none that could be tested ({'; '.join(sorted(reasons)) or 'no place for them'})",
-        "at least one for which the data have the columns that it needs",
-        "record the missing columns, or name other effects",
-    )

@@ -228,7 +228,7 @@ def _together(one: DataSet, header: Collection[str], of: str) -> list[tuple[str,
     # The motion of an axis follows from its positions.
     names = [n for c, n in inside.items() if n == "t" or n == c or n.startswith("T_")]
     lines = confounding(one.plan, [n for n in names if n in one.plan.covariates])
-    return [(f"correlated{of}", line) for line in lines]
+    return [(f"confounded{of}", line) for line in lines]
 
 
 def _size(effect: Effect) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 from ..errors import StudyError
 from ..model.forward import Model
-from ..report import DRAWS, check_virtual_folder, sentence, write_virtual
+from ..report import DRAWS, check_uncertainty_folder, sentence, write_uncertainty
 from ..study import Study, load_study
 from ..study.messages import refusal
 from ..study.simulated import check_noise_factor, parse_every_with
@@ -51,7 +51,7 @@ def run_virtual(
     began = time.perf_counter()
     number = parse_draws(draws)
     check_noise_factor(noise_factor)
-    check_virtual_folder(out)
+    check_uncertainty_folder(out)
     study = load_study(setup, overrides)
     _check_shapes(study)
     truth = _truth(study, effects)
@@ -77,7 +77,7 @@ def run_virtual(
         )
         step("writing the report")
         seconds = time.perf_counter() - began
-        page = write_virtual(
+        page = write_uncertainty(
             result, study, out, settings=settings, command=command, seconds=seconds
         )
     if not result.ensemble.interrupted:

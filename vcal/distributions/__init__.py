@@ -1,5 +1,10 @@
-"""Distributions of quantities, as priors of parameters and inputs of propagation and Monte Carlo;
-importing the package fills the catalogue.
+"""Distributions of quantities (JCGM 101, 6.4): priors of parameters, inputs of uncertainty.
+
+The package holds univariate and multivariate distributions, the Gaussian copula that correlates
+univariate ones, and named inputs with a joint distribution; importing it fills the catalogue.
+
+It knows arrays and the catalogue only. Parameters, error functions and effects stand on it, and so
+does the propagation of uncertainty.
 """
 
 from .base import Distribution, Multivariate, Univariate

@@ -1,8 +1,8 @@
-"""What a distribution is.
+"""The base classes of all distributions.
 
-A distribution is frozen numbers: its parameters, as float64 arrays. It can be passed through
-compiled functions; mistakes in its parameters are found when it is made outside of them, where the
-numbers are known.
+A distribution is a frozen record of its parameters as float64 arrays, and can be an argument of
+compiled functions. Its parameters are checked when it is constructed outside of these, where their
+values are known.
 """
 
 import abc
@@ -34,15 +34,15 @@ class Distribution(Record):
     """Expectation, (): univariate, or (d,)."""
     dof: eqx.AbstractVar[Array]
     """Degrees of freedom of the standard uncertainty (JCGM 100 G.3), in the shape of `mean`; `inf`
-    where the standard deviation is taken as known.
+    where the standard deviation is assumed to be known.
     """
     covariance: eqx.AbstractVar[Array]
-    """Covariance matrix (d, d) of the elements of one draw; (1, 1) where that is one number."""
+    """Covariance matrix (d, d) of the elements of one draw; (1, 1) if univariate."""
 
     @property
     def stated_covariance(self) -> Float[Array, "d d"]:
-        """Covariance matrix (d, d) as JCGM 100 states it, with the tails of few repeats in `dof`
-        instead (4.2.3, G.3): of Student's t that of the scale, which any `dof` leaves.
+        """Covariance matrix (d, d) in the sense of JCGM 100 (4.2.3, G.3), where `dof` accounts for
+        few repeats: for Student's t, the square of the scale, which exists for any `dof`.
         """
         return self.covariance
 
@@ -64,7 +64,7 @@ class Distribution(Record):
     @property
     @abc.abstractmethod
     def symmetric(self) -> bool:
-        """Whether the distribution is its own mirror image in its mean; not inside `jit`."""
+        """Whether the distribution is symmetric about its mean; not inside `jit`."""
 
     @property
     @abc.abstractmethod
@@ -73,7 +73,7 @@ class Distribution(Record):
 
     @abc.abstractmethod
     def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-        """Draws of shape `shape` + `self.shape`, which depend on the key and the shape alone."""
+        """Draws of shape `shape` + `self.shape`, which depend only on the key and the shape."""
 
 
 class Univariate(Distribution):
@@ -85,7 +85,7 @@ class Univariate(Distribution):
     @property
     @abc.abstractmethod
     def support(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Smallest interval that holds all of the probability."""
+        """Smallest interval that contains all of the probability."""
 
     @abc.abstractmethod
     def cdf(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -99,7 +99,7 @@ class Univariate(Distribution):
     def inverse(self, p: Float[Array, "..."], q: Float[Array, "..."]) -> Float[Array, "..."]:
         """The x with P(X <= x) = p and P(X > x) = q, where p + q = 1.
 
-        Both are taken, because 1 - q has lost a small q: in the upper tail only q is used.
+        Both are arguments because 1 - q loses the digits of a small q: the upper tail uses only q.
         """
 
     def quantile(self, p: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -110,13 +110,13 @@ class Univariate(Distribution):
         return jnp.where(inside, self.inverse(safe, 1.0 - safe), jnp.nan)
 
     def from_score(self, z: Float[Array, "..."]) -> Float[Array, "..."]:
-        """The x with P(X <= x) = Phi(z): what a standard normal z becomes in a Gaussian copula."""
+        """The x with P(X <= x) = Phi(z): the image of a standard normal z in a Gaussian copula."""
         return self.inverse(ndtr(z), ndtr(-z))
 
     def score_series(self, order: int) -> Float[Array, " order"]:
         """Coefficients 1 to `order` of `from_score` in normalised Hermite polynomials.
 
-        They belong to (X - mean) / std, so that their squares add to one as the order grows.
+        They are those of (X - mean) / std, so that their squares sum to one as the order grows.
         """
         return _score_series(self, order)
 
@@ -137,7 +137,7 @@ class Univariate(Distribution):
         return (self.name,)
 
 
-# Compiled once for a class of distributions, whatever their parameters.
+# Compiled once for a class of distributions, for all parameters.
 @eqx.filter_jit
 def _score_series(d: Univariate, order: int) -> Float[Array, " order"]:
     return score_coefficients(lambda z: (d.from_score(z) - d.mean) / d.std, order)
@@ -174,7 +174,7 @@ def number(value: Any) -> Float[Array, ""]:
 
 
 def in_float64(array: jax.Array) -> jax.Array:
-    """The array; raises `RuntimeError` that says how to switch float64 on if it is not in it."""
+    """The array; raises `RuntimeError` that explains how to enable float64 if it is float32."""
     if array.dtype != jnp.dtype("float64"):
         raise RuntimeError(
             "vcal computes in float64, but JAX is set to float32. Call vcal.enable_float64() "
@@ -184,7 +184,7 @@ def in_float64(array: jax.Array) -> jax.Array:
 
 
 def degrees(name: str, dof: ArrayLike) -> Float[Array, ""]:
-    """Degrees of freedom that come with a standard deviation: `inf` where it is known.
+    """Degrees of freedom of a standard deviation: `inf` where it is known.
 
     Raises `ValueError` if they are not one number above zero.
     """

@@ -15,8 +15,8 @@ from .registry import register
 from .scores import series_covariance
 
 _ORDER = 1024
-"""Terms of the series of a covariance: all that counts up to correlations of 0.99 even between
-staircases, up to 1 between distributions with a density.
+"""Terms of the series of a covariance: sufficient for correlations up to 0.99 between step
+functions, and up to 1 between distributions with a density.
 """
 
 
@@ -36,7 +36,7 @@ class GaussianCopula(Multivariate):
     name: ClassVar[str] = "gaussian_copula"
     margins: tuple[Univariate, ...]
     correlation: Float[Array, "d d"]
-    """Of the normal scores."""
+    """Correlation of the normal scores."""
     root: Float[Array, "d d"]
     """A with A A' = correlation."""
 
@@ -70,7 +70,7 @@ class GaussianCopula(Multivariate):
         """Product-moment covariance of the quantities.
 
         std_i std_j sum_n c_in c_jn r_ij^n with the margins' Hermite coefficients c (Mehler's
-        series, `vcal.distributions.scores`), computed anew at every call. Raises `ValueError`
+        series, `vcal.distributions.scores`), computed at every call. Raises `ValueError`
         where a margin has no standard deviation.
         """
         std = jnp.stack([margin.std for margin in self.margins])

@@ -1,4 +1,4 @@
-"""A distribution that is a set of values."""
+"""The empirical distribution of a set of values."""
 
 import math
 from typing import Any, ClassVar
@@ -17,9 +17,9 @@ from .scores import step_coefficients
 
 @register
 class Empirical(Univariate):
-    """Values that were observed, drawn from again with replacement.
+    """Empirical distribution of observed values: drawn with replacement.
 
-    `values` (n,), and `weights` (n,) of their probabilities, equal unless given. It is discrete:
+    `values` (n,), and their `weights` (n,), equal by default. It is discrete:
     `std` is that of the set itself, sqrt(sum_i w_i (x_i - mean)^2), without n - 1; there is no
     density, and `quantile` is the smallest value x with P(X <= x) >= p, whose derivative is zero.
 
@@ -31,7 +31,7 @@ class Empirical(Univariate):
     values: Float[Array, " n"]
     """In ascending order."""
     probabilities: Float[Array, " n"]
-    """Adding to one."""
+    """They sum to one."""
     cumulative: Float[Array, " n"]
     dof: Float[Array, ""]
 
@@ -99,7 +99,7 @@ class Empirical(Univariate):
         return self.values[jnp.searchsorted(self.cumulative, p, side="left")]
 
     def score_series(self, order: int) -> Float[Array, " order"]:
-        # From_score is a staircase, for which the coefficients are known exactly.
+        # The function from_score is a step function, whose coefficients are known exactly.
         steps = jnp.diff(self.values) / self.std
         return step_coefficients(steps, ndtri(self.cumulative[:-1]), order)
 

@@ -20,10 +20,10 @@ class CurvilinearTrapezoid(Univariate):
     """Rectangular distribution with inexact limits, CTrap(a, b, d) of JCGM 101 6.4.3.
 
     The limits lie within low +/- inexact and high +/- inexact (a, b and d in the standard) about
-    a middle that is known: low and high are the middles of the two, and the support is
-    [low - inexact, high + inexact]. Variance (b - a)^2 / 12 + d^2 / 9. With c = (b - a)/2 + d and
-    t the distance from the middle, the density is log(c / t) / (4 d) on the flanks; with
-    u = log(c / t) the tail is c / (4 d) times P(U <= u) for U gamma with shape 2.
+    a known midpoint; the support is [low - inexact, high + inexact]. Variance
+    (b - a)^2 / 12 + d^2 / 9. With c = (b - a)/2 + d and t the distance from the middle, the density
+    is log(c / t) / (4 d) on the flanks; with u = log(c / t) the tail is c / (4 d) times P(U <= u)
+    for U gamma with shape 2.
 
     Raises `ValueError` unless low + inexact < high - inexact and inexact > 0.
     """

@@ -21,13 +21,13 @@ Correlation = Mapping[tuple[str, str], float]
 
 
 class Inputs(Record):
-    """Named quantities with a joint distribution; flattened, k numbers in a row.
+    """Named quantities with a joint distribution; flattened, a vector of k numbers.
 
     `distributions` gives every input its distribution, univariate (its value is a number) or
     multivariate (an array (d,)). `correlation` couples univariate inputs pair by pair by a Gaussian
     copula: it is the correlation of their *normal scores*, which is that of the quantities
     themselves for normal distributions only. `covariance` is always that of the quantities. Pairs
-    that are not named are uncorrelated.
+    that are not named are uncorrelated::
 
         Inputs({"x": Normal(0, 1), "y": Uniform(0, 1)}, correlation={("x", "y"): 0.5})
 
@@ -111,7 +111,7 @@ class Inputs(Record):
 
     @property
     def covariance(self) -> Float[Array, "k k"]:
-        """Covariance of the flattened inputs (k, k), computed anew at every call.
+        """Covariance of the flattened inputs (k, k), computed at every call.
 
         Raises `ValueError` where one has none.
         """
@@ -119,8 +119,8 @@ class Inputs(Record):
 
     @property
     def stated_covariance(self) -> Float[Array, "k k"]:
-        """The same as JCGM 100 states it (`Distribution.stated_covariance`), with the correlations
-        of `covariance`.
+        """Covariance in the sense of JCGM 100 (`Distribution.stated_covariance`), with the
+        correlations of `covariance`.
 
         Raises `ValueError` where an input without a standard deviation is correlated with another.
         """
@@ -143,7 +143,7 @@ class Inputs(Record):
         return all(d.symmetric for d in self._distributions)
 
     def flatten(self, values: Mapping[str, Any]) -> Float[Array, " k"]:
-        """Values by name as k numbers in a row.
+        """Values by name as a vector of k numbers.
 
         Raises `ValueError` for a name that is missing or unknown, or a value of another shape.
         """
@@ -164,7 +164,7 @@ class Inputs(Record):
         return jnp.concatenate(parts)
 
     def unflatten(self, vector: Float[Array, "... k"]) -> dict[str, Array]:
-        """Values by name from k numbers in a row; leading axes stay.
+        """Values by name from a vector of k numbers; leading axes remain.
 
         Raises `ValueError` for another length.
         """
@@ -183,8 +183,9 @@ class Inputs(Record):
     def sample(self, key: PRNGKeyArray) -> dict[str, Array]:
         """One draw of every input by name: a pure function of the key.
 
-        Every input has a key of its own, derived from its position: one that is added at the end
-        leaves the others as they were. Those that a copula couples share that of the first.
+        Every input has a key of its own, derived from its position, so that an input added at the
+        end does not change the draws of the others. Inputs of one copula share the key of the
+        first.
         """
         found: dict[str, Array] = {}
         coupled = {i for group in self._groups for i in group}
@@ -197,7 +198,7 @@ class Inputs(Record):
         return {name: found[name] for name in self.names}
 
     def _assembled(self, matrix_of: Callable[[Distribution], Array]) -> Float[Array, "k k"]:
-        """A matrix of the flattened inputs from that of every input, and of every copula."""
+        """A matrix of the flattened inputs from the matrices of the inputs and of the copulas."""
         starts = self._starts
         matrix = jnp.zeros((self.size, self.size))
         for start, d in zip(starts, self._distributions, strict=False):

@@ -1,14 +1,14 @@
 """Quantiles of the gamma and the beta distribution, which have no closed form.
 
-Both have a log-concave density in a coordinate y that covers the whole line (log x, logit x). So do
-their tails T(y), and Newton's method on log T(y) = log(tail) converges from everywhere. The steps
-are Halley's, which cost no more: with h = f/T, n = log(T / tail) / h and l = (log f)',
+Both have a log-concave density in a coordinate y on the whole real line (log x, logit x). So do
+their tails T(y), and Newton's method on log T(y) = log(tail) converges from every start. The steps
+are Halley's, which cost no more: with h = f/T, n = log(T / tail) / h and l = (log f)'::
 
     y + n / (1 + n (l + h) / 2)
 
-inside a bracket that falls back to bisection. Far out in a tail the leading term of its series
-is exact in float64, and no step is needed. Values are as good as `jax.scipy.special.gammainc` and
-`betainc`: about 1e-13 relative, 1e-9 for shape parameters above 1e5.
+inside a bracket, with bisection as the fallback. Far out in a tail the leading term of its series
+is exact in float64, and no step is needed. Values are as accurate as `jax.scipy.special.gammainc`
+and `betainc`: about 1e-13 relative, 1e-9 for shape parameters above 1e5.
 """
 
 from collections.abc import Callable
@@ -107,7 +107,7 @@ def _gamma(tail: Array, k: Array, upper: Bool[Array, "..."]) -> Array:
     return _gamma_solved(tail, k, upper)
 
 
-# Compiled once per shape, also where a quantile is asked for outside of compiled functions.
+# Compiled once per shape, also for calls outside of compiled functions.
 @jax.jit
 def _gamma_solved(tail: Array, k: Array, upper: Bool[Array, "..."]) -> Array:
     p = jnp.where(upper, 1.0 - tail, tail)
@@ -168,7 +168,7 @@ def _beta_solved(tail: Array, a: Array, b: Array, upper: Bool[Array, "..."]) -> 
 
 
 def _likely(a: Array, b: Array, z: Array, left: Array, right: Array) -> Array:
-    """Where the logit of a beta number with normal score z may lie.
+    """Approximate logit of a beta-distributed number with normal score z.
 
     x / (1 - x) is a ratio of gamma numbers, whose cube roots are nearly normal (Wilson-Hilferty)
     with means u, w and variances s, t: the ratio of roots r solves r w - u = z sqrt(r^2 t + s).

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-# What rounding in a computed matrix may leave of symmetry and of a zero eigenvalue.
+# Tolerance, due to rounding, of the symmetry and of a zero eigenvalue of a computed matrix.
 _ROUNDING = 1e-10
 # Eigenvalues of a correlation matrix per row, below which they are zero.
 _SINGULAR = 1e-14
 
 
 def covariance_matrix(what: str, matrix: Any, size: int) -> Float[np.ndarray, "d d"]:
-    """`matrix` (d, d), checked to be a covariance matrix; semi-definite ones are.
+    """`matrix` (d, d), checked to be a covariance matrix, which may be semi-definite.
 
     Raises `ValueError` for a wrong size, a value that is not finite, a negative variance, an
     asymmetry, or an eigenvalue below zero, which is stated.
@@ -44,7 +44,7 @@ def covariance_matrix(what: str, matrix: Any, size: int) -> Float[np.ndarray, "d
 def correlation_matrix(
     what: str, matrix: Any, size: int, names: Sequence[str] = ()
 ) -> Float[np.ndarray, "d d"]:
-    """`matrix` (d, d), checked to be a correlation matrix; semi-definite ones are.
+    """`matrix` (d, d), checked to be a correlation matrix, which may be semi-definite.
 
     `names` are those of its rows, for the message. Raises `ValueError` for a wrong size, a value
     that is not finite or outside [-1, 1], a diagonal that is not one, an asymmetry, or an
@@ -70,13 +70,13 @@ def correlation_matrix(
 def square_root(covariance: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "d d"]:
     """A with A A' = covariance: the symmetric root of the correlations, in standard deviations.
 
-    The symmetric root is unique, so that draws made with it do not depend on the signs or the
-    order that a decomposition happens to take; and it exists for semi-definite matrices.
+    The symmetric root is unique, so draws made with it do not depend on the arbitrary signs and
+    order of a decomposition; and it exists for semi-definite matrices.
     """
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0.0, std, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    # The root of a rounding error is eight digits larger: what is singular must stay so.
+    # The root of a rounding error is eight digits larger: a singular matrix must stay singular.
     values = np.where(values > _SINGULAR * len(values), values, 0.0)
     return std[:, None] * ((vectors * np.sqrt(values)) @ vectors.T)
 

@@ -18,9 +18,9 @@ from .registry import register
 class MultivariateNormal(Multivariate):
     """Multivariate normal distribution (JCGM 101 6.4.8).
 
-    `mean` (d,), `covariance` (d, d), which may be semi-definite; `dof` is that of every variance
-    where they were estimated, a number or (d,). Raises `ValueError` for a covariance that is not
-    one.
+    `mean` (d,), `covariance` (d, d), which may be semi-definite; `dof` are the degrees of freedom
+    of the variances where they were estimated, a number or (d,). Raises `ValueError` for a
+    covariance that is not one.
     """
 
     name: ClassVar[str] = "multivariate_normal"
@@ -58,7 +58,7 @@ class MultivariateNormal(Multivariate):
 
 @register
 class MultivariateT(Multivariate):
-    """Multivariate t distribution (JCGM 102 5.3.2): what repeats of several quantities leave.
+    """Multivariate t distribution (JCGM 102 5.3.2), from repeats of several quantities.
 
     X = mean + A z sqrt(dof / w) with A A' = scale_matrix, z standard normal and w chi-square of
     `dof` degrees of freedom, one for all elements, which are therefore never independent.

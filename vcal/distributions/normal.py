@@ -1,4 +1,4 @@
-"""The distributions of a repeated measurement: normal, and t for few repeats."""
+"""The distributions of a repeated measurement: normal, and Student's t for few repeats."""
 
 import math
 from functools import partial
@@ -66,7 +66,7 @@ class Normal(Univariate):
         return self.mean + self.std * z
 
     def score_series(self, order: int) -> Float[Array, " order"]:
-        # From_score is the first polynomial itself.
+        # The function from_score is the first polynomial.
         return jnp.zeros(order).at[0].set(1.0)
 
     def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Array:
@@ -78,7 +78,7 @@ class StudentT(Univariate):
     """Shifted and scaled t distribution (JCGM 101 6.4.9).
 
     For n repeats with mean m and standard deviation s: mean m, scale s / sqrt(n), dof n - 1.
-    `mean` is the centre, also where dof <= 1 leaves it without an expectation. Raises `ValueError`
+    `mean` is the centre, also where dof <= 1 and there is no expectation. Raises `ValueError`
     for a scale or degrees of freedom that are not finite and above zero.
     """
 
@@ -98,7 +98,7 @@ class StudentT(Univariate):
     def std(self) -> Float[Array, ""]:
         """scale sqrt(dof / (dof - 2)).
 
-        Raises `ValueError` where dof <= 2, which leaves the variance infinite; inside a compiled
+        Raises `ValueError` where dof <= 2, for which the variance is infinite; inside a compiled
         function it is nan there.
         """
         demand(
@@ -150,7 +150,7 @@ class StudentT(Univariate):
 
 @jax.custom_jvp
 def _t_cdf(t: Array, dof: Array) -> Array:
-    # dof / (dof + t^2) is a beta number, whose lower tail is both of the tails of t.
+    # dof / (dof + t^2) has a beta distribution, whose lower tail is the sum of both tails of t.
     zero = t == 0.0
     logit = jnp.log(dof) - 2.0 * jnp.log(jnp.abs(jnp.where(zero, 1.0, t)))
     outer = jnp.where(zero, 1.0, beta_tails(0.5 * dof, 0.5, logit)[0])

@@ -1,4 +1,4 @@
-"""Functions of a standard normal number as series in Hermite polynomials.
+"""Functions of a standard normal number as series in Hermite polynomials::
 
     g(Z) = c_0 + sum_n c_n h_n(Z),  h_n = He_n / sqrt(n!),  E[h_m(Z) h_n(Z)] = [m = n]
 

@@ -1,4 +1,4 @@
-"""Distributions with a shape of their own: log-normal, gamma and beta."""
+"""Log-normal, gamma and beta distributions."""
 
 import math
 from typing import ClassVar
@@ -197,7 +197,7 @@ class Beta(Univariate):
         return self._at_logit(beta_logit_quantile(self.a, self.b, p, q))
 
     def sample(self, key: PRNGKeyArray, shape: tuple[int, ...] = ()) -> Array:
-        # Of two gamma numbers, x / (x + y); their logarithms do not underflow for a small shape.
+        # x / (x + y) of two gamma numbers; their logarithms do not underflow for a small shape.
         first, second = jax.random.split(key)
         log_x = jax.random.loggamma(first, self.a, shape, dtype=float)
         return self._at_logit(log_x - jax.random.loggamma(second, self.b, shape, dtype=float))

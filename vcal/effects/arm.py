@@ -1,4 +1,6 @@
-"""Effects of articulated arms: compliance under gravity, wobbling axes, a read-back that lags."""
+"""Effects of articulated arms: compliance under gravity, error motions of joints, a lag of the
+read-back.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, Self
@@ -22,20 +24,21 @@ from .registry import register
 _KEPT = 0.03
 """Patterns of load below this share of the strongest one are left out."""
 _OFF_AXIS_M = 0.05
-"""How far from the axis of the last joint the centre of mass of a tool is expected."""
+"""Assumed distance of a tool's centre of mass from the axis of the last joint."""
 Load = Literal["arm", "tool"]
-"""Where the weight that a joint carries is: in all that is behind it, or at the flange."""
+"""Where the weight that a joint carries acts: on all links behind it, or at the flange."""
 _MOMENTS: IdentityCache[np.ndarray] = IdentityCache(32)
-"""Of the joints of a few plans."""
+"""Moments of the joints of the latest plans."""
 
 
 def gravity_moments(chain: Chain, position: np.ndarray, joint: str) -> np.ndarray:
     """Moment at a joint per unit weight at each place behind it: (n, places, 3), in m, in the
     frame of the joint after its motion.
 
-    (c - o_j) x g with g the unit vector of gravity, for c the origins of the frames after joint j,
-    the flange, and what a tool adds whose centre of mass lies 50 mm off the flange along its X and
-    its Y. The third component is the torque about the axis of the joint, which its drive holds.
+    The moment is (c - o_j) x g with g the unit vector of gravity, for c the origins of the frames
+    after joint j, the flange, and the contributions of a tool whose centre of mass lies 50 mm off
+    the flange along its X and its Y. The third component is the torque about the axis of the joint,
+    which its drive holds.
     """
     j = chain.axes.index(joint)
     rotations, origins, turned, flange = (np.asarray(v) for v in _geometry(chain, position))
@@ -49,25 +52,25 @@ def gravity_moments(chain: Chain, position: np.ndarray, joint: str) -> np.ndarra
 
 
 def _moments(chain: Chain, plan: Plan, joint: str) -> np.ndarray:
-    """`gravity_moments` on a plan, which every round of a search asks for again."""
+    """`gravity_moments` on a plan, cached since every round of a search asks for them."""
     return _MOMENTS.of(
         (chain, plan, joint), lambda: gravity_moments(chain, np.asarray(plan.position), joint)
     )
 
 
 def gravity_arms(chain: Chain, plan: Plan, joint: str, load: Load) -> Float[np.ndarray, " n"]:
-    """Lever arm, in m, of the weight that a joint carries about its axis: the torque per unit
-    weight, of masses that are alike at the origins behind it and at the flange, or at the flange
-    alone.
+    """Lever arm, m, of the weight that a joint carries about its axis: torque per unit weight of
+    equal masses at the origins behind it and at the flange, or of one at the flange alone.
     """
     arms = _moments(chain, plan, joint)[:, :-2, 2]
     return arms[:, -1] if load == "tool" else arms.mean(1)
 
 
 def stretched(chain: Chain, plan: Plan, joint: str, load: Load) -> float:
-    """The longest that this arm could be, with all that is behind the joint in one line across its
-    axis, m. What its own link goes along the axis is no lever: 300 mm of a forearm to the wrist, of
-    which the roll of that forearm feels nothing. To the micrometre, the same on every plan.
+    """The largest possible `gravity_arms`, with all links behind the joint in one line across its
+    axis, m. The part of its own link along the axis is no lever: the roll joint of a forearm
+    carries no torque from the 300 mm to the wrist. Rounded to a micrometre, so that it is the same
+    on every plan.
     """
     j, position = chain.axes.index(joint), np.asarray(plan.position)
     rotations, origins, _, flange = (np.asarray(v) for v in _geometry(chain, position))
@@ -86,19 +89,20 @@ def _geometry(chain: Chain, position: Array) -> tuple[Array, Array, Array, Array
 
 
 class _Patterns(Record):
-    """Independent patterns of the load of one joint: moments @ weights, fixed by the plan they are
-    derived from, so that other plans use the same parameters.
+    """Independent patterns of the load of one joint: moments @ weights.
+
+    The weights are derived from one plan, so that other plans use the same parameters.
     """
 
     weights: np.ndarray
     shares: tuple[float, ...] = eqx.field(static=True)
-    """How strong each is, of the strongest one, where all masses are alike."""
+    """Strength of each, as a share of the strongest one, with equal masses."""
 
     @classmethod
     def of(cls, moments: np.ndarray) -> Self | None:
-        """Those of moments (n, places, components) that change; None where none does.
+        """Patterns of the varying part of moments (n, places, components); None where it is zero.
 
-        What does not change is a constant error of the link, which is fitted anyway.
+        The constant part is a constant error of the link, which is fitted anyway.
         """
         n, places, _ = moments.shape
         changing = np.swapaxes(moments - moments.mean(0), 1, 2).reshape(-1, places)
@@ -106,32 +110,32 @@ class _Patterns(Record):
         if s[0] < 1e-6 * np.sqrt(n):
             return None
         kept = int((s > _KEPT * s[0]).sum())
-        # The sign of a singular vector is anyone's: the place that counts most pulls down.
+        # The sign of a singular vector is arbitrary: the place with the largest weight pulls down.
         strongest = vt[np.arange(kept), np.abs(vt[:kept]).argmax(1)]
         weights = vt[:kept].T * np.sign(strongest) / s[:kept] * np.sqrt(n)
         return cls(weights, tuple((s[:kept] / s[0]).tolist()))
 
 
 class _Yielding(Effect):
-    """A joint that yields to what it carries: a rotation in proportion to the moment of gravity.
+    """Base class of the compliance of a joint: a rotation in proportion to the moment of gravity.
 
-    The moment is a sum over the unknown masses behind the joint (`gravity_moments`); the patterns
-    these give on the plan are reduced by singular value decomposition to independent ones of unit
-    rms, so that a parameter is the rms rotation due to its pattern, positive where the place that
-    counts most in it carries a weight. Each is expected as large as masses make it that are alike
-    wherever they are.
+    The moment is a sum over the unknown masses behind the joint (`gravity_moments`). A singular
+    value decomposition reduces the patterns of this sum on the plan to independent ones of unit
+    rms, so that a parameter is the rms rotation due to its pattern, positive where the place with
+    the largest weight in it carries a mass. The prior standard deviation of each is its size with
+    equal masses in all places.
 
-    Patterns belong to the plan they were found on. What they amount to on any other is one number
-    for every place that may carry a weight, times the moment per unit weight there
-    (`gravity_moments`): urad/m, ``torsion_flange``, say; ``_off_x`` and ``_off_y`` are of what a
-    tool adds.
+    Patterns belong to the plan from which they were derived. Independent of the plan are the
+    products of the moment per unit weight (`gravity_moments`) and one number for every place that
+    may carry a weight, in urad/m: ``torsion_flange``, for example; those that end in ``off_x`` and
+    ``off_y`` are the contributions of a tool.
     """
 
     chain: Chain
     torsion: _Patterns | None
-    """Of the torque about the axis; None where the drive is stiff."""
+    """Patterns of the torque about the axis; None where the drive is stiff."""
     tilt: _Patterns | None
-    """Of the moment across it; None where the bearing is stiff."""
+    """Patterns of the moment across it; None where the bearing is stiff."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -160,13 +164,13 @@ class _Yielding(Effect):
         )
 
     @property
-    def betrayed_by(self) -> tuple[str, ...]:
+    def indicators(self) -> tuple[str, ...]:
         own = self.chain.axes.index(self.placement)
         return (*self.chain.axes[own : own + 2],)
 
     @property
     def _parts(self) -> list[tuple[str, str, _Patterns, float]]:
-        """Name of the parameters, axes of the rotation, patterns, and the size of the first."""
+        """Name of the parameters, axes of the rotation, patterns, and prior size of the first."""
         found = []
         if self.torsion is not None:
             found.append(("pattern", "C", self.torsion, 500.0))
@@ -195,12 +199,12 @@ def _loaded(setup: Setup) -> Iterable[tuple[str, _Patterns | None, _Patterns | N
 
 @register
 class JointCompliance(_Yielding):
-    """A joint whose drive yields to gravity: rotation = torque / stiffness about its axis; its
-    bearing may yield beside it, as that of `bearing_compliance` (parameters tilt1, ...).
+    """A joint whose drive yields to gravity: rotation = torque / stiffness about its axis. Its
+    bearing may yield too, as in `bearing_compliance` (parameters tilt1, ...).
 
-    The masses behind the joint are unknown, and where they are; patterns of the torque they give,
-    z_j . ((c - o_j) x g), are the parameters (pattern1, ...), each the rms rotation of the joint
-    due to it.
+    The masses behind the joint and their positions are unknown; the parameters (pattern1, ...)
+    belong to patterns of their torque z_j . ((c - o_j) x g), each the rms rotation of the joint due
+    to its pattern.
     """
 
     name = "joint_compliance"
@@ -208,7 +212,7 @@ class JointCompliance(_Yielding):
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        # Beside a drive that yields already, the bearing is by itself.
+        # Where the drive is in the model already, the bearing is a candidate of its own.
         known = {e.placement for e in setup.declared if isinstance(e, _Yielding)}
         for joint, torsion, tilt in _loaded(setup):
             if torsion is None:
@@ -224,7 +228,7 @@ class BearingCompliance(_Yielding):
     across its own, in the direction of the moment, by moment / stiffness.
 
     The stiffness is the same in all directions across the axis. As with `joint_compliance`, the
-    parameters are patterns of the moment, each the rms tilt of the joint due to it.
+    parameters belong to patterns of the moment, each the rms tilt of the joint due to its pattern.
     """
 
     name = "bearing_compliance"
@@ -239,22 +243,23 @@ class BearingCompliance(_Yielding):
 
 @register
 class JointErrorMotion(Effect):
-    """The axis of a revolute joint moves while it turns, and comes round with it (ISO 230-7): the
-    radial error motion (EX, EY) and the tilt error motion (EA, EB) as vectors that turn with n q in
-    the frame of the joint, the axial one (EZ) as a wave, n = 1 or 2.
+    """Error motion of the axis of rotation of a revolute joint, periodic in its angle (ISO 230-7):
+    the radial error motion (EX, EY) and the tilt error motion (EA, EB) as vectors that turn with
+    n q in the frame of the joint, the axial error motion (EZ) as a wave, n = 1 or 2.
 
     Each radial or tilt vector is c (cos n q, sin n q) + s (-sin n q, cos n q); for n = 2 there is
-    one that turns back, too. That which turns back once is none of them: it is a constant error of
-    the link before, which is fitted anyway. What turns the joint itself is `gear_harmonic`.
+    also one that turns backwards. For n = 1, a backwards vector is a constant error of the link
+    before the joint, which is fitted anyway. An error of the angle itself is `gear_harmonic`.
     """
 
     name = "joint_error_motion"
-    summary = "radial, axial and tilt error motion of a joint that comes round with it"
+    summary = "radial, axial and tilt error motion of a joint, periodic in its angle"
+    uses = ("{axis}",)
     order: int = eqx.field(static=True)
 
     @property
     def _vectors(self) -> list[tuple[str, str, float, float]]:
-        """Name of the parameters, components, sense in which it turns, and the usual size."""
+        """Name of the parameters, components, sense of rotation, and prior standard deviation."""
         kinds = (("radial", "XY", 20.0), ("tilt", "AB", 100.0))
         ways = (("", 1.0),) if self.order == 1 else (("", 1.0), ("_back", -1.0))
         return [(kind + back, pair, way, size) for kind, pair, size in kinds for back, way in ways]
@@ -267,10 +272,6 @@ class JointErrorMotion(Effect):
             for name, unit, sigma in (*usual, ("axial", "um", 20.0))
             for wave in ("sine", "cosine")
         )
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (self.placement,)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         phase = self.order * plan.x(self.placement)
@@ -300,7 +301,7 @@ class JointErrorMotion(Effect):
 class ReadbackLag(Effect):
     """Read-back angles taken before the arm had settled: true = read + k (commanded - read).
 
-    One share k for all joints; k = 1 where the arm does end at the command.
+    There is one share k for all joints; k = 1 where the arm reaches the command.
     """
 
     name = "readback_lag"
@@ -324,7 +325,7 @@ class ReadbackLag(Effect):
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         revolute = tuple(j.name for j in setup.chain.joints if j.kind == "revolute")
         plan = setup.plan
-        # Where the commanded angles count, there is nothing that could lag behind.
+        # Where the plan holds the commanded angles, no read-back is used that could lag.
         commanded = all(
             plan.has(name := f"commanded_{j}") and np.array_equal(plan.values(name), plan.values(j))
             for j in revolute

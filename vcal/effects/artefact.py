@@ -15,20 +15,17 @@ from .thermal import REFERENCE_DEGC
 
 @register
 class BallError(Effect):
-    """One ball is not where its certificate says: a constant displacement of that ball."""
+    """One ball is displaced from its certified position: a constant displacement of that ball."""
 
     name = "ball_error"
     summary = "wrong calibrated position of one ball"
     where = "instrument"
+    uses = ("ball",)
     ball: int = eqx.field(static=True)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return tuple(Parameter(c, "um", sigma=10.0) for c in "XYZ")
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return ("ball",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         touched = plan.groups["ball"] == self.ball
@@ -45,8 +42,8 @@ class BallError(Effect):
 def beam_deflection(along: Array, supports: tuple[float, float]) -> Array:
     """Deflection of a uniform beam under its own weight on two supports, per unit of w L^4/(E I).
 
-    Euler-Bernoulli: y'''' = 1 with reactions at the supports, y = 0 there. `along` and `supports`
-    are shares of the length; positive is downwards.
+    Euler-Bernoulli: y'''' = 1 with reactions at the supports, where y = 0. `along` and `supports`
+    are shares of the length; the deflection is positive downwards.
     """
     a, b = supports
     right = (0.5 - a) / (b - a)
@@ -65,15 +62,17 @@ def beam_deflection(along: Array, supports: tuple[float, float]) -> Array:
 class ArtefactBending(Effect):
     """The artefact sags as a beam on its two supports, in proportion to the transverse gravity.
 
-    Displacement of a ball = sag w(s) g_t, with w the beam's deflection scaled to a largest value
-    of one and g_t the part of the unit vector of gravity across the beam (length cos(tilt)). Where
-    the supports let the balls sink straight down instead (`down`), g cos(tilt) takes its place;
-    the two differ along the beam only.
+    The displacement of a ball is sag w(s) g_t, with w the beam's deflection scaled to a largest
+    value of one and g_t the component of the unit vector of gravity across the beam (length
+    cos(tilt)). Where the supports let the balls sink vertically instead (`down`), g cos(tilt)
+    replaces g_t; the two differ along the beam only.
     """
 
     name = "artefact_bending"
     summary = "sag of the artefact under its own weight"
     where = "instrument"
+    uses = ("along_beam", "gravity_x", "gravity_y", "gravity_z")
+    shown_by = ("along_beam", "tilt")
     supports: tuple[float, float] = eqx.field(static=True)
     beam: tuple[float, float, float] = eqx.field(static=True)
     down: bool = eqx.field(static=True, default=False)
@@ -81,14 +80,6 @@ class ArtefactBending(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (Parameter("sag_down" if self.down else "sag", "um", sigma=5.0),)
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return ("along_beam", "gravity_x", "gravity_y", "gravity_z")
-
-    @property
-    def betrayed_by(self) -> tuple[str, ...]:
-        return ("along_beam", "tilt")
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         line = beam_deflection(np.linspace(0.0, 1.0, 201), self.supports)
@@ -114,24 +105,18 @@ class ArtefactBending(Effect):
 @register
 class ArtefactExpansion(Effect):
     """The artefact expands with the air: a ball calibrated at p is at (1 + alpha (T_air - 20 degC))
-    p, in the frame of the calibration, whose origin stays where the pose holds it.
+    p in the frame of the calibration, whose origin is fixed by the pose.
     """
 
     name = "artefact_expansion"
     summary = "thermal expansion of the artefact"
     where = "instrument"
+    uses = ("T_air", "ball_x", "ball_y", "ball_z")
+    shown_by = ("T_air", "along_beam")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (Parameter("alpha", "um/(m K)", sigma=10.0),)
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return ("T_air", "ball_x", "ball_y", "ball_z")
-
-    @property
-    def betrayed_by(self) -> tuple[str, ...]:
-        return ("T_air", "along_beam")
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         excess = plan.covariate("T_air") - REFERENCE_DEGC

@@ -1,8 +1,8 @@
-"""What an effect is.
+"""The base class of all effects, and what effects may know when they are placed.
 
-An effect is anything that makes reality differ from nominal. It says which ports it disturbs
-(`vcal.ports`) and by how much per unit of each of its parameters; everything else - prediction,
-derivatives, screening, evidence, reporting - is the engine's work.
+An effect is anything that makes reality differ from nominal. It defines which ports it disturbs
+(`vcal.machine.ports`) and by how much per unit of each of its parameters; prediction, derivatives,
+screening, evidence and reports follow from that.
 """
 
 import abc
@@ -31,17 +31,17 @@ Kind = Literal["systematic", "nuisance", "random"]
 
 @dataclass(frozen=True)
 class Artefact:
-    """What effects may know of a measured artefact."""
+    """Properties of a measured artefact that effects may use."""
 
     supports: tuple[float, float]
-    """Places of its supports as shares of its length."""
+    """Positions of its supports as shares of its length."""
     beam: tuple[float, float, float]
     """Direction of its long axis, in its own frame."""
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """An effect of the model, and what was found of it."""
+    """An effect of the model with its estimated values."""
 
     effect: "Effect"
     shape: Mapping[str, float]
@@ -52,7 +52,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Setup:
-    """What a class of effects may look at to say where it could be placed."""
+    """Everything from which a class of effects derives its candidates."""
 
     chain: Chain
     layout: PortLayout
@@ -62,40 +62,46 @@ class Setup:
     derived: tuple[str, ...] = ()
     """Covariates that the instrument derives from positions and readings."""
     used: frozenset[str] = frozenset()
-    """What other effects that are tried look at: covariates, groups and axes."""
+    """Covariates, groups and axes that the other candidates need."""
     fitted: tuple[Fitted, ...] = ()
-    """Systematic effects of the model as they were found, for descriptions of what changes."""
+    """Systematic effects of the model with their estimates, for descriptions of their changes."""
     data_set: str = ""
     """Name of the data set, where this is one of `parts`."""
     parts: tuple["Setup", ...] = ()
-    """The same for every data set with its own instrument, where there are several."""
+    """The setups of the data sets, each with its own instrument, where there are several."""
 
 
 class Effect(Record):
     """Base class of all effects; subclasses are final.
 
     Class attributes: `name` (the identifier used in files and reports), `summary` (one line), and
-    `kind`: *systematic* (a parameter with a prior), *nuisance* (no interest in itself: a station,
-    the pose of an artefact) or *random* (a fresh draw per row with the parameters' sigma, which
-    enters the covariance of the readings).
+    `kind`: *systematic* (a parameter with a prior), *nuisance* (not of interest in itself: a
+    station, the pose of an artefact) or *random* (an independent draw per row with the parameters'
+    sigma, which enters the covariance of the readings).
     """
 
     name: ClassVar[str]
     summary: ClassVar[str] = ""
     kind: ClassVar[Kind] = "systematic"
     where: ClassVar[Literal["machine", "instrument"]] = "machine"
-    """Whether it moves the tool point, or only what the instrument sees."""
+    """Whether it displaces the tool point, or only changes what the instrument reads."""
 
     @property
     def on_instrument(self) -> bool:
-        """Whether this one belongs to an instrument; a class may have some that do not."""
+        """Whether this instance belongs to an instrument; a class may have instances of both."""
         return self.where == "instrument"
 
     odds: ClassVar[float] = 1.0
-    """Prior odds of this kind of effect against the others, where data cannot decide."""
+    """Prior odds of this effect against the others."""
+
+    uses: ClassVar[tuple[str, ...]] = ()
+    """Names that it `needs`; ``{axis}`` stands for the placement: ``("T_{axis}",)``."""
+
+    shown_by: ClassVar[tuple[str, ...]] = ()
+    """Its `indicators` in the same form, where they differ from `uses`."""
 
     placement: str = eqx.field(static=True, default="", kw_only=True)
-    """Where it sits: an axis or joint such as ``"Y"`` or ``"J2"``; empty where it has no place."""
+    """The axis or joint it acts on, such as ``"Y"`` or ``"J2"``; empty where there is none."""
 
     given: tuple[tuple[str, float, float], ...] = eqx.field(static=True, default=(), kw_only=True)
     """Declared values: (parameter, mean, sigma) in the parameter's unit; sigma 0 means known."""
@@ -112,40 +118,41 @@ class Effect(Record):
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         """Deviation per unit of each amplitude at given shape values (SI).
 
-        Must be elementwise over the rows: `shape` values may arrive with a leading axis, (g, 1)
-        against rows (n,), when a whole grid is evaluated at once. They are also traced by JAX,
-        which takes the derivative by them: what is made of them is made by `jax.numpy`, or by
-        `vcal.numerics.arrays.namespace` of them, which is faster where they are plain numbers.
+        It must be elementwise over the rows: `shape` values may have a leading axis, (g, 1) against
+        rows (n,), when a whole grid is evaluated at once. JAX also traces them to take the
+        derivative with respect to them: compute with `jax.numpy`, or with
+        `vcal.numerics.arrays.namespace` of the values, which is faster where they are plain
+        numbers.
         """
 
     @property
     def needs(self) -> tuple[str, ...]:
         """Covariates, groups or axes of the plan without which it cannot be evaluated."""
-        return ()
+        return tuple(name.format(axis=self.placement) for name in self.uses)
 
     def needs_at(self, shape: Mapping[str, float]) -> tuple[str, ...]:
-        """What it needs at given shape values: more than `needs` where these select a covariate."""
+        """What it needs at given shape values: more than `needs` where they select a covariate."""
         del shape
         return self.needs
 
     @property
-    def betrayed_by(self) -> tuple[str, ...]:
-        """Covariates against which its residual shows, most telling first (for pictures)."""
-        return self.needs
+    def indicators(self) -> tuple[str, ...]:
+        """Covariates on which its residual depends, the clearest first (for pictures)."""
+        return tuple(name.format(axis=self.placement) for name in self.shown_by) or self.needs
 
     def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
         """The rows that it can disturb."""
         return np.ones(plan.rows, bool)
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        """Grid of each shape parameter (SI), dense enough that no peak is missed."""
+        """Grid of each shape parameter (SI), dense enough that no peak of the fit is missed."""
         del plan
         return {}
 
     def edges(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        """Values of shape parameters without a derivative (SI, in order) at which the response in
-        some row changes: between two of them all say the same. None where the scan has all there
-        are.
+        """Values of shape parameters without a derivative (SI, ascending) at which the response of
+        some row changes: between two neighbours it is constant. Empty where the scan contains all
+        possible values.
         """
         del plan
         return {}
@@ -153,8 +160,8 @@ class Effect(Record):
     def shape_odds(
         self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
     ) -> float:
-        """Prior density of estimated shape values over the uniform one, averaged over their
-        uncertainty; one unless some values are known to be likelier than others.
+        """Prior density of estimated shape values relative to the uniform density, averaged over
+        their uncertainty; one unless some values are known to be more probable than others.
         """
         del plan, values, uncertainties
         return 1.0
@@ -185,8 +192,8 @@ class Effect(Record):
         unknown = {*given, *priors} - {p.name for p in known}
         if unknown or set(given) & set(priors):
             raise ValueError(
-                f"effect {self.key!r}: found declared values and priors of "
-                f"{', '.join((*given, *priors))}, expected each at most once, out of "
+                f"effect {self.key!r}: found declared values and priors for "
+                f"{', '.join((*given, *priors))}, expected each at most once, from "
                 f"{', '.join(p.name for p in known)}"
             )
         return tuple(
@@ -205,21 +212,22 @@ class Effect(Record):
 
     @property
     def amounts_to(self) -> Sequence[tuple[str, str, Mapping[str, float]]]:
-        """What the amplitudes amount to apart from the plan on which they are what they are: name,
-        unit, and how much of every amplitude, by its name, in their units.
+        """Linear combinations of the amplitudes that do not depend on the plan: name, unit, and the
+        coefficient of every amplitude, by its name, in their units.
         """
         return ()
 
     def alike(self, other: "Effect") -> bool:
-        """Whether another is the same effect at the same place, whatever is known of its values:
-        effects of one key may differ in their direction or order, which their parameters name.
+        """Whether another is the same effect at the same placement, whatever its declared values.
+
+        Effects of one key may differ in direction or order; then their parameters' names differ.
         """
         names, others = ([p.name for p in one.parameters] for one in (self, other))
         return self.key == other.key and names == others
 
 
 def along(chain: Chain, axis: str) -> tuple[str, str]:
-    """Port of the motion of a joint itself and its unit: ``("EYY", "um")``, ``("ECJ2", "urad")``.
+    """Port of the joint's own motion, and its unit: ``("EYY", "um")``, ``("ECJ2", "urad")``.
 
     Axes of machine tools move along or about their own letter, joints of arms along or about their
     z: ``"ECC"``, ``"EAA"``.
@@ -229,8 +237,14 @@ def along(chain: Chain, axis: str) -> tuple[str, str]:
     return f"E{letters[int(np.argmax(np.abs(joint.direction)))]}{axis}", unit
 
 
+def unit_of(port: str) -> str:
+    """Unit of a port: ``"um"`` of a translation, ``"urad"`` of a rotation."""
+    component = port.partition(".")[2] or port[1]
+    return "um" if component in "XYZ" else "urad"
+
+
 def across(chain: Chain, axis: str) -> tuple[str, ...]:
-    """The error translations of a joint other than its own motion."""
+    """Ports of the error translations of a joint except its own motion."""
     own, _ = along(chain, axis)
     return tuple(f"E{c}{axis}" for c in "XYZ" if f"E{c}{axis}" != own)
 

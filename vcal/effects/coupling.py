@@ -1,5 +1,6 @@
 """Errors of one joint that depend on the position of another, and constants at the tool."""
 
+import itertools
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
@@ -8,17 +9,19 @@ import numpy as np
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array
-from .base import Effect, Response, Setup
+from .base import Effect, Response, Setup, unit_of
+from .forms import Constants, OneAmplitude
 from .registry import register
 
 
 @register
 class CrossAxis(Effect):
-    """An error motion of one axis that depends on another's position too (a moving mass).
+    """An error motion of one axis that depends on the position of another one too (a moving mass).
 
-    E = a u v + b u^2 v + c u v^2, u and v the two axes' positions over their travel, -1 to 1. It
-    is for axes of a declared travel: a mass that moves by the millimetres of a circle bends nothing
-    by how far it went, and as polynomials the terms would describe whatever goes round with it.
+    E = a u v + b u^2 v + c u v^2, with u and v the positions of the two axes over their travel, -1
+    to 1. It requires a declared travel: a mass that moves by the few millimetres of a circle does
+    not bend the structure noticeably, and the polynomials would fit anything periodic with the
+    circle.
     """
 
     name = "cross_axis"
@@ -29,13 +32,10 @@ class CrossAxis(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        unit = "um" if self.motion[1] in "XYZ" else "urad"
         own, other = self.placement.lower(), self.other.lower()
-        return (
-            Parameter(f"{self.motion}_{own}_{other}", unit, sigma=10.0),
-            Parameter(f"{self.motion}_{own}2_{other}", unit, sigma=10.0),
-            Parameter(f"{self.motion}_{own}_{other}2", unit, sigma=10.0),
-        )
+        terms = (f"{own}_{other}", f"{own}2_{other}", f"{own}_{other}2")
+        unit = unit_of(self.motion)
+        return tuple(Parameter(f"{self.motion}_{term}", unit, sigma=10.0) for term in terms)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -54,28 +54,22 @@ class CrossAxis(Effect):
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        for joint in setup.chain.joints:
-            for other in setup.chain.joints:
-                if joint is other or joint.turns or other.turns:
-                    continue
-                (a, b), (c, d) = joint.travel.tolist(), other.travel.tolist()
-                travel = (a, b, c, d)
-                if not np.isfinite(travel).all():
-                    continue
+        for joint, other in itertools.permutations(setup.chain.joints, 2):
+            if joint.turns or other.turns:
+                continue
+            (a, b), (c, d) = joint.travel.tolist(), other.travel.tolist()
+            travel, axis = (a, b, c, d), joint.name
+            if np.isfinite(travel).all():
                 for letter in "XYZABC":
-                    yield cls(
-                        motion=f"E{letter}{joint.name}",
-                        other=other.name,
-                        travel=travel,
-                        placement=joint.name,
-                    )
+                    motion = f"E{letter}{axis}"
+                    yield cls(motion=motion, other=other.name, travel=travel, placement=axis)
 
 
 @register
-class JointCoupling(Effect):
-    """A revolute joint that turns in proportion to another joint's angle: k q_other.
+class JointCoupling(OneAmplitude):
+    """A revolute joint that turns in proportion to the angle of another joint: k q_other.
 
-    Typical of wrists whose gears share shafts.
+    It is typical of wrists whose gears share shafts.
     """
 
     name = "joint_coupling"
@@ -83,45 +77,42 @@ class JointCoupling(Effect):
     other: str = eqx.field(static=True)
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter(f"k_{self.other}", "urad/rad", sigma=200.0),)
+    def port(self) -> str:  # type: ignore[override]
+        return f"EC{self.placement}"
+
+    @property
+    def size(self) -> Parameter:
+        return Parameter(f"k_{self.other}", "urad/rad", sigma=200.0)
 
     @property
     def needs(self) -> tuple[str, ...]:
         return (self.placement, self.other)
 
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {(f"EC{self.placement}", f"k_{self.other}"): plan.x(self.other)}
+    def factor(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
+        return plan.x(self.other)
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        for joint in setup.chain.joints:
-            for other in setup.chain.joints:
-                if joint is not other and joint.kind == other.kind == "revolute":
-                    yield cls(other=other.name, placement=joint.name)
+        for joint, other in itertools.permutations(setup.chain.joints, 2):
+            if joint.kind == other.kind == "revolute":
+                yield cls(other=other.name, placement=joint.name)
 
 
 @register
-class ToolOffset(Effect):
+class ToolOffset(Constants):
     """A constant error of the tool point in the last joint's frame (X, Y, Z).
 
-    Seen only through the rotations that carry it; a pure translation is absorbed by the station or
-    the artefact's pose.
+    It is observable only through the rotations that carry it; a pure translation is absorbed by the
+    pose of the station or of the artefact.
     """
 
     name = "tool_offset"
     summary = "constant error of the tool point"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(c, "um", sigma=100.0) for c in "XYZ")
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        one = np.ones(plan.rows)
-        return {(f"tool.{c}", c): one for c in "XYZ"}
+    group = "tool"
+    sigma = 100.0
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        # Where the instrument finds the points on the tool itself, this is already free.
+        # Where the instrument estimates points on the tool, this error is one of its parameters.
         if not any(group.startswith("point") for group in setup.layout.groups):
             yield cls()

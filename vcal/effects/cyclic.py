@@ -1,4 +1,4 @@
-"""Periodic effects: screws, gears."""
+"""Periodic effects: screws, worms, scales, gears."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -9,13 +9,14 @@ import numpy as np
 
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
-from ..numerics.arrays import Array, namespace
-from .base import Effect, Response, Setup, along
+from ..numerics.arrays import Array
+from .base import Effect, Setup, along
+from .forms import Wave, sine_and_cosine
 from .registry import register
 
 _FINEST_SHARE, _PER_PERIOD = 0.01, 2.0
-"""Where an axis stood so closely that finer pitches are seen: the finest one as a share of the
-travel, and how many places every period needs."""
+"""Where an axis was measured at closely spaced positions, finer pitches can be found: the finest of
+them as a share of the travel, and the positions that each period requires."""
 _TEETH = (
     *(36, 40, 45, 48, 50, 60, 72, 80, 90, 96, 100, 120, 128, 144, 150),
     *(160, 180, 200, 240, 256, 320, 360),
@@ -23,27 +24,27 @@ _TEETH = (
 """Teeth of usual worm wheels, cycles per turn of inductive scales, and ratios of strain wave gears
 and twice these."""
 _SLOWEST = 4.5
-"""Periods per turn of the longest pitch of a rotary axis: slower ones are `gear_harmonic`."""
+"""Periods per turn of the longest pitch of a rotary axis: longer ones are `gear_harmonic`."""
 
 
 class _Pitches(NamedTuple):
-    """Pitches that are looked for, of the linear axes or of the rotary ones; m or rad."""
+    """Pitches that are searched, of the linear axes or of the rotary ones; m or rad."""
 
     unit: str
-    """At the edges."""
+    """Unit of the parameter."""
     shortest: float
-    """The finest that is looked for wherever the axis stood."""
+    """The shortest that is searched at any spacing of the positions."""
     finest: float
-    """The finest of all, where it stood closely."""
+    """The shortest that is searched at closely spaced positions."""
     longest: float
     nominal: tuple[float, ...]
-    """What is usual."""
+    """Usual ones."""
 
 
 _PITCHES = {
     # Nominal leads of ball screws, ISO 3408-2, and pole pitches of magnetic and inductive scales. A
-    # plan of nearly equal steps s cannot tell a pitch p from its aliases 1/p +/- 1/s; that real
-    # ones have these often can.
+    # plan of nearly equal steps s cannot separate a pitch p from its aliases 1/p +/- 1/s; the
+    # prior on the nominal values often can.
     "um": _Pitches(
         unit="mm",
         shortest=4e-3,
@@ -62,59 +63,55 @@ _PITCHES = {
         nominal=tuple(2.0 * math.pi / teeth for teeth in _TEETH),
     ),
 }
-"""By the unit of the error along the axis, or about it."""
+"""By the unit of the error along, or about, the axis."""
 
 
 SIGNAL_PERIODS_M = (2e-6, 4e-6, 10e-6, 20e-6, 40e-6, 100e-6, 200e-6)
 """Signal periods of linear encoders."""
 _PERIODS = 500.0
-"""Most periods that a plan may cover: an error of a scale of two parts in a thousand is one."""
+"""Most periods that a plan may cover: a scale error of two parts in a thousand shifts the phase by
+one period."""
 
 
 @register
-class ScrewCyclic(Effect):
-    """Error of a screw within one turn: a sin(2 pi x/p) + b cos(2 pi x/p) along the axis; of a worm
-    about a rotary axis, whose wheel has 360/p teeth.
+class ScrewCyclic(Wave):
+    """Error of a screw within one turn: a sin(2 pi x/p) + b cos(2 pi x/p) along the axis; or of a
+    worm, whose wheel has 360/p teeth, about a rotary axis.
 
-    The pitch p is scanned in steps of 1/(4 L) in 1/p, L the travel really covered: wider steps
-    lose the peak between two of them. It goes down to 4 mm, or 1 degree, and further where the axis
-    stood at two places of every period or more. Pitches longer than a quarter of the travel belong
-    to the geometry, where that is fitted; where it is not, up to the whole travel is looked for.
-    Those of a rotary axis end where `gear_harmonic` begins.
+    The pitch p is scanned in steps of 1/(4 L) in 1/p, L the travel that was covered: wider steps
+    can miss a peak between two of them. The scan goes down to 4 mm, or 1 degree, and further where
+    the axis was measured at two or more positions in every period. Pitches longer than a quarter of
+    the travel belong to the geometry where that is fitted; where it is not, the scan goes up to the
+    whole travel. The pitches of a rotary axis end where `gear_harmonic` begins.
     """
 
     name = "screw_cyclic"
     summary = "periodic error of a screw, a rack, a worm or a scale, pitch unknown"
     _usual: ClassVar[Mapping[str, float]] = {"prismatic": 3.0, "rotary": 15.0}
-    """Size that is expected, um or urad, by the kinds of joints that may have it."""
+    """Prior standard deviation, um or urad, by the kinds of joints that may have it."""
     port: str = eqx.field(static=True)
     unit: str = eqx.field(static=True, default="um")
     """``"um"`` along a linear axis, ``"urad"`` about a rotary one."""
     usual: float = eqx.field(static=True, default=3.0, repr=False)
-    """Size that is expected, in that unit."""
+    """Prior standard deviation of the amplitudes, in that unit."""
     periods: float = eqx.field(static=True, default=4.0, repr=False)
-    """Of the longest pitch that is looked for, within the travel."""
+    """Number of periods of the longest searched pitch within the travel."""
+
+    @property
+    def waves(self) -> tuple[Parameter, Parameter]:
+        return sine_and_cosine(self.unit, self.usual)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("sine", self.unit, sigma=self.usual),
-            Parameter("cosine", self.unit, sigma=self.usual),
-            Parameter("pitch", self._pitches.unit, shape=True, coordinate="reciprocal"),
-        )
+        pitch = Parameter("pitch", self._pitches.unit, shape=True, coordinate="reciprocal")
+        return (*self.waves, pitch)
 
     @property
     def _pitches(self) -> _Pitches:
         return _PITCHES[self.unit]
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (self.placement,)
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        phase = 2.0 * np.pi * plan.x(self.placement) / shape["pitch"]
-        xp = namespace(phase)
-        return {(self.port, "sine"): xp.sin(phase), (self.port, "cosine"): xp.cos(phase)}
+    def phase(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
+        return 2.0 * np.pi * plan.x(self.placement) / shape["pitch"]
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         places = np.unique(np.asarray(plan.x(self.placement)))
@@ -126,14 +123,14 @@ class ScrewCyclic(Effect):
         highest = 1.0 / min(sought.shortest, shortest)
         if highest <= lowest:
             return {"pitch": np.array([1.0 / lowest])}
-        # Both ends, and a step beyond the finest: a pitch there is within the scan, not its end.
+        # Both ends, and one step beyond the finest, so that the finest lies inside the scan.
         steps = math.ceil((highest - lowest) * 4.0 * covered) + 1
         return {"pitch": 1.0 / (lowest + 0.25 / covered * np.arange(steps + 1))}
 
     def shape_odds(
         self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
     ) -> float:
-        # Half of the prior on the nominal pitches, half even over the scan in 1/pitch.
+        # Half of the prior lies on the nominal pitches, half is uniform over the scan in 1/pitch.
         ends = 1.0 / self.scan(plan)["pitch"]
         pitch, u = values["pitch"], uncertainties["pitch"]
         # A lead is made to a few parts in ten thousand.
@@ -149,7 +146,7 @@ class ScrewCyclic(Effect):
             if joint.kind not in cls._usual:
                 continue
             port, unit = along(setup.chain, joint.name)
-            # Of an arm's joints only a constant is.
+            # For an arm's joints, the geometry is only a constant.
             fitted = joint.kind != "revolute" and any(
                 motion.name == port
                 for effect in setup.declared
@@ -166,13 +163,13 @@ class ScrewCyclic(Effect):
 
 @register
 class GearRipple(ScrewCyclic):
-    """Error of the gear of an arm's joint that comes again many times per turn of the joint:
+    """Error of the gear of an arm's joint that repeats many times per turn of the joint:
     a sin(2 pi q/p) + b cos(2 pi q/p) about it.
 
-    The wave of a strain wave gear has two lobes: with a ratio of N its error comes again 2 N times
-    per turn (and less N times), p = 360 deg/(2 N). Other gears have errors of their input shaft,
-    and of the mesh of their teeth. The pitch is scanned as that of `screw_cyclic`, from where
-    `gear_harmonic` ends down to 1 degree.
+    The wave of a strain wave gear has two lobes: with a ratio of N, its error repeats 2 N times per
+    turn (to a lesser extent N times), p = 360 deg/(2 N). Other gears have errors of their input
+    shaft and of the mesh of their teeth. The pitch is scanned as for `screw_cyclic`, from the end
+    of `gear_harmonic` down to 1 degree.
     """
 
     name = "gear_ripple"
@@ -181,36 +178,27 @@ class GearRipple(ScrewCyclic):
 
 
 @register
-class ScaleInterpolation(Effect):
+class ScaleInterpolation(Wave):
     """Error of a scale within one signal period p: a sin(2 pi x/p) + b cos(2 pi x/p) along it.
 
-    Encoders divide the period of a grating; amplitudes and offsets of its two signals that are not
-    equal leave an error of up to a hundredth of it. Seen only where the axis moves by some hundred
-    periods at most and its positions are known to a fraction of one, as on the circles of an
-    R-test: over a whole travel the errors of the scale itself are several periods long. The periods
-    of usual gratings are tried.
+    Encoders interpolate the period of a grating; unequal amplitudes and offsets of the two signals
+    leave an error of up to a hundredth of the period. It can be identified only where the axis
+    moves by a few hundred periods at most and its positions are known to a fraction of one, as on
+    the circles of an R-test: over the whole travel, the errors of the scale itself amount to
+    several periods. The periods of usual gratings are tried.
     """
 
     name = "scale_interpolation"
     summary = "error of a scale within its signal period"
+    waves = sine_and_cosine("um", 0.5)
     port: str = eqx.field(static=True)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("sine", "um", sigma=0.5),
-            Parameter("cosine", "um", sigma=0.5),
-            Parameter("period", "um", shape=True, smooth=False),
-        )
+        return (*self.waves, Parameter("period", "um", shape=True, smooth=False))
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (self.placement,)
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        phase = 2.0 * np.pi * plan.x(self.placement) / shape["period"]
-        xp = namespace(phase)
-        return {(self.port, "sine"): xp.sin(phase), (self.port, "cosine"): xp.cos(phase)}
+    def phase(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
+        return 2.0 * np.pi * plan.x(self.placement) / shape["period"]
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         covered = float(np.ptp(np.asarray(plan.x(self.placement))))
@@ -229,7 +217,7 @@ class ScaleInterpolation(Effect):
 
 
 @register
-class GearHarmonic(Effect):
+class GearHarmonic(Wave):
     """Harmonic n of the angle of a rotary axis or a revolute joint: a sin(n q) + b cos(n q) about
     it, n = 1..4.
     """
@@ -240,22 +228,11 @@ class GearHarmonic(Effect):
     port: str = eqx.field(static=True)
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(
-            Parameter(f"{wave}{self.order}", "urad", sigma=200.0) for wave in ("sine", "cosine")
-        )
+    def waves(self) -> tuple[Parameter, Parameter]:
+        return sine_and_cosine("urad", 200.0, self.order)
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (self.placement,)
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        phase = self.order * plan.x(self.placement)
-        xp = namespace(phase)
-        return {
-            (self.port, f"sine{self.order}"): xp.sin(phase),
-            (self.port, f"cosine{self.order}"): xp.cos(phase),
-        }
+    def phase(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
+        return self.order * plan.x(self.placement)
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:

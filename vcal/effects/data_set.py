@@ -1,4 +1,4 @@
-"""Effects of the instrument of one data set, where a study has several."""
+"""Effects of the instrument of one data set, in a study with several data sets."""
 
 from collections.abc import Mapping
 
@@ -16,11 +16,11 @@ from .base import Effect, Response, Setup
 class OfDataSet(Effect):
     """An effect of an instrument that disturbs the readings of its own data set only.
 
-    Its covariates are those of `effect` under the name of the data set, and so are its ports but
-    for those of the joints and the tool, which all data sets have in common; in all other rows its
-    response is zero. It goes by the name of `effect`, and the data set comes first in its
-    placement: ``"station tracker"``, ``"encoder_eccentricity tracker azimuth"``. Not in the
-    catalogue: `in_setup` makes it of every effect whose `where` is the instrument.
+    Its covariates are those of `effect` with the name of the data set in front, and so are its
+    ports, except those of the joints and the tool, which are common to all data sets; in all other
+    rows its response is zero. It has the name of `effect`; the data set comes first in its
+    placement: ``"station tracker"``, ``"encoder_eccentricity tracker azimuth"``. It is not in the
+    catalogue: `in_setup` wraps every effect whose `where` is the instrument.
     """
 
     effect: Effect
@@ -28,11 +28,11 @@ class OfDataSet(Effect):
 
     @classmethod
     def of(cls, effect: Effect, data_set: str) -> "OfDataSet":
-        """That effect with its declared values, in that data set."""
+        """An effect, with its declared values, in one data set."""
         place = f"{data_set} {effect.placement}".strip()
         return cls(effect, data_set, placement=place, given=effect.given, priors=effect.priors)
 
-    # What other classes have for all their instances, this one has from its effect.
+    # Class attributes of other effects are those of the wrapped effect here.
     @property
     def name(self) -> str:  # type: ignore[override]
         """Identifier of the effect."""
@@ -40,7 +40,7 @@ class OfDataSet(Effect):
 
     @property
     def summary(self) -> str:  # type: ignore[override]
-        """What it is, with the data set."""
+        """Summary of the effect, with the data set."""
         return f"{self.effect.summary}, in the data set {self.data_set}"
 
     @property
@@ -50,7 +50,7 @@ class OfDataSet(Effect):
 
     @property
     def where(self):  # type: ignore[override]
-        """What it disturbs."""
+        """The instrument."""
         return "instrument"
 
     @property
@@ -67,8 +67,8 @@ class OfDataSet(Effect):
         return tuple(of_set(self.data_set, name) for name in self.effect.needs)
 
     @property
-    def betrayed_by(self) -> tuple[str, ...]:
-        return tuple(of_set(self.data_set, name) for name in self.effect.betrayed_by)
+    def indicators(self) -> tuple[str, ...]:
+        return tuple(of_set(self.data_set, name) for name in self.effect.indicators)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         here, shared = self.rows(plan), PortLayout.of(plan.axes, ())
@@ -84,7 +84,7 @@ class OfDataSet(Effect):
         return plan.in_set(self.data_set)
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        # Of the effect's own rows: a scan spans what was covered, the time of a run say.
+        # On the rows of the data set: the scan spans the range of a covariate there.
         return self.effect.scan(plan.part(self.data_set))
 
     def edges(self, plan: Plan) -> Mapping[str, np.ndarray]:
@@ -97,8 +97,8 @@ class OfDataSet(Effect):
 
 
 def in_setup(kind: type[Effect], setup: Setup) -> list[Effect]:
-    """The instances of a class of effects that a setup has a place for: those of the machine once,
-    those of an instrument once for every data set.
+    """The candidates of a class of effects in a setup: those of the machine once, those of an
+    instrument once for every data set.
     """
     if not setup.parts:
         return list(kind.candidates(setup))

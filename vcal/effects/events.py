@@ -1,4 +1,4 @@
-"""Effects of single events: a collision, a clamp or a gear that slipped."""
+"""Effects of single events: a collision, a slip of a clamp or of a gear."""
 
 from collections.abc import Iterable, Mapping
 
@@ -8,27 +8,28 @@ import numpy as np
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array, namespace
-from .base import Effect, Response, Setup, along
+from .base import Effect, Response, Setup, along, unit_of
 from .clock import TIME, Clock, clock
 from .registry import register
 
 _STANDS = {"frame": "XYZABC", "target": "XYZABC", "place": "XYZ"}
-"""Ports of what stands on the table: an instrument, an artefact, one sphere."""
+"""Ports of objects on the table: an instrument, an artefact, one sphere."""
 
 _STAND_ODDS = 0.3
-"""Prior odds of a displaced stand against a tool that is displaced alike."""
+"""Prior odds of a displaced stand against a tool with the same displacement."""
 
 
 @register
 class Jump(Effect):
-    """A step at an unknown moment: the tool point, the angle of a joint, the instrument's frame, or
-    on a table that turns the artefact or the sphere is displaced after.
+    """A step at an unknown moment t0: after it, the tool point, the angle of a joint, the frame of
+    the instrument, or, on a table that turns, the artefact or the sphere is displaced.
 
-    Deviation = (t > t0) times a translation (tool, sphere), a rotation about a joint, or (frame,
-    artefact) a translation X, Y, Z along the machine's axes and a rotation A, B, C about its own,
-    which `euler_xyz_deg` turns where it is a tracker. The moment is scanned over the gaps between
-    successive rows; it has no derivative. Its uncertainty is that of which gap it is, and of where
-    in it. Where an arm's poses have numbers and no time, t is the number of the pose.
+    The deviation is (t > t0) times a translation (tool, sphere), a rotation about a joint, or
+    (frame, artefact) a translation X, Y, Z along the machine's axes and a rotation A, B, C about
+    the frame's own axes, which `euler_xyz_deg` turns for a tracker. The moment is scanned over the
+    gaps between successive rows; the deviation is not differentiable in it. Its uncertainty
+    comprises the choice of the gap and the position within it. Where the poses of an arm have
+    numbers and no time, t is the number of the pose.
     """
 
     name = "jump"
@@ -39,14 +40,13 @@ class Jump(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         sizes = tuple(
-            Parameter(_size(port), "um" if port[-1] in "XYZ" else "urad", sigma=self._usual)
-            for port in self.ports
+            Parameter(_size(port), unit_of(port), sigma=self._usual) for port in self.ports
         )
         return (*sizes, Parameter("at", self.clock.short, shape=True, smooth=False))
 
     @property
     def odds(self) -> float:  # type: ignore[override]
-        """Of what only moves, the tool is told first: to the readings the stand is the same."""
+        """Lower for a translation of the stand: the readings cannot separate it from the tool's."""
         return _STAND_ODDS if self.placement == "frame" and len(self.ports) == 3 else 1.0
 
     @property
@@ -71,7 +71,7 @@ class Jump(Effect):
         if len(t) < 2:
             return {"at": t}
         gaps = 0.5 * (t[1:] + t[:-1])
-        # At most 200 moments: neighbours this close give nearly the same step.
+        # At most 200 moments: closer ones give nearly the same step.
         return {"at": gaps[np.unique(np.linspace(0, len(gaps) - 1, 200).astype(int))]}
 
     def edges(self, plan: Plan) -> Mapping[str, np.ndarray]:
@@ -85,13 +85,13 @@ class Jump(Effect):
             if joint.turns:
                 yield cls(ports=along(setup.chain, joint.name)[:1], clock=by, placement=joint.name)
         for stand, components in _STANDS.items():
-            # Where nothing turns, what is on the table jumps as the tool does, the other way.
+            # Without rotary axes, a jump on the table equals one of the tool the other way.
             if f"{stand}.X" in setup.layout and (stand == "frame" or not setup.chain.linear):
                 ports = tuple(f"{stand}.{c}" for c in components)
                 yield cls(ports=ports, clock=by, placement=stand)
         if "frame.X" in setup.layout and setup.chain.linear:
-            # What has not turned is displaced as the tool is, the other way: it must not be taken
-            # for the tool because a whole motion has more parameters.
+            # A translation alone equals one of the tool in the other direction: without this
+            # candidate, the tool would be preferred because a full motion has more parameters.
             yield cls(ports=tuple(f"frame.{c}" for c in "XYZ"), clock=by, placement="frame")
 
 

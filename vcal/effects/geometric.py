@@ -13,14 +13,16 @@ from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array, namespace
 from ..numerics.record import Record
-from .base import Effect, Response, Setup
+from .base import Effect, Response, Setup, unit_of
 from .registry import register
 
 TRANSLATIONS = "XYZ"
 
 
 class ErrorMotion(Record):
-    """One error motion of one joint: a port, the axis it depends on, and its family."""
+    """One error motion of one joint: its port, the axis it depends on, and its family of
+    functions.
+    """
 
     name: str = eqx.field(static=True)
     """ISO 230-1 name, such as ``"EXY"``."""
@@ -30,15 +32,15 @@ class ErrorMotion(Record):
     @property
     def unit(self) -> str:
         """``"um"`` for translations, ``"urad"`` for rotations."""
-        return "um" if self.name[1] in TRANSLATIONS else "urad"
+        return unit_of(self.name)
 
 
 class LocationError(Record):
-    """Where an axis is and how it points, ISO 230-1:2012, 3.6.
+    """Error of the position or of the direction of an axis, ISO 230-1:2012, 3.6.
 
-    Squareness of a linear axis, E(A|B|C)0(axis): a tilt of its direction. It moves along axis +
-    tilt x axis: with EC0Y, y moves by (-EC0Y y, y, 0). Of a rotary axis, two errors of its position
-    (EX0C, EY0C) and two of its direction (EA0C, EB0C): constants.
+    For a linear axis: its squareness, such as EC0Y, a tilt of its direction. It moves along axis +
+    tilt x axis: with EC0Y, y moves by (-EC0Y y, y, 0). For a rotary axis: two errors of its
+    position (EX0C, EY0C) and two of its direction (EA0C, EB0C), which are constants.
     """
 
     name: str = eqx.field(static=True)
@@ -46,17 +48,16 @@ class LocationError(Record):
     sigma: float
     """Prior standard deviation, m or rad."""
     column: tuple[tuple[str, float], ...] = eqx.field(static=True)
-    """Error translation per radian and metre of travel, or what is constant: ((port, factor),
-    ...)."""
+    """Error translation per radian and metre of travel, or the constant: ((port, factor), ...)."""
     constant: bool = eqx.field(static=True, default=False)
-    """Whether it is one of a rotary axis, which does not grow with the position."""
+    """Whether it belongs to a rotary axis, and does not grow with the position."""
     law: Univariate | None = None
-    """Distribution of which the standardised form is that of the error; normal without."""
+    """Distribution whose standardised form is that of the error; normal where there is none."""
 
     @property
     def unit(self) -> str:
         """``"um"`` for positions, ``"urad"`` for directions."""
-        return "um" if self.name[1] in TRANSLATIONS else "urad"
+        return unit_of(self.name)
 
     @classmethod
     def of(
@@ -76,10 +77,11 @@ class LocationError(Record):
 
 
 class GeometricErrors(Effect):
-    """Error motions E.. as functions of their own axis, and location errors, with their family.
+    """Error motions as functions of the position of their own axis, and location errors.
 
-    E(x) = sum_k theta_k f_k(x) with f_k and the prior of theta_k from the declared family
-    (`vcal.basis`). ISO 230-1:2012, 3.4; error = actual - nominal, in the joint's own frame.
+    E(x) = sum_k theta_k f_k(x) with f_k and the prior of theta_k from the declared family of
+    functions (`vcal.machine.error_functions`). ISO 230-1:2012, 3.4; error = actual - nominal, in
+    the joint's own frame.
     """
 
     name = "geometric"
@@ -125,10 +127,11 @@ def link_errors(chain: Chain, translation_m: float, rotation_rad: float) -> Geom
 
 @register
 class GeometricOrder(Effect):
-    """Two Legendre degrees more of one error motion than its declared family can follow.
+    """Two more Legendre degrees of one error motion than its declared family can represent.
 
-    E(x) += a P_n(u) + b P_(n+1)(u), n one above the highest wave of the family. More than that,
-    or something narrower, is not geometry refined but *unexplained*.
+    E(x) += a P_n(u) + b P_(n+1)(u), with n one above the highest degree that the family can
+    represent. Higher degrees, and narrower deviations, are reported as *unexplained* rather than as
+    geometry.
     """
 
     name = "geometric_order"
@@ -139,7 +142,7 @@ class GeometricOrder(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        unit = "um" if self.motion[1] in TRANSLATIONS else "urad"
+        unit = unit_of(self.motion)
         return tuple(Parameter(label, unit, sigma=10.0) for label in self.basis.labels)
 
     @property
@@ -160,7 +163,7 @@ class GeometricOrder(Effect):
                 continue
             for m in effect.motions:
                 if setup.chain.joint(m.axis).around:
-                    continue  # what comes round is no polynomial, and all its harmonics are told
+                    continue  # a periodic error motion is no polynomial: it has its harmonics
                 low, high = setup.chain.joint(m.axis).travel
                 if not (np.isfinite(low) and np.isfinite(high)):
                     x = np.asarray(setup.plan.x(m.axis))
@@ -175,7 +178,7 @@ class GeometricOrder(Effect):
 
 
 def _resolved_degree(basis: Basis, low: float, high: float) -> int:
-    """Highest Legendre degree n such that the family follows every degree up to n to 10 %."""
+    """Highest Legendre degree n such that the family represents each degree up to n to 10 %."""
     x = np.linspace(low, high, 201)
     family = np.asarray(basis.functions(x)) if basis.labels else np.zeros((201, 0))
     family = np.column_stack([family, np.ones(201), x])
@@ -188,5 +191,5 @@ def _resolved_degree(basis: Basis, low: float, high: float) -> int:
 
 
 def _columns(values: Float[Array, "n k"]) -> Sequence[Float[Array, " n"]]:
-    """One by one."""
+    """The columns one by one."""
     return namespace(values).unstack(values, axis=1)

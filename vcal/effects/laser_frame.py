@@ -1,4 +1,4 @@
-"""Effects of a laser frame: its measuring head, its frame, the beam, the diode."""
+"""Effects of a laser frame: measuring head, frame, beam, diode."""
 
 from collections.abc import Iterable, Mapping
 
@@ -9,6 +9,7 @@ from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array
 from .base import Effect, Response, Setup
+from .forms import AtInstrument, Constants, OneAmplitude
 from .registry import register
 from .thermal import REFERENCE_DEGC
 
@@ -20,48 +21,40 @@ def _excess(plan: Plan) -> Array:
 
 
 @register
-class HeadExpansion(Effect):
-    """The measuring head grows away from the spindle, against tool Z: k (T_head - 20 degC).
+class HeadExpansion(AtInstrument, OneAmplitude):
+    """The measuring head grows away from the spindle, along -Z of the tool: k (T_head - 20 degC).
 
-    k = length times expansion coefficient: 0.193 m of invar at 1.7 um/(m K) make 0.33 um/K, of
-    steel 2.2 um/K.
+    k is the length times the expansion coefficient: 0.33 um/K for 0.193 m of invar at 1.7 um/(m K),
+    2.2 um/K for steel.
     """
 
     name = "head_expansion"
     summary = "thermal growth of the measuring head"
-    where = "instrument"
+    requires_port = "head.Z"
+    port = "head.Z"
+    amplitude = Parameter("k", "um/K", sigma=2.0)
+    uses = (_HEAD,)
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("k", "um/K", sigma=2.0),)
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (_HEAD,)
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {("head.Z", "k"): -_excess(plan)}
-
-    @classmethod
-    def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        if "head.Z" in setup.layout:
-            yield cls()
+    def factor(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
+        return -_excess(plan)
 
 
 @register
 class FrameExpansion(Effect):
-    """The frame grows by k (T_head - 20 degC) from end to end in one direction: at a place x by
-    (k s + shift) (T_head - 20 degC), s = (x - middle) / length.
+    """The frame grows by k (T_head - 20 degC) from end to end in one direction; the displacement at
+    a position x is (k s + shift) (T_head - 20 degC), s = (x - middle) / length.
 
-    It is held in the middle of the travel; or, with `shift`, it is not known where: at the low end
-    shift = k / 2, at the high end -k / 2, and what carries the frame may grow too. The temperature
-    in the head stands for that of the frame. The beams move with the frame, so that it shows in the
-    direction across them, by their place between the ends of the travel.
+    The frame is held in the middle of the travel, or, with `shift`, at an unknown place: shift =
+    k / 2 if it is held at the low end, -k / 2 at the high end; the structure that carries the frame
+    may grow too. The temperature in the head stands for that of the frame. The beams move with the
+    frame, so the growth shows in the direction across them, in proportion to their position between
+    the ends of the travel.
     """
 
     name = "frame_expansion"
     summary = "thermal growth of the frame that carries the beams"
     where = "instrument"
+    uses = (_HEAD, "{axis}")
     low: float
     high: float
     held: bool = eqx.field(static=True, default=True)
@@ -71,10 +64,6 @@ class FrameExpansion(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         growth = Parameter("k", "um/K", sigma=1.0)
         return (growth,) if self.held else (growth, Parameter("shift", "um/K", sigma=0.5))
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (_HEAD, self.placement)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         share = (plan.x(self.placement) - 0.5 * (self.low + self.high)) / (self.high - self.low)
@@ -91,18 +80,18 @@ class FrameExpansion(Effect):
 
 @register
 class FrameGrowth(Effect):
-    """A frame of one material grows alike in all directions, from wherever it is held: at a place x
-    by (alpha (x - middle) + shift) (T_head - 20 degC) in each direction.
+    """A frame of one material grows alike in all directions from the point that holds it: at a
+    position x by (alpha (x - middle) + shift) (T_head - 20 degC) in each direction.
 
-    The temperature in the head stands for that of the frame, and each direction shows across the
-    beams, as with `frame_expansion`.
+    The temperature in the head stands for that of the frame, and the growth in each direction shows
+    across the beams, as with `frame_expansion`.
     """
 
     name = "frame_growth"
     summary = "thermal growth of the frame alike in all directions"
     where = "instrument"
     middles: tuple[tuple[str, float], ...] = eqx.field(static=True)
-    """Of the travel of every axis, m."""
+    """Axis and the middle of its travel, m."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -128,7 +117,7 @@ class FrameGrowth(Effect):
 
 
 def _spans(setup: Setup) -> list[tuple[str, float, float]]:
-    """The axes that move on a laser frame, and from where to where."""
+    """The axes that move on a laser frame, with the ends of their travel, m."""
     if "head.Z" not in setup.layout:
         return []
     ends = [(axis, np.asarray(setup.plan.x(axis))) for axis in setup.chain.axes]
@@ -136,55 +125,42 @@ def _spans(setup: Setup) -> list[tuple[str, float, float]]:
 
 
 @register
-class Refraction(Effect):
+class Refraction(AtInstrument, OneAmplitude):
     """A beam bent by a temperature gradient of the air: -1/2 c (dT/dz) s^2 along z.
 
     s is the length of the beam from its source and c = -dn/dT, about 0.95e-6 / K for air at
-    20 degC; 0.7 K/m bend it by s^2/3 (um, m; Jatzkowski 2011). It bends towards the denser, colder
-    air: down where it is warmer above, so that the tool seems to be higher. A beam parallel to the
-    gradient is not bent.
+    20 degC; 0.7 K/m bend the beam by s^2/3 (um, m; Jatzkowski 2011). It bends towards the denser,
+    colder air: downwards where the air above is warmer, so that the tool appears too high. A beam
+    parallel to the gradient is not bent.
     """
 
     name = "refraction"
     summary = "beam bent by a temperature gradient of the air"
-    where = "instrument"
+    requires_port = "head.Z"
+    port = "frame.Z"
+    amplitude = Parameter("c", "um/(m K)", sigma=1.0)
+    uses = ("T_gradient_z_K_per_m", "path_mm")
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("c", "um/(m K)", sigma=1.0),)
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return ("T_gradient_z_K_per_m", "path_mm")
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+    def factor(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
         s = plan.covariate("path_mm") * 1e-3
-        return {("frame.Z", "c"): -0.5 * plan.covariate("T_gradient_z_K_per_m") * s**2}
-
-    @classmethod
-    def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        if "head.Z" in setup.layout:
-            yield cls()
+        return -0.5 * plan.covariate("T_gradient_z_K_per_m") * s**2
 
 
 @register
 class PsdLinearity(Effect):
-    """A diode that is not linear: a x + b x^3 in one reading, x its place on the diode.
+    """A diode that is not linear: a x + b x^3 in one reading, x the position on the diode.
 
-    The reference position is taken to be the middle of the diode, where the error is zero.
+    The reference position is assumed to be the middle of the diode, where the error is zero.
     """
 
     name = "psd_linearity"
     summary = "linear and cubic error of the position-sensitive diode"
     where = "instrument"
+    uses = ("psd_{axis}_mm",)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (Parameter("a", "um/mm", sigma=1.0), Parameter("b", "um/mm3", sigma=1.0))
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (f"psd_{self.placement}_mm",)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         # The column is in mm; the response is in metres per SI unit of a (m/m) and of b (m/m^3).
@@ -198,20 +174,20 @@ class PsdLinearity(Effect):
             column = f"psd_{name}_mm"
             if "head.Z" not in setup.layout:
                 continue
-            # Without the column it is to be told what it wants; a map that is zero has no place.
+            # Without the column, the report says that it is needed; zeros have no effect.
             if not setup.plan.has(column) or np.any(np.asarray(setup.plan.covariate(column))):
                 yield cls(placement=name)
 
 
 @register
 class HeadTemperature(Effect):
-    """The head's growth is corrected with a temperature that is wrong: k dT, against tool Z."""
+    """The head's growth is corrected with a wrong temperature: k dT along -Z of the tool."""
 
     name = "head_temperature"
     summary = "wrong temperature behind the correction of the head's growth"
     where = "instrument"
     growth: float = eqx.field(default=0.193 * 1.7)
-    """Growth that is corrected, um/K."""
+    """Corrected growth, um/K."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -223,60 +199,40 @@ class HeadTemperature(Effect):
 
 
 @register
-class ToolInterface(Effect):
-    """The head was changed after the reference run: it sits a little elsewhere in the spindle."""
+class ToolInterface(Constants):
+    """The head was changed after the reference run: its position in the spindle has changed."""
 
     name = "tool_interface"
     summary = "repeatability of the tool interface after a tool change"
     where = "instrument"
+    group = "head"
+    sigma = 0.1
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(Parameter(c, "um", sigma=0.1) for c in "XYZ")
 
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return {(f"head.{c}", c): np.ones(plan.rows) for c in "XYZ"}
+class _PerReading(Constants):
+    """Base class of independent random errors of both readings of the diode."""
+
+    kind = "random"
+    where = "instrument"
+    group = "read"
+    components = "uv"
 
 
 @register
-class FilterRefraction(Effect):
-    """Shift of the beam in the filter that the rotation of the head leaves uncertain, drawn afresh
-    for every reading.
+class FilterRefraction(_PerReading):
+    """Shift of the beam in the filter that depends on the rotation of the head: unknown, and
+    independent for every reading.
     """
 
     name = "filter_refraction"
-    summary = "shift of the beam in the diode's filter, fresh for every reading"
-    kind = "random"
-    where = "instrument"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return _both(0.3)
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return _fresh(plan)
+    summary = "shift of the beam in the diode's filter, independent for every reading"
+    sigma = 0.3
 
 
 @register
-class PsdResolution(Effect):
-    """Resolution of the averaged reading, drawn afresh for every reading."""
+class PsdResolution(_PerReading):
+    """Resolution of the averaged reading, independent for every reading."""
 
     name = "psd_resolution"
-    summary = "resolution of the diode, fresh for every reading"
-    kind = "random"
-    where = "instrument"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return _both(0.06)
-
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        return _fresh(plan)
-
-
-def _both(sigma: float) -> tuple[Parameter, ...]:
-    return tuple(Parameter(name, "um", sigma=sigma) for name in "uv")
-
-
-def _fresh(plan: Plan) -> Response:
-    return {(f"read.{name}", name): np.ones(plan.rows) for name in "uv"}
+    summary = "resolution of the diode, independent for every reading"
+    sigma = 0.06

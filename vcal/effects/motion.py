@@ -1,4 +1,4 @@
-"""Effects of velocity."""
+"""Effects of velocity: axes that lag behind their commands."""
 
 from collections.abc import Iterable, Mapping
 
@@ -13,19 +13,20 @@ from .registry import register
 
 @register
 class ServoLag(Effect):
-    """An axis that follows its command late: where it is, x - v T; T = 1/Kv for a position loop.
+    """An axis that lags behind its command by a time T: it is at x - v T; T = 1/Kv for a position
+    loop.
 
-    A lag of the tool against the workpiece on whichever side of the bed the axis is: a table is
-    late along its own motion, which is against its command.
+    It is a lag of the tool against the workpiece on either side of the bed: a table lags along its
+    own motion, which is against its command.
 
-    Placed on one axis, or on all of them with one T: axes with equal gains, or, where positions and
-    readings are taken by two devices, clocks that differ by T.
+    It is placed on one axis, or on all of them with one T: axes with equal gains, or, where
+    positions and readings are taken by two devices, clocks that differ by T.
     """
 
     name = "servo_lag"
-    summary = "an axis, or a clock, that is late: displacement in proportion to velocity"
+    summary = "an axis, or a clock, that lags: displacement in proportion to velocity"
     ports: tuple[tuple[str, str, float], ...] = eqx.field(static=True)
-    """(axis, port along it, `vcal.chain.Joint.sign`)."""
+    """(axis, port along it, `vcal.machine.chain.Joint.sign`)."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

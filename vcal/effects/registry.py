@@ -6,14 +6,14 @@ from ..registry import Catalogue, run_file
 from .base import Effect
 
 CATALOGUE: Catalogue[type[Effect]] = Catalogue("effect")
-"""Every effect that may be declared, and of these all that the loop may name, by identifier."""
+"""Every effect that can be declared, among them all that the loop may identify, by name."""
 
 register = CATALOGUE.register
 effect_class = CATALOGUE.named
 
 
 def load_effects(path: Path) -> list[type[Effect]]:
-    """The effect classes a user wrote in a Python file, which is run anew every time.
+    """The effect classes that a user defined in a Python file, which is run at every call.
 
     Raises `StudyError` if the file cannot be read or run, or holds no subclass of `Effect`.
     """

@@ -1,4 +1,4 @@
-"""Gears of an arm that do not yield in proportion to their load."""
+"""Gears of an arm whose compliance is not proportional to their load."""
 
 from collections.abc import Iterable, Mapping
 from typing import get_args
@@ -11,38 +11,41 @@ from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array, namespace
 from .arm import Load, gravity_arms, stretched
-from .base import Effect, Response, Setup
+from .base import Effect, Setup
+from .forms import OneAmplitude
 from .registry import register
 
 _SHARPEST, _SOFTEST, _KNEES = 0.004, 1.5, 17
-"""The knee is scanned between these shares of the reach, from 3 mm of an arm of 0.7 m on: below, it
-is a step at no load; above, the departure is the cubic that it is at the upper end."""
+"""The knee is scanned between these shares of the reach, from 3 mm for an arm of 0.7 m: below, the
+departure is a step at zero load; above, it keeps the cubic form that it has at the upper end."""
 _APART = 1e-3
-"""Share of the arm, beside what is proportional to the other one, that makes two loads differ; of
-the reach, by which an arm changes.
+"""Least part of a lever arm, as a share of it, that is not proportional to another one, so that the
+two loads differ; and least change of a lever arm, as a share of the reach.
 """
 _NO_LEVER_M = 1e-6
-"""Arm that is none."""
+"""Changes of a lever arm below this are none."""
 
 
 @register
-class GearWindUp(Effect):
+class GearWindUp(OneAmplitude):
     """A gear that yields more to the first part of a load than to the rest: teeth change flanks,
-    then a soft and at last a stiff range (lost motion, torsional stiffness K1 < K2 < K3 of gears).
+    then follow a soft and a stiff range (lost motion, torsional stiffness K1 < K2 < K3 of gears).
 
-    Rotation about the axis by size g(a), over the lever arm a of the weight that the joint carries,
+    The joint rotates about its axis by size g(a), with a the lever arm of the weight that it
+    carries::
 
-        g(a) = (tanh(a / knee) / tanh(L / knee) - a / L) / tanh(L / (2 knee))^2,
+        g(a) = (tanh(a / knee) / tanh(L / knee) - a / L) / tanh(L / (2 knee))^2
 
-    its departure from the straight line through both ends +-L of the reach, 1/2 at half of it. A
-    sharp one jumps from -size to size where the load changes sign, a soft one gets to half of that;
-    what the knee amounts to where there is no reading takes nothing from what is known of the size.
-    What is proportional is `joint_compliance`. The weight is that of masses which are alike in all
-    joints behind and at the flange (`size_arm`), or at the flange alone (`size_tool`); a is that of
-    their common centre, positive where the weight pulls the way in which the joint counts, and so
-    is the size of a gear that yields to it. L is what a would be with all links behind the joint in
-    one level line across its axis. A knee far below the arms that occur is backlash that gravity
-    takes up, one beyond them a stiffness that grows with the square of the load.
+    This is the departure of the rotation from the straight line through both ends +-L of the reach;
+    it is 1/2 at half of the reach. A sharp departure jumps from -size to size where the load
+    changes sign, a soft one reaches half of that; so the size is well determined where the knee is
+    not. The part in proportion to the load is `joint_compliance`. The weight is that of equal
+    masses in all joints behind this one and at the flange (`size_arm`), or at the flange alone
+    (`size_tool`); a is the lever arm of their common centre, positive where the weight pulls in the
+    positive direction of the joint, and so is the size of a gear that yields to it. L is the value
+    of a with all links behind the joint in one horizontal line across its axis. A knee far below
+    the lever arms that occur is backlash that gravity takes up, one beyond them a stiffness that
+    grows with the square of the load.
     """
 
     name = "gear_wind_up"
@@ -53,27 +56,32 @@ class GearWindUp(Effect):
     """L, m."""
 
     @property
+    def port(self) -> str:  # type: ignore[override]
+        return f"EC{self.placement}"
+
+    @property
+    def size(self) -> Parameter:
+        return Parameter(f"size_{self.load}", "urad", sigma=100.0)
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(f"size_{self.load}", "urad", sigma=100.0),
-            Parameter("knee", "mm", shape=True, coordinate="log"),
-        )
+        return (self.size, Parameter("knee", "mm", shape=True, coordinate="log"))
 
     @property
     def needs(self) -> tuple[str, ...]:
         return self.chain.axes
 
     @property
-    def betrayed_by(self) -> tuple[str, ...]:
+    def indicators(self) -> tuple[str, ...]:
         own = self.chain.axes.index(self.placement)
         return (*self.chain.axes[own : own + 2],)
 
-    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+    def factor(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
         arm = gravity_arms(self.chain, plan, self.placement, self.load)
         xp, knee = namespace(shape["knee"]), shape["knee"]
         bent = xp.tanh(arm / knee) / xp.tanh(self.reach / knee) - arm / self.reach
         half = xp.tanh(0.5 * self.reach / knee)
-        return {(f"EC{self.placement}", f"size_{self.load}"): bent / half**2}
+        return bent / half**2
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         del plan
@@ -94,6 +102,6 @@ class GearWindUp(Effect):
 
 
 def _differs(arm: np.ndarray, known: list[np.ndarray]) -> bool:
-    """Whether an arm (n,) is in proportion to none of those that are known."""
+    """Whether a lever arm (n,) is proportional to none of the known ones."""
     rest = (arm - other * (other @ arm) / (other @ other) for other in known)
     return all(np.linalg.norm(r) > _APART * np.linalg.norm(arm) for r in rest)

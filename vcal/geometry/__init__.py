@@ -1,5 +1,10 @@
-"""Results about the machine's geometry: error motions, ISO 230-1 deviations, tool points.
+"""Results about the geometry of the machine, computed from a fit or a model.
 
-Everything is computed from a fit; pictures, pages and tables only show it. Uses `identification`
-and what lies below; `loop`, `design` and `uncertainty` stand on it.
+- `error_motions`: error motions and location errors with their uncertainty, on a grid;
+- `acceptance`, `straight_lines`: the deviations of geometric tests as defined in ISO 230-1;
+- `compensated`: tool points of the identified machine, and their derivatives;
+- `volumetric`: errors in the work space as quadratic forms of the parameters.
+
+It uses `identification` and the packages below it, and knows nothing of pictures and pages, which
+only show these results. `loop`, `design` and `uncertainty` stand on it.
 """

@@ -1,4 +1,4 @@
-"""The geometry as acceptance tests state it: straight motions of the tool point, squareness."""
+"""Deviations as acceptance tests define them: straight motions of the tool point, squareness."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from .error_motions import NODES, Spread, functions_on, line_of
 from .straight_lines import StraightLines
 
 _SAME = 1e-12
-"""m or rad: less than this is no deviation."""
+"""Deviation, m or rad, below which it counts as zero."""
 
 
 @dataclass(frozen=True)
@@ -21,20 +21,22 @@ class GeometricTest:
     """One deviation with its standard uncertainty."""
 
     name: str
-    """As in ISO 230-1, such as ``"EYX"`` or ``"EC(0X)Y"``."""
+    """Name as in ISO 230-1, such as ``"EYX"`` or ``"EC(0X)Y"``."""
     what: str
-    """``"straightness"``, say."""
+    """Kind of deviation, such as ``"straightness"``."""
     axis: str
     value: float
+    """Deviation, in `unit`."""
     u: float
+    """Standard uncertainty, in `unit`."""
     unit: str
     information: float
-    """1 - variance after / variance before the measurement."""
+    """Share of information from the data: 1 - variance after / variance before the measurement."""
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """A linear functional of what was sampled: weights (size,), 1e-6 of SI."""
+class _Functional:
+    """A deviation as a linear functional of the sampled errors: weights (size,)."""
 
     name: str
     what: str
@@ -46,23 +48,27 @@ class _Asked:
 def geometric_tests(
     fit: Fit, *, alternatives: Sequence[Alternatives] = (), size: int = 0
 ) -> list[GeometricTest]:
-    """What a test of the geometry would find on the identified machine (ISO 230-1:2012, 3.4, 3.6).
+    """Deviations that a geometric test would find on the identified machine (ISO 230-1:2012, 3.4,
+    3.6).
 
-    One linear axis after the other moves over its travel (or the range used, where none is
-    declared) while the others stand in the middle of theirs and rotary axes at zero. Of the tool
-    point's path in the frame of the workpiece: the positioning error as the range of EXX and the
-    slope of its least-squares line; straightness as the range of what deviates from the
-    least-squares line; squareness as the angle between two of these lines less its nominal value,
-    positive where the later axis is turned in the positive sense from the earlier one, as EC0Y is.
-    Angular errors as ranges of the error motions. Of a rotary axis the position and direction of
-    its axis average line: the location error and the mean of the error motion that goes with it,
-    where that has one.
+    One linear axis at a time moves over its travel (or the measured range, where no travel is
+    declared), with the other linear axes in the middle of their travel and the rotary axes at zero.
+    The deviations refer to the path of the tool point in the frame of the workpiece:
 
-    Neither a rigid motion of the frame changes them, nor how slopes are shared out between
-    parameters. What depends on direction, temperature or time is not in them. The uncertainty is
-    that of the difference between the two positions that make a range; `alternatives` count as in
-    `error_motion_tables`. `size` is a number of rows that is compiled already. Empty for an
-    arm; without what the model says nothing of.
+    - positioning: the range of EXX, and the slope of its least-squares line;
+    - straightness: the range of the deviations from the least-squares line;
+    - squareness: the angle between two of these lines minus its nominal value, positive where the
+      later axis is rotated in the positive sense from the earlier one, as for EC0Y;
+    - angular errors: the ranges of the error motions;
+    - a rotary axis: position and direction of its axis average line, that is the location error
+      plus the mean of the corresponding error motion.
+
+    A rigid motion of the frame does not change these deviations, nor does the allocation of slopes
+    to parameters. Effects of direction, temperature and time are not included. The uncertainty of a
+    range is that of the difference between its two extreme positions. `alternatives` contribute as
+    in `vcal.geometry.error_motions.error_motion_tables`. `size` is a number of rows that is
+    compiled already (`compensated_in_blocks`). The list is empty for an arm, and does not contain
+    deviations about which the model says nothing.
     """
     chain = fit.model.chain
     if chain.arm:
@@ -76,18 +82,18 @@ def geometric_tests(
 
     values, jacobian = sampled(fit)
     turning = [joint.name for joint in chain.joints if joint.turns]
-    asked = _deviations(lines, turning, motions, values)
-    if not asked:
+    deviations = _deviations(lines, turning, motions, values)
+    if not deviations:
         return []
-    weights = 1e6 * np.array([one.weights for one in asked])
+    weights = 1e6 * np.array([one.weights for one in deviations])
     u, _, information = Spread.of_fit(fit).of(weights @ jacobian)
     found = weights @ values
-    # What the model says nothing of is no deviation of zero.
-    told = (u > 0.0) | (np.abs(found) > 1e6 * _SAME)
-    if not told.any():
+    # A deviation that does not depend on the model is unknown, not zero.
+    modelled = (u > 0.0) | (np.abs(found) > 1e6 * _SAME)
+    if not modelled.any():
         return []
     between = between_model_variance(
-        alternatives, lambda other: weights @ sampled(other)[0], np.zeros(len(asked))
+        alternatives, lambda other: weights @ sampled(other)[0], np.zeros(len(deviations))
     )
     return [
         GeometricTest(
@@ -99,8 +105,8 @@ def geometric_tests(
             unit=one.unit,
             information=float(information[k]),
         )
-        for k, one in enumerate(asked)
-        if told[k]
+        for k, one in enumerate(deviations)
+        if modelled[k]
     ]
 
 
@@ -111,8 +117,8 @@ def _sampled(
     motions: Mapping[str, int],
     size: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of the tool point, then every error motion of so many nodes: values (size,), m or rad,
-    and their derivative (size, k).
+    """The sampled errors: those of the tool point on the lines, then the error motions with their
+    number of nodes. Values (size,), m or rad, and their derivative (size, k).
     """
     at = lines.position
     points, jacobian = compensated_in_blocks(fit, at, size or len(at))
@@ -128,8 +134,10 @@ def _sampled(
 
 def _deviations(
     lines: StraightLines, turning: Sequence[str], motions: Mapping[str, int], values: np.ndarray
-) -> list[_Asked]:
-    """All that is asked of what was `_sampled`: of linear axes, between them, of rotary ones."""
+) -> list[_Functional]:
+    """The deviations as functionals of the `_sampled` errors: of linear axes, between them, and of
+    rotary axes.
+    """
     starts = dict(
         zip(motions, lines.nominal.size + np.cumsum([0, *motions.values()]), strict=False)
     )
@@ -137,50 +145,52 @@ def _deviations(
     return [
         *sorted(moving, key=lambda one: lines.axes.index(one.axis)),
         *(
-            _Asked(name, f"squareness of {b} to {a}", b, "urad", _filled(weights, len(values)))
+            _Functional(name, f"squareness of {b} to {a}", b, "urad", _filled(weights, len(values)))
             for name, a, b, weights in lines.squareness
         ),
         *_average_lines(turning, motions, starts, values),
     ]
 
 
-def _paths(lines: StraightLines, values: np.ndarray) -> list[_Asked]:
-    """Positioning and straightness, of errors that come first in `values`."""
+def _paths(lines: StraightLines, values: np.ndarray) -> list[_Functional]:
+    """Positioning and straightness, from the errors on the lines, the first ones in `values`."""
     errors, found = values[: lines.nominal.size].reshape(lines.nominal.shape), []
     for k, axis in enumerate(lines.axes):
         for component, direction in lines.along.items():
             error, name = errors[k] @ direction, f"E{component}{axis}"
             if component == axis:
-                told = [
+                parts = [
                     ("positioning, range", "um", _ends(error)),
                     ("positioning, slope", "um/m", lines.slope(axis)),
                 ]
             else:
                 deviates = lines.deviation(axis)
-                told = [("straightness", "um", deviates.T @ _ends(deviates @ error))]
-            for what, unit, per_node in told:
+                parts = [("straightness", "um", deviates.T @ _ends(deviates @ error))]
+            for what, unit, per_node in parts:
                 weights = _filled(lines.on(axis, per_node, direction), len(values))
-                found.append(_Asked(name, what, axis, unit, weights))
+                found.append(_Functional(name, what, axis, unit, weights))
     return found
 
 
 def _angular(
     lines: StraightLines, motions: Mapping[str, int], starts: Mapping[str, int], values: np.ndarray
-) -> list[_Asked]:
-    """Ranges of the error rotations of linear axes, so many nodes each from their place on."""
+) -> list[_Functional]:
+    """Ranges of the error rotations of linear axes; `motions` are their numbers of nodes, `starts`
+    their positions in `values`.
+    """
     found = []
     for name in sorted(motions):
         if name[1] in "ABC" and name[2:] in lines.axes and motions[name] > 1:
             at = starts[name]
             ends = _filled(_ends(values[at : at + motions[name]]), len(values), at)
-            found.append(_Asked(name, "angular error, range", name[2:], "urad", ends))
+            found.append(_Functional(name, "angular error, range", name[2:], "urad", ends))
     return found
 
 
 def _average_lines(
     axes: Sequence[str], motions: Mapping[str, int], starts: Mapping[str, int], values: np.ndarray
-) -> list[_Asked]:
-    """Where axes of rotation are and how they point, of those whose error motions have a mean."""
+) -> list[_Functional]:
+    """Positions and directions of the axis average lines of rotary axes with error motions."""
     found = []
     for axis in axes:
         for component in "XYZABC":
@@ -192,12 +202,12 @@ def _average_lines(
             weights[starts[location]] = 1.0
             what, unit = ("position", "um") if component in "XYZ" else ("direction", "urad")
             what = f"{what} of the axis average line"
-            found.append(_Asked(location, what, axis, unit, weights))
+            found.append(_Functional(location, what, axis, unit, weights))
     return found
 
 
 def _ends(error: np.ndarray) -> np.ndarray:
-    """Weights (n,) of the largest less the smallest of some values."""
+    """Weights (n,) of the difference between the largest and the smallest of some values."""
     weights = np.zeros(len(error))
     weights[error.argmax()] += 1.0
     weights[error.argmin()] -= 1.0
@@ -205,7 +215,7 @@ def _ends(error: np.ndarray) -> np.ndarray:
 
 
 def _filled(part: np.ndarray, size: int, start: int = 0) -> np.ndarray:
-    """Weights (size,) of which a part, from `start` on, is not zero."""
+    """Weights (size,) that are zero except for a `part` from `start` on."""
     weights = np.zeros(size)
     weights[start : start + part.size] = part.ravel()
     return weights

@@ -1,4 +1,4 @@
-"""Tool points of the identified machine, and how well they are known."""
+"""Tool points of the identified machine, with their derivatives by the parameters."""
 
 import numpy as np
 
@@ -11,8 +11,10 @@ _BLOCK, _BLOCKS = 8, 25
 
 
 def machine_terms(fit: Fit, plan: Plan) -> tuple[Terms, Terms]:
-    """Terms, at another plan, of the effects that move the tool point, and how their ports change
-    with the shape parameters that were fitted; effects that lack a covariate there are left out.
+    """Terms on another plan of the effects that move the tool point, and the derivatives of their
+    ports by the fitted shape parameters.
+
+    Effects that need a covariate which the plan does not have are left out.
     """
     model, theta = fit.model, fit.theta
     blocks: list[Terms] = []
@@ -30,8 +32,8 @@ def machine_terms(fit: Fit, plan: Plan) -> tuple[Terms, Terms]:
 
 
 def compensated_points(fit: Fit, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Tool points of the identified machine (n, 3), m, and their derivative (n, 3, k) with respect
-    to the parameters in solver units.
+    """Tool points of the identified machine in the workpiece frame (n, 3), m, and their derivative
+    (n, 3, k) by the parameters in solver units.
     """
     terms, slopes = machine_terms(fit, plan)
     size = len(fit.model.layout)
@@ -51,9 +53,10 @@ def compensated_points(fit: Fit, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
 def compensated_in_blocks(
     fit: Fit, position: np.ndarray, size: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`compensated_points` at axis positions (n, axes), m or rad, in blocks of `size` rows: as many
-    as something has that is compiled already. What does not depend on the positions alone is not in
-    it.
+    """`compensated_points` at axis positions (n, axes), m or rad, in blocks of `size` rows.
+
+    With the number of rows of a plan that is compiled already, nothing has to be compiled. Effects
+    that depend on more than the positions are not included.
     """
     blocks = -(-len(position) // size)
     padded = np.concatenate([position, np.repeat(position[:1], blocks * size - len(position), 0)])

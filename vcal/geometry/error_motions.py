@@ -13,17 +13,16 @@ from ..machine.plan import Plan
 from ..units import si_factor
 
 NODES = 41
-
-
+"""Default number of positions per axis."""
 _GEOMETRY = ("geometric", "geometric_order")
-
-
+"""Effects that are error motions."""
 _LOCATION = re.compile(r"E[ABCXYZ]0\w+")
+"""Name of a location error, such as ``"EC0Y"``."""
 
 
 @dataclass(frozen=True)
 class ErrorMotionTable:
-    """One error motion, or one location error, as identified, on a grid."""
+    """One identified error motion on a grid, or one identified location error."""
 
     name: str
     """ISO 230-1 name, such as ``"EXY"`` or ``"EC0Y"``."""
@@ -31,35 +30,35 @@ class ErrorMotionTable:
     unit: str
     """``"um"`` or ``"urad"``."""
     position: np.ndarray
-    """In `position_unit`; empty for a location error, which has no position."""
+    """Positions (nodes,) in `position_unit`; empty for a location error, which has no position."""
     position_unit: str
     """``"mm"`` or ``"deg"``."""
     value: np.ndarray
-    """In `unit`, one per position; one for a location error."""
+    """Values in `unit`, one per position; a single one for a location error."""
     u: np.ndarray
     """Standard uncertainty, in `unit`."""
     prior: np.ndarray
     """Standard deviation before the measurement, in `unit`."""
 
     information: np.ndarray
-    """Share of the information that came from the data: 1 - variance / prior variance."""
+    """Share of information from the data: 1 - variance / prior variance."""
 
     @property
     def constant(self) -> bool:
-        """Whether it is one number, whatever the position."""
+        """Whether value and uncertainty do not depend on the position."""
         return bool(np.ptp(self.value) == 0.0 and np.ptp(self.u) == 0.0)
 
 
 def error_motion_tables(
     fit: Fit, nodes: int = NODES, alternatives: Sequence[Alternatives] = ()
 ) -> list[ErrorMotionTable]:
-    """Every error motion on `nodes` positions over its axis's travel (or the range used, where no
-    travel is declared), then the location errors.
+    """Every error motion on `nodes` positions over the travel of its axis (or the measured range,
+    where no travel is declared), then the location errors.
 
-    Value and standard uncertainty are those of the posterior, E = F theta and sqrt(F C F'), with
-    F the family's functions; refinements by `geometric_order` are included. Where the effects in
-    `alternatives` may be others, with which error motions are not the same, that is part of the
-    uncertainty.
+    Value and standard uncertainty are those of the posterior, E = F theta and sqrt(F C F'), with F
+    the functions of the family; refinements by `geometric_order` are included. Where the identity
+    of an effect is uncertain (`alternatives`), the between-model variance of the error motions is
+    part of the uncertainty.
     """
     lines = [line_of(fit, axis, nodes) for axis in fit.model.chain.axes]
     functions = functions_on(fit, lines)
@@ -75,10 +74,12 @@ def error_motion_tables(
 
 def functions_on(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """F (nodes, k) of every error motion on these positions of every axis, or (1, k) of a location
-    error, and its mean, SI.
+    error, and the prior mean, SI.
+
+    `lines` are the positions (nodes,) of every axis in the order of the chain, m or rad.
     """
     model, nodes = fit.model, len(lines[0])
-    # As many rows as the measurement has, the last one repeated: shapes that are compiled already.
+    # At least as many rows as the measurement, with the last one repeated: compiled already.
     rows = np.minimum(np.arange(max(nodes, fit.measurement.rows)), nodes - 1)
     on_lines = Plan(model.chain.axes, np.stack(lines, axis=1)[rows])
     columns: dict[str, np.ndarray] = {}
@@ -94,7 +95,7 @@ def functions_on(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.nd
             full = np.broadcast_to(np.asarray(response), rows.shape)[:nodes]
             column = np.ones(1) if located else full
             block = columns.setdefault(name, np.zeros((len(column), len(fit.theta))))
-            block[:, k] = column * p.step  # a location error has several ports: the same once
+            block[:, k] = column * p.step  # a location error has several ports, but one column
             mean = means.setdefault(name, np.zeros(len(column)))
             if not located or not mean.any():
                 means[name] = mean + column * p.mean * p.si
@@ -104,14 +105,12 @@ def functions_on(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.nd
 def _between_models(
     alternatives: Sequence[Alternatives], lines: Sequence[np.ndarray], sizes: Mapping[str, int]
 ) -> dict[str, np.ndarray]:
-    """Variance of every error motion of so many nodes, m^2 or rad^2, by what effects may be
-    instead.
-    """
+    """Between-model variance of every error motion (nodes,), m^2 or rad^2; `sizes` gives nodes."""
 
     def of(fit: Fit) -> np.ndarray:
         functions = functions_on(fit, lines)
         found = {name: mean + block @ fit.theta for name, (block, mean) in functions.items()}
-        # What one of them has and another has not, such as a degree more, is nothing there.
+        # An error motion that a model does not have, such as a further degree, is zero there.
         return np.concatenate([found.get(name, np.zeros(n)) for name, n in sizes.items()])
 
     if not sizes:
@@ -123,7 +122,11 @@ def _between_models(
 
 @dataclass(frozen=True)
 class Spread:
-    """Covariances of theta: as stated, as planned, and the diagonal of the prior's."""
+    """Covariances of theta in solver units: the stated one, the planned one, and the prior's.
+
+    They are `Fit.covariance` (k, k), `Fit.planned_covariance` (k, k) and a diagonal (k,), with zero
+    for a flat prior.
+    """
 
     stated: np.ndarray
     planned: np.ndarray
@@ -131,7 +134,7 @@ class Spread:
 
     @classmethod
     def of_fit(cls, fit: Fit) -> "Spread":
-        """Those of a fit."""
+        """The covariances of a fit."""
         proper = fit.precision > 0
         return cls(
             stated=fit.covariance,
@@ -140,7 +143,9 @@ class Spread:
         )
 
     def of(self, block: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Standard uncertainty, prior standard deviation and share of information of F theta."""
+        """Standard uncertainty, prior standard deviation and share of information of F theta, for
+        the rows of F (q, k).
+        """
         stated, planned = (
             ((block @ matrix) * block).sum(1) for matrix in (self.stated, self.planned)
         )
@@ -151,13 +156,15 @@ class Spread:
 
 
 def _sorted(names: Iterable[str], axes: Sequence[str]) -> list[str]:
-    """Error motions axis by axis, then location errors."""
+    """The names of error motions axis by axis, then of location errors."""
     order = [f"E{c}{axis}" for axis in axes for c in "XYZABC"]
     return sorted(names, key=lambda name: order.index(name) if name in order else len(order))
 
 
 def line_of(fit: Fit, axis: str, nodes: int) -> np.ndarray:
-    """So many positions of an axis over its travel, or over the range used where it has none."""
+    """Positions (nodes,) of an axis over its travel, or over the measured range where no travel is
+    declared, m or rad.
+    """
     joint = fit.model.chain.joint(axis)
     low, high = np.asarray(joint.travel, float)
     if joint.kind == "revolute" or not (math.isfinite(low) and math.isfinite(high)):

@@ -1,8 +1,8 @@
 """Straight motions of the tool point, one linear axis at a time, and lines through their errors.
 
-What a test of the geometry measures (ISO 230-1:2012, 3.4 and 3.6): an axis moves over its travel
-while the others stand in the middle of theirs and rotary axes at zero. Deviations of the paths are
-linear in their errors, so that they are given as weights of these.
+A geometric test (ISO 230-1:2012, 3.4 and 3.6) moves one axis over its travel, with the other linear
+axes in the middle of their travel and the rotary axes at zero. The deviations of the paths are
+linear in the errors of the tool point, and are therefore given as weights of these errors.
 """
 
 import itertools
@@ -15,9 +15,10 @@ from jaxtyping import Float
 from ..machine.chain import Chain
 
 _ABOUT = {("X", "Y"): ("C", 1.0), ("X", "Z"): ("B", -1.0), ("Y", "Z"): ("A", 1.0)}
-"""About which axis the later one of two is turned, and the sign of first x second along that."""
+"""The axis about which the later one of two axes is rotated, and the sign of first x second along
+it."""
 _SQUARE = 1e-6
-"""Cosine of an angle that is meant to be a right one, at most."""
+"""Largest cosine of an angle that is nominally a right angle."""
 
 
 @dataclass(frozen=True)
@@ -25,17 +26,17 @@ class StraightLines:
     """The nominal paths of the tool point; weights of deviations have their shape (a, n, 3)."""
 
     axes: tuple[str, ...]
-    """Linear axes that have a travel."""
+    """Names of the linear axes that have a travel."""
     position: Float[np.ndarray, "m axes"]
-    """Of all axes of the chain, path by path, m or rad; m = a n."""
+    """Positions of all axes of the chain, path by path, m or rad; m = a n."""
     nominal: Float[np.ndarray, "a n 3"]
-    """In the frame of the workpiece, m."""
+    """Nominal tool points in the frame of the workpiece, m."""
     travelled: Float[np.ndarray, "a n"]
     """Position of the axis that moves, m."""
 
     @classmethod
     def of(cls, chain: Chain, ends: Float[np.ndarray, "axes 2"], nodes: int) -> "StraightLines":
-        """So many positions between the `ends` of every axis of the chain, m or rad."""
+        """Paths of `nodes` positions between the `ends` of every linear axis, m or rad."""
         ends = np.asarray(ends, float)
         axes = tuple(
             joint.name
@@ -56,12 +57,13 @@ class StraightLines:
 
     @cached_property
     def along(self) -> dict[str, Float[np.ndarray, "3"]]:
-        """Nominal direction of every axis, of unit length, as seen from the workpiece."""
-        ways = self.nominal[:, -1] - self.nominal[:, 0]
-        return dict(zip(self.axes, ways / np.linalg.norm(ways, axis=1, keepdims=True), strict=True))
+        """Nominal direction of every axis, a unit vector in the frame of the workpiece."""
+        chords = self.nominal[:, -1] - self.nominal[:, 0]
+        units = chords / np.linalg.norm(chords, axis=1, keepdims=True)
+        return dict(zip(self.axes, units, strict=True))
 
     def slope(self, axis: str) -> Float[np.ndarray, " n"]:
-        """Weights of the slope of the least-squares line through what is so much per node."""
+        """Weights (n,) of the slope of the least-squares line through values at the nodes, 1/m."""
         x = self.travelled[self.axes.index(axis)]
         x = x - x.mean()
         return x / (x @ x)
@@ -69,21 +71,25 @@ class StraightLines:
     def on(
         self, axis: str, per_node: Float[np.ndarray, " n"], direction: Float[np.ndarray, "3"]
     ) -> Float[np.ndarray, "a n 3"]:
-        """Weights of what is so much per node of one path, in one direction."""
+        """Weights (a, n, 3) of the errors in one direction on the path of one axis, from weights
+        per node.
+        """
         weights = np.zeros(self.nominal.shape)
         weights[self.axes.index(axis)] = per_node[:, None] * direction
         return weights
 
     def deviation(self, axis: str) -> Float[np.ndarray, "n n"]:
-        """Takes errors along a path to what they deviate from their least-squares line."""
+        """Matrix (n, n) from values at nodes to their deviations from the least-squares line."""
         x = self.travelled[self.axes.index(axis)]
         return np.eye(len(x)) - 1.0 / len(x) - np.outer(x - x.mean(), self.slope(axis))
 
     @property
     def squareness(self) -> list[tuple[str, str, str, Float[np.ndarray, "a n 3"]]]:
-        """Of axes that are meant to be square: the name as in ISO 230-1 (``"EC(0X)Y"``), the axis
-        that is referred to, the other one, and the weights: rad, positive where the other one is
-        turned in the positive sense from it, as EC0Y is.
+        """Squareness of every pair of axes that are nominally square to each other.
+
+        Each entry has the name as in ISO 230-1 (``"EC(0X)Y"``), the reference axis, the other axis,
+        and the weights (a, n, 3) of the angle in rad. It is positive where the other axis is
+        rotated in the positive sense from the reference axis, as for EC0Y.
         """
         found = []
         for first, second in itertools.combinations(sorted(self.axes), 2):

@@ -1,9 +1,10 @@
-"""What errors of a machine amount to in its work space: quadratic forms of its parameters.
+"""Volumetric errors of a machine as quadratic forms of its parameters.
 
-    mean square |d| over the points = theta' G theta
+    mean of |d|^2 over the points = theta' G theta
 
-with d the displacement of the tool point. The rigid motion that fits all points best is taken out
-(*aligned*), as an artefact or a station of unknown pose cannot see it, or left in (*raw*).
+with d the displacement of the tool point. The rigid motion that fits all points best is either
+subtracted (*aligned*), because a measurement with an artefact or a station of unknown pose contains
+no information about it, or included (*raw*).
 """
 
 from typing import NamedTuple
@@ -32,22 +33,24 @@ class Displacements(NamedTuple):
     rigid: Float[np.ndarray, "n 3 r"]
     """Orthonormal rigid motions of all points."""
     places: Int[np.ndarray, " c"]
-    """Which of the model's amplitudes move the tool."""
+    """Positions of the amplitudes of the model that move the tool."""
 
     @property
     def aligned(self) -> Float[np.ndarray, "n 3 c"]:
-        """After the best rigid alignment of all points."""
+        """Displacement after the best rigid alignment of all points."""
         return self.raw - np.einsum("nar,rc->nac", self.rigid, self.seen)
 
     @property
     def seen(self) -> Float[np.ndarray, "r c"]:
-        """The rigid motion in it."""
+        """Components of the displacement along the rigid motions."""
         return np.einsum("nar,nac->rc", self.rigid, self.raw, optimize=True)
 
 
 def displacements(model: Model, points: Plan) -> Displacements:
-    """What the machine's own effects do to the tool point, by the amplitudes in solver units
-    (`Model.entries`); those of the instrument do not move it. Linear, at the nominal machine.
+    """Displacement of the tool point by the effects of the machine, per amplitude in solver units
+    (`Model.entries`), linearised at the nominal machine.
+
+    Effects of the instrument do not move the tool point.
     """
     still = jnp.zeros((points.rows, len(model.layout)))
     nominal, by_port = tool_points_with_jacobian(model.chain, jnp.asarray(points.position), still)
@@ -69,7 +72,7 @@ def displacements(model: Model, points: Plan) -> Displacements:
 
 
 def volumetric_gram(model: Model, points: Plan) -> Gram:
-    """G of all amplitudes of a model (`displacements`)."""
+    """G (k, k) of all amplitudes of a model over some points (`displacements`)."""
     moved = displacements(model, points)
     size, own = len(model.entries), np.ix_(moved.places, moved.places)
     flat = moved.raw.reshape(3 * points.rows, -1)
@@ -81,18 +84,18 @@ def volumetric_gram(model: Model, points: Plan) -> Gram:
 
 
 def gram_for(model: Model, gram: Gram, of: Model) -> Gram:
-    """G of the amplitudes of `model` out of the `gram` of another one, which has all those of its
-    effects that move the tool.
+    """G of the amplitudes of `model`, taken from the `gram` of the model `of`, which contains all
+    effects of `model` that move the tool.
 
-    Raises `ValueError` for an effect of the machine that `of` does not have.
+    Raises `ValueError` for an effect of the machine that `of` does not contain.
     """
     known = {(e.key, e.parameter.name): i for i, e in enumerate(of.entries)}
     places = np.array([known.get((e.key, e.parameter.name), -1) for e in model.entries])
     for entry, place in zip(model.entries, places, strict=True):
         if place < 0 and model.effects[entry.effect].where == "machine":
             raise ValueError(
-                f"{entry.key}: found an effect of the machine that the Gram matrix was not "
-                "computed for, expected one of its own; compute it for all effects"
+                f"{entry.key}: found an effect of the machine that is not in the Gram matrix, "
+                "expected all of them; compute the matrix for a model with all effects"
             )
     # The last row and column, which -1 reads, are zero.
     return Gram(*(np.pad(g, (0, 1))[np.ix_(places, places)] for g in gram))

@@ -1,15 +1,15 @@
-"""Identification of many measurements that are neighbours of one nominal problem.
+"""Identification of many measurements that differ little from one nominal problem.
 
 All draws of a Monte Carlo campaign share the plan, the model and very nearly the curvature
 H = J'J + L of the cost
 
     f(theta) = |W (y - h(theta))|^2 / 2 + |L^(1/2) theta|^2 / 2.
 
-So the nominal problem is linearised and H factored once; every draw starts at the linear solution
-and then takes steps theta <- theta - H^-1 g with its own exact gradient g, until the Newton
-decrement sqrt(g' H^-1 g) - the distance still to go, in posterior standard deviations - is small.
+The nominal problem is therefore linearised and H factorised once. Every draw starts at the linear
+solution and takes steps theta <- theta - H^-1 g with its own exact gradient g. It ends where the
+Newton decrement sqrt(g' H^-1 g), the remaining distance in posterior standard deviations, is small.
 Where the error motions are 1e-5, one such step is enough. Where they are so large that H differs
-from draw to draw (an arm with links off by a milliradian), every draw needs its own:
+from draw to draw (an arm whose links deviate by a milliradian), every draw needs its own curvature:
 `identify_alone`.
 """
 
@@ -40,14 +40,14 @@ from .fit import entries, shape_step
 from .linearised import linearised_terms
 
 _SHARED = 0.5
-"""Contraction up to which the shared curvature is tried: 12 steps then gain three digits."""
+"""Contraction up to which the shared curvature is used: 12 steps then gain three digits."""
 _INNER, _MOST_INNER = 1e-3, 100
-"""How far every step with a curvature of its own is solved, as a share of its length, and in how
-many iterations at most."""
+"""Relative accuracy to which a step with its own curvature is solved, and the largest number of
+iterations."""
 _MACHINES = 3
-"""Machines of the prior whose curvature is compared with the nominal one."""
+"""Number of machines drawn from the prior whose curvature is compared with the nominal one."""
 _CAREFUL = 10.0
-"""What the contraction seen in the last step must leave to spare: it was seen once only."""
+"""Safety factor on the contraction observed in the last step, which is a single observation."""
 
 
 class _Steps(eqx.Module):
@@ -56,19 +56,19 @@ class _Steps(eqx.Module):
     decrement: Float[Array, ""]
     """Length of the last step, in posterior standard deviations."""
     before: Float[Array, ""]
-    """That of the step before."""
+    """Length of the previous step."""
     count: Int[Array, ""]
 
 
 class SharedCurvature(optx.AbstractLeastSquaresSolver):
     """theta <- theta - H^-1 g(theta): a fixed H, the exact gradient g, as an optimistix solver.
 
-    `y` is the parameter vector. Converged when the Newton decrement, or what the contraction leaves
-    of it after the step just taken, is below `tolerance`; diverged when steps grow. The contraction
-    is the observed one, or, if that is worse, the one to be expected: of a long way in which nearly
-    everything gets there at once, the little that does not is not seen. `options["decrement"]` is
-    the length of the step that led to the start, if there was one; `options["state"]` goes on from
-    a state.
+    `y` is the parameter vector. The iteration has converged when the Newton decrement, reduced by
+    the contraction of the step just taken, is below `tolerance`; it has diverged when steps grow.
+    The contraction is the larger of the observed and the expected one: a long first step, in which
+    nearly all parameters converge at once, hides the few that converge slowly.
+    `options["decrement"]` is the length of the step that led to the start, if there was one;
+    `options["state"]` is a state to continue from.
     """
 
     inverse: Float[Array, "k k"]
@@ -76,7 +76,7 @@ class SharedCurvature(optx.AbstractLeastSquaresSolver):
     tolerance: float
     expected: Float[Array, ""] | float = 0.0
     """Contraction of steps in the slowest direction."""
-    # Names that optimistix asks every solver for; convergence is judged by the decrement alone.
+    # optimistix requires these names of every solver; convergence is judged by the decrement alone.
     rtol: float = 0.0
     atol: float = 0.0
     norm: Any = optx.max_norm
@@ -92,7 +92,7 @@ class SharedCurvature(optx.AbstractLeastSquaresSolver):
         residual, pull, aux = jax.vjp(lambda theta: fn(theta, args), y, has_aux=True)
         (gradient,) = pull(residual)
         step = self.inverse @ gradient
-        # Rounding may leave a gradient of zero with a product just below it.
+        # Rounding may make the product slightly negative where the gradient is zero.
         decrement = jnp.sqrt(jnp.maximum(gradient @ step, 0.0))
         return y - step, _Steps(decrement, state.decrement, state.count + 1), aux
 
@@ -112,15 +112,16 @@ class SharedCurvature(optx.AbstractLeastSquaresSolver):
 
 
 class OwnCurvature(SharedCurvature):
-    """The same with the curvature at theta itself, H(theta) = J'J + L.
+    """`SharedCurvature` with the curvature at theta itself, H(theta) = J'J + L.
 
-    A step solves (R H(theta) R') w = R g, R' R = H^-1 of the nominal problem, by conjugate
-    gradients: most of R H(theta) R' is the identity, so that some products with J, which is never
-    made, do. |w| counts posterior standard deviations. Exact gradients, so that an unfinished step
-    costs another one and nothing else.
+    A step solves (R H(theta) R') w = R g by conjugate gradients, with R'R = H^-1 of the nominal
+    problem. R H(theta) R' is nearly the identity, so that a few products with J are enough; J is
+    never computed. |w| is in posterior standard deviations. Gradients are exact, so that an
+    inaccurate step costs a further step and nothing else.
     """
 
     root: Float[Array, "k k"] = eqx.field(kw_only=True)
+    """R, with R'R = H^-1 of the nominal problem."""
 
     def step(self, fn, y, args, options, state, tags):
         del options, tags
@@ -137,10 +138,10 @@ class OwnCurvature(SharedCurvature):
 
 
 class Batch(eqx.Module):
-    """A model on a plan, linearised once, ready to be identified from many measurements.
+    """A model on a plan, linearised once, prepared for identification from many measurements.
 
-    Parameters are in solver units, amplitudes first, then the shape parameters that the solver
-    moves, as in `Fit.entries`; shapes count in steps of their scan from their nominal values.
+    Parameters are in solver units: the amplitudes, then the shape parameters that move, as in
+    `Fit.entries`. Shape parameters are in steps of their scan, from their nominal values.
     """
 
     chain: Chain
@@ -151,20 +152,23 @@ class Batch(eqx.Module):
     shapes: tuple[tuple[int, str, Float[Array, ""], Float[Array, ""]], ...]
     """Shape parameters that move: position of the effect, name, nominal value and step (SI)."""
     fixed: dict[int, dict[str, Float[Array, ""]]]
-    """Other shape parameters of the effects that have a moving one."""
+    """Values (SI) of the other shape parameters of the effects that have a moving one."""
     nominal_shapes: dict[int, dict[str, float]]
     """Nominal values (SI) of all shape parameters."""
     amplitudes: int = eqx.field(static=True)
+    """Number of amplitudes."""
     start: Float[Array, " k"]
-    """Nominal parameters, about which the problem was linearised."""
+    """Nominal parameters, about which the problem is linearised."""
     nominal: Float[Array, "n m"]
     """Readings at the nominal parameters."""
     whitener: Float[Array, "n m m"]
+    """W of the declared noise."""
     independent: bool = eqx.field(static=True)
     """Whether the readings of a row are independent: the whitener is diagonal."""
     root_precision: Float[Array, " k"]
+    """Diagonal of L^(1/2)."""
     jacobian: Float[Array, "nm k"]
-    """Whitened, at the nominal parameters."""
+    """Whitened Jacobian at the nominal parameters."""
     curvature: Float[Array, "k k"]
     """H = J'J + L."""
     inverse: Float[Array, "k k"]
@@ -174,41 +178,44 @@ class Batch(eqx.Module):
     gain: Float[Array, "k nm"]
     """H^-1 J' W: the linear estimate from a residual."""
     contraction: Float[Array, ""]
-    """What a step with the shared curvature leaves of the distance to the solution, at worst and
-    close to it: the spectral radius of 1 - H^-1 H(theta), median over machines of the prior.
+    """Ratio of the distances to the solution after and before a step with the shared curvature, in
+    the worst direction close to the solution: the spectral radius of 1 - H^-1 H(theta), median over
+    machines drawn from the prior.
     """
 
     @property
     def shared(self) -> bool:
-        """Whether the draws are near enough to each other to share their curvature."""
+        """Whether the draws differ so little that they can share one curvature."""
         return float(self.contraction) < _SHARED
 
     def shape_values(self, theta: Float[Array, " k"]) -> dict[int, dict[str, Any]]:
-        """Shape parameters (SI) of the effects that have a moving one, by place of the effect."""
+        """Shape parameters (SI) of the effects that have a moving one, by the effect's position."""
         values: dict[int, dict[str, Any]] = {i: dict(known) for i, known in self.fixed.items()}
         for place, (i, name, at, step) in enumerate(self.shapes, start=self.amplitudes):
             values.setdefault(i, {})[name] = at + step * theta[place]
         return values
 
     def predict(self, theta: Float[Array, " k"]) -> Float[Array, "n m"]:
-        """Reduced readings of one parameter vector."""
+        """Reduced readings (n, m) of the parameters `theta` (k,), SI."""
         ports = self.ports(theta, self.shape_values(theta))
         position = self.plan.position
         readings = observe_columns(self.chain, self.instrument, position, self.rows, ports)
         return self.instrument.reduce(jnp.stack(readings, -1), self.plan)
 
     def residual(self, theta: Float[Array, " k"], readings: Float[Array, "n m"]) -> Array:
-        """Whitened data residual, then the prior's rows: what is squared and minimised."""
+        """The residual whose square is minimised: the whitened data residual, then the rows of the
+        prior (n m + k,).
+        """
         if not self.chain.linear:
             return self.dense_residual(theta, readings)
         off = self.instrument.difference(readings, self.predict(theta))
         return jnp.concatenate([self._whitened(off), self.root_precision * theta])
 
     def dense_residual(self, theta: Float[Array, " k"], readings: Float[Array, "n m"]) -> Array:
-        """`residual`, differentiated by way of the readings' derivatives by all ports.
+        """`residual`, differentiated through the derivatives of the readings by all ports.
 
-        That takes the kinematics in arrays, which compile in seconds also for the long expressions
-        of axes that turn, but run slower.
+        This uses the kinematics in arrays. They compile in seconds even for the long expressions of
+        rotary axes, but run more slowly.
         """
 
         @jax.custom_jvp
@@ -244,10 +251,12 @@ class Batch(eqx.Module):
         return (self.whitener * off[:, None, :]).sum(-1).reshape(-1)
 
     def linear(self, readings: Float[Array, "n m"]) -> tuple[Float[Array, " k"], Float[Array, ""]]:
-        """The solution of the linearised problem, and how far it is from the nominal one."""
+        """The solution of the linearised problem (k,), and its distance from the nominal parameters
+        in posterior standard deviations.
+        """
         off = self.instrument.difference(readings, self.nominal).reshape(-1)
         step = self.gain @ off - self.inverse @ (self.root_precision**2 * self.start)
-        # Rounding may leave a square of zero just below it.
+        # Rounding may make the square slightly negative where it is zero.
         return self.start + step, jnp.sqrt(jnp.maximum(step @ (self.curvature @ step), 0.0))
 
 
@@ -255,9 +264,10 @@ class Identified(NamedTuple):
     """One identified draw."""
 
     theta: Float[Array, " k"]
+    """Parameters in solver units."""
     converged: Bool[Array, ""]
     steps: Int[Array, ""]
-    """Exact gradients that were needed."""
+    """Number of exact gradients that were computed."""
 
 
 def prepare_batch(
@@ -267,15 +277,15 @@ def prepare_batch(
     shapes: Shapes | None = None,
     theta: Float[np.ndarray, " a"] | None = None,
 ) -> Batch:
-    """All of a batched identification that is the same for every draw.
+    """The part of a batched identification that is the same for every draw.
 
-    The problem is linearised about the amplitudes `theta` (a,) in solver units, nominally zero, and
-    the `shapes` (SI); shape parameters not given are their declared values, or the middle of their
-    scan.
+    The problem is linearised about the amplitudes `theta` (a,) in solver units, zero by default,
+    and the `shapes` (SI). Shape parameters that are not given have their declared value, or the
+    middle of their scan.
 
-    Raises `RuntimeError` in float32, and `ValueError` where theta does not fit, or where data and
-    prior leave a parameter undetermined there: a shape parameter is, as long as its effect has
-    no amplitude.
+    Raises `RuntimeError` where JAX runs in float32. Raises `ValueError` where theta does not fit,
+    or where data and prior leave a parameter undetermined; a shape parameter is undetermined as
+    long as its effect has no amplitude.
     """
     require_float64()
     model.check_plan(plan)
@@ -292,13 +302,13 @@ def prepare_batch(
         if np.shape(theta) != (len(model.entries),):
             raise ValueError(
                 f"theta: found shape {np.shape(theta)}, expected ({len(model.entries)},), one "
-                "value per amplitude of the model; `Model.entries` names them in order"
+                "value per amplitude of the model; `Model.entries` lists them in order"
             )
         begin[: len(model.entries)] = theta
     terms = linearised_terms(model, plan, at, begin)
 
     def linearised(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Readings (n, m), and their derivative by every term of the ports (n, m, t)."""
+        """Readings (n, m), and their derivative by every term of the ports (n, m, t), SI."""
         ports = port_values(terms, jnp.asarray(theta), len(model.layout))
         readings, by_port = observe_with_jacobian(
             model.chain, model.instrument, plan.position, rows, ports
@@ -313,7 +323,7 @@ def prepare_batch(
     whitener = declared_whitener(model, Measurement(plan, nominal))
 
     def whitened(by_term: np.ndarray) -> np.ndarray:
-        """The Jacobian (n m, k)."""
+        """The whitened Jacobian (n m, k)."""
         by_term = np.einsum("nij,njt->nit", whitener, by_term)
         found = np.zeros((by_term.shape[0] * by_term.shape[1], size))
         np.add.at(found.T, np.asarray(terms.parameter), by_term.reshape(len(found), -1).T)
@@ -364,22 +374,22 @@ def prepare_batch(
 def _check_determined(
     curvature: Float[np.ndarray, "k k"], names: Sequence[tuple[str, Parameter]]
 ) -> None:
-    """Refuse a problem in which a parameter, or a combination of them, is free."""
+    """Raise `ValueError` where a parameter, or a combination of them, is not determined."""
     diagonal = np.diag(curvature)
     lost = np.flatnonzero(diagonal == 0.0).tolist()
     if lost or np.linalg.cond(curvature / np.sqrt(np.outer(diagonal, diagonal))) > 1e14:
         names_lost = ", ".join(f"{names[i][0]} {names[i][1].name}" for i in lost) or "a combination"
         raise ValueError(
             f"neither data nor prior determine {names_lost} near the nominal parameters; give a "
-            "prior, a plan that sees it, or (shape parameters) nominal amplitudes `theta`"
+            "prior, a plan that observes it, or (shape parameters) nominal amplitudes `theta`"
         )
 
 
 def _shapes(
     model: Model, plan: Plan, at: Shapes, moving: Iterable[int]
 ) -> tuple[tuple[tuple[int, str, Array, Array], ...], dict[int, dict[str, Array]]]:
-    """Shape parameters of the effects that have one that moves: those that do, as
-    (effect, name, value, step), and the values of the others.
+    """Shape parameters of the effects at the positions `moving`: those that move, as (effect, name,
+    value, step), and the values of the others (SI).
     """
     moves, fixed = [], {}
     for i in moving:
@@ -399,8 +409,8 @@ def identify_one(
 ) -> Identified:
     """Identify one draw with the shared curvature: a pure function, to be mapped over readings.
 
-    `tolerance` is in posterior standard deviations; a draw that is not there after `steps` exact
-    gradients says so in `converged`.
+    `readings` (n, m) are in SI, `tolerance` is in posterior standard deviations. `steps` is the
+    largest number of exact gradients; `Identified.converged` states whether it was enough.
     """
     start, length = batch.linear(readings)
     shared = SharedCurvature(inverse=batch.inverse, tolerance=tolerance, expected=batch.contraction)
@@ -408,8 +418,8 @@ def identify_one(
 
 
 def _stepped(residual, solver: SharedCurvature, start, length, readings, steps: int) -> Identified:
-    # Mostly one step is enough. Taken before the loop it is compiled together with what makes the
-    # readings, which takes half the time, and the loop is then only entered where one is not.
+    # One step is mostly enough. Before the loop, it is compiled together with the simulation of the
+    # readings, which takes half the time; the loop is entered only where one step is not enough.
     def with_aux(theta, y):
         return residual(theta, y), None
 
@@ -432,8 +442,8 @@ def _stepped(residual, solver: SharedCurvature, start, length, readings, steps: 
 def identify_alone(
     batch: Batch, readings: Float[Array, "n m"], *, tolerance: float = 1e-3, steps: int = 12
 ) -> Identified:
-    """`identify_one` with the draw's own curvature, for draws that are too far from the nominal
-    problem to share its own.
+    """Identify one draw with its own curvature, for draws that differ too much from the nominal
+    problem; arguments as in `identify_one`.
     """
     start, _ = batch.linear(readings)
     start = jnp.where(jnp.isfinite(start), start, 0.0)
@@ -453,7 +463,9 @@ def identify_alone(
 def identify_damped(
     batch: Batch, readings: Float[Array, "n m"], *, tolerance: float = 1e-3
 ) -> Identified:
-    """Identify one draw by damped least squares from the linear solution."""
+    """Identify one draw by damped least squares from the linear solution; arguments as in
+    `identify_one`.
+    """
     start, _ = batch.linear(readings)
     start = jnp.where(jnp.isfinite(start), start, 0.0)
     # The residuals are whitened: their standard deviation is known to be one.

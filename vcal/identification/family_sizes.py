@@ -1,6 +1,7 @@
-"""Learning the sizes of a declared family from the data, by marginal likelihood.
+"""Prior sizes of a declared family of error motions, estimated from the data by empirical Bayes.
 
-For use on request, and not while effects are screened: sizes that adapt would swallow an effect.
+The estimate is made on request only, and not while effects are screened: sizes that adapt to the
+data would absorb an effect.
 """
 
 import dataclasses
@@ -17,19 +18,22 @@ from .fit import Fit
 
 _ROUNDS = 2000
 _SETTLED = 1e-3
+"""Change of the logarithm of a factor below which the iteration has converged."""
 _WIDE = np.log(3.0)
-"""Standard deviation of the logarithm of a factor, before the data: what they do not tell stays as
-declared, rather than wherever rounds without end would take it."""
+"""Prior standard deviation of the logarithm of a factor. A factor that the data do not determine
+stays near one; without a prior it would drift as long as the iteration runs."""
 
 
 def learned_sizes(fit: Fit) -> dict[str, float]:
     """Factor on the prior size of every error motion and location error, by its ISO 230-1 name.
 
-    Expectation maximisation of the marginal likelihood of the linearised fit, with a prior of
-    `_WIDE` on every ln f: of n coefficients with the mean square q = f^2 mean(theta^2 + var theta),
-    in units of the prior as declared, f is the root of n (q / f^2 - 1) = ln f / `_WIDE`^2; repeated
-    until it settles. Errors that are declared themselves (`given`, `priors`) have no factor. Raises
-    `RuntimeError` where it does not settle.
+    The factors maximise the marginal likelihood of the linearised fit by expectation maximisation,
+    with a normal prior on every ln f of the standard deviation s = ln 3. For n coefficients with
+    the mean square q = f^2 mean(theta^2 + var theta), in units of the declared prior, f solves
+    n (q / f^2 - 1) = ln f / s^2. Errors that are declared themselves (`given`, `priors`) have no
+    factor.
+
+    Raises `RuntimeError` where the iteration does not converge.
     """
     groups: dict[str, list[int]] = {}
     k = 0
@@ -57,7 +61,7 @@ def learned_sizes(fit: Fit) -> dict[str, float]:
         if np.abs(np.log(factors / previous)).max() < _SETTLED:
             break
     else:
-        raise RuntimeError(f"sizes of the family: not settled after {_ROUNDS} rounds")
+        raise RuntimeError(f"sizes of the family: no convergence after {_ROUNDS} iterations")
     return {name: float(factors[members[0]]) for name, members in groups.items()}
 
 
@@ -67,7 +71,7 @@ def _factor(n: int, square: float) -> float:
     def slope(log_f: float) -> float:
         return n * (square * math.exp(-2.0 * log_f) - 1.0) - log_f / _WIDE**2
 
-    # Between no factor, where the prior has its maximum, and the root mean square.
+    # The root lies between one, where the prior has its maximum, and the root mean square.
     low, high = sorted((0.0, 0.5 * math.log(square)))
     return math.exp(root_scalar(slope, bracket=(low, high)).root) if high > low else 1.0
 

@@ -1,4 +1,4 @@
-"""A model identified from a measurement: numbers, and what follows from them directly."""
+"""A model identified from a measurement, and the quantities that follow from it directly."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,61 +17,67 @@ from ..model.measurement import Measurement
 from ..numerics.least_squares import Status
 
 HARDLY_TOLD = 0.05
-"""Share of information below which the data have said practically nothing."""
+"""Share of information below which the data contain practically nothing about a parameter."""
 _UNSEEN = 1e-8
 """Information (per solver unit squared) that counts as none: a standard deviation of 1e4 units."""
 _FAINT = 1e-6
-"""Of a shape parameter, times the squared length of its scan: its whole scan explains the readings
-alike."""
+"""Information about a shape parameter, times the squared length of its scan, that counts as none:
+the whole scan explains the readings equally well."""
 
 _ROUNDING = 1e-13
 """Share of the information that may be rounding."""
 _LEFT = 0.05
-"""Least share of the variance of a reading that counts as left beside the parameters: what is left
-of less tells nothing of what it was."""
+"""Least share of a reading's variance that is taken to remain after the fit of the parameters: with
+less, the residual contains no information about the reading's error."""
 _LOST = 1e-9
-"""Singular value, over the largest one, that counts as zero."""
+"""Singular value, relative to the largest, that counts as zero."""
 _PART = 0.1
-"""Part in a direction of unit length from which a parameter is told."""
+"""Component in a direction of unit length from which a parameter is listed."""
 _LITTLE = 0.01
-"""Share of the information from the data below which they say next to nothing."""
+"""Share of the information from the data below which they contain almost nothing."""
 _MOST_TOLD = 6
-"""Directions that are told; the rest is counted."""
+"""Number of directions that are listed; the others are counted."""
 
 
 @dataclass(frozen=True)
 class Fit:
     """A model identified from a measurement: numbers only.
 
-    Whitened quantities have one line per reading, row by row; parameters are in solver units
-    (prior sigma, or the declared scale where the prior is flat). `whitened` = W (y - h), and
-    `jacobian` = W dh/dtheta, so that the linearised data equation is
-    whitened(theta + d) = whitened - jacobian d.
+    Whitened quantities have one row per reading, in the order of the rows of the plan. Parameters
+    are in solver units (prior sigma, or the declared scale where the prior is flat). The linearised
+    data equation is whitened(theta + d) = whitened - jacobian d.
     """
 
     model: Model
     measurement: Measurement
     theta: np.ndarray
+    """Amplitudes, then zeros for the shape parameters that move (k,), solver units."""
     shapes: Shapes
+    """Shape parameters (SI) by position of the effect in the model."""
     residual: np.ndarray = field(repr=False)
     """y - h, (n, m), SI."""
     whitener: np.ndarray = field(repr=False)
-    """(n, m, m); zero for rows that were left out."""
+    """W (n, m, m); zero for rows that were left out."""
     whitened: np.ndarray = field(repr=False)
+    """W (y - h), (n m,)."""
     jacobian: np.ndarray = field(repr=False)
+    """W dh/dtheta, (n m, k)."""
     port_jacobian: np.ndarray = field(repr=False)
     """dh/dports (n, m, p), not whitened."""
     precision: np.ndarray = field(repr=False)
-    """Diagonal of the prior precision L in solver units."""
+    """Diagonal of the prior precision L (k,), in solver units."""
     status: Status
-    """How the minimisation ended; `status.prose` says it in words."""
+    """Result of the minimisation; `status.prose` explains it."""
     steps: int
+    """Number of steps of the minimisation."""
     rank: int
-    """Of the Jacobian, the prior's rows included."""
+    """Rank of the Jacobian, including the rows of the prior."""
 
     @cached_property
     def condition(self) -> float:
-        """Of the same with columns of unit length; infinite where one is zero."""
+        """Condition number of the Jacobian with the rows of the prior and columns of unit length;
+        infinite where a column is zero.
+        """
         singular = np.linalg.svd(_unit_columns(self), compute_uv=False)
         return float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
 
@@ -82,13 +88,14 @@ class Fit:
 
     @property
     def determined(self) -> bool:
-        """Whether data and prior tell every parameter, shapes by their scan. They do not tell two
-        effects apart that are the same and have no prior; nor is a bump told that lies between two
-        readings, which see neither its place nor its size.
+        """Whether data and prior determine every parameter, shape parameters within their scan.
+
+        Two equal effects without a prior are not determined, nor is a bump between two readings,
+        which contain no information about its position and size.
         """
         information = (self.jacobian**2).sum(0)
-        seen = information + self.within_scans
-        if not seen.min(initial=math.inf) > _UNSEEN:
+        total = information + self.within_scans
+        if not total.min(initial=math.inf) > _UNSEEN:
             return False
         for place, effect in enumerate(self.model.effects):
             if any(p.moves for p in effect.shapes):
@@ -99,14 +106,16 @@ class Fit:
             pivots = np.diag(self.factor[0]) ** 2
         except np.linalg.LinAlgError:
             return False
-        # What is left of a parameter's information beside those before it.
-        return bool((pivots > _ROUNDING * seen).all())
+        # The information about a parameter that remains when the parameters before it are unknown.
+        return bool((pivots > _ROUNDING * total).all())
 
     @cached_property
     def by_tool(self) -> np.ndarray:
-        """Derivative of the readings by a displacement of the tool point (n, m, 3), in the tool's
-        own frame, not whitened. In the `angular` rows, by the turn of the tool that moves the end
-        of the reading's lever arm (`Instrument.lengths`) as far.
+        """Derivative of the readings by a displacement of the tool point (n, m, 3), in the frame of
+        the tool, not whitened.
+
+        In the `angular` rows, it is the derivative by the rotation of the tool that moves the end
+        of the reading's lever arm (`Instrument.lengths`) by the same distance.
         """
         ports = self.port_jacobian[:, :, self.model.layout.slice("tool")]
         moved, turned = ports[:, :, :3], ports[:, :, 3:]
@@ -119,46 +128,52 @@ class Fit:
 
     @cached_property
     def angular(self) -> np.ndarray:
-        """Rows of which no reading changes where the tool point is displaced (n,): a level's."""
+        """Rows (n,) of which no reading depends on the position of the tool point, such as those of
+        a level.
+        """
         ports = self.port_jacobian[:, :, self.model.layout.slice("tool")]
         return np.asarray(~ports[:, :, :3].any((1, 2)))
 
     @property
     def ways(self) -> str:
-        """What the components of `by_tool` are called: X, Y, Z, or the turns A, B, C about them
-        where no row sees the tool point.
+        """Names of the components of `by_tool`: X, Y, Z, or the rotations A, B, C about them where
+        no reading depends on the position of the tool point.
         """
         return "ABC" if self.angular.all() else "XYZ"
 
     @cached_property
     def factor(self) -> tuple[np.ndarray, bool]:
-        """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`; L with what is known of
-        shape parameters (`within_scans`): readings may tell nothing of the place of a kink between
-        two poses, or of a knee that is at loads between theirs.
+        """Cholesky factor of H = J'J + L, for `scipy.linalg.cho_solve`.
 
-        Raises `LinAlgError`, with their names, where neither readings nor priors tell parameters.
+        L includes the precision of shape parameters (`within_scans`): the readings may contain no
+        information about the position of a kink between two poses, or about a knee at a load
+        between the measured ones.
+
+        Raises `LinAlgError` that names the parameters that neither readings nor priors determine.
         """
         try:
             return cho_factor(self.hessian())
         except np.linalg.LinAlgError as error:
             free = ", ".join(undetermined(self)[:6])
             raise np.linalg.LinAlgError(
-                f"found no covariance, expected readings or priors that tell every parameter"
-                f"{free and ', also of '}{free}; measure more, or leave out what is not seen"
+                f"found no covariance, expected readings or priors that determine every parameter"
+                f"{free and ', also '}{free}; measure more, or leave out what is not determined"
             ) from error
 
     @cached_property
     def planned_covariance(self) -> np.ndarray:
-        """H^-1 in solver units: what readings of the declared noise leave, whatever the residuals
-        turned out to be. A shape parameter that they do not tell is somewhere in its scan, and no
-        further off (`within_scans`).
+        """H^-1 (k, k) in solver units: the covariance for readings with the declared noise,
+        whatever the residuals are.
+
+        A shape parameter that the readings do not determine lies within its scan (`within_scans`).
         """
         return cho_solve(self.factor, np.eye(len(self.theta)))
 
     @cached_property
     def within_scans(self) -> np.ndarray:
-        """The prior precision, with that of the shape parameters: of a uniform distribution over
-        the steps of the scan, whose variance is steps^2 / 12.
+        """The prior precision (k,), with that of the shape parameters.
+
+        A shape parameter has the variance of a uniform distribution over its scan, steps^2 / 12.
         """
         found, k = np.array(self.precision, float), len(self.model.entries)
         for effect in self.model.effects:
@@ -171,13 +186,13 @@ class Fit:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Posterior covariance H^-1 in solver units (`planned_covariance`).
+        """Posterior covariance (k, k), solver units: H^-1 (`planned_covariance`), or a robust one.
 
         Where the readings of a row share errors that the noise does not declare
-        (`Instrument.clusters`): H^-1 (sum_i g_i g_i' + L) H^-1 with g_i = J_i'A_i r_i, which needs
-        no model of what they share; other rows have J_i'J_i in place of g_i g_i'. The fit has taken
-        a part of r_i, which A_i = (1 - J_i H^-1 J_i')^(-1/2) gives back (Bell, McCaffrey, Survey
-        Methodology 28, 2002, 169).
+        (`Instrument.clusters`), it is H^-1 (sum_i g_i g_i' + L) H^-1 with g_i = J_i'A_i r_i, which
+        needs no model of the shared errors. Other rows have J_i'J_i in place of g_i g_i'. The fit
+        has absorbed a part of r_i; the factor A_i = (1 - J_i H^-1 J_i')^(-1/2) restores it (Bell,
+        McCaffrey, Survey Methodology 28, 2002, 169).
         """
         inverse = self.planned_covariance
         shared = self.clusters >= 0
@@ -198,9 +213,7 @@ class Fit:
 
     @property
     def clusters(self) -> np.ndarray:
-        """Index per row of those whose covariance is estimated together, or -1
-        (`Instrument.clusters`).
-        """
+        """Cluster of shared errors of every row (n,), or -1 (`Instrument.clusters`)."""
         return self.model.instrument.clusters(self.measurement.plan)
 
     @property
@@ -210,7 +223,7 @@ class Fit:
 
     @cached_property
     def counted(self) -> np.ndarray:
-        """Readings that took part in the fit (n, m): of used rows, those that there are."""
+        """Readings that took part in the fit (n, m): those present in the used rows."""
         present = self.model.instrument.present(self.measurement.plan)
         return self.used[:, None] & present
 
@@ -221,13 +234,13 @@ class Fit:
 
     @cached_property
     def dof(self) -> float:
-        """Effective degrees of freedom: readings less tr(J H^-1 J')."""
+        """Effective degrees of freedom: number of readings minus tr(J H^-1 J')."""
         hat = np.trace(cho_solve(self.factor, self.jacobian.T @ self.jacobian))
         return float(self.counted.sum() - hat)
 
     def chi2_and_dof(self, rows: np.ndarray) -> tuple[float, float]:
-        """The same two of some rows (n,): their squared residuals, and their readings less their
-        part of tr(J H^-1 J').
+        """chi2 and degrees of freedom of some rows (n,): the sum of their squared whitened
+        residuals, and the number of their readings minus their part of tr(J H^-1 J').
         """
         n, m = self.residual.shape
         mine = self.used & rows
@@ -238,32 +251,34 @@ class Fit:
 
     @property
     def entries(self) -> tuple[tuple[str, Parameter], ...]:
-        """(effect with placement, parameter) for every entry of `theta`: amplitudes, then the
-        shape parameters in which the deviation is smooth.
+        """(effect with placement, parameter) of every entry of `theta`: the amplitudes, then the
+        shape parameters that move.
         """
         return entries(self.model)
 
     @property
     def information(self) -> np.ndarray:
-        """Share of each parameter's information that came from the data: 1 - posterior variance /
-        prior variance; 1 for flat priors.
+        """Share of information from the data for each parameter (k,): 1 - posterior variance /
+        prior variance; one for flat priors.
         """
         variance = np.diag(self.planned_covariance)
         return np.where(self.precision > 0, 1.0 - variance * self.precision, 1.0)
 
     @property
     def cost(self) -> float:
-        """What identification minimises: chi2 + theta' L theta, L the prior's precision."""
+        """The minimised cost: chi2 + theta' L theta, with L the precision of the prior."""
         return self.chi2 + float(self.theta**2 @ self.precision)
 
     def log_evidence(self, noise_scale: float = 1.0) -> float:
-        """Laplace's approximation of ln p(y | model), up to a constant of the data alone.
+        """Laplace's approximation of ln p(y | model), up to a constant of the data alone:
 
-        -chi2/2 - theta'L theta/2 + ln det L/2 - ln det H/2 + ln det W, plus the prior density of
-        the shape parameters: uniform over their scan, so one over its number of steps, and the
-        share of the normal distribution that lies within it. Flat directions enter as a unit of
-        their scale, the same in every model that is compared.
-        `noise_scale` multiplies the declared noise; the minimum is then elsewhere (`step_at`).
+            -chi2/2 - theta'L theta/2 + ln det L/2 - ln det H/2 + ln det W + ln p(shapes).
+
+        The prior of a shape parameter is uniform over its scan: its density is one over the number
+        of steps, and only the part of the normal distribution within the scan counts (`log_scan`).
+        Parameters with a flat prior enter with a unit of their scale, the same in all models that
+        are compared. `noise_scale` multiplies the declared noise; the minimum then moves
+        (`step_at`).
         """
         s2 = noise_scale**2
         proper = self.precision > 0
@@ -274,7 +289,7 @@ class Fit:
         prior = theta[proper] ** 2 @ self.precision[proper]
         left = self.whitened - self.jacobian @ step
         noise = np.linalg.slogdet(self.whitener[self.used])[1].sum()
-        # What a row lacks to the widest one has a place of its own in W, which says nothing.
+        # A reading that a row does not have is a diagonal element of W, without meaning.
         diagonal = np.einsum("nii->ni", self.whitener)
         noise -= np.log(diagonal[self.used[:, None] & ~self.counted]).sum()
         readings = self.counted.sum()
@@ -287,8 +302,8 @@ class Fit:
         )
 
     def step_at(self, noise_scale: float) -> np.ndarray:
-        """From theta to where the cost of the linearised problem is least if the noise is
-        `noise_scale` times that of the fit, H^-1 (J'r / s^2 - L theta); shape parameters stay.
+        """The step (k,) from theta to the minimum of the linearised problem for a noise of
+        `noise_scale` times that of the fit: H^-1 (J'r / s^2 - L theta), at fixed shape parameters.
         """
         step, k = np.zeros(len(self.theta)), len(self.model.entries)
         if noise_scale != 1.0:
@@ -299,16 +314,17 @@ class Fit:
         return step
 
     def hessian(self, noise_scale: float = 1.0) -> np.ndarray:
-        """H = J'J / s^2 + L, with what the scans say of shape parameters (`within_scans`)."""
+        """H = J'J / s^2 + L (k, k), with L from `within_scans`."""
         return self.jacobian.T @ self.jacobian / noise_scale**2 + np.diag(self.within_scans)
 
     def log_scan(self, place: int, h: np.ndarray) -> float:
-        """What the shape parameters of the effect at `place` add to the log evidence with the
-        Hessian `h`, beside its determinant: of each the share of its scan, n steps, that explains
-        the readings, and no prior but that.
+        """Contribution of the shape parameters of the effect at `place` to the log evidence with
+        the Hessian `h`, in addition to the determinant of `h`.
 
-        The readings alone tell it to 1/sigma^2 = 1/(H^-1)_kk - 12/n^2; the share is the area within
-        the scan of exp(-x^2 / 2 sigma^2), over n.
+        For each parameter it is the logarithm of the share of its scan (n steps) that explains the
+        readings, with no other prior. The readings alone determine the parameter with the precision
+        1/sigma^2 = 1/(H^-1)_kk - 12/n^2. The share is the integral of exp(-x^2 / 2 sigma^2) over
+        the scan, divided by n.
         """
         effect = self.model.effects[place]
         before = self.model.effects[:place]
@@ -321,9 +337,9 @@ class Fit:
                 unit = np.zeros(len(h))
                 unit[k] = 1.0
                 variance = float(np.linalg.solve(h, unit)[k])
-                told = max(1.0 / variance - 12.0 / steps**2, _FAINT / steps**2)
-                u = math.sqrt(2.0 / told)
-                # Half a step more on either side: the prior is shared out evenly over the steps.
+                precision = max(1.0 / variance - 12.0 / steps**2, _FAINT / steps**2)
+                u = math.sqrt(2.0 / precision)
+                # Half a step more at either end: the prior is spread evenly over the steps.
                 at = self.shapes[place][p.name]
                 order = np.argsort(grids[p.name])
                 below = 0.5 + float(np.interp(at, grids[p.name][order], np.arange(steps)[order]))
@@ -333,10 +349,11 @@ class Fit:
         return found
 
     def parameter_values(self) -> list[tuple[str, Parameter, float, float]]:
-        """(effect, parameter, value, standard uncertainty) of all entries, in edge units.
+        """(effect, parameter, value, standard uncertainty) of all parameters, in the units of the
+        parameters.
 
-        Shape parameters without a derivative (the time of a jump) have uncertainty nan, known ones
-        zero.
+        The uncertainty of a shape parameter without a derivative (the time of a jump) is nan, that
+        of a known one is zero.
         """
         sigma = np.sqrt(np.diag(self.covariance))
         found, k = [], 0
@@ -368,7 +385,7 @@ class Fit:
         ]
 
     def places_of(self, place: int) -> tuple[np.ndarray, np.ndarray]:
-        """Places in `theta` of the amplitudes of the effect at `place` in the model, and of its
+        """Positions in `theta` of the amplitudes of the effect at `place` in the model, and of its
         shape parameters that move.
         """
         count = len(self.model.entries)
@@ -379,33 +396,35 @@ class Fit:
 
 
 def entries(model: Model) -> tuple[tuple[str, Parameter], ...]:
-    """Amplitudes of all effects, then all smooth shape parameters."""
+    """(effect with placement, parameter): the amplitudes of all effects, then all shape parameters
+    that move.
+    """
     amplitudes = [(entry.key, entry.parameter) for entry in model.entries]
     shapes = [(e.key, p) for e in model.effects for p in e.shapes if p.moves]
     return (*amplitudes, *shapes)
 
 
 def shape_step(parameter: Parameter, value: float, grids: Mapping[str, np.ndarray]) -> float:
-    """What the solver counts as one for a shape parameter: one step of its scan there (SI)."""
+    """The solver unit of a shape parameter: the step of its scan at `value` (SI)."""
     grid, step = grids[parameter.name], 0.0
     if len(grid) > 1:
         step = float(np.abs(np.gradient(grid))[np.argmin(np.abs(grid - value))])
-    # Of one value, or of the same one again, no scan has a step.
+    # A scan of one value, or of equal values, has no step.
     return step or max(abs(value), parameter.si) * 0.1
 
 
 def _unit_columns(fit: Fit) -> np.ndarray:
-    """The Jacobian, the rows of the prior included, with columns of unit length or of zeros."""
+    """The Jacobian with the rows of the prior and with columns of unit length (or zero)."""
     whole = np.concatenate([fit.jacobian, np.diag(np.sqrt(fit.precision))])
     length = np.linalg.norm(whole, axis=0)
     return whole / np.where(length > 0.0, length, 1.0)
 
 
 def undetermined(fit: Fit) -> list[str]:
-    """Parameters of which neither the data nor a prior tell a combination, by name.
+    """Names of the parameters in combinations that neither the data nor a prior determine.
 
-    Those with a part in a right singular vector of the Jacobian (columns of unit length, the rows
-    of the prior included) whose singular value is zero to rounding.
+    These have a component in a right singular vector of the Jacobian (columns of unit length,
+    including the rows of the prior) whose singular value is zero to rounding.
     """
     _, s, vt = np.linalg.svd(_unit_columns(fit), full_matrices=False)
     part = np.abs(vt[s <= _LOST * s[0]]).max(0, initial=0.0)
@@ -414,15 +433,16 @@ def undetermined(fit: Fit) -> list[str]:
 
 
 class Learnt(NamedTuple):
-    """How much of the space of the parameters that have a prior is determined."""
+    """How much of the space of the parameters with a proper prior the data determine."""
 
     directions: int
+    """Dimension of the space."""
     determined: int
-    """Directions told to better than half their prior variance."""
+    """Number of directions whose posterior variance is below half the prior variance."""
     unseen: int
-    """Directions of which next to nothing is told."""
+    """Number of directions about which the data contain almost no information."""
     hardly: tuple[str, ...]
-    """Parameters of which hardly anything is told."""
+    """Parameters with a share of information below `HARDLY_TOLD`."""
 
     @classmethod
     def of(
@@ -433,26 +453,27 @@ class Learnt(NamedTuple):
     ) -> "Learnt":
         """From the square root of the prior precision and the posterior covariance.
 
-        Directions are those of this covariance in units of the prior, so that each has the share
-        of information 1 - variance.
+        The directions are the eigenvectors of this covariance in units of the prior. The share of
+        information of a direction is 1 - variance.
         """
         proper = np.flatnonzero(root_precision > 0.0)
         if not len(proper):
             return cls(0, 0, 0, ())
         root = root_precision[proper]
         scaled = covariance[np.ix_(proper, proper)] * np.outer(root, root)
-        told = 1.0 - np.linalg.eigvalsh(scaled)
+        shares = 1.0 - np.linalg.eigvalsh(scaled)
         names = [f"{key}: {p.name}" for key, p in (entries[k] for k in proper.tolist())]
         hardly = [n for n, v in zip(names, np.diag(scaled), strict=True) if 1.0 - v < HARDLY_TOLD]
-        return cls(len(proper), int((told > 0.5).sum()), int((told < _LITTLE).sum()), tuple(hardly))
+        determined, unseen = int((shares > 0.5).sum()), int((shares < _LITTLE).sum())
+        return cls(len(proper), determined, unseen, tuple(hardly))
 
 
 def null_directions(fit: Fit) -> list[str]:
-    """Combinations of parameters about which the data say next to nothing, in words.
+    """Combinations of parameters about which the data contain almost no information, as texts.
 
-    Directions in which less than a hundredth of the information comes from the data: right singular
-    vectors of the Jacobian (solver units) with s^2 / (s^2 + 1) below it. Six are told, each by the
-    parameters that make up nine tenths of it, and the others counted.
+    These are the directions in which less than a hundredth of the information comes from the data:
+    right singular vectors of the Jacobian (solver units) with s^2 / (s^2 + 1) < 0.01. Six are
+    listed, each by the parameters that make up nine tenths of its square, and the others counted.
     """
     systematic = np.array([p.informed and not p.known for _, p in fit.entries])
     nuisance = fit.precision == 0
@@ -477,11 +498,11 @@ def null_directions(fit: Fit) -> list[str]:
 
 
 def normalised_residuals(fit: Fit) -> Float[np.ndarray, "n m"]:
-    """W (y - h) of every row, also of those that were left out."""
+    """W (y - h) of every row with the declared noise, also of rows that were left out."""
     whitener = declared_whitener(fit.model, fit.measurement)
     return np.einsum("nij,nj->ni", whitener, fit.residual)
 
 
 def declared_chi2(fit: Fit, rows: Bool[np.ndarray, " n"] | None = None) -> float:
-    """Sum of their squares over the rows that were used, or over these."""
+    """Sum of the squared `normalised_residuals` over the used rows, or over `rows` (n,)."""
     return float((normalised_residuals(fit)[fit.used if rows is None else rows] ** 2).sum())

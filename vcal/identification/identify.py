@@ -2,12 +2,14 @@
 
     minimise  |W (y - h(theta))|^2 + |L^(1/2) theta|^2
 
-h is the exact forward model, W whitens each row, theta is in units of the prior standard deviations
-(L: one for a proper prior, zero for a flat one). The Jacobian is the port Jacobian, by automatic
-differentiation, times the effects' responses (`vcal.model`). Steps of Gauss-Newton that converge
-quickly need no other program than that, whatever the model (`vcal.gauss_newton`); what does not
-is solved by `optimistix` (`vcal.least_squares`). Shape parameters are relinearised around either,
-so that a new effect, or a new shape, is only new data to a compiled solver.
+h is the exact forward model, W whitens each row, and theta is in units of the prior standard
+deviations (L is one for a proper prior, zero for a flat one). The Jacobian is the port Jacobian, by
+automatic differentiation, times the responses of the effects (`vcal.model.forward`). Where
+Gauss-Newton converges quickly, it needs only that compiled Jacobian, whatever the model
+(`vcal.numerics.gauss_newton`). The other problems are solved in a compiled program
+(`vcal.numerics.least_squares`). Shape parameters are relinearised outside both
+(`vcal.identification.shape_steps`), so that a new effect, or a new shape, is only new data to a
+compiled program.
 """
 
 from dataclasses import dataclass
@@ -39,29 +41,30 @@ from ..model.forward import (
 from ..model.measurement import Measurement
 from ..numerics.arrays import Array
 from ..numerics.compiled import filter_jit_outermost
-from ..numerics.gauss_newton import Point, quickly
+from ..numerics.gauss_newton import Point, minimise
 from ..numerics.least_squares import Solution, Status, least_squares
 from ..numerics.spatial import require_float64
 from .fit import Fit, entries
 from .linearised import slopes
-from .shape_steps import SETTLED, Step, Walk
+from .shape_steps import SETTLED, ShapeSteps, Step
 
 _SLOTS = 32
-"""Parameters and terms are padded to one common multiple of this, so that models of similar size
-share one compiled solver."""
+"""Parameters and terms are padded to a common multiple of this number, so that models of similar
+size share one compiled solver."""
 _RELINEARISATIONS = 40
+"""Largest number of steps of the shape parameters."""
 _RIDGE = 1e-12
-"""Beside the squares of columns of unit length: of a combination that is free."""
+"""Added to the squared lengths (one) of the columns, for combinations that are not determined."""
 
 
 class Problem(NamedTuple):
-    """What the compiled solver needs: arrays only."""
+    """The data of the compiled solver: arrays only."""
 
     position: Float[Array, "n axes"]
     rows: Any
     measured: Float[Array, "n m"]
     whitener: Float[Array, "n m m"]
-    """Per row W with W' W the inverse covariance; zero for rows that are left out."""
+    """W of every row, with W'W the inverse covariance; zero for rows that are left out."""
     terms: Terms
     root_precision: Float[Array, " k"]
 
@@ -98,13 +101,13 @@ def _residual_and_jacobian(
 
 
 _TOLERANCE = 1e-5
-"""Distance to the minimum in standard uncertainties (`vcal.least_squares`)."""
+"""Distance to the minimum in standard uncertainties (`vcal.numerics.least_squares`)."""
 NEARLY, ROUGHLY = 1e-2, 3e-2
-"""The same of fits that are steps on the way: they are off by its square in chi-square."""
+"""The same for intermediate fits, whose chi-square is then off by the square of this number."""
 _ENDS = (Status.CONVERGED, Status.SINGULAR)
-"""Ends that damping does not change."""
+"""Results that damping does not change."""
 _STEPS = {False: 24, True: 200}
-"""Steps allowed without and with damping."""
+"""Largest number of steps without and with damping."""
 
 
 def _solve_with(
@@ -165,14 +168,15 @@ def identify(
 ) -> Fit:
     """Fit a model to a measurement by non-linear least squares.
 
-    `theta` (solver units) and `shapes` (SI) start the solver; shape parameters that are not given
-    start at the middle of their scan. `whitener` (n, m, m) replaces the declared noise, `keep` (n,)
-    leaves rows out, `room` is the least number of slots to compile the solver for (smaller and
-    larger models then share it), `tolerance` the distance to the minimum at which to stop, in
-    standard uncertainties. Gauss-Newton first, with damping where that does not converge;
-    `Fit.status` says how it ended. Raises `RuntimeError` where JAX runs in float32, and
-    `ValueError` where measurement, theta or keep do not fit the model, or the tolerance is not
-    positive.
+    `theta` (k,), in solver units, and `shapes` (SI) are the start; shape parameters that are not
+    given start at the middle of their scan. `whitener` (n, m, m) replaces the declared noise.
+    `keep` (n,) selects rows. `room` is the least number of slots for which the solver is compiled,
+    so that smaller and larger models share it. `tolerance` is the distance to the minimum at which
+    to stop, in standard uncertainties. Gauss-Newton is tried first, damping where it does not
+    converge; `Fit.status` states the result.
+
+    Raises `RuntimeError` where JAX runs in float32. Raises `ValueError` where measurement, theta or
+    keep do not fit the model, or where the tolerance is not positive.
     """
     require_float64()
     if not tolerance > 0.0:
@@ -182,7 +186,8 @@ def identify(
     if found != width:
         raise ValueError(
             f"measurement: found {found} readings per row, expected {width} "
-            f"({', '.join(instrument.readings)}) as the instrument of the model has them; give all"
+            f"({', '.join(instrument.readings)}) as declared by the instrument of the model; give "
+            "all of them"
         )
     if theta is not None:
         check_theta(model, theta)
@@ -200,66 +205,66 @@ def identify(
     solver = _Solver(model, measurement, whitener, room)
     size, amplitudes = len(solver.precision), len(model.entries)
     begin = np.zeros(amplitudes) if theta is None else np.asarray(theta, float)[:amplitudes]
-    on_the_way = tolerance if size == amplitudes else max(tolerance, NEARLY)
-    place = solver.at_best(current, begin, on_the_way)
-    end, steps = place.status, place.steps
+    intermediate = tolerance if size == amplitudes else max(tolerance, NEARLY)
+    optimum = solver.amplitudes_at(current, begin, intermediate)
+    end, steps = optimum.status, optimum.steps
     if size > amplitudes:
-        walk = Walk[_AtBest](model, plan, max(SETTLED, tolerance**2))
+        iteration = ShapeSteps[_AmplitudesAt](model, plan, max(SETTLED, tolerance**2))
         for _ in range(_RELINEARISATIONS):
-            if ended := walk.ends(place):
+            if ended := iteration.converged(optimum):
                 break
-            place = solver.at_best(*walk.onward(), on_the_way)
-            steps += place.steps
-        place = walk.last
-        if tolerance < on_the_way:
-            place = solver.at_best(place.shapes, place.point.theta, tolerance)
-            steps += place.steps
-        end = place.status if ended else Status.STEP_LIMIT
+            optimum = solver.amplitudes_at(*iteration.propose(), intermediate)
+            steps += optimum.steps
+        optimum = iteration.last
+        if tolerance < intermediate:
+            optimum = solver.amplitudes_at(optimum.shapes, optimum.point.theta, tolerance)
+            steps += optimum.steps
+        end = optimum.status if ended else Status.STEP_LIMIT
     return Fit(
         model=model,
         measurement=measurement,
-        theta=place.theta,
-        shapes=place.shapes,
-        residual=place.point.residual,
+        theta=optimum.theta,
+        shapes=optimum.shapes,
+        residual=optimum.point.residual,
         whitener=whitener,
-        whitened=place.point.whitened,
-        jacobian=place.jacobian,
-        port_jacobian=place.point.by_port,
+        whitened=optimum.point.whitened,
+        jacobian=optimum.jacobian,
+        port_jacobian=optimum.point.by_port,
         precision=solver.precision,
         status=end,
         steps=steps,
-        rank=place.rank,
+        rank=optimum.rank,
     )
 
 
 class _Solver:
-    """The problem that is left of a model and a measurement where its shapes are known."""
+    """The problem of a model and a measurement that remains where the shapes are known."""
 
     def __init__(self, model: Model, measurement: Measurement, whitener: np.ndarray, room: int):
         self.model, self.measurement, self.whitener, self.room = model, measurement, whitener, room
         free = [float(p.informed) if not p.shape else 0.0 for _, p in entries(model)]
         self.precision = np.array(free)
-        """Of amplitudes and shapes, diagonal of L."""
+        """Diagonal of L, for amplitudes and shapes."""
         self._rows = model.instrument.rows(measurement.plan)
         self._fixed: dict[int, Terms] = {}
 
-    def at_best(
+    def amplitudes_at(
         self, shapes: dict[int, dict[str, float]], begin: np.ndarray, tolerance: float
-    ) -> "_AtBest":
-        """All amplitudes at their best at some shapes."""
+    ) -> "_AmplitudesAt":
+        """The optimal amplitudes at some shapes (SI), from the start `begin` (solver units)."""
         terms = self._terms(shapes)
-        on_the_way = tolerance >= NEARLY
-        point, steps, ended = quickly(partial(self._point, terms), begin, tolerance, on_the_way)
+        rough = tolerance >= NEARLY
+        point, steps, ended = minimise(partial(self._point, terms), begin, tolerance, rough)
         status, size = Status.CONVERGED, len(self.precision)
         rank = size
         if not ended:
             best, status, more, rank = self._compiled(terms, point.theta, begin, tolerance)
             point, steps = self._point(terms, best), steps + more
-        moving = slopes(self.model, self.measurement.plan, shapes, point.theta, on_the_way)
+        moving = slopes(self.model, self.measurement.plan, shapes, point.theta, rough)
         along = concatenate(moving, self.measurement.rows, len(self.model.layout))
         along = along._replace(parameter=along.parameter - len(begin))
         by_port = np.matmul(self.whitener, point.by_port)
-        return _AtBest(
+        return _AmplitudesAt(
             shapes=shapes,
             point=point,
             along=_by_parameter(by_port, along, size - len(begin)),
@@ -270,7 +275,7 @@ class _Solver:
         )
 
     def _point(self, terms: Terms, theta: np.ndarray) -> Point:
-        """What is known at some amplitudes."""
+        """The residual and its derivatives at some amplitudes."""
         model, measurement = self.model, self.measurement
         residual, by_port = (
             np.asarray(found)
@@ -295,8 +300,10 @@ class _Solver:
     def _compiled(
         self, terms: Terms, near: np.ndarray, begin: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, Status, int, int]:
-        """Amplitudes at their best, found from one start, or with damping from another one; how
-        that ended, after how many steps, and the rank of the Jacobian with that of the shapes.
+        """The optimal amplitudes by the compiled solver: without damping from the start `near`,
+        and if that fails with damping from the start `begin`.
+
+        Returns amplitudes, status, number of steps, and the rank of the Jacobian, shapes included.
         """
         model, plan, size = self.model, self.measurement.plan, len(self.precision)
         root = np.sqrt(self.precision[: len(begin)])
@@ -319,7 +326,7 @@ class _Solver:
         return np.array(found)[: len(begin)], Status(status), steps, rank - slots + size
 
     def _terms(self, shapes: Shapes) -> Terms:
-        """`Model.terms`, those of effects without shape parameters found once."""
+        """`Model.terms`; terms of effects without shape parameters are computed once."""
         model, plan = self.model, self.measurement.plan
         for i, (effect, own) in enumerate(zip(model.effects, model.places, strict=True)):
             if effect.shapes or i not in self._fixed:
@@ -330,16 +337,18 @@ class _Solver:
 
 
 @dataclass(frozen=True)
-class _AtBest:
-    """Some shapes, with all amplitudes at their best there (`vcal.walk.Place`)."""
+class _AmplitudesAt:
+    """Some shapes with the optimal amplitudes there: a
+    `vcal.identification.shape_steps.LinearisedPoint`.
+    """
 
     shapes: dict[int, dict[str, float]]
     point: Point
-    """At the amplitudes (solver units)."""
+    """The point at the optimal amplitudes (solver units)."""
     along: np.ndarray
     """W dh/dshapes, one row per shape parameter that moves."""
     precision: np.ndarray
-    """Of amplitudes and shapes."""
+    """Diagonal of L, for amplitudes and shapes."""
     status: Status
     steps: int
     rank: int
@@ -351,14 +360,16 @@ class _AtBest:
 
     @property
     def jacobian(self) -> np.ndarray:
-        """W dh/dtheta by amplitudes and shapes, not with the rows of the prior."""
+        """W dh/dtheta by amplitudes and shapes (n m, k), without the rows of the prior."""
         return np.ascontiguousarray(np.concatenate([self.point.rows, self.along]).T)
 
     @cached_property
     def _linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """Of the problem that is linear about here: the step of the amplitudes alone and how they
-        follow the shapes; what pulls at the shapes, and how stiffly they resist, the amplitudes
-        following; what the amplitudes alone have left to gain.
+        """The linearised problem, with the amplitudes eliminated.
+
+        The step of the amplitudes at fixed shapes and their derivative by the shapes; the gradient
+        and the curvature of the cost by the shapes (a Schur complement); and the reduction of the
+        cost by the step of the amplitudes at fixed shapes.
         """
         here, k = self.point, len(self.point.theta)
         across = here.rows @ self.along.T
@@ -366,18 +377,18 @@ class _AtBest:
         curvature, right = here.squared + np.diag(here.precision), np.column_stack([slope, across])
         alone, follow = np.split(_solved_for(curvature, right), [1], axis=1)
         pull = self.along @ here.whitened - across.T @ alone[:, 0]
-        # A shape parameter that the data hardly see would run off in its linearisation. What holds
-        # it back by a step of its scan has no say where it stands still.
+        # A shape parameter about which the data contain little would diverge in its linearisation.
+        # The unit matrix limits it to about a step of its scan, and has no effect on the minimum.
         stiffness = self.along @ self.along.T + np.eye(len(self.precision) - k)
         return alone[:, 0], follow, pull, stiffness - across.T @ follow, float(slope @ alone[:, 0])
 
     @property
     def cost(self) -> float:
-        """In units of the noise variance."""
+        """The cost with optimal amplitudes, in units of the noise variance."""
         return self.point.cost - self._linear[-1]
 
     def step(self, still: np.ndarray) -> Step:
-        """Where the linear problem goes, with some of the shapes standing still."""
+        """The step of the linearised problem, with the shapes marked in `still` held fixed."""
         alone, follow, pull, stiffness, _ = self._linear
         moves, free = np.zeros(len(still)), ~still
         if free.any():
@@ -387,7 +398,7 @@ class _AtBest:
 
 
 def _solved_for(curvature: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """curvature^-1 right; a combination that is free to rounding stays where it is."""
+    """curvature^-1 right; a combination that is undetermined to rounding does not move."""
     scale = np.sqrt(np.diag(curvature))
     scale = np.where(scale > 0.0, scale, 1.0)
     scaled = curvature / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
@@ -395,7 +406,7 @@ def _solved_for(curvature: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _ports(terms: Terms, theta: np.ndarray) -> Float[np.ndarray, "n p"]:
-    """`port_values`, not traced."""
+    """`vcal.model.forward.port_values` in numpy."""
     ports = np.array(terms.offset)
     for column, port, parameter in zip(terms.values.T, terms.port, terms.parameter, strict=True):
         ports[:, port] += column * theta[parameter]
@@ -405,9 +416,9 @@ def _ports(terms: Terms, theta: np.ndarray) -> Float[np.ndarray, "n p"]:
 def _by_parameter(
     by_port: Float[np.ndarray, "n m p"], terms: Terms, size: int
 ) -> Float[np.ndarray, "k nm"]:
-    """A derivative by the ports of every row as one by the parameters."""
+    """The derivative by the parameters from that by the ports of every row."""
     n, m, _ = by_port.shape
-    # A contiguous row for every port and term: a quarter of the time of gathering columns.
+    # A contiguous row for every port and term takes a quarter of the time of gathering columns.
     across = np.ascontiguousarray(by_port.transpose(2, 0, 1))
     values = np.ascontiguousarray(np.asarray(terms.values).T)[:, :, None]
     found = np.zeros((size, n, m))

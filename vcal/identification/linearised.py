@@ -1,4 +1,4 @@
-"""A model that is linear about some parameters: shape parameters beside the amplitudes."""
+"""A model linearised about some parameters: terms of the amplitudes and of the shape parameters."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,11 +13,13 @@ from ..model.forward import Model, Shapes, Terms, concatenate
 from .fit import shape_step
 
 _SHORT = 1e-4
-"""Of a step of the scan, along which a response is as good as linear."""
+"""Share of a step of the scan over which a response is practically linear."""
 
 
 def linearised_terms(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray) -> Terms:
-    """Terms of all amplitudes, and of the smooth shape parameters at the given amplitudes."""
+    """Terms of all amplitudes, and of the shape parameters that move at the amplitudes `theta`
+    (solver units) and `shapes` (SI).
+    """
     blocks = [model.terms(plan, shapes), *slopes(model, plan, shapes, theta)]
     return concatenate(blocks, plan.rows, len(model.layout))
 
@@ -25,7 +27,7 @@ def linearised_terms(model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray
 def slopes(
     model: Model, plan: Plan, shapes: Shapes, theta: np.ndarray, nearly: bool = False
 ) -> list[Terms]:
-    """`shape_terms` of all effects; `nearly`, to eight digits, in a tenth of the time."""
+    """`shape_terms` of all effects; with `nearly`, to eight digits in a tenth of the time."""
     found, amplitudes = [], len(model.entries)
     for i, own in enumerate(model.places):
         first = amplitudes + len(found)
@@ -43,12 +45,13 @@ def shape_terms(
     first: int,
     nearly: bool = False,
 ) -> list[Terms]:
-    """How the ports change with every smooth shape parameter of the effect at that place of the
-    model, per solver unit: its step on the plan that is `scanned`, which is the one identified on.
+    """Derivatives of the ports by every shape parameter that moves, of the effect at the position
+    `effect` of the model, per solver unit.
 
-    `theta` are the effect's own amplitudes; `first` is the place of its first shape
-    parameter in the parameter vector. `nearly` is by differences: a derivative of what is not
-    compiled takes a millisecond.
+    The solver unit is the step of the scan on the plan `scanned`, the plan of the identification.
+    `shape` are the shape parameters (SI), `theta` the amplitudes of the effect (solver units), and
+    `first` the position of its first shape parameter in the parameter vector. `nearly` takes
+    central differences: automatic differentiation outside a compiled function takes a millisecond.
     """
     one, found = model.effects[effect], []
     moving = [p for p in one.shapes if p.moves]
@@ -83,7 +86,7 @@ def shape_terms(
 
 
 def _derivatives(effect: Effect, plan: Plan, shape: Mapping[str, Any], name: str) -> Response:
-    """How the response changes with one shape parameter (SI)."""
+    """Derivative of the response by one shape parameter (SI)."""
     at = {key: jnp.asarray(value, float) for key, value in shape.items()}
     along = {key: jnp.asarray(float(key == name)) for key in at}
     return jax.jvp(lambda s: dict(effect.response(plan, s)), (at,), (along,))[1]
@@ -92,8 +95,8 @@ def _derivatives(effect: Effect, plan: Plan, shape: Mapping[str, Any], name: str
 def _differences(
     effect: Effect, plan: Plan, shape: Mapping[str, Any], name: str, short: float
 ) -> Response:
-    """The same, by a short way to both sides."""
+    """The derivative by a central difference over `short` (SI) to both sides."""
     above, below = (
-        effect.response(plan, {**shape, name: shape[name] + way}) for way in (short, -short)
+        effect.response(plan, {**shape, name: shape[name] + change}) for change in (short, -short)
     )
     return {key: (above[key] - below[key]) / (2.0 * short) for key in above}

@@ -10,7 +10,8 @@ from .fit import Fit
 
 @dataclass(frozen=True)
 class Alternatives:
-    """The fits that compete with an added effect, or with what no effect explains.
+    """The fits that compete with an added effect, or with a part of the data that no effect
+    explains.
 
     The posterior of a fit says how well its parameters are known if its model is right. With
     probability p another model is right, and a prediction then differs by d, most where no reading

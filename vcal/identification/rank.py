@@ -1,4 +1,4 @@
-"""What a plan tells apart without any prior, and what it does not."""
+"""Rank of a plan: which amplitudes the readings determine without any prior."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,31 +10,34 @@ from ..model.forward import Model, compared_with_jacobian
 from .posterior import check_shapes, open_shapes, slopes
 
 FREE = 1e-8
-"""Singular value of columns of unit length below which a combination is not seen."""
+"""Singular value, for columns of unit length, below which a combination is not observable."""
 _PART = 1e-3
-"""Share in an unseen combination from which a parameter counts as part of it."""
+"""Component in an unobservable combination from which a parameter counts as part of it."""
 
 
 class Rank(NamedTuple):
-    """Rank of the derivative of all readings by all amplitudes."""
+    """Rank of the derivative of all readings by the amplitudes."""
 
     columns: int
+    """Number of amplitudes."""
     rank: int
     mixed: tuple[int, ...]
-    """Places of the amplitudes (`Model.entries`) that are part of what no reading shows."""
+    """Positions of the amplitudes (`Model.entries`) in unobservable combinations."""
 
 
 def rank_of(model: Model, plan: Plan) -> Rank:
-    """Rank at the nominal machine. Raises as `jacobian` does."""
+    """Rank for all amplitudes at the nominal machine.
+
+    Raises as `vcal.identification.posterior.jacobian` does.
+    """
     return _rank(model, plan, range(len(model.entries)))
 
 
 def flat_rank(model: Model, plan: Plan) -> Rank:
-    """The same of the amplitudes without a prior alone. What has one is known beside them, and
-    takes nothing away from what the readings say of them.
+    """Rank for the amplitudes with a flat prior, at the nominal machine.
 
-    Effects with shape parameters that are not declared are left out: where they are, their
-    amplitudes may be told.
+    Amplitudes with a proper prior count as known. Effects with shape parameters that are not
+    declared are left out, because their response depends on these.
     """
     flat = [
         i
@@ -43,19 +46,19 @@ def flat_rank(model: Model, plan: Plan) -> Rank:
     ]
     kept = sorted({model.entries[i].effect for i in flat})
     less = Model(model.chain, model.instrument, [model.effects[i] for i in kept])
-    # Places in the whole model of the amplitudes that are left.
+    # Positions in the whole model of the remaining amplitudes.
     own = [i for i, entry in enumerate(model.entries) if entry.effect in kept]
     found = _rank(less, plan, [own.index(i) for i in flat])
     return found._replace(mixed=tuple(own[i] for i in found.mixed))
 
 
 def _rank(model: Model, plan: Plan, columns: Sequence[int]) -> Rank:
-    """Of some of the amplitudes, by their places."""
+    """Rank for some of the amplitudes, by their positions."""
     if not columns:
         return Rank(0, 0, ())
     check_shapes(model)
     instrument, rows = model.instrument, plan.rows
-    # What the plan is fitted with afterwards is compiled here already.
+    # The same compiled function as in a later fit of this plan.
     _, by_port = compared_with_jacobian(
         model.chain,
         instrument,

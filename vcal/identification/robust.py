@@ -1,4 +1,4 @@
-"""Identification that single stray readings cannot pull away."""
+"""Robust identification: single outliers have a bounded influence."""
 
 from collections.abc import Callable
 
@@ -12,9 +12,9 @@ from .fit import Fit
 from .identify import ROUGHLY, identify
 
 _SETTLED = 1e-3
-"""Change of weights that counts as none."""
+"""Change of the weights below which they have converged."""
 _LINEAR = 30
-"""Rounds on a linear problem."""
+"""Largest number of iterations on the linearised problem."""
 
 
 def identify_robust(
@@ -31,11 +31,13 @@ def identify_robust(
 ) -> tuple[Fit, np.ndarray]:
     """Fit with Huber's loss on whole rows, by iteratively reweighted least squares.
 
-    A row whose whitened residual has the norm d is weighted by min(1, c s / d): s is the robust
-    scale of all rows of its data set (median of d over its expectation), c is `tuning` times the
-    expected norm of as many readings.
-    `whitener` (n, m, m) is that of the declared noise unless given, `keep` (n,) leaves rows out.
-    Returns the fit and the weights (n,); rows with weights far below one are suspect.
+    A row whose whitened residual has the norm d has the weight min(1, c s / d). The robust scale s
+    is the median of d over its expectation, for all rows of the data set. The limit c is `tuning`
+    times the expected norm of that number of readings. `rounds` limits the number of fits. The
+    other arguments are those of `vcal.identification.identify.identify`.
+
+    Returns the fit and the weights (n,). A row with a weight far below one is a suspected outlier.
+    Raises as `identify` does.
     """
     if whitener is None:
         whitener = declared_whitener(model, measurement)
@@ -76,14 +78,14 @@ def identify_robust(
 def _linearly(
     fit: Fit, weights: np.ndarray, weights_at: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters and weights that belong to each other where the problem is linear about a fit with
-    these weights: most of the way, for little of the work.
+    """Parameters (k,) and weights (n,) at which the reweighted problem, linearised about a fit with
+    the present weights, has converged: most of the iteration, for little of the work.
     """
     n, k = len(weights), len(fit.theta)
     root = np.sqrt(weights)[:, None]
     jacobian = (fit.jacobian.reshape(n, -1) / root).reshape(-1, k)
     whitened = (fit.whitened.reshape(n, -1) / root).reshape(-1)
-    # A shape goes no further than its scan is wide, whatever the linear problem says.
+    # A shape moves by no more than the width of its scan, whatever the linear problem gives.
     held, step = np.diag(fit.within_scans), np.zeros(k)
     for _ in range(_LINEAR):
         left = (whitened - jacobian @ step).reshape(n, -1)

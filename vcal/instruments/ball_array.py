@@ -1,4 +1,4 @@
-"""Ball array: axis positions at which the balls of a calibrated artefact are found."""
+"""Ball array: axis positions at which a probe finds the balls of a calibrated artefact."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -34,17 +34,17 @@ from .frame import displaced, pose_parameters
 _FOUND_M = 1e-12
 _STEPS = 20
 _LEAST_APART_MM = 0.1
-"""Balls that are closer are one, or in another unit."""
+"""Least distance of two balls: closer ones are one ball, or in another unit."""
 _AGAIN_MM = 2.0
-"""Farthest from its place that a ball is found again, which no machine is off by."""
+"""Largest plausible distance between two readings of one ball in one pose."""
 _LINE = 1e-5
-"""Breadth over length of balls on one line: what a certificate rounds."""
+"""Ratio of breadth to length of balls on one line: the rounding of a certificate."""
 _PROBE_M = 1e-3
-"""Moves that tell which way rotary axes have turned the others; the tool follows in proportion."""
+"""Step of the differences by which the directions of turned linear axes are found."""
 _FOLDS = 5
-"""Into which settings of rotary axes are divided."""
+"""Number of folds of settings of the rotary axes."""
 _LEAST_SPAN = 0.01
-"""Between the supports, of the artefact's length: on one support it would tip over."""
+"""Least distance of the supports as a share of the artefact's length."""
 _DERIVED = (
     *(f"gravity_{c}" for c in "xyz"),
     *(f"ball_{c}" for c in "xyz"),
@@ -78,8 +78,8 @@ class BallArraySettings(InstrumentSettings):
 
 
 class ArtefactPoses(Effect):
-    """Pose of the artefact in every set-up against its start: six flat parameters per pose, three
-    where only one of its balls is measured.
+    """Pose of the artefact in every set-up relative to its initial value: six parameters with flat
+    priors per pose, three where only one of its balls is measured.
     """
 
     name = "artefact_pose"
@@ -88,7 +88,7 @@ class ArtefactPoses(Effect):
     where = "instrument"
     poses: tuple[int, ...] = ()
     placed: tuple[int, ...] = ()
-    """Poses with one ball, of which nothing tells how the artefact is turned."""
+    """Poses with one ball, in which the orientation of the artefact is not observable."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -139,15 +139,15 @@ class BallCalibration(Effect):
 
 @register
 class BallArray(TableInstrument):
-    """The residual is tool point(position found) - ball centre, in the workpiece frame.
+    """The residual is tool point(measured position) - ball centre, in the workpiece frame.
 
-    The ball centre is t + R (b + d): artefact pose (R, t), calibrated centre b, its error d. The
-    reading is implicit (the axis positions found); a fit takes the explicit residual, whose
-    derivative with respect to the positions is a rotation to 1e-4, so that probing noise, alike in
-    all directions, enters it unchanged. Only simulation solves for the positions.
+    The ball centre is t + R (b + d), with the artefact pose (R, t), the calibrated centre b and its
+    error d. The reading is implicit (the measured axis positions); a fit uses the explicit
+    residual, whose derivative with respect to the positions is a rotation to 1e-4, so that
+    isotropic probing noise enters it unchanged. Only simulation solves for the positions.
 
-    On a machine with rotary axes the artefact, which may be a single ball, stays where it is while
-    they turn: a pose is how it is clamped.
+    On a machine with rotary axes, the artefact, which may be a single ball, stays clamped while
+    they turn: a pose is one clamping.
     """
 
     kind = "ball_array"
@@ -166,7 +166,7 @@ class BallArray(TableInstrument):
     pose_rotation: np.ndarray
     pose_origin: np.ndarray
     single: tuple[int, ...] = ()
-    """Poses of which one ball was measured."""
+    """Poses in which one ball was measured."""
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -237,9 +237,10 @@ class BallArray(TableInstrument):
         turn: np.ndarray | None = None,
         up: Sequence[float] = (0.0, 0.0, 1.0),
     ) -> Plan:
-        """A plan with what follows from the artefact and its poses: the direction of gravity, the
-        tilt of the beam, and every ball's place in the artefact's frame. `turn` (n, 3, 3) takes the
-        bed's frame, in which `up` is against gravity, to that of the workpiece, where they differ.
+        """The plan with covariates derived from the artefact and its poses: direction of gravity,
+        tilt of the beam, and every ball's position in the artefact's frame. `turn` (n, 3, 3) is the
+        rotation from the bed's frame, in which `up` points against gravity, to the workpiece frame;
+        identity where it is None.
         """
         index = np.searchsorted(self.pose_numbers, plan.groups["pose"])
         beam, along = self.beam()
@@ -272,18 +273,18 @@ class BallArray(TableInstrument):
         centre, r0, t0 = row
         turn, origin = displaced(r0, t0, ports["target"])
         ball = origin + turn @ (Vector.of(centre) + Vector.of(ports["ball"]))
-        # What a probe reads wrongly, it does in the frame of the tool.
+        # Errors of the probe act in the frame of the tool.
         return (tool - ball + rotation @ Vector.of(ports["read"])).parts
 
     def record(
         self, plan: Plan, ideal: Callable[[Plan], np.ndarray], noise: np.ndarray
     ) -> tuple[Plan, np.ndarray]:
-        """The axis positions q at which the tool point sits in the ball, with probing noise.
+        """The axis positions q at which the tool point is in the ball centre, with probing noise.
 
-        Fixed point of q <- q - T (tcp(q) - ball), from the nominal q: d tcp/d q is the inverse of T
-        to 1e-4, so that every step gains four digits; effects act at the position found. T is unity
-        but where rotary axes have turned. Raises `StudyError` where the tool does not follow its
-        axes closely enough for that.
+        They are the fixed point of q <- q - T (tcp(q) - ball), from the nominal q: d tcp/d q is the
+        inverse of T to 1e-4, so every step gains four digits; effects act at the position found. T
+        is the identity where no rotary axis has turned. Raises `StudyError` where the iteration
+        does not converge.
         """
         order = [plan.axes.index(axis) for axis in _XYZ]
         position, to_axes = np.array(plan.position), _to_axes(plan, ideal)
@@ -311,7 +312,7 @@ class BallArray(TableInstrument):
         return self._placed(plan, chain.tool_point(np.asarray(plan.position)))
 
     def _placed(self, plan: Plan, nominal: np.ndarray) -> Self:
-        """The same with its poses where nominal tool points (n, 3) find the balls."""
+        """The same with poses fitted to nominal tool points (n, 3) at the balls."""
         balls = self.centres[self._ball_rows(plan)]
         rotations, origins = [], []
         for pose in self.pose_numbers:
@@ -327,7 +328,7 @@ class BallArray(TableInstrument):
         )
 
     def _off(self, plan: Plan, nominal: np.ndarray) -> np.ndarray:
-        """Distance (n,) of tool points (n, 3) from the balls in these poses."""
+        """Distance (n,) of tool points (n, 3) from the balls in the current poses."""
         pose = np.searchsorted(self.pose_numbers, np.asarray(plan.groups["pose"]))
         balls = self.centres[self._ball_rows(plan)]
         found = np.einsum("nij,nj->ni", self.pose_rotation[pose], balls) + self.pose_origin[pose]
@@ -343,8 +344,8 @@ class BallArray(TableInstrument):
         return effects
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
-        # Whole poses, since a pose's own six unknowns tie its balls together. Where the artefact
-        # stays while rotary axes turn it, whole settings of these, whatever the order of the rows.
+        # Whole poses, since the six unknowns of a pose connect its balls. Where the artefact stays
+        # clamped while rotary axes turn it, whole settings of these, whatever the order of rows.
         pose = np.searchsorted(self.pose_numbers, np.asarray(plan.groups["pose"]))
         turning = [np.asarray(plan.x(axis)) for axis in plan.axes if axis in ROTARY]
         if not turning or len(self.pose_numbers) >= _FOLDS:
@@ -357,15 +358,15 @@ class BallArray(TableInstrument):
 
     @property
     def artefact(self) -> Artefact | None:
-        """Supports and direction of the beam, for the effects of the artefact; None of one ball."""
+        """Supports and direction of the beam, for effects of the artefact; None for one ball."""
         if len(self.numbers) < 2:
             return None
         x, y, z = (float(v) for v in self.beam()[0])
         return Artefact(self.supports, (x, y, z))
 
     def beam(self) -> tuple[np.ndarray, np.ndarray]:
-        """Direction of the artefact's long axis, from the ball of the lowest number to that of the
-        highest, and each ball's place along it as a share. One ball has the place 0.
+        """Direction of the artefact's long axis, from the ball with the lowest number to that with
+        the highest, and each ball's position along it as a share; 0 for a single ball.
         """
         arm = self._from_centroid()
         direction = np.linalg.svd(arm)[2][0]
@@ -383,7 +384,7 @@ class BallArray(TableInstrument):
 
 
 def _to_axes(plan: Plan, ideal: Callable[[Plan], np.ndarray]) -> np.ndarray:
-    """T (n, 3, 3) with dq = T d tcp for the axes X, Y and Z: unity where nothing turns."""
+    """T (n, 3, 3) with dq = T d tcp for the axes X, Y and Z: the identity without rotary axes."""
     if not {*plan.axes} & {*ROTARY}:
         return np.broadcast_to(np.eye(3), (plan.rows, 3, 3))
     position, slopes = np.asarray(plan.position), []
@@ -395,14 +396,14 @@ def _to_axes(plan: Plan, ideal: Callable[[Plan], np.ndarray]) -> np.ndarray:
 
 
 def _single(poses: np.ndarray, table: Mapping[str, np.ndarray]) -> tuple[int, ...]:
-    """The poses in which one ball only was found."""
+    """The poses in which only one ball was measured."""
     return tuple(
         int(pose) for pose in poses if len(np.unique(table["ball"][table["pose"] == pose])) == 1
     )
 
 
 def _check_turned(plan: Plan, single: Sequence[int]) -> None:
-    """Raise `RowError` where one ball alone was measured and nothing turned it."""
+    """Raise `RowError` where a single ball was measured and no rotary axis turned it."""
     turning = np.stack([np.asarray(plan.x(axis)) for axis in plan.axes if axis in ROTARY] or [[]])
     for pose in single:
         rows = np.flatnonzero(np.asarray(plan.groups["pose"]) == pose)
@@ -430,8 +431,8 @@ def _check_balls(file: str, calibrated: np.ndarray, found: np.ndarray) -> None:
 
 
 def _check_again(plan: Plan) -> None:
-    """Raise `RowError` where a ball is not found at its place again: nothing but errors of the
-    machine can be between two readings of it in one pose, at one setting of the rotary axes.
+    """Raise `RowError` where two readings of a ball in one pose, at one setting of the rotary axes,
+    differ by more than plausible errors of the machine.
     """
     position, axes = np.asarray(plan.position), np.array(plan.axes)
     turning, moving = np.isin(axes, [*ROTARY]), np.isin(axes, _XYZ)
@@ -454,7 +455,7 @@ def _check_again(plan: Plan) -> None:
 def _check_poses(poses: np.ndarray, table: Mapping[str, np.ndarray], linear: bool) -> None:
     for pose in poses:
         mine = table["pose"] == pose
-        # A rotary axis brings one ball to many places.
+        # A rotary axis brings one ball to several positions.
         count = len(np.unique(table["ball"][mine])) if linear else int(mine.sum())
         if count < 3:
             raise RowError(
@@ -467,7 +468,7 @@ def _check_poses(poses: np.ndarray, table: Mapping[str, np.ndarray], linear: boo
 
 
 def _check_apart(file: str, balls: np.ndarray, centres_mm: np.ndarray) -> None:
-    """Raise `StudyError` where two balls of the artefact are at one place."""
+    """Raise `StudyError` where two balls of the artefact are at the same position."""
     for i, centre in enumerate(centres_mm[1:], start=1):
         apart = np.linalg.norm(centres_mm[:i] - centre, axis=1)
         nearest = int(np.argmin(apart))
@@ -486,7 +487,9 @@ def _check_lines(
     balls: np.ndarray,
     centres_mm: np.ndarray,
 ) -> None:
-    """Raise `RowError` where nothing tells how the artefact is turned about a line of balls."""
+    """Raise `RowError` where all balls of a pose lie on one line, about which the rotation of the
+    artefact is not observable.
+    """
     for pose in poses:
         rows = np.flatnonzero(table["pose"] == pose)
         touched = centres_mm[np.isin(balls, table["ball"][rows])]
@@ -497,6 +500,6 @@ def _check_lines(
                 int(rows[0]),
                 "column ball",
                 f"the balls {listed} of pose {int(pose)}, all on one line of {file}",
-                "balls that span a plane, as nothing tells how the artefact is turned about a line",
-                "measure a ball beside the line as well, or remove the pose",
+                "balls that span a plane, as the rotation about a line is not observable",
+                "measure a ball off the line as well, or remove the pose",
             )

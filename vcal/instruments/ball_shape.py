@@ -1,4 +1,4 @@
-"""Errors of an artefact's balls that depend on each other, as far as its shape is known."""
+"""Correlated errors of an artefact's balls, with the covariance of a calibration of its shape."""
 
 from collections.abc import Mapping
 
@@ -14,12 +14,12 @@ from ..numerics.spatial import rigid_columns
 
 
 class BallShape(Effect):
-    """Ball errors e = sum_i a_i t_i with independent a_i ~ (0, 1): columns T of the covariance
-    T T' = K^-1 of what a calibration with the precision K leaves open, less the motions of the
-    whole artefact, which no calibration of its shape says anything of.
+    """Ball errors e = sum_i a_i t_i with independent a_i ~ (0, 1): t_i are the columns of T, with
+    the covariance T T' = K^-1 after a calibration with the precision K. Rigid motions of the whole
+    artefact are excluded, since a calibration of its shape does not determine them.
 
-    With `poses` they are drawn anew in each of them (heat, handling); without, the artefact is the
-    same throughout.
+    With `poses`, the errors are independent in each of them (heat, handling); without, they are the
+    same in all.
     """
 
     name = "ball_shape"
@@ -37,8 +37,8 @@ class BallShape(Effect):
         loosest_m: float,
         poses: tuple[int, ...] = (),
     ) -> "BallShape":
-        """From ball centres (m) and the precision K of their errors (1/m^2); what that leaves more
-        open than `loosest_m` has that.
+        """From ball centres (m) and the precision K of their errors (1/m^2). Standard deviations
+        are at most `loosest_m`.
         """
         rigid = rigid_columns(balls - balls.mean(0)).reshape(-1, 6)
         u, sizes, _ = np.linalg.svd(rigid, full_matrices=True)

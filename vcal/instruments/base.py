@@ -1,4 +1,4 @@
-"""What an instrument is, and the registry that finds instruments by name."""
+"""The base classes of all instruments, and the registry that finds instruments by kind."""
 
 import abc
 from collections.abc import Callable, Mapping, Sequence
@@ -29,12 +29,12 @@ class Column(BaseModel):
     unique_with: tuple[str, ...] = ()
     """Index columns that together with this one must not repeat."""
     sparse: bool = False
-    """Whether it may be left out, and counts as left out where hardly any cell is a number."""
+    """Whether it is optional, and treated as absent where hardly any cell is a number."""
 
 
 SMALLEST_NOISE, LARGEST_NOISE = 1e-5, 1e5
-"""um or urad: an instrument that is off by a decimetre measures no machine, or in another unit, and
-so does one that is never off by a tenth of an atom."""
+"""Range of plausible noise, um or urad: a decimetre, or a tenth of an atom, is an error of the
+unit."""
 FileName = Annotated[str, Field(min_length=1)]
 """A file beside the study file."""
 
@@ -48,39 +48,41 @@ Ports = Mapping[str, Sequence[Scalar]]
 
 
 class InstrumentSettings(BaseModel):
-    """What every ``[instrument]`` table holds; each instrument adds its own keys."""
+    """Keys of every ``[instrument]`` table; each instrument adds its own."""
 
     model_config = ConfigDict(extra="forbid")
     kind: str
     kind_file: FileName | None = None
-    """Python file beside the study with the class of that kind, where it is one's own."""
+    """Python file beside the study that defines the class of that kind, for a user's own."""
 
 
 class Instrument(Record):
     """Base class of all instruments.
 
     An instrument is the geometry between the tool point and a reading, for one observation
-    (`observe`), plus what it declares: its ports, its noise, its nuisances. A row is one
-    observation, all its m readings together; a plan has n of them. Everything is in SI: m, rad, s.
+    (`observe`), together with its ports, its noise and its nuisances. A row is one observation with
+    all its m readings; a plan has n rows. Everything is in SI: m, rad, s.
 
-    It is a frozen dataclass and a pytree: fields hold numbers and arrays, and what decides anything
-    in `observe` (a name, a flag, a tuple of numbers) is an ``eqx.field(static=True)``, which has to
-    be hashable. Compiled programs take the arrays as arguments. Methods are called as often as need
-    be: they give the same for the same plan, and leave it as it is.
+    An instrument is a frozen dataclass and a pytree: fields hold numbers and arrays; a field on
+    which the control flow in `observe` depends (a name, a flag, a tuple of numbers) is an
+    ``eqx.field(static=True)``, which must be hashable. Compiled programs take the arrays as
+    arguments. Methods may be called any number of times: they return the same for the same plan,
+    and do not change it.
     """
 
     derived: ClassVar[tuple[str, ...]] = ()
-    """Covariates that it derives, and that mean something to this very instrument only: angles as
-    its station sees them, say. Among several data sets they stay with its own, and descriptions of
-    what is unexplained multiply none of them.
+    """Covariates that it derives and that have a meaning for this instrument only, such as angles
+    as seen from its station. In a study with several data sets, they belong to its own data set;
+    empirical descriptions of unexplained deviations do not multiply by them.
     """
 
     @property
     @abc.abstractmethod
     def ports(self) -> tuple[str, ...]:
-        """Names of its ports, ``GROUP.COMPONENT`` (`vcal.ports.group`): where a deviation of its
-        own can enter, m or rad. The components of a group stand together; the groups ``tool`` and
-        those of the axes are the machine's. Its effects name them in their response.
+        """Names of its ports, ``GROUP.COMPONENT`` (`vcal.instruments.group`), at which its own
+        deviations enter, m or rad. The components of a group are contiguous; the group
+        ``tool`` and those of the axes belong to the machine. The instrument's effects name these
+        ports in their response.
         """
 
     @property
@@ -89,16 +91,17 @@ class Instrument(Record):
         """Names of the m components of one reading, each once."""
 
     @property
-    def warmer(self) -> float:
-        """By how many K temperatures of its table are above those that effects count, which begin
-        at 20 degC: readings that are changes since a run at another temperature count from there.
+    def temperature_offset_K(self) -> float:
+        """Temperatures in its table minus those in the plan, K: zero where effects vanish at
+        20 degC. Readings that are changes since a reference run at another temperature have the
+        temperature of that run minus 20 degC.
         """
         return 0.0
 
     # --- the path of one observation ------------------------------------------------------------
     def rows(self, plan: Plan) -> Any:
-        """Pytree of what `observe` needs per row beside the pose (leading axis n): the nominal
-        place of a ball, say. Nothing by default. Not traced: numpy will do.
+        """Pytree of everything that `observe` needs per row besides the pose (leading axis n), such
+        as the nominal position of a ball; empty by default. It is not traced: numpy may be used.
         """
         del plan
         return ()
@@ -107,122 +110,124 @@ class Instrument(Record):
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
         """Ideal reading of one row: m numbers in the order of `readings`.
 
-        `row` is that of `rows`, `rotation` and `tool` are the tool frame and the tool point in the
-        workpiece frame with all errors of the machine, `ports` its own by group, zero for a nominal
-        instrument: ``ports["frame"][0]`` is ``frame.X``.
+        `row` is one row of `rows`; `rotation` and `tool` are the tool frame and the tool point in
+        the workpiece frame with all errors of the machine; `ports` are the instrument's own ports
+        by group, zero for a nominal instrument: ``ports["frame"][0]`` is ``frame.X``.
 
-        In components (`vcal.rigid`), so that it stays one elementwise expression when it is mapped
-        over rows and draws. It is traced and differentiated: `jax.numpy` instead of numpy, no
-        ``float()`` and no ``if`` on what comes in, and a derivative that is finite at the nominal
-        machine. A port may also be a plain Python number.
+        Vectors and rotations are in components (`vcal.numerics.rigid`), so that the function stays
+        one elementwise expression when it is mapped over rows and draws. It is traced and
+        differentiated: use `jax.numpy` instead of numpy, no ``float()`` and no ``if`` on the
+        arguments; the derivative must be finite at the nominal machine. A port may also be a plain
+        Python number.
         """
 
     def reduce(self, values: Float[Array, "n m *k"], plan: Plan) -> Float[Array, "n m *k"]:
-        """Linear step from readings to what is fitted, applied to data, model and derivatives: as
-        many come out as go in. The readings themselves by default. Traced, the plan too.
+        """Linear map from readings to the fitted values, applied to data, model and derivatives;
+        it keeps the shape. The identity by default. It is traced, and so is the plan.
         """
         del plan
         return values
 
     def difference(self, measured: Array, predicted: Array) -> Array:
-        """measured - predicted (n, m), with angles unwrapped where an instrument reads angles.
-        Traced.
-        """
+        """measured - predicted (n, m), with angles unwrapped where there are any. It is traced."""
         return measured - predicted
 
     def record(
         self, plan: Plan, ideal: Callable[[Plan], np.ndarray], noise: np.ndarray
     ) -> tuple[Plan, np.ndarray]:
-        """What would be written down: plan and readings (n, m). Only simulation needs this.
+        """The recorded plan and readings (n, m); only simulation needs this.
 
-        `ideal` gives the readings (n, m) without noise at a plan, of a machine with errors; `noise`
-        (n, m) is what was drawn, SI. By default the plan as it is, and readings with noise.
+        `ideal` gives the readings (n, m) without noise at a plan, for a machine with errors;
+        `noise` (n, m) is the drawn noise, SI. By default: the same plan, and readings with noise.
 
-        An instrument that looks for a place instead of reading one (a probe that is moved until it
-        touches) is *implicit*: its reading is by how much that place was missed, zero as measured.
-        It returns the plan at the positions it finds, where `ideal` is zero, displaced by the
-        noise, and readings of zero. One that derives covariates from what it reads returns a plan
-        with those that it would have read. Raises `StudyError` where there is no such place.
+        An instrument that searches a position instead of reading one (a probe that is moved until
+        it touches) is *implicit*: its reading is the distance to that position, which is zero in
+        measured data. It returns the plan at the positions where `ideal` is zero, displaced by the
+        noise, and readings of zero. One that derives covariates from its readings returns a plan
+        with the covariates derived from the simulated readings. Raises `StudyError` where no such
+        position exists.
         """
         return plan, ideal(plan) + noise
 
     # --- what it declares -----------------------------------------------------------------------
     @abc.abstractmethod
     def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
-        """One-sigma noise of the reduced readings (n, m), SI, above zero: independent from reading
-        to reading. What readings share, such as a wrong place of a ball, is one of `effects`.
+        """Standard deviation of the noise of the reduced readings (n, m), SI, above zero. The noise
+        is independent between readings; an error common to several readings, such as a wrong
+        position of a ball, is one of `effects`.
 
-        `readings` (n, m) are those measured, or what a nominal machine would give.
+        `readings` (n, m) are the measured ones, or those of a nominal machine.
         """
 
     @abc.abstractmethod
     def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
-        """Metre per unit of each reading (n, m), so that residuals can be told in micrometres: one
-        for a length, the lever arm for an angle. Figures of error go by it, no fit does.
+        """Metres per unit of each reading (n, m), to report residuals in micrometres: one for a
+        length, the lever arm for an angle. Reported errors depend on it, fits do not.
         """
 
     def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> Self:
-        """The same instrument with its unknown poses started from the data, near enough that a
-        linearisation there holds; itself by default. Not called for a plan without readings.
+        """The same instrument with initial values of its unknown poses from the data, accurate
+        enough for a linearisation there; itself by default. It is not called for a plan without
+        readings.
         """
         del chain, plan, readings
         return self
 
     @abc.abstractmethod
     def effects(self, plan: Plan) -> tuple[Effect, ...]:
-        """Its nuisances, and effects with a prior such as uncertain calibrated positions.
+        """Its nuisances, and its effects with a prior, such as uncertain calibrated positions.
 
-        What is unknown and has no prior (the pose of a station, the centre of a circle) is an
-        effect of the kind *nuisance* whose parameters have no sigma, only a scale; the readings
-        have to tell all of them. What is known with an uncertainty has parameters with that sigma,
-        and is *systematic*, or *random* where it is another one in every row. `where` is
-        ``"instrument"``. Every key (name and placement) once.
+        An unknown without a prior (the pose of a station, the centre of a circle) is an effect of
+        the kind *nuisance* whose parameters have no sigma, only a scale; the readings must
+        determine all of them. A quantity known with an uncertainty has parameters with that sigma,
+        and is *systematic*, or *random* where it is independent in every row. `where` is
+        ``"instrument"``. Every key (name and placement) occurs once.
         """
 
     @abc.abstractmethod
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool | np.ndarray]:
-        """How readings are held out, to see how well those are foretold that were not fitted: fold
-        index per row (n,), and whether held-out rows are kept out of every fit.
+        """Folds of the cross-validation: fold index per row (n,), and whether held-out rows are
+        excluded from every fit.
 
-        Rows with the same index, a whole number from 0 on, are held out together; rows with -1
-        never are, they are fitted always. The second says what held out means, for all rows or for
-        each (n,), where it counts in those with an index only:
+        Rows with the same index, an integer from 0 on, are held out together; rows with -1 are
+        always fitted. The second value is one for all rows, or one for each (n,), of which only
+        those of rows with an index count:
 
-        - False, they *rotate*: all rows are fitted, and each fold is foretold from the others, one
-          after the other. Nothing is lost, so that this is the rule.
-        - True, they are *kept apart*: no fit ever sees them, whatever their index, and they are
-          foretold from all others. For what is to hold later on as well: the last fifth of the
-          poses of an arm that is used after it was calibrated. It costs these rows.
+        - False: the folds *rotate*. All rows are fitted in the end, and each fold is predicted from
+          the others in turn. This loses no data and is the usual choice.
+        - True: the rows are *kept apart*. No fit includes them, whatever their index, and they are
+          predicted from all others. This validates later use, such as with the last fifth of the
+          poses of an arm that is used after its calibration. It costs these rows.
 
-        What is known only together belongs into one fold: all balls of a pose, whose six unknowns
-        no other row tells (such parameters without a prior are fitted to the fold itself). Where
-        neighbours share what drifts, folds are blocks in time rather than every fifth row. There
-        are at least two folds, or rows that are fitted beside the held-out ones; five are usual.
+        Rows that determine an unknown only together belong to one fold: all balls of a pose, whose
+        six unknowns no other row contains (such parameters without a prior are fitted to the fold
+        itself). Where neighbouring rows share a drift, folds are blocks in time rather than every
+        fifth row. There are at least two folds, or rows that are always fitted; five are usual.
         """
 
     @abc.abstractmethod
     def dimensions(self, plan: Plan) -> np.ndarray:
-        """How many readings of each row make one point (n,), for root mean squares of points: a row
-        counts as the mean square of its readings times this. Three for a point in space, however
-        many readings tell it; nine coordinates of three reflectors are three points of three. One
-        for a distance alone.
+        """Dimension of a point in each row (n,), for rms errors of points: the squared error of a
+        row is the mean square of its readings times this. It is three for a point in space, with
+        any number of readings; nine coordinates of three reflectors are three points of dimension
+        three. It is one for a single distance.
         """
 
     def present(self, plan: Plan) -> np.ndarray:
-        """Which readings there are (n, m), at least one in every row; all by default. The others
-        are zero, and nothing makes them differ.
+        """Which readings exist (n, m), at least one in every row; all by default. The others are
+        zero in data and model.
         """
         return np.ones((plan.rows, len(self.readings)), bool)
 
     def clusters(self, plan: Plan) -> np.ndarray:
-        """Index per row (n,) of the rows whose readings share errors of the machine that are not
-        modelled, so that the covariance of a row is to be estimated from all of them; -1, as by
-        default, where the noise is as declared but for its size, which is looked for anyway.
+        """Index per row (n,) of groups of rows with a common covariance of the readings of a row,
+        which is estimated from the residuals of the group; -1, the default, where the noise is as
+        declared up to its size, which is estimated anyway.
 
-        For rows of many readings of which the machine's own scatter disturbs all alike: the
-        coordinates of reflectors on an arm. Rows of one index have the same readings present. Those
-        of an index with no more rows than readings, or with next to nothing left beyond the
-        parameters, keep the declared noise.
+        It is meant for rows of many readings that unmodelled scatter of the machine disturbs
+        together, such as the coordinates of reflectors on an arm. Rows of one index have the same
+        readings present. Groups with no more rows than readings, or with hardly any degrees of
+        freedom beyond the parameters, keep the declared noise.
         """
         return np.full(plan.rows, -1)
 
@@ -233,61 +238,62 @@ class Instrument(Record):
 
     @property
     def members(self) -> Mapping[str, "Instrument"]:
-        """The instruments of several data sets by their names; none where it is only one."""
+        """The instruments of several data sets by their names; empty for a single instrument."""
         return {}
 
 
 class TableInstrument(Instrument):
     """An instrument whose readings a study file names as one table; subclasses are final.
 
-    One of a user's own is such a class in a Python file that the study names beside its kind:
+    A user's own instrument is such a class in a Python file that the study names beside its kind::
 
         [instrument]
         kind = "double_ball_bar"
         kind_file = "ball_bar.py"
 
-    It needs no registration, and what it registers is forgotten. It is tried once when a study is
-    read (`vcal.io.own_trial`): whatever has another shape than is said here is told with the
-    class and the method. ``tests/own_instrument/ball_bar.py`` is one in full.
+    It needs no registration, and anything it registers is removed afterwards. It is tried once when
+    a study is read (`vcal.study.plugins.instrument_trial`): a method that returns anything but what
+    is documented here is reported with its class and name. ``tests/own_instrument/ball_bar.py`` is
+    a complete example.
     """
 
     kind: ClassVar[str]
     """Name in study files: letters, digits and ``_``."""
     dimension: ClassVar[int] = 3
-    """How many readings make one point, where that is the same in all rows (`dimensions`)."""
+    """Dimension of a point, where it is the same in all rows (`dimensions`)."""
     machine: ClassVar[str | None] = None
-    """Chain of a study without a ``[machine]``; without one the study has to have it."""
+    """Chain of a study without a ``[machine]``; where this is None, the study must have one."""
     rotary: ClassVar[bool] = False
-    """Whether it measures machines that have rotary axes as well."""
+    """Whether it can measure machines with rotary axes."""
     positioned: ClassVar[bool] = False
-    """Whether the axis positions are in columns of its own; else the table has ``x_mm``, ... of
-    every linear axis, without `columns` naming them.
+    """Whether the axis positions are in columns of its own; otherwise the table has ``x_mm``, ...
+    for every linear axis, which `columns` does not list.
     """
     labels: ClassVar[tuple[str, ...]] = ()
     """Columns of text in its data table."""
     remembers: ClassVar[bool] = False
-    """Whether `plan` derives of a row what other rows say, as the last move of a joint.
+    """Whether `plan` derives covariates of a row from other rows, such as the last move of a joint.
 
-    Rows of which a reading is blank are left out of the table before an instrument sees it. `plan`
-    of one that remembers has them, with the readings of a neighbour, and they are left out of what
-    it gives.
+    Rows with a blank reading are removed from the table before an instrument gets it. The `plan` of
+    an instrument that remembers gets them, with the readings of a neighbour; they are removed from
+    its result.
     """
     read_otherwise: ClassVar[tuple[str, ...]] = ()
-    """Columns that it reads with some settings, and not with others: without the readings of its
-    own settings, a table that has one is no plan.
+    """Columns that are readings with some settings and not with others: a table with one of them,
+    but without the readings of the current settings, is not a plan.
     """
     Settings: ClassVar[type[InstrumentSettings]] = InstrumentSettings
-    """Keys of the ``[instrument]`` table, validated; units stand in their names."""
+    """Keys of the ``[instrument]`` table, validated; their names end in the unit."""
 
     # --- edges: from and to files -------------------------------------------------------------
     @classmethod
     @abc.abstractmethod
     def columns(cls, settings: Any, axes: Sequence[str], readings: bool) -> list[Column]:
-        """Columns of its data table besides the conditions; without readings for a plan.
+        """Columns of its data table besides the conditions; without the readings for a plan.
 
-        A table that has none of the columns which only the list with readings has is a plan. Where
-        the two lists are the same, what is measured are the positions, and every table is data.
-        Further columns of numbers (``t_s``, ``T_x_degC``, ``dir_x``) are read anyway.
+        A table without any column that only the list with readings contains is a plan. Where the
+        two lists are equal, the positions are the readings, and every table is data. Further
+        numeric columns (``t_s``, ``T_x_degC``, ``dir_x``) are read anyway.
         """
 
     @classmethod
@@ -298,25 +304,25 @@ class TableInstrument(Instrument):
         """From validated settings and data; `load` reads a further table beside the study file.
 
         `table` has its columns in the units of the file, `chain` the axes, their travel and
-        `tool_offset` (m). Raises `StudyError` where the data and the further tables do not fit
-        together: `RowError` for a row, `KeyedError` for a key, which need not know the file.
+        `tool_offset` (m). Raises `StudyError` where the data and the further tables are
+        inconsistent: `RowError` for a row, `KeyedError` for a key; neither needs the file name.
         """
 
     @abc.abstractmethod
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
-        """The command step: what the axes did, with every covariate that can be derived. Of linear
-        axes `linear_plan` makes it, which has to be told of indices that only this instrument knows
-        (``groups``). The axes are those of the chain, in their order.
+        """The plan: axis positions, with every covariate that can be derived. For linear axes,
+        `linear_plan` builds it; its argument `groups` names index columns of this instrument only.
+        The axes are those of the chain, in their order.
         """
 
     @abc.abstractmethod
     def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Readings (n, m) in SI from the columns of the table; zeros of an implicit instrument."""
+        """Readings (n, m) in SI from the columns of the table; zeros for an implicit instrument."""
 
     @abc.abstractmethod
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
         """The inverse of `plan` and `measured`: columns in file units, one cell per row. Columns
-        that it leaves out stay as they are in the table of the plan.
+        that it omits are copied from the table of the plan.
         """
 
     def dimensions(self, plan: Plan) -> np.ndarray:
@@ -324,6 +330,6 @@ class TableInstrument(Instrument):
 
 
 INSTRUMENTS: Catalogue[type[TableInstrument]] = Catalogue("instrument", "kind")
-"""Every instrument a study file may name, by kind."""
+"""Every instrument that a study file may name, by kind."""
 
 register = INSTRUMENTS.register

@@ -1,9 +1,9 @@
 """Conditions of machine tools: columns of the data files to a plan, and back.
 
-A column carries its unit in its name: ``t_s``, ``T_x_degC``, ``since_x_mm``, ``c_deg``. The axis
-in it may be written in either case (``T_X_degC``). Names that vcal has inside (``t``, ``T_X``,
-``a_X``) carry none and are no columns; every quantity has one column at most. `misnamed` says what
-is neither.
+The name of a column ends in its unit: ``t_s``, ``T_x_degC``, ``since_x_mm``, ``c_deg``. The axis
+in it may be in either case (``T_X_degC``). Names inside vcal (``t``, ``T_X``, ``a_X``) have no unit
+and are not columns; every quantity has one column at most. `misnamed` finds columns that break
+these rules.
 """
 
 import math
@@ -41,10 +41,10 @@ _MOTION = {
     **{("v", axis): ("_rad_s", 1.0) for axis in ROTARY},
     **{("since", axis): unit for axis, unit in _POSITION.items()},
 }
-"""The same of a column of an axis's motion."""
+"""The same for a column of an axis's motion."""
 _TEMPERATURE = "_degC"
 _INSIDE = {_COLUMNS[name][0]: name for name in ("t", "order")}
-"""Name inside of a column of conditions; the others are of what instruments derive or read."""
+"""Name inside vcal of a column of conditions; instruments derive or read the other columns."""
 _JOINT_COLUMNS = {
     "commanded_": ("q{}_cmd_deg", math.degrees(1.0)),
     "read_": ("q{}_read_deg", math.degrees(1.0)),
@@ -57,17 +57,16 @@ def linear_plan(
     chain: Chain,
     table: Mapping[str, np.ndarray],
     readings: Collection[str] = (),
-    warmer: float = 0.0,
+    temperature_offset_K: float = 0.0,
     groups: Collection[str] = (),
 ) -> Plan:
     """Plan from ``x_mm``, ``dir_x``, ``t_s``, ``T_x_degC``, ``T_air_degC``, ...
 
-    Temperatures and motions of axes are named after the axis (``"T_X"``, ``"dir_X"``), in SI.
-    Indices of what belongs together, ``point``, ``pose``, ``ball``, ``run``, ``segment`` and those
-    that `groups` names (a station, a set-up), become `Plan.groups`. Any further numeric column that
-    is not one of the `readings` becomes a covariate under its own name and in its own unit, for
-    effects of the user's own. Temperatures are `warmer` in the table than in the plan
-    (`Instrument.warmer`), K.
+    Temperatures and motions of axes are named after the axis (``"T_X"``, ``"dir_X"``), in SI. The
+    index columns ``point``, ``pose``, ``ball``, ``run``, ``segment`` and those named in `groups`
+    (a station, a set-up) become `Plan.groups`. Any further numeric column that is not one of the
+    `readings` becomes a covariate with its own name and unit, for a user's own effects.
+    `temperature_offset_K` is subtracted from temperatures (`Instrument.temperature_offset_K`).
     """
     axes = chain.axes
     columns = [file_column(axis, axes) for axis in axes]
@@ -87,16 +86,16 @@ def linear_plan(
         factor = 1.0 if covariate == name else file_column(covariate, axes)[1]
         covariates[covariate] = np.asarray(values, float) / factor
         if name.endswith(_TEMPERATURE):
-            covariates[covariate] = covariates[covariate] - warmer
+            covariates[covariate] = covariates[covariate] - temperature_offset_K
     return Plan(axes, position, covariates, found)
 
 
 def linear_plan_table(
-    plan: Plan, derived: Collection[str] = (), warmer: float = 0.0
+    plan: Plan, derived: Collection[str] = (), temperature_offset_K: float = 0.0
 ) -> dict[str, np.ndarray]:
     """Columns in file units: the inverse of `linear_plan`.
 
-    `derived` names the covariates that an instrument derives itself and no file holds.
+    `derived` names the covariates that an instrument derives and that are in no file.
     """
     table: dict[str, np.ndarray] = {k: np.asarray(v) for k, v in plan.groups.items()}
     for axis in plan.axes:
@@ -108,20 +107,21 @@ def linear_plan_table(
         name, factor = file_column(covariate, plan.axes)
         table[name] = np.asarray(values) * factor
         if name.endswith(_TEMPERATURE):
-            table[name] = table[name] + warmer
+            table[name] = table[name] + temperature_offset_K
     return table
 
 
 def in_file(
     name: str, values: np.ndarray | float, plan: Plan, instrument: Instrument
 ) -> np.ndarray | float:
-    """Values of a covariate or axis of a plan (SI) as the files of its instrument have them: in the
-    unit of the column, temperatures `Instrument.warmer`.
+    """Values of a covariate or axis of a plan (SI) as in the files of its instrument: in the unit
+    of the column, temperatures with `Instrument.temperature_offset_K` added.
     """
     owner, _, plain = name.partition(":")
     of = instrument.members.get(owner)
     column, factor = file_column(name if of is None else plain, plan.axes)
-    return values * factor + ((of or instrument).warmer if column.endswith(_TEMPERATURE) else 0.0)
+    offset = (of or instrument).temperature_offset_K if column.endswith(_TEMPERATURE) else 0.0
+    return values * factor + offset
 
 
 def inside_name(column: str, axes: tuple[str, ...]) -> str:
@@ -149,16 +149,16 @@ def _joint(column: str, axes: tuple[str, ...]) -> str:
 
 
 def misnamed(columns: Collection[str], axes: tuple[str, ...]) -> tuple[tuple[str, ...], str] | None:
-    """Columns that are not what they seem, and the column that is meant; None where all are well.
+    """Misnamed columns, and the name that is meant; None where there are none.
 
-    Two columns of one quantity (``T_x_degC`` and ``T_X_degC``), of which the last would win, or
-    one that has the name of a quantity inside and would be taken for it in whatever unit (``t``).
+    These are two columns of one quantity (``T_x_degC`` and ``T_X_degC``), or one with the name that
+    a quantity has inside vcal and therefore without a unit (``t``).
     """
     first: dict[str, str] = {}
     for column in columns:
         name = inside_name(column, axes)
         meant = file_name(name, axes)
-        # dir_X has no unit that it could lack.
+        # dir_X has no unit.
         if name == column and meant.lower() != column.lower():
             return (column,), meant
         if name in first:
@@ -168,15 +168,15 @@ def misnamed(columns: Collection[str], axes: tuple[str, ...]) -> tuple[tuple[str
 
 
 def file_name(covariate: str, axes: tuple[str, ...]) -> str:
-    """Name of a covariate or axis as users know it from their files: ``"T_x_degC"``, ``"x_mm"``."""
+    """Name of the column of a covariate or axis in the files: ``"T_x_degC"``, ``"x_mm"``."""
     return file_column(covariate, axes)[0]
 
 
 def file_column(covariate: str, axes: tuple[str, ...]) -> tuple[str, float]:
     """Name of a covariate or axis in the files, and the factor from SI to the unit in that name.
 
-    Joints of an arm are known by their number (``"q2_cmd_deg"``), where positions count as
-    commanded; what was only derived (``"dir_q2"``, ``"tilt"``) keeps a name of its own.
+    Joints of an arm have columns by number (``"q2_cmd_deg"`` for commanded positions); derived
+    covariates (``"dir_q2"``, ``"tilt"``) have names of their own.
     """
     if match := re.fullmatch(r"(commanded_|read_|dir_|move_)?J(\d+)", covariate):
         name, factor = _JOINT_COLUMNS[match[1] or "commanded_"]
@@ -187,7 +187,7 @@ def file_column(covariate: str, axes: tuple[str, ...]) -> tuple[str, float]:
     if match := re.fullmatch(r"(dir|a|v|since)_([A-CX-Z])", covariate):
         unit, factor = _MOTION[match[1], match[2]]
         return f"{match[1]}_{match[2].lower()}{unit}", factor
-    # A column such as T_gradient_K_per_m came without a conversion, and goes so.
+    # A column such as T_gradient_K_per_m is read and written without a conversion.
     if (match := re.fullmatch(r"T_(\w+)", covariate)) and not re.search(r"_K(_|$)", covariate):
         name = match[1].lower() if match[1] in axes else match[1]
         return f"T_{name}_degC", 1.0

@@ -1,4 +1,4 @@
-"""How the axes follow a point of the workpiece, and whether what was measured follows the axes, by
+"""Axis positions that follow a point of the workpiece, and checks that readings follow the axes, by
 the nominal kinematics of the machine.
 """
 
@@ -17,16 +17,16 @@ from ..numerics.arrays import Array
 from .conditions import LINEAR, file_column
 
 _MOST_OFF = 0.02
-"""Of the size of the region that was measured: no machine is that far off."""
+"""Largest plausible error of a machine, as a share of the size of the measured region."""
 _PLANE = 2
-"""Dimensions of what was measured from which on readings can be compared with linear axes."""
+"""Least dimension of the measured region for a comparison of readings with linear axes."""
 _LEAST_M = 1e-3
-"""What is nothing to wonder at, however small the region: where a rotary axis is, is declared as
-well as one knows."""
+"""Plausible distance in a region of any size: the declared position of a rotary axis is
+approximate."""
 
 _HALF, _FAR = 0.5, 0.5
-"""Of the way that readings move with the axes: what they may be off, and of the farthest from which
-they count as far."""
+"""Largest relative error of the motion of readings; and least motion that is compared, as a share
+of the largest."""
 _CHANGES = (
     (1e3, "metres turned into millimetres"),
     (1e-3, "micrometres turned into millimetres"),
@@ -38,14 +38,14 @@ def followed(
     chain: Chain, position: Float[Array, "n axes"], point: Float[Array, "n 3"]
 ) -> Float[Array, "n axes"]:
     """Positions at which the nominal tool point is at `point` (m, in the frame of the workpiece):
-    the linear axes follow, the others stand as in `position` (rad). May be traced.
+    the linear axes follow, the others keep the angles in `position` (rad). It may be traced.
 
-    With angles that stand, the tool point t is linear in the travel x of the linear axes,
+    At constant angles, the tool point t is linear in the positions x of the linear axes::
 
-        t(x) = t(0) + M x,        x = M^-1 (point - t(0)).
+        t(x) = t(0) + M x,        x = M^-1 (point - t(0))
 
-    The machine needs three linear axes between no two of which another one turns (`carried_apart`):
-    M is then orthogonal.
+    The machine needs three linear axes with no rotary axis between any two of them
+    (`carried_apart`): M is then orthogonal.
     """
     linear = [i for i, axis in enumerate(chain.axes) if axis in LINEAR]
     still = jnp.zeros((len(chain.joints), 6))
@@ -65,7 +65,7 @@ def followed(
 
 
 def carried_apart(chain: Chain) -> str:
-    """The rotary axis that turns one linear axis against another; empty where there is none."""
+    """The rotary axis between two linear axes; empty where there is none."""
     order = [*reversed(chain.workpiece_side), *chain.tool_side]
     turning = [chain.axes[i] for i in order]
     places = [k for k, axis in enumerate(turning) if axis in LINEAR]
@@ -80,13 +80,13 @@ def check_follows(
     columns: str,
     beside: str = "the machine",
 ) -> None:
-    """Refuse readings that are not where the axes take the tool.
+    """Check that readings agree with the tool points at the axis positions.
 
-    `off` gives the distance (n,), m, of every reading from the nominal tool points (n, 3) of the
-    workpiece, after the rigid motions that are unknown anyway. Half of the readings count: a few
-    that are astray are left out later. Raises `RowError`, which names the columns in
-    another unit, or the one with another sign, where that alone is the cause; else it says that the
-    columns are to be compared with what is `beside` them.
+    `off` gives the distance (n,), m, of every reading from nominal tool points (n, 3) in the
+    workpiece frame, after the unknown rigid motions are fitted. The median is compared, since a few
+    outliers are removed later. Raises `RowError`, which names the columns in another unit, or the
+    one with another sign, where that alone is the cause; otherwise it asks to compare the columns
+    with the things named in `beside`.
     """
     position = np.asarray(plan.position)
     linear = position[:, [axis in LINEAR for axis in plan.axes]]
@@ -102,8 +102,8 @@ def check_follows(
     raise RowError(
         row,
         columns,
-        f"readings {1e3 * found[row]:.4g} mm away from where the axes take the tool, in half of "
-        f"the rows more than {1e3 * np.median(found):.4g} mm",
+        f"a reading {1e3 * found[row]:.4g} mm away from the tool point at the axis positions, in "
+        f"half of the rows more than {1e3 * np.median(found):.4g} mm",
         f"readings that follow the positions to {1e3 * allowed:.4g} mm",
         cause(chain, plan.axes, position, off, allowed)
         or "compare signs, units and order of the columns of positions and readings, "
@@ -118,12 +118,12 @@ def check_moves(
     run: Int[np.ndarray, " n"],
     columns: Sequence[str],
 ) -> None:
-    """Refuse readings (m) that do not move as the axes make them move, run by run, wherever they
-    begin: a column that is off by more than half of its way, in half of the rows that are far from
-    the middle of their run. No machine is that far off.
+    """Check that readings (m) move with the axes within every run, apart from a constant: a column
+    is wrong where its motion differs by more than half in half of the rows that are far from the
+    mean of their run. No machine has such an error.
 
-    Raises `RowError`, which says that a unit, a sign or the order of the columns is the cause where
-    that alone is.
+    Raises `RowError`, which names a unit, a sign or the order of the columns where that alone is
+    the cause.
     """
     index = np.unique(run, return_inverse=True)[1]
 
@@ -161,7 +161,7 @@ def check_moves(
         f"column{'s' * (len(wrong) > 1)} {named}",
         f"{columns[at[1]]} {1e3 * seen[at]:.4g} mm from the mean of run {run[row]}, where the axes "
         f"are {1e3 * moved[at]:.4g} mm from it",
-        "readings that follow the axes, to half of their way in half of the rows",
+        "readings that follow the axes, to half of their motion in half of the rows",
         f"they do with {causes[0]}: correct that"
         if causes
         else "compare units, signs and order of the columns of readings with the instrument",
@@ -175,9 +175,9 @@ def cause(
     off: Callable[[np.ndarray], np.ndarray],
     allowed: float,
 ) -> str:
-    """The one change of positions with which half of the readings are within `allowed` of where the
-    axes take the tool, as `off` tells; nothing where there is none. Of linear axes alone every
-    other sign makes the same mirror image, of positions or of readings.
+    """The single change of the positions with which the median of `off` is within `allowed`; empty
+    where there is none. With linear axes only, each change of a sign gives the same mirror image,
+    of positions or of readings.
     """
     columns = {axis: file_column(axis, axes) for axis in axes}
     changes = [({axis: -1.0}, "the other sign") for axis in axes]
@@ -189,8 +189,8 @@ def cause(
         if np.median(off(chain.tool_point(changed))) <= allowed:
             if chain.linear:
                 return (
-                    "they are a mirror image of that: compare the signs of positions and readings "
-                    "with the machine, and which column is which"
+                    "the readings are a mirror image of that: compare the signs and the order of "
+                    "the columns of positions and readings with the machine"
                 )
             names = ", ".join(columns[axis][0] for axis in factors)
             return f"they do with {words} in {names}: correct that"

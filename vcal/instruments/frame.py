@@ -13,14 +13,14 @@ from ..numerics.rigid import Rotation, Scalar, Vector, exp
 
 
 def pose_parameters(prefix: str = "") -> tuple[Parameter, ...]:
-    """Six flat-prior parameters of a pose; one solver unit is 1 mm or 1 mrad."""
+    """Six parameters of a pose with flat priors; the solver's unit is 1 mm or 1 mrad."""
     return tuple(
         Parameter(f"{prefix}{c}", "um" if c in "XYZ" else "urad", scale=1000.0) for c in COMPONENTS
     )
 
 
 class Station(Effect):
-    """Pose of the instrument's frame against its nominal one: s0 + (X, Y, Z), R0 exp(A, B, C)."""
+    """Pose of the instrument's frame from its nominal one: s0 + (X, Y, Z), R0 exp(A, B, C)."""
 
     name = "station"
     summary = "pose of the instrument's frame"

@@ -1,9 +1,9 @@
 """Laser frame: a position-sensitive diode (PSD) at the tool follows a beam along the axes.
 
-A laser and pentaprisms on a frame that does not expand send one beam along edges of the work space,
-segment after segment. On every segment a PSD at the spindle reads where the beam is in the two
-directions across it. Only changes against a reference run count, so that neither the beams nor the
-machine need be straight. Brecher, Spierling, Fey, Neus (2021), CIRP Annals 70(1), 333-336.
+A laser and pentaprisms on a frame of low expansion send one beam along edges of the work space,
+segment after segment. On every segment, a PSD at the spindle reads the position of the beam in the
+two directions across it. The readings are changes from a reference run, so neither the beams nor
+the machine need to be straight. Brecher, Spierling, Fey, Neus (2021), CIRP Annals 70(1), 333-336.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,15 +53,15 @@ class Segment(NamedTuple):
 
     number: int
     start: tuple[float, float, float]
-    """Where it begins, as positions of the axes X, Y, Z, m."""
+    """Positions of the axes X, Y, Z at its start, m."""
     end: tuple[float, float, float]
     points: int
     """Measuring points, both ends included."""
     psd: Psd
-    """The diode that looks at it: the upright one, which faces the beam, or the flat one."""
+    """The diode that reads it: the upright one, which faces the beam, or the flat one."""
     psd_range: tuple[float, float] = (0.0, 0.0)
-    """Where the beam meets the diode at the end of the segment, in both readings, m; at its start
-    on the other side of the middle, as far.
+    """Position of the beam on the diode at the end of the segment, in both readings, m; at its
+    start, the position is the opposite one.
     """
 
     @property
@@ -82,7 +82,7 @@ class Segment(NamedTuple):
 
     @property
     def length(self) -> float:
-        """m."""
+        """Length, m."""
         return float(np.abs(self._step).max())
 
     @property
@@ -122,9 +122,10 @@ def beam_path(
     """A beam path by name over a travel (m) in X, Y and Z, in the order of the beam.
 
     ``"3d"``: low along Y at x-, low along X at y+, up at (x+, y+), high along Y at x+, high along X
-    at y-, which sees all that five segments can see. ``"planar"``: once round the lower plane, then
-    up at (x-, y-). Seven points on the first segment, eleven on the others. `psd_range` gives the
-    `Segment.psd_range` of some segments, m. Raises `KeyError` for another name.
+    at y-; this observes as many errors as five segments can. ``"planar"``: round the lower plane,
+    then up at (x-, y-). There are seven points on the first segment, eleven on the others.
+    `psd_range` gives the `Segment.psd_range` of some segments, m. Raises `KeyError` for another
+    name.
     """
     found = []
     for number, first, last in _CORNERS[name]:
@@ -145,27 +146,27 @@ class SegmentSettings(BaseModel):
     model_config = ConfigDict(extra="forbid")
     number: int = Field(ge=0)
     start_mm: tuple[float, float, float]
-    """Positions of X, Y, Z where it begins."""
+    """Positions of X, Y, Z at its start."""
     direction: Direction
     length_mm: float = Field(gt=0)
     points: int = Field(default=11, ge=2)
     psd: Psd = "vertical"
     psd_range_mm: tuple[float, float] = (0.0, 0.0)
-    """Where the beam meets the diode at the end of the segment."""
+    """Position of the beam on the diode at the end of the segment."""
 
 
 class LaserFrameSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "laser_frame"``."""
 
     sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
-    """Noise of a change against the reference run."""
+    """Noise of a change from the reference run."""
     beam_path: Literal["3d", "planar", "own"] = "3d"
-    """By name, over the travel of the machine; or ``"own"``, in [[instrument.segment]] rows."""
+    """A name, over the travel of the machine; or ``"own"``, with [[instrument.segment]] rows."""
     segment: tuple[SegmentSettings, ...] = ()
     reference_degC: float = Field(default=REFERENCE_DEGC, ge=-50, le=150)  # noqa: N815
-    """Temperature of the reference run, from which its errors count (`Instrument.warmer`)."""
+    """Temperature of the reference run: thermal effects are zero there."""
     psd_lever_mm: float = Field(default=0.0, ge=0, le=1e4)
-    """From the spindle's axis to the upright diode, towards the beam."""
+    """Distance from the spindle's axis to the upright diode, towards the beam."""
     psd_size_mm: float = Field(default=10.0, gt=0, le=1e3)
     psd_map: FileName | None = None
     """Table of the diode's calibrated error: u_mm, v_mm, error_u_um, error_v_um on a full grid."""
@@ -177,14 +178,14 @@ class LaserFrameSettings(InstrumentSettings):
 
 @register
 class LaserFrame(TableInstrument):
-    """Change of the tool point across the beam, in the two directions of x, y, z it does not run.
+    """Change of the tool point in the two directions of x, y, z across the beam.
 
     (u, v) = e . (R_f' (p - s) - p0), where p is the sensitive point of the diode in the workpiece
-    frame, p0 its nominal place, R_f and s the rotation and the displacement of the frame since the
-    reference run, about the middle of its beams: a nuisance with six parameters. A diode off the
-    spindle's axis has a lever arm, along which the spindle turns it towards the beam. A filter of
+    frame, p0 its nominal position, R_f and s the rotation and the displacement of the frame since
+    the reference run, about the middle of its beams: a nuisance with six parameters. A diode off
+    the spindle's axis has a lever arm, which the spindle orients towards the beam. A filter of
     thickness d shifts the beam by -d (tan a - tan b), sin a = n sin b (Snell), where the angle a
-    follows the rotation of the tool; `filter_shift`.
+    changes with the rotation of the tool; `filter_shift`.
     """
 
     kind = "laser_frame"
@@ -194,7 +195,7 @@ class LaserFrame(TableInstrument):
 
     segments: tuple[Segment, ...] = eqx.field(static=True)
     centre: np.ndarray
-    """Middle of the beams, about which the frame turns, m."""
+    """Middle of the beams, about which the frame rotates, m."""
     offset: np.ndarray
     """From the axes' position to the nominal tool point, m."""
     sigma: float
@@ -220,8 +221,8 @@ class LaserFrame(TableInstrument):
         index: float = 1.5,
         reference: float = REFERENCE_DEGC,
     ) -> Self:
-        """On a machine of linear axes X, Y, Z; lengths in m, the temperature of the reference run
-        in degC.
+        """A laser frame on a machine with the linear axes X, Y, Z; lengths in m, the temperature
+        of the reference run in degC.
         """
         ends = np.array([end for one in segments for end in (one.start, one.end)])
         offset = np.asarray(chain.tool_offset, float)
@@ -239,7 +240,7 @@ class LaserFrame(TableInstrument):
         )
 
     @property
-    def warmer(self) -> float:
+    def temperature_offset_K(self) -> float:
         return self.reference - REFERENCE_DEGC
 
     @property
@@ -287,7 +288,7 @@ class LaserFrame(TableInstrument):
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
-        plan = linear_plan(chain, table, _COLUMNS, warmer=self.warmer)
+        plan = linear_plan(chain, table, _COLUMNS, temperature_offset_K=self.temperature_offset_K)
         covariates = dict(plan.covariates)
         s = self.along(plan)
         self._check_places(plan, s)
@@ -307,7 +308,7 @@ class LaserFrame(TableInstrument):
         return Plan(plan.axes, plan.position, covariates, plan.groups)
 
     def along(self, plan: Plan) -> Float[np.ndarray, " n"]:
-        """Where every row is on its segment: 0 at the start, 1 at the end."""
+        """Position of every row on its segment: 0 at the start, 1 at the end."""
         position, number = self._xyz(plan), np.asarray(plan.groups["segment"])
         found = np.zeros(plan.rows)
         for one in self.segments:
@@ -323,9 +324,9 @@ class LaserFrame(TableInstrument):
         return readings - (self.psd_map(place + readings) - self.psd_map(place))
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
-        shown = linear_plan_table(plan, warmer=self.warmer)
+        shown = linear_plan_table(plan, temperature_offset_K=self.temperature_offset_K)
         if self.psd_map is not None:
-            # Where no segment says otherwise, the beam meets the middle of the diode.
+            # By default, the beam meets the middle of the diode.
             middle = np.zeros(plan.rows)
             place = {c: np.asarray(plan.covariates.get(c, middle)) for c in _PSD}
             shown |= place
@@ -344,7 +345,7 @@ class LaserFrame(TableInstrument):
                 towards[mine] = -one.direction
             beam[mine] = 2.0 * np.asarray(one.psd_range) / one.length
         lever = self.lever * towards
-        # Positions and lever may be what a design is looking for, and then JAX is tracing them.
+        # JAX traces positions and lever where a design optimises them.
         xyz = jnp.stack([jnp.asarray(plan.x(axis)) for axis in _XYZ], -1)
         nominal = xyz + self.offset + lever
         return nominal, across, along, lever, beam
@@ -357,7 +358,7 @@ class LaserFrame(TableInstrument):
         u, v = (Vector.of(across[i]) for i in range(2))
         read = [u.dot(moved), v.dot(moved)]
         if self.thickness:
-            # The beam as the head sees it, before and after both have turned.
+            # The direction of the beam in the frame of the head, before and after both rotate.
             ray = Vector.of(along) + u * beam[0] + v * beam[1]
             seen = rotation.T @ (turn @ ray)
             slopes = [w.dot(seen) / Vector.of(along).dot(seen) for w in (u, v)]
@@ -376,7 +377,7 @@ class LaserFrame(TableInstrument):
         return (Station(),)
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
-        # Runs where there are several; else every fifth point, as no segment foretells another.
+        # Runs where there are several; else every fifth point, as no segment predicts another.
         if "run" in plan.groups:
             runs, fold = np.unique(np.asarray(plan.groups["run"]), return_inverse=True)
             if len(runs) > 1:
@@ -412,10 +413,10 @@ class LaserFrame(TableInstrument):
 def _displayed(
     readings: Float[np.ndarray, "n 2"], place: Float[np.ndarray, "n 2"], psd_map: PsdMap
 ) -> Float[np.ndarray, "n 2"]:
-    """What the diode shows (m) for readings that are corrected by its map: fixed point of
+    """Uncorrected readings of the diode (m) from readings corrected by its map: the fixed point of
     r <- readings + map(place + r) - map(place).
 
-    Raises `StudyError` where the map is so steep that there is none.
+    Raises `StudyError` where the map is so steep that the iteration does not converge.
     """
     shown, start = np.asarray(readings, float), psd_map(place)
     for _ in range(_STEPS):
@@ -434,7 +435,8 @@ def filter_shift(
 ) -> tuple[Scalar, Scalar]:
     """Shift of a beam by a plane filter, d (tan a - tan b) with sin a = n sin b.
 
-    In both directions; the slopes are the beam's against the filter's normal, tan a = |(u, v)|.
+    The shift is given in both directions; the slopes are those of the beam from the normal of the
+    filter, tan a = sqrt(u^2 + v^2).
     """
     squared = slope_u * slope_u + slope_v * slope_v
     kept = thickness * (1.0 - 1.0 / jnp.sqrt(index**2 + (index**2 - 1.0) * squared))
@@ -443,7 +445,7 @@ def filter_shift(
 
 def safe_filter_shift(slope: Scalar, turned: Scalar, thickness: float) -> Scalar:
     """Upper bound of the change of the shift when the angle a = atan(slope) grows by `turned`:
-    d (tan(a + turned) - tan a), which leaves out the glass (the publication's eq. (10)).
+    d (tan(a + turned) - tan a), without the refraction in the glass (eq. (10) of the publication).
     """
     return thickness * (jnp.tan(jnp.arctan(slope) + turned) - slope)
 
@@ -460,8 +462,8 @@ def _segments(settings: LaserFrameSettings, chain: Chain) -> tuple[Segment, ...]
         if settings.segment:
             raise KeyedError(
                 "instrument.beam_path",
-                f"{settings.beam_path!r} beside segments",
-                "one of them",
+                f"{settings.beam_path!r} and [[instrument.segment]] rows",
+                "one of the two",
                 "set beam_path = 'own', or remove the [[instrument.segment]] rows",
             )
         travel = {axis: chain.joint(axis).travel.tolist() for axis in _XYZ}

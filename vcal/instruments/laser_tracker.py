@@ -49,14 +49,14 @@ class LaserTrackerSettings(InstrumentSettings):
 
 @register
 class LaserTracker(TableInstrument):
-    """Range |v|, azimuth atan2(v_y, v_x), elevation asin(v_z / |v|) with v = R'(p - station).
+    """Range r = norm(v), azimuth atan2(v_y, v_x), elevation asin(v_z / r) with v = R'(p - station).
 
-    Noise: range sigma a + b r (added linearly), one angle sigma for both angles. The station's pose
-    (R = Rx Ry Rz of the nominal Euler angles) is a nuisance with six parameters. It stands on the
-    table, with the workpiece, and moves and turns with it.
+    Noise: range sigma a + b r (added linearly), one sigma for both angles. The station's pose (R =
+    Rx Ry Rz of the nominal Euler angles) is a nuisance with six parameters. The station is on the
+    table, with the workpiece, and moves and rotates with it.
 
-    Its errors depend on what it reads, wherever the station was found to be: range and angles of a
-    plan are the readings, or those seen from the nominal station where there are none yet.
+    The tracker's errors depend on its readings, not on the estimated station: range and angles of a
+    plan are the readings, or those from the nominal station where there are none.
     """
 
     kind = "laser_tracker"
@@ -122,8 +122,8 @@ class LaserTracker(TableInstrument):
     def record(
         self, plan: Plan, ideal: Callable[[Plan], np.ndarray], noise: np.ndarray
     ) -> tuple[Plan, np.ndarray]:
-        """Readings with noise, and the plan with range and angles as they are seen without: those
-        it held may be of a station that stood elsewhere.
+        """Readings with noise, and the plan with range and angles without noise: those in the
+        given plan may belong to a station at another position.
         """
         plan = _with_read(plan, ideal(plan))
         return plan, ideal(plan) + noise
@@ -153,7 +153,7 @@ class LaserTracker(TableInstrument):
 
     def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         r = readings[:, 0]
-        # Whole arrays, so that the readings may be traced by a search for better places.
+        # Whole arrays, so that the readings may be traced while a design optimises positions.
         return (
             self.range_sigma * _RANGE
             + self.range_sigma_per_m * r[:, None] * _RANGE
@@ -168,21 +168,21 @@ class LaserTracker(TableInstrument):
         return (Station(),)
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
-        # Five contiguous blocks in time: neighbours in time share what drifts.
+        # Five contiguous blocks in time: neighbours in time share a drift.
         t = plan.values("t") if plan.has("t") else np.zeros(plan.rows)
         place = np.argsort(np.argsort(t, kind="stable"), kind="stable")
         return place * 5 // plan.rows, False
 
 
 def _check_follows(chain: Chain, table: Mapping[str, np.ndarray]) -> None:
-    """Raise `RowError` where the reflector was not where the axes take it."""
+    """Raise `RowError` where the readings do not follow the axes."""
     r, azimuth, elevation = (np.asarray(table[name], float) for name in _COLUMNS)
     level = np.cos(elevation)
     seen = np.stack(
         [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1
     ) * (1e-3 * r[:, None])
     if not np.ptp(seen, axis=0).any():
-        return  # refused as what it is: the same numbers in every row
+        return  # another check reports columns with the same number in every row
 
     def off(nominal: np.ndarray) -> np.ndarray:
         turn, place = best_rigid(seen, nominal)

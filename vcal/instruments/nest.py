@@ -1,5 +1,5 @@
-"""Three probes in a nest that see a precision sphere (Weikert, Knapp (2004), CIRP Annals 53(1),
-429-432): what instruments of that kind have in common.
+"""Three probes in a nest that measure the position of a precision sphere (Weikert, Knapp (2004),
+CIRP Annals 53(1), 429-432): the common part of such instruments.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,27 +24,27 @@ Triple = tuple[float, float, float]
 
 
 class NestSettings(InstrumentSettings):
-    """Keys of ``[instrument]`` that say what the probes are."""
+    """Keys of ``[instrument]`` that describe the probes."""
 
     external_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
-    """Noise of a coordinate that the probes give."""
+    """Noise of a measured coordinate."""
     external_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
-    """Standard uncertainty of a coordinate at the end of the range, from the device's calibration:
+    """Standard uncertainty of a coordinate at the end of the range, from the calibration of the
     sensitivities and directions of the probes. It does not average out over a run.
     """
     range_mm: float = Field(default=3.0, gt=0)
-    """The probes measure up to here, in every direction."""
+    """Range of the probes in every direction."""
     probes: tuple[Triple, Triple, Triple] | None = None
-    """Directions from the sphere to the three probes, where the data hold the probes' own readings
-    p1_mm, p2_mm, p3_mm instead of coordinates.
+    """Directions from the sphere to the three probes, where the data contain the readings p1_mm,
+    p2_mm, p3_mm of the probes instead of coordinates.
     """
     sphere_radius_mm: float = Field(default=11.0, gt=0)
     tip_radius_mm: float | None = Field(default=None, ge=0)
-    """Radius of the probes' tips; flat ones without it."""
+    """Radius of the probes' tips; flat where it is None."""
 
     @property
     def matrix_sigma(self) -> float:
-        """Standard deviation of the nine elements of S, where (1 + S) p is seen instead of p."""
+        """Standard deviation of the nine elements of S, where (1 + S) p is read instead of p."""
         return self.external_u_um / self.range_mm * 1e-3
 
     @model_validator(mode="after")
@@ -61,10 +61,10 @@ class NestSettings(InstrumentSettings):
 
 
 class Nest(Record):
-    """The probes: what they read of a sphere whose centre is at p in their frame.
+    """The probes and their readings of a sphere whose centre is at p in their frame.
 
-    As coordinates it is p. As probes it is, with n_k the direction from the sphere to probe k and D
-    the sum of the radii of sphere and tip,
+    Readings are the coordinates p, or, with n_k the direction from the sphere to probe k and D the
+    sum of the radii of sphere and tip, those of the probes::
 
         l_k = n_k . p                                                  (flat tip)
         l_k = n_k . p + sqrt(D^2 - |p|^2 + (n_k . p)^2) - D            (spherical tip)
@@ -73,7 +73,7 @@ class Nest(Record):
     directions: np.ndarray | None
     """Unit vectors n_k (3, 3), row by row; None for coordinates."""
     distance: float | None
-    """D, m; flat tips without."""
+    """D, m; None for flat tips."""
 
     @classmethod
     def of(cls, settings: NestSettings) -> Self:
@@ -114,7 +114,7 @@ class Nest(Record):
         return [a + jnp.sqrt(self.distance**2 - square + a * a) - self.distance for a in along]
 
     def along(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """How small displacements p change the readings."""
+        """Change of the readings by small displacements p, m."""
         return p if self.directions is None else p @ self.directions.T
 
     def measured(self, table: Mapping[str, np.ndarray]) -> Float[np.ndarray, "n 3"]:
@@ -127,7 +127,9 @@ class Nest(Record):
 
 
 class PlaceOfRuns(Effect):
-    """A place that is another one in every run: three flat parameters, on the ports of a group."""
+    """A position that differs in every run: three parameters with flat priors per run, on the ports
+    of a group.
+    """
 
     kind = "nuisance"
     where = "instrument"

@@ -10,7 +10,7 @@ from .base import Column, Loader
 
 
 class PsdMap(Record):
-    """error(u, v) of both readings, bilinear between the points of a rectangular grid, m."""
+    """Error of both readings, bilinear between the points (u, v) of a rectangular grid, m."""
 
     u: Float[np.ndarray, " i"]
     v: Float[np.ndarray, " j"]
@@ -21,7 +21,7 @@ class PsdMap(Record):
     def read(cls, name: str, load: Loader) -> "PsdMap":
         """From a table with one row per grid point, in any order.
 
-        Raises `StudyError` where points of the grid are missing or there twice.
+        Raises `StudyError` where points of the grid are missing or repeated.
         """
         places = [Column(name=c, low=-1e3, high=1e3) for c in ("u_mm", "v_mm")]
         errors = [Column(name=c, low=-1e4, high=1e4) for c in ("error_u_um", "error_v_um")]
@@ -46,9 +46,9 @@ class PsdMap(Record):
         return cls(u * 1e-3, v * 1e-3, error, name)
 
     def __call__(self, place: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Error of both readings at places (n, 2) on the diode, m.
+        """Error of both readings at positions (n, 2) on the diode, m.
 
-        Raises `StudyError` for a place beyond the grid.
+        Raises `StudyError` for a position outside the grid.
         """
         low = np.array([self.u[0], self.v[0]])
         high = np.array([self.u[-1], self.v[-1]])

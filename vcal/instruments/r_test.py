@@ -1,7 +1,7 @@
 """R-test: three probes in a nest follow a precision sphere while the axes travel small circles.
 
-The difference between where the axes' own scales say the sphere is (internal) and where the probes
-see it (external) is the error of the structure in between. Weikert, Knapp (2004), CIRP Annals
+The difference between the position of the sphere by the axes' own scales (internal) and by the
+probes (external) is the error of the structure in between. Weikert, Knapp (2004), CIRP Annals
 53(1), 429-432; its use on circles of known acceleration: Nguyen, Weikert, Wegener (2012).
 """
 
@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from pydantic import Field
 
 from ..effects.base import Effect
-from ..effects.r_test import ProbeMatrix, middle_of_runs
+from ..effects.probes import ProbeMatrix, middle_of_runs
 from ..errors import RowError
 from ..machine.chain import Chain
 from ..machine.circles import Circle, fit_circle
@@ -31,15 +31,15 @@ _XYZ = "XYZ"
 PLANES = ("XY", "YZ", "ZX")
 """Planes of circles, in the order of their numbers in a plan."""
 _SLACK = 0.02
-"""Of a turn, that may be missing where the last row stands short of the first."""
+"""Share of a turn that may be missing between the last row and the first."""
 _WITHIN = 3.0
-"""Factor within which the circle that was travelled is the commanded one."""
+"""Largest plausible ratio of the travelled circle to the commanded one."""
 _PER_TURN = 3.0
-"""Rows per turn from which a circle within that factor is not one of another pace, seen too seldom:
-f that looks like |f_s - f|, within a factor of 3 in the square, has 2.8 rows per turn at most.
+"""Least number of rows per turn, which excludes aliases of another frequency: an f that appears as
+abs(f_s - f), within a factor of 3 in the square, has 2.8 rows per turn at most.
 """
 _BESIDE = 0.1
-"""Of the radius, rms, from which positions are on no one circle."""
+"""Largest rms distance of positions from the circle, as a share of the radius."""
 _DERIVED = tuple(f"{kind}_{axis}" for kind in ("a", "v", "dir", "since") for axis in _XYZ)
 _OWN = ("run", "plane", "sense", "a_set_m_s2", "t_s")
 
@@ -48,17 +48,19 @@ class RTestSettings(NestSettings):
     """Keys of ``[instrument]`` for ``kind = "r_test"``."""
 
     radius_mm: float = Field(gt=0)
-    """Of the circles, as commanded."""
+    """Commanded radius of the circles."""
     internal_sigma_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
     """Noise of the axes' scales."""
     acceleration: Literal["actual", "nominal"] = "actual"
-    """What effects take for acceleration: that of the circle really travelled, or that commanded,
-    r omega^2 in the direction of the circle (eqs. (5) and (6) of the publication).
+    """Acceleration used by effects: that of the travelled circle, or the commanded one, r omega^2
+    towards the centre of the circle (eqs. (5) and (6) of the publication).
     """
 
 
 class RunOffsets(PlaceOfRuns):
-    """Place of the sphere between the probes in every run: three flat parameters per run."""
+    """Position of the sphere between the probes in every run: three parameters per run with flat
+    priors.
+    """
 
     name = "run_offset"
     summary = "place of the sphere in each run"
@@ -67,16 +69,17 @@ class RunOffsets(PlaceOfRuns):
 
 @register
 class RTest(TableInstrument):
-    """Sphere centre seen by the probes, p = tool point - middle of the run's circle + offset of the
-    run, x, y, z of the machine; the middle is that of the nominal tool point.
+    """Centre of the sphere in the frame of the probes: p = tool point - middle of the run's circle
+    + offset of the run, along x, y, z of the machine; the middle is that of the nominal tool point.
 
-    The axis positions are those read by the machine's scales, so that the tool point differs from
-    them by the errors of the structure. `vcal.instruments.nest` says what the probes read of p.
+    The axis positions are readings of the machine's scales, so the tool point differs from them by
+    the errors of the structure. `vcal.instruments.nest` gives the readings of the probes from p.
 
     Every run is one circle or more. Positions, accelerations, directions and the distance since the
-    last reversal are those of its fundamental (`vcal.circles`); what else the scales read, their
-    noise among that, is taken from both the internal and the external reading, so that no residual
-    seems to depend on a position only because the noise of that position is in both.
+    last reversal are those of its fundamental (`vcal.machine.circles`); the rest of the scales'
+    readings, with their noise, is subtracted from both the internal and the external reading.
+    Otherwise, a residual would correlate with a position merely because both contain the same
+    noise.
     """
 
     kind = "r_test"
@@ -141,7 +144,7 @@ class RTest(TableInstrument):
         t, run = np.asarray(table["t_s"], float), np.asarray(plan.groups["run"])
         _refuse_copies(run, table)
         covariates = dict(plan.covariates) | {"t_run": t}
-        if (np.diff(t) > 0.0).all():  # else it counts from the start of every run
+        if (np.diff(t) > 0.0).all():  # otherwise it starts from zero in every run
             covariates["t"] = t
         plane = _plane_numbers(table["plane"])
         derived = {name: np.zeros(plan.rows) for name in _DERIVED}
@@ -177,7 +180,7 @@ class RTest(TableInstrument):
         return Plan(plan.axes, position, covariates, dict(plan.groups) | {"plane": plane})
 
     def check_coordinates(self) -> None:
-        """Raise `ValueError` where the readings are those of probes."""
+        """Raise `ValueError` where the readings are those of the single probes."""
         if not self.nest.coordinates:
             raise ValueError(
                 "[instrument]: found readings of probes, expected coordinates of the sphere; "
@@ -199,7 +202,7 @@ class RTest(TableInstrument):
         for number in np.unique(run):
             mine = np.flatnonzero(run == number)
             beside = internal[mine] - fit_circle(t[mine], internal[mine]).position(t[mine])
-            # A tenth of a micrometre beside the circle: probes see it by their directions.
+            # About 0.1 um from the circle: the linear response of the probes is sufficient.
             readings[mine] -= self.nest.along(beside)
         return readings
 
@@ -237,7 +240,7 @@ class RTest(TableInstrument):
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
         runs, fold = np.unique(np.asarray(plan.groups["run"]), return_inverse=True)
-        # Runs that follow each other differ in acceleration alone: every fold has some of each.
+        # Successive runs differ in acceleration only: every fold gets some of each.
         if len(runs) > 1:
             return fold % min(len(runs), 5), False
         return np.arange(plan.rows) * 5 // plan.rows, False
@@ -277,14 +280,14 @@ class RTest(TableInstrument):
             raise refuse(
                 "",
                 f"{turns:.2f} of a turn",
-                "a whole one at least, as offset and amplitude cannot be told apart on less",
+                "a whole one at least, to separate offset and amplitude",
                 "measure longer, or leave the run out",
             )
         if (per_turn := 2.0 * np.pi / (circle.omega * step)) < _PER_TURN:
             raise refuse(
                 "",
                 f"{per_turn:.2f} rows per turn",
-                f"{_PER_TURN:g} at least, as a circle of another pace would look the same",
+                f"{_PER_TURN:g} at least, as a circle of another speed would look the same",
                 "sample faster, or leave the run out",
             )
         beside = np.linalg.norm(position - circle.position(t), axis=1)
@@ -292,9 +295,9 @@ class RTest(TableInstrument):
         if (rms := math.sqrt(np.square(beside).mean())) > _BESIDE * radius:
             raise refuse(
                 "",
-                f"positions {1e3 * rms:.3g} mm (rms) beside the circle of one pace that fits best",
-                f"one circle, travelled at one pace: within {100 * _BESIDE:g} % of its radius",
-                "give every pace a run of its own, and leave out where the axes gather speed",
+                f"positions {1e3 * rms:.3g} mm (rms) from the best-fitting circle of one speed",
+                f"one circle at constant speed: within {100 * _BESIDE:g} % of its radius",
+                "give every speed its own run, and leave out rows in which the axes accelerate",
                 int(np.argmax(beside)),
             )
         moving = {axis for axis, moves in zip(axes, circle.moving, strict=True) if moves}
@@ -329,7 +332,7 @@ class RTest(TableInstrument):
 
 
 def _refuse_two(run: int, rows: np.ndarray, column: str, values: np.ndarray) -> None:
-    """Raise `RowError` where a run has two settings, or a circle no sense."""
+    """Raise `RowError` where a run has two settings, or its sense is zero."""
     place = f"run {run}, column {column}"
     if len(np.unique(values)) > 1:
         at = int(np.argmax(values != values[0]))
@@ -338,14 +341,14 @@ def _refuse_two(run: int, rows: np.ndarray, column: str, values: np.ndarray) -> 
             int(rows[at]), place, found, "one setting in a run", "give every circle its own run"
         )
     if column == "sense" and values[0] == 0.0:
-        raise RowError(int(rows[0]), place, "0", "1 or -1", "say which way the circle goes")
+        raise RowError(int(rows[0]), place, "0", "1 or -1", "enter the sense of the circle")
 
 
 def _refuse_senses(
     run: np.ndarray, turning: Mapping[int, tuple[Circle, str, float]], axes: Sequence[str]
 ) -> None:
-    """Raise `RowError` where circles of one plane go one way by their column and another by their
-    positions. Which way is 1 is for the file to say, as long as it does so in all runs.
+    """Raise `RowError` where the senses of circles in one plane contradict their positions. Either
+    direction may be called 1, if it is the same in all runs.
     """
     ways: dict[str, dict[float, list[int]]] = {}
     for number, (circle, plane, sense) in turning.items():
@@ -360,13 +363,13 @@ def _refuse_senses(
                 int(np.argmax(run == few)),
                 f"run {few}, column sense",
                 f"{turning[few][2]:g}, the other way round than in other runs of {plane}",
-                "one sign for one way round",
+                "one sign for one sense of rotation",
                 "correct the column",
             )
 
 
 def _refuse_copies(run: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
-    """Raise `RowError` where a run holds the readings of another."""
+    """Raise `RowError` where a run has the same readings as another."""
     names = [name for name in (*COORDINATES, *PROBES) if name in table]
     if not names:
         return
@@ -380,7 +383,7 @@ def _refuse_copies(run: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
                 int(mine[0]),
                 f"run {number}",
                 f"all readings of run {other} again",
-                "every reading once, as it counts twice otherwise",
+                "every reading once",
                 "leave one of the runs out",
             )
 

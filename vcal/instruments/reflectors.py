@@ -1,4 +1,4 @@
-"""Reflectors: several points on the tool (and on the base) in the tracker's frame."""
+"""Reflectors: coordinates of several points on the tool (and on the base) in a tracker's frame."""
 
 import dataclasses
 import math
@@ -36,14 +36,14 @@ from .conditions import inside_name
 from .frame import Station, displaced
 
 _MOTIONS = ("t1", "t2", "t3", "r1", "r2", "r3")
-"""Along and about the principal axes of the reflectors on the base."""
+"""Motions along and about the principal axes of the reflectors on the base."""
 _NOTHING = 1e-9
-"""m or rad: less than any tracker sees."""
+"""m or rad: below the resolution of any tracker."""
 _MOST = 100
-"""Reflectors on the tool or the base. Every further one adds three columns and three unknowns."""
+"""Most reflectors on the tool or the base: each one adds three columns and three unknowns."""
 
 _OTHER_UNIT, _LARGE_M = 5.0, 0.05
-"""How often as large or small places are in another unit, where they are far apart at all."""
+"""Ratio of sizes that indicates another unit, and the least size at which it is checked."""
 
 
 class ReflectorsSettings(InstrumentSettings):
@@ -56,7 +56,9 @@ class ReflectorsSettings(InstrumentSettings):
 
 
 class ToolPoints(Effect):
-    """Positions of the reflectors on the tool against their start: three flat parameters each."""
+    """Positions of the reflectors on the tool from their initial values: three parameters each,
+    with flat priors.
+    """
 
     name = "tool_points"
     summary = "positions of the reflectors on the tool"
@@ -78,18 +80,19 @@ class ToolPoints(Effect):
 
 
 class BaseReflectors(Effect):
-    """What the reflectors on the base leave open of the frame's motion: a small one along and about
-    each of their principal axes, fresh at every pose (`vcal.instruments.base_drift`).
+    """Uncertainty of the motion of the frame as estimated from the reflectors on the base: along
+    and about each of their principal axes, independent at every pose
+    (`vcal.instruments.base_drift`).
     """
 
     name = "base_reflectors"
-    summary = "what the reflectors on the base leave open of the motion of the frame"
+    summary = "uncertainty of the frame's motion as estimated from reflectors on the base"
     kind = "random"
     where = "instrument"
     twists: np.ndarray
-    """Motion of the frame (6, 6) per unit along and about each, as `frame.X` to `frame.C`."""
+    """Motion of the frame (6, 6), `frame.X` to `frame.C`, per unit along and about each axis."""
     u: np.ndarray
-    """Standard uncertainty along (m) and about them (rad)."""
+    """Standard uncertainty along (m) and about the axes (rad)."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -113,10 +116,10 @@ class BaseReflectors(Effect):
 class Reflectors(TableInstrument):
     """Coordinates v_k = R'(p + R_tool r_k - s) of the tool's reflectors, in the frame of the base.
 
-    Where three reflectors or more on the base were measured with every pose, the readings are
-    reduced first: each row is moved back by what these tell of the motion of the tracker
-    (`vcal.instruments.base_drift`), and what they leave open is noise of the whole pose. The base's
-    pose and the reflectors' places on the tool are nuisances.
+    Where at least three reflectors on the base were measured at every pose, each row is corrected
+    first for the motion of the tracker estimated from them (`vcal.instruments.base_drift`); the
+    uncertainty of that motion is noise common to the whole pose. The pose of the base and the
+    positions of the reflectors on the tool are nuisances.
     """
 
     kind = "reflectors"
@@ -130,13 +133,13 @@ class Reflectors(TableInstrument):
     station: np.ndarray
     orientation: np.ndarray
     points: np.ndarray
-    """Start of the reflectors on the tool (count, 3), m."""
+    """Initial positions of the reflectors on the tool (count, 3), m."""
     base_centre: np.ndarray
-    """Middle of the reflectors on the base as the tracker sees them, m."""
+    """Middle of the reflectors on the base in the tracker's frame, m."""
     base_axes: np.ndarray
     """Their principal axes, one per row."""
     base_u: np.ndarray
-    """What they leave open along (m) and about these axes (rad); zero where there are none."""
+    """Standard uncertainty along (m) and about these axes (rad); zero without reflectors."""
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -205,7 +208,7 @@ class Reflectors(TableInstrument):
             covariates[f"commanded_{axis}"] = commanded[:, i]
             covariates[f"dir_{axis}"] = direction[:, i]
             covariates[f"move_{axis}"] = move[:, i]
-        # Time, temperatures and whatever else was recorded; not the angles and the readings.
+        # Time, temperatures and all other recorded columns except angles and readings.
         own = re.compile(r"q\d+_(cmd|read)_\w+|(smr|base)\d+_[xyz]_mm|pose")
         others = {name: values for name, values in table.items() if not own.fullmatch(name)}
         covariates |= {inside_name(name, chain.axes): values for name, values in others.items()}
@@ -225,7 +228,7 @@ class Reflectors(TableInstrument):
         for k in range(self.count):
             for i, c in enumerate("xyz"):
                 table[f"smr{k + 1}_{c}_mm"] = readings[:, 3 * k + i] * 1e3
-        # A simulated tracker does not drift: its base reflectors stay where they are.
+        # A simulated tracker does not drift: its base reflectors are stationary.
         for k in range(self.base_count):
             for i, c in enumerate("xyz"):
                 table[f"base{k + 1}_{c}_mm"] = np.full(plan.rows, 500.0 * (i == k % 3))
@@ -267,14 +270,14 @@ class Reflectors(TableInstrument):
         found = (Station(), ToolPoints(count=self.count))
         if self.base_u.max() <= _NOTHING:
             return found
-        # A point seen at v moves by e along an axis e, by e x (v - c) about it; c their middle.
+        # A point at v moves by e along an axis e, and by e x (v - c) about it, c the middle.
         levers = np.cross(self.base_axes, self.base_centre) @ self.orientation.T
         along, about = self.base_axes @ self.orientation.T, -self.base_axes
         twists = np.block([[along, np.zeros((3, 3))], [levers, about]])
         return (*found, BaseReflectors(twists=twists, u=self.base_u))
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
-        # The last fifth in time is never fitted: an arm is used after it was calibrated.
+        # The last fifth in time is never fitted: an arm is used after its calibration.
         in_time = np.argsort(np.asarray(plan.groups["pose"]), kind="stable")
         held = np.argsort(in_time) >= plan.rows - plan.rows // 5
         return np.where(held, 0, -1), True
@@ -286,11 +289,11 @@ class Reflectors(TableInstrument):
 def moves(
     angle: Float[Array, "n joints"], pose: Int[np.ndarray, " n"]
 ) -> tuple[Float[Array, "n joints"], Float[Array, "n joints"]]:
-    """The move of every joint into every pose, rad, and the direction of its last one: +1, -1.
+    """The move of every joint into every pose, rad, and the direction of its latest move: +1, -1.
 
-    The poses may stand in any order: their numbers tell which followed which. A joint that stands
-    keeps the direction in which it came. The move into the first pose and into one after a gap in
-    the numbering is unknown: zero, and so is the direction until the next move.
+    The rows may be in any order: the numbers of the poses give their sequence. A joint that does
+    not move keeps its direction. The move into the first pose, and into one after a gap in the
+    numbering, is unknown and set to zero, and so is the direction until the next move.
     """
     xp = namespace(angle)
     in_time = np.argsort(pose, kind="stable")
@@ -303,9 +306,9 @@ def moves(
 
 
 def _check_size(chain: Chain, plan: Plan, seen: np.ndarray) -> None:
-    """Refuse places (n, 3), m, of a reflector that fill far less room than the arm moves its tool
-    in, or far more where the angles are as small as radians are: links may be off by so much that
-    a fit could make another arm of it.
+    """Raise `RowError` where positions (n, 3), m, of a reflector extend over far less than the tool
+    of the nominal arm, or over far more while the angles are small enough to be radians: with free
+    links, a fit could absorb a wrong unit.
     """
     position = np.asarray(plan.position)
     nominal = _nominal_poses(chain, position)[1]
@@ -317,23 +320,23 @@ def _check_size(chain: Chain, plan: Plan, seen: np.ndarray) -> None:
     raise RowError(
         int(np.argmax(((nominal - nominal.mean(0)) ** 2).sum(1))),
         "columns smr1_x_mm, smr1_y_mm, smr1_z_mm" if small else "columns of the joint angles",
-        f"places of a reflector within {1e3 * size:.4g} mm (rms about their mean), while the arm "
-        f"takes its tool {1e3 * expected:.4g} mm far",
+        f"positions of a reflector within {1e3 * size:.4g} mm (rms about their mean), while the "
+        f"arm moves its tool by {1e3 * expected:.4g} mm",
         "about the same, in millimetres and degrees",
         "correct the unit of the reflectors' columns"
         if small
-        else "turn the angles into degrees, where they are radians",
+        else "convert the angles to degrees, if they are radians",
     )
 
 
 def _on_a_circle(count: int) -> np.ndarray:
-    """Places on the tool (count, 3), m, where no readings tell them: 60 mm from its axis."""
+    """Assumed positions on the tool (count, 3), m, without readings: 60 mm from its axis."""
     angle = 2.0 * np.pi * np.arange(count) / count
     return np.column_stack([0.06 * np.cos(angle), 0.06 * np.sin(angle), np.full(count, 0.03)])
 
 
 def _drift(table: Mapping[str, np.ndarray], count: int) -> BaseDrift | None:
-    """What the reflectors on the base tell, where enough of them were measured."""
+    """The motion estimated from the reflectors on the base; None where there are too few."""
     if count < 3 or "base1_x_mm" not in table:
         return None
     base = _points(table, "base", count)
@@ -342,8 +345,8 @@ def _drift(table: Mapping[str, np.ndarray], count: int) -> BaseDrift | None:
     except ValueError as error:
         raise KeyedError(
             "instrument.base_reflectors",
-            f"{count} reflectors that stand {error}",
-            "some that do not: nothing tells how the frame turns about that line",
+            f"{count} reflectors {error}",
+            "reflectors that span a plane, as the rotation about a line is not observable",
             "set it to 0, if the tracker does not drift, or measure others",
         ) from error
 

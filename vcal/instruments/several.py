@@ -25,15 +25,15 @@ class DataSet(NamedTuple):
     instrument: TableInstrument
     plan: Plan
     tool: Sequence[float] = (0.0, 0.0, 0.0)
-    """Tool point of this instrument from that of the chain, in the last axis's frame, m."""
+    """Tool point of this instrument relative to that of the chain, in the last axis's frame, m."""
 
 
 class Several(Instrument):
-    """The rows of all data sets one after the other, each read by the instrument of its own.
+    """The rows of all data sets one after the other, each with the readings of its own instrument.
 
-    A row has the readings of its instrument first; what it lacks to the widest is zero, whatever
-    the parameters are, and counts nowhere (`present`). Ports are those of the members under the
-    names of their data sets (`vcal.plan.of_set`), and so are their effects
+    A row has the readings of its instrument first; the rest, up to the largest number of readings,
+    is zero for all parameters and has no weight (`present`). Ports are those of the members with
+    the names of their data sets in front (`vcal.machine.plan.of_set`), and so are their effects
     (`vcal.effects.data_set`).
     """
 
@@ -42,7 +42,9 @@ class Several(Instrument):
     sizes: tuple[int, ...] = eqx.field(static=True)
     """Rows of every data set."""
     tools: np.ndarray
-    """Tool point of every data set from that of the chain, in the last axis's frame (sets, 3)."""
+    """Tool point of every data set relative to that of the chain, in the last axis's frame (sets,
+    3), m.
+    """
 
     @property
     def members(self) -> Mapping[str, Instrument]:
@@ -68,13 +70,13 @@ class Several(Instrument):
     def _each(self, plan: Plan):
         """(member, its plan, its rows, its readings) one after the other.
 
-        Rows by their number, so that the plan may be traced.
+        Rows are selected by their number, so that the plan may be traced.
         """
         for name, member, rows in zip(self.names, self.instruments, self._slices, strict=True):
             yield member, plan.of(name).take(rows), rows, slice(0, len(member.readings))
 
     def _table(self, plan: Plan, values: Callable[[Instrument, Plan, Any], Any], readings=None):
-        """What every member says of its readings (n_k, m_k), side by side, zero elsewhere."""
+        """A table of every member's readings (n_k, m_k), one below the other, zero elsewhere."""
         found = np.zeros((plan.rows, self._width))
         for member, part, rows, columns in self._each(plan):
             own = None if readings is None else np.asarray(readings)[rows, columns]
@@ -92,7 +94,7 @@ class Several(Instrument):
         total = sum(self.sizes)
 
         def spread(values: Any, rows: slice) -> Any:
-            # The first row of a data set stands in for it elsewhere: no number there is undefined.
+            # Rows of other data sets get the first row, so that all numbers are defined.
             values = jnp.asarray(values)
             place = np.clip(np.arange(total) - (rows.start or 0), 0, len(values) - 1)
             return values[place]
@@ -159,9 +161,9 @@ class Several(Instrument):
         return np.concatenate([m.dimensions(part) for m, part, *_ in self._each(plan)])
 
     @property
-    def warmer(self) -> float:
-        # What the data sets share is written alike only where all of them count from one.
-        all_of_them = {member.warmer for member in self.instruments}
+    def temperature_offset_K(self) -> float:
+        # Common columns are written with an offset only where it is the same for all data sets.
+        all_of_them = {member.temperature_offset_K for member in self.instruments}
         return all_of_them.pop() if len(all_of_them) == 1 else 0.0
 
     def clusters(self, plan: Plan) -> np.ndarray:
@@ -207,11 +209,11 @@ def with_tool(chain: Chain, offset: Sequence[float] | np.ndarray) -> Chain:
 
 
 def several(sets: Mapping[str, DataSet]) -> tuple[Several, Plan]:
-    """Data sets by name, each with its instrument and the plan that this made, as one.
+    """Data sets by name, each with its instrument and the plan from it, joined into one.
 
-    A time that counts from a start of its own in every data set is not the machine's: it is
-    shared only where the data sets follow each other on it (`CLOCKS`). Readings go through
-    `Several.padded`. Raises `ValueError` where there are none, or the plans have different axes.
+    A time that starts from zero in every data set is not common to the machine: it is shared only
+    where the data sets follow each other on it (`CLOCKS`). `Several.padded` joins the readings.
+    Raises `ValueError` where there are no data sets, or the plans have different axes.
     """
     plans = {name: one.plan for name, one in sets.items()}
     unshared = [clock for clock in CLOCKS if not one_clock(plans, clock)]
@@ -227,9 +229,9 @@ def several(sets: Mapping[str, DataSet]) -> tuple[Several, Plan]:
 
 
 def one_clock(plans: Mapping[str, Plan], clock: str = "t") -> bool:
-    """Whether the data sets follow each other in time, so that one clock can have read all of it.
+    """Whether the data sets follow each other in time, so that they can share one clock.
 
-    One machine is at one place at a time: where the times of two data sets overlap, each has a
+    A machine is at one position at a time: where the times of two data sets overlap, each has a
     clock of its own.
     """
     spans = [
@@ -242,7 +244,7 @@ def one_clock(plans: Mapping[str, Plan], clock: str = "t") -> bool:
 
 
 def _numbered(indices: Sequence[np.ndarray]) -> np.ndarray:
-    """Indices of all data sets, those of each after those of the one before; -1 stays."""
+    """Indices of all data sets, numbered consecutively; -1 remains."""
     found, start = [], 0
     for index in indices:
         found.append(np.where(index >= 0, index + start, -1))

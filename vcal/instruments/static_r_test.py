@@ -1,10 +1,10 @@
-"""Static R-test: three probes see a sphere that stays where it is while rotary axes turn and the
-linear axes follow.
+"""Static R-test: three probes measure a sphere that is nominally at rest while rotary axes turn and
+the linear axes follow.
 
-Where the machine thinks that it follows exactly, what the probes see is the error of rotary and
-linear axes together. Weikert, Knapp (2004), CIRP Annals 53(1), 429-432; Bringmann, Knapp (2006),
-CIRP Annals 55(1), 531-534; Ibaraki, Oyama, Otsubo (2011), Int. J. Mach. Tools Manuf. 51(3),
-190-200. The kinematic tests of ISO 10791-6 travel the same paths.
+The readings of the probes are the combined error of rotary and linear axes. Weikert, Knapp (2004),
+CIRP Annals 53(1), 429-432; Bringmann, Knapp (2006), CIRP Annals 55(1), 531-534; Ibaraki, Oyama,
+Otsubo (2011), Int. J. Mach. Tools Manuf. 51(3), 190-200. The kinematic tests of ISO 10791-6 travel
+the same paths.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,24 +30,27 @@ from .nest import COORDINATES, PROBES, Nest, NestSettings, PlaceOfRuns, reading_
 _XYZ = ("X", "Y", "Z")
 _ELEMENTS = tuple(i + j for i in _XYZ for j in _XYZ)
 _FEWEST = 4
-"""Rows of a run, of which one tells the place of the sphere."""
+"""Least number of rows of a run, one of which determines the position of the sphere."""
 _FOLDS = 5
-"""Parts of a run that are held out."""
+"""Number of parts of a run that are held out in turn."""
 
 
 class StaticRTestSettings(NestSettings):
     """Keys of ``[instrument]`` for ``kind = "static_r_test"``."""
 
     nest: Literal["spindle", "table"]
-    """Where the probes are; the sphere is at the other end."""
+    """Position of the probes; the sphere is at the other end."""
     zero_u_um: float = Field(ge=0, le=LARGEST_NOISE)
-    """Standard uncertainty of where the sphere, or the middle of the probes, is in the spindle: of
-    each coordinate against the declared tool offset. A rotary axis is found relative to it.
+    """Standard uncertainty of the position of the sphere, or of the middle of the probes, in the
+    spindle: of each coordinate relative to the declared tool offset. Positions of rotary axes are
+    relative to it.
     """
 
 
 class TablePlaces(PlaceOfRuns):
-    """Place of what is on the table, in the frame of the workpiece: three flat parameters a run."""
+    """Position of the sphere, or of the probes, on the table, in the frame of the workpiece: three
+    parameters per run with flat priors.
+    """
 
     name = "table_place"
     summary = "place of the sphere, or of the probes, on the table in each run"
@@ -55,8 +58,8 @@ class TablePlaces(PlaceOfRuns):
 
 
 class SpindleZero(Effect):
-    """Place of what is in the spindle against the declared tool offset, in the frame of the tool,
-    known with an uncertainty: the same in all runs.
+    """Position of the sphere, or of the probes, in the spindle relative to the declared tool
+    offset, in the frame of the tool, known with an uncertainty and the same in all runs.
     """
 
     name = "spindle_zero"
@@ -90,16 +93,18 @@ class NestMatrix(Effect):
 
 @register
 class StaticRTest(TableInstrument):
-    """Centre of the sphere as the probes see it, p in their frame. With the tool point t and the
-    tool's frame R in that of the workpiece, s the place of what is on the table and z that of what
-    is in the spindle against the declared tool offset,
+    """Centre p of the sphere in the frame of the probes.
+
+    With the tool point t and the rotation R of the tool in the frame of the workpiece, s the
+    position on the table and z the position in the spindle relative to the declared tool offset::
 
         p = (1 + S) R' (s - t - R z)        (probes in the spindle)
         p = (1 + S) (t + R z - s)           (probes on the table, which turn with it)
 
-    s stays the same in a run; it starts at the mean of the run's nominal tool points, which all
-    have to be within the range of the probes. An error of where the whole table is cannot be told
-    from z: rotary axes are found relative to what is in the spindle.
+    s is constant in a run; its initial value is the mean of the run's nominal tool points, which
+    must all be within the range of the probes. An error of the position of the whole table cannot
+    be separated from z: positions of rotary axes are relative to the sphere, or the probes, in the
+    spindle.
     """
 
     kind = "static_r_test"
@@ -112,7 +117,7 @@ class StaticRTest(TableInstrument):
     zero_sigma: float
     matrix_sigma: float
     in_spindle: bool = eqx.field(static=True)
-    """Whether the probes are there."""
+    """Whether the probes are in the spindle."""
     nest: Nest
     runs: tuple[int, ...] = eqx.field(static=True)
     places: np.ndarray
@@ -191,8 +196,8 @@ class StaticRTest(TableInstrument):
         return found
 
     def folds(self, plan: Plan) -> tuple[np.ndarray, bool]:
-        # A fifth of every run, one after the other in time, as neighbours share what drifts: the
-        # others tell where its sphere is.
+        # Fifths of every run, contiguous in time, as neighbours share a drift; the other fifths
+        # determine the position of the sphere.
         run, fold = np.asarray(plan.groups["run"]), np.zeros(plan.rows, int)
         for k in np.unique(run):
             mine = plan.in_time(np.flatnonzero(run == k))
@@ -219,7 +224,7 @@ def _check_runs(run: np.ndarray, runs: np.ndarray) -> None:
 
 
 def _check_turns(chain: Chain, run: np.ndarray, position: np.ndarray) -> None:
-    """Raise `StudyError` where no rotary axis turns: nothing but the place is seen then."""
+    """Raise `StudyError` where no rotary axis turns: only the position is observable then."""
     turning = [i for i, axis in enumerate(chain.axes) if axis in ROTARY]
     if not turning:
         raise KeyedError(
@@ -240,7 +245,7 @@ def _check_turns(chain: Chain, run: np.ndarray, position: np.ndarray) -> None:
 
 
 def _check_follows(chain: Chain, reach: float, run: np.ndarray, position: np.ndarray) -> None:
-    """Raise `RowError` where the nominal tool point leaves the place of its run."""
+    """Raise `RowError` where the nominal tool point leaves the mean position of its run."""
 
     def off(points: np.ndarray) -> np.ndarray:
         found = np.empty(len(run))

@@ -1,4 +1,4 @@
-"""Close the loop: find what a measurement says is missing, name it, add it, report the gain."""
+"""Close the loop: find, name and add the effects that a model lacks, and report the gain."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -21,21 +21,22 @@ from .notes import Facts, notes
 from .outcome.closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
 from .outcome.unexplained import from_structure
 from .residuals.vibration import vibration
+from .screening.candidates import UntestableError
 from .search.certainty import doubted, jump_time_uncertainty
 from .search.forward_selection import Added, place_of
 from .search.initial_shapes import initial_shapes
 from .search.search import Search
-from .search.state import State, at_noise_found, chi2_per_dof, fitted, scales_told
+from .search.state import State, at_noise_found, chi2_per_dof, fitted, reported_noise_scales
 from .settings import checked, classes_of
 from .weighing.cross_validation import check_rms, fit_rms, heldout_rms
 from .weighing.weighing import CERTAIN, Weighed
 
 _ROOM = 16
-"""Parameters that added effects may have before the solver must be compiled anew."""
+"""Parameters that added effects may have before the solver must be recompiled."""
 
 
-# The loop is many products of small matrices: a second BLAS thread gains nothing on an idle machine
-# and, waiting for a busy one, costs a multiple.
+# The loop consists of many products of small matrices. A second BLAS thread gains nothing on an
+# idle machine and slows a busy one down several times.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def close_loop(
     model: Model,
@@ -48,18 +49,26 @@ def close_loop(
     seed: int = 0,
     max_effects: int = 16,
     learn: bool = False,
+    require_testable: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Closure:
-    """Find, name and add what is missing from `model`.
+    """Find, name and add the effects that are missing from `model`.
 
-    Fit, screen every effect of the catalogue, pay for the search, refit the best, weigh it against
-    its rivals, check it on held-out readings, add it, and repeat until nothing is significant at
-    `alpha` (of the whole search). `effects` restricts the search to some classes, or names of the
-    catalogue; `check` adds the error at independent points; `learn` learns the
-    sizes of the declared families (`vcal.learn`) for the final fit, after the search.
-    `KeyboardInterrupt` ends the search with what is known so far; before the declared model is
-    fitted nothing is, and it passes on. Raises
-    `RuntimeError` in float32, and `ValueError` for settings out of their bounds (`LoopSettings`).
+    Fit, screen every effect of the catalogue with correction for the search, refit the best, weigh
+    it against its rivals, test it on held-out readings, add it, and repeat until nothing is
+    significant at `alpha` (for the whole search).
+
+    `effects` restricts the search to some classes, or names of the catalogue; with
+    `require_testable`, `UntestableError` is raised before any fit where the data can test none of
+    them. `check` adds the error at independent points. `draws` and `seed` define the null
+    residuals, `max_effects` limits the number of added effects. `learn` learns the sizes of the
+    declared families (`vcal.identification.family_sizes`) for the final fit, after the search.
+    `progress` receives a text before every step.
+
+    `KeyboardInterrupt` ends the search, and the result holds what was found so far; before the
+    declared model is fitted it is passed on. Raises `RuntimeError` in float32, `ValueError` for
+    settings out of their bounds (`LoopSettings`), and `LinAlgError` where the readings do not
+    determine the parameters.
     """
     checked(alpha=alpha, draws=draws, seed=seed, max_effects=max_effects, learn=learn)
     classes = classes_of(CATALOGUE.values() if effects is None else effects)
@@ -71,12 +80,16 @@ def close_loop(
         "learn": learn,
         "effects": [cls.name for cls in classes],
     }
-    progress("fitting the declared model")
-    # Room for the effects to come, so that the solver is compiled once.
+    # Room for further effects, so that the solver is compiled once.
     room = len(model.entries) + _ROOM
+    run = Search(check, classes, alpha, draws, seed, room, progress)
+    if require_testable:
+        tried, untestable = run.candidates(model, measurement)
+        if not tried:
+            raise UntestableError(untestable)
+    progress("fitting the declared model")
     state = fitted(model, measurement, None, room)
     before = state.fit
-    run = Search(check, classes, alpha, draws, seed, room, progress)
     interrupted = False
 
     def reached(found: State) -> None:
@@ -90,7 +103,7 @@ def close_loop(
         if run.unexplained is None:
             pruned, full = run.prune(state, reached), len(run.added(state)) >= max_effects
             if full and pruned is not state:
-                # What can be done without makes room for what could not be added: once.
+                # Effects that were removed make room for others: once.
                 pruned = run.rounds(pruned, max_effects, reached)
                 if run.unexplained is None:
                     pruned = run.prune(pruned, reached)
@@ -121,7 +134,7 @@ def close_loop(
     try:
         progress("comparing before and after")
         return _finish(run, model, before, state, settings, interrupted)
-    except KeyboardInterrupt:  # what was found is known, and the comparison takes a moment only
+    except KeyboardInterrupt:  # the result is known, and the comparison takes a moment only
         return _finish(run, model, before, state, settings, interrupted)
 
 
@@ -154,11 +167,11 @@ def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
 def _finish(
     run: Search, model: Model, before: Fit, state: State, settings: dict, interrupted: bool
 ) -> Closure:
-    """The result of a search: the final fit with the noise found, and the errors on the way from
-    the `model` that was declared.
+    """The result of a search: the final fit with the estimated noise, and the errors of the
+    declared `model` before and of the identified one after it.
     """
     nominal = _nominal(model, state, run.room)
-    noise, scales = scales_told(state)
+    noise, scales = reported_noise_scales(state)
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, run.room) for item in run.added(state)]
     found = [doubted(effect, state.fit, run.unexplained, run.untestable) for effect in found]
@@ -190,7 +203,7 @@ def _finish(
         check=run.check,
         unexplained=run.unexplained,
         vibration=swings,
-        suspected=state.strays,
+        suspected=state.outliers,
         rejected=still_rejected(run.rejected, found),
         untestable=run.untestable,
         unseen=[e.key for first in run.screenings[:1] for e in first.unseen],
@@ -222,14 +235,15 @@ def _finish(
 
 
 def still_rejected(rejected: Iterable[Rejected], found: Iterable[FoundEffect]) -> list[Rejected]:
-    """Without those that a later round added after all."""
+    """Rejected effects without those that a later round added."""
     added = {(item.effect.name, item.effect.placement) for item in found}
     return [r for r in rejected if (r.effect, r.placement) not in added]
 
 
 def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
-    """The measurement that would tell the best from its likeliest rivals, in columns of the data
-    file: of what some of them follow, that which the others do not.
+    """The measurement that would distinguish the best from its most probable rivals, in words.
+
+    It names the columns of the data file that one of them depends on and the others do not.
     """
     rivals, own = weighed.alternatives[:2], weighed.best.effect
     effects = {(r.effect.name, r.effect.placement): r.effect for _, r in weighed.instead[::-1]}
@@ -238,13 +252,14 @@ def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
     def columns(names: Iterable[str]) -> str:
         return " and ".join(dict.fromkeys(file_column(name, axes)[0] for name in names))
 
-    follows = own.betrayed_by
-    theirs = [name for other in others for name in other.betrayed_by]
+    follows = own.indicators
+    theirs = [name for other in others for name in other.indicators]
     if rivals and rivals[0][0] in {kind.name for kind in EMPIRICAL}:
-        # A description depends on the same; between the positions and times measured it differs.
+        # A description depends on the same covariate, and differs between the measured positions
+        # and times.
         return (
             f"measure at further values of {columns(follows) or 'its own covariate'}, between and "
-            "beyond those there are"
+            "beyond those measured"
         )
     if alone := [name for name in follows if name not in theirs]:
         beside = columns(name for name in theirs if name not in alone)
@@ -254,7 +269,7 @@ def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
     names = " and ".join(f"{name} {place}".strip() for name, place, _ in rivals)
     further = "moments and positions" if {*CLOCKS} & {*follows} else "positions"
     return (
-        f"it follows {columns(follows) or 'the same'}, and so does {names}: measure at further "
+        f"it depends on {columns(follows) or 'the same'}, and so does {names}: measure at further "
         f"{further}, where their errors differ"
     )
 
@@ -264,7 +279,7 @@ def _alternatives(weighed: Weighed) -> Alternatives:
 
 
 def _nominal(model: Model, state: State, room: int) -> Fit:
-    """The machine without any error, from the readings that the final fit uses."""
+    """The nominal machine without errors, from the readings that the final fit uses."""
     nuisances = tuple(e for e in model.effects if e.kind == "nuisance" or e.where == "instrument")
     bare = Model(model.chain, model.instrument, (*nuisances, *model.random))
     measurement, keep = state.fit.measurement, state.keep
@@ -275,7 +290,7 @@ def _nominal(model: Model, state: State, room: int) -> Fit:
 def errors(
     fit: Fit, check: CheckPoints | None, alternatives: Sequence[Alternatives] = ()
 ) -> Errors:
-    """How wrong a fitted model is, on all the data there are; what it may be instead is part of the
+    """Errors of a fitted model on all data. The alternatives to its effects are part of the
     uncertainty at the check points.
     """
     aligned, raw = (None, None) if check is None else check_rms(fit, check, alternatives)
@@ -283,8 +298,8 @@ def errors(
 
 
 def _by_set(fit: Fit) -> dict[str, SetErrors]:
-    """Errors of every data set, where there are several; the degrees of freedom of one are its
-    readings less its own part of tr(J H^-1 J').
+    """Errors by data set, where there are several. The degrees of freedom of a data set are its
+    readings less its part of tr(J H^-1 J').
     """
     plan = fit.measurement.plan
     if not plan.sets:

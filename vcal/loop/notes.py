@@ -1,4 +1,4 @@
-"""What is said of a result beside its numbers: what to mind, and what to do about it."""
+"""Notes on a result: what a user should know besides its numbers, what it means, and remedies."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -29,35 +29,37 @@ from .weighing.cross_validation import Rms, check_rms, fit_rms, predicted_rms
 from .weighing.rivals import Rival
 
 _NO_MACHINE_UM = 2000.0
-"""What remains of a fit beyond which the data are not what they are said to be, um."""
+"""Size of the residual, um, beyond which the data are not what they are declared to be."""
 _ALIGNED = 0.1
-"""Share of that which may be left after a rigid alignment, where it is one place that is wrong."""
+"""Largest ratio of the error after rigid alignment to that before, where a common offset is wrong.
+"""
 _MANY = 50.0
-"""Degrees of freedom from which a search is worth its name."""
+"""Degrees of freedom below which a search finds only large effects."""
 _BEYOND = 0.1
-"""Share of the span that was measured, and of the check points, from which on these are beyond."""
+"""Share of the measured range beyond which a point is outside it, and least share of such check
+points that is reported."""
 _SURELY, _FURTHER = 3.0, 1.5
-"""Standard uncertainties by which an error at the check points is surely beyond so many times what
-is foretold."""
+"""Standard uncertainties, and multiple of the predicted error, by which the error at the check
+points significantly exceeds it."""
 _FEW_POINTS = 10
-"""Check points below which an alignment takes a part of the error that is worth a word."""
+"""Number of check points below which the alignment removes a relevant part of the error."""
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What closing a loop has come to."""
+    """The results that the notes are made from."""
 
     before: Fit
     after: Fit
     errors: Mapping[Literal["uncompensated", "before", "after"], Errors]
-    """Of the nominal machine, and before and after closing the loop."""
+    """Of the nominal machine, before and after closing the loop."""
     check: CheckPoints | None
     found: Sequence[FoundEffect]
     added: Sequence[Added]
-    """The same as the search has them."""
+    """`found` as the search has them."""
     state: State
     scales: Mapping[str, float]
-    """Noise found of every data set, in what is declared."""
+    """Estimated noise of every data set, in units of the declared noise."""
     unexplained: Unexplained | None
     untestable: Sequence[Untestable]
     vibration: Vibration | None
@@ -71,17 +73,17 @@ class Facts:
 
     @property
     def described(self) -> Rival | None:
-        """What describes what is unexplained."""
+        """The empirical description of what is unexplained."""
         return self.unexplained.empirical if self.unexplained is not None else None
 
 
 def notes(facts: Facts) -> list[str]:
-    """All that is to be said, in the order in which it matters."""
+    """All notes, the most important first."""
     return [note for about in _NOTES for note in about(facts)]
 
 
-def _contradicting(facts: Facts) -> list[str]:
-    """That the data contradict what was declared."""
+def _inconsistent_data_sets(facts: Facts) -> list[str]:
+    """Note where the data sets are inconsistent."""
     if facts.interrupted:
         return []
     apart = data_set_consistency(facts.before, facts.after, facts.room)
@@ -89,8 +91,8 @@ def _contradicting(facts: Facts) -> list[str]:
 
 
 def _elsewhere(facts: Facts) -> list[str]:
-    """That the check points as a whole are not where the machine is, where no machine is so wrong:
-    of another frame, or of another tool.
+    """Note where a common offset of the check points is larger than any machine error: another
+    frame, or another tool.
     """
     after = facts.errors["after"]
     if after.check is None or after.check_raw is None:
@@ -99,25 +101,31 @@ def _elsewhere(facts: Facts) -> list[str]:
     if raw < _NO_MACHINE_UM or aligned > _ALIGNED * raw:
         return []
     return [
-        f"the check points as a whole are {raw / 1e3:.3g} mm off: they are of another tool offset, "
-        "or in another frame; the error after alignment, which leaves that out, is the one to go by"
+        f"the check points have a common offset of {raw / 1e3:.3g} mm, larger than any machine "
+        "error: their tool offset or their frame differs from that of the data; use the error "
+        "after alignment, which excludes the offset, or give the check points in the frame of "
+        "the data"
     ]
 
 
 def _few_check_points(facts: Facts) -> list[str]:
-    """That a rigid alignment takes six numbers of the errors of few points."""
+    """Note where few check points make the rigid alignment, with six parameters, absorb a part of
+    the error.
+    """
     count = 0 if facts.check is None else facts.check.plan.rows
     if not 0 < count < _FEW_POINTS:
         return []
     return [
-        f"there are {count} check points only, and their rigid alignment takes six of the "
-        f"{3 * count} numbers that they tell: the error elsewhere is larger than there after "
-        "alignment; more points tell it"
+        f"there are only {count} check points, and the rigid alignment is fitted with six "
+        f"parameters to their {3 * count} coordinates: the error elsewhere is larger than theirs "
+        "after alignment; measure more check points"
     ]
 
 
 def _not_at_the_check(facts: Facts) -> list[str]:
-    """That the error at the check points leaves out effects for want of a column, where it does."""
+    """Note on effects that the error at the check points leaves out because a column is missing
+    there.
+    """
     check = facts.check
     if check is None:
         return []
@@ -128,17 +136,17 @@ def _not_at_the_check(facts: Facts) -> list[str]:
     }
     axes = facts.plan.axes
     return [
-        f"{key} is not in the error at the check points, which have no "
-        f"{' and no '.join(file_column(name, axes)[0] for name in missing)}: it is that of the "
-        "machine without it there; record it with the check points"
+        f"{key} is not included in the error at the check points, which have no "
+        f"{' and no '.join(file_column(name, axes)[0] for name in missing)}: this error is that of "
+        "the machine without the effect; record these columns with the check points"
         for key, missing in lacking.items()
         if missing
     ]
 
 
 def _beyond_at_the_check(facts: Facts) -> list[str]:
-    """Which of the effects found are foretold at the check points for times, temperatures or other
-    conditions that were not measured: how they go on there no reading tells.
+    """Note on effects whose prediction at the check points extrapolates times, temperatures or
+    other conditions beyond the measured range.
     """
     check = facts.check
     if check is None:
@@ -155,49 +163,51 @@ def _beyond_at_the_check(facts: Facts) -> list[str]:
             share = float(((asked < low - room) | (asked > high + room)).mean())
             if share > _BEYOND:
                 said.append(
-                    f"{item.effect.key} is foretold for {100 * share:.2g} % of the check points "
-                    f"beyond what was measured ({column} {low:.4g} to {high:.4g}, there "
-                    f"{asked.min():.4g} to {asked.max():.4g}): whether it goes on as it did is not "
-                    "part of the uncertainty"
+                    f"{item.effect.key} is extrapolated at {100 * share:.2g} % of the check "
+                    f"points, beyond the measured range ({column} {low:.4g} to {high:.4g}, at the "
+                    f"check points {asked.min():.4g} to {asked.max():.4g}): the uncertainty does "
+                    "not include the error of the extrapolation; measure over the whole range"
                 )
     return said
 
 
 def _worse(facts: Facts) -> list[str]:
-    """That held-out readings or check points speak against what was found, where they do."""
+    """Note where held-out readings or check points contradict what was found."""
     before, after = facts.errors["before"], facts.errors["after"]
-    what = "what was found describes" if facts.found else "the noise that was found suits"
+    what = "the effects found describe" if facts.found else "the estimated noise suits"
     compared = (
-        ("held-out readings are foretold worse", before.heldout, after.heldout),
+        ("held-out readings are predicted worse", before.heldout, after.heldout),
         ("the error at the check points is larger", before.check, after.check),
     )
     return [
-        f"{said} after closing the loop ({_um(new)}) than before ({_um(old)}): {what} the readings "
-        "that were fitted, no more, and is not to be relied on"
+        f"{said} after closing the loop ({_um(new)}) than before ({_um(old)}): {what} only the "
+        "readings that were fitted; do not rely on the result without a further measurement"
         for said, old, new in compared
         if old is not None and new is not None and new.value - old.value > math.hypot(old.u, new.u)
     ]
 
 
-def _beyond_what_is_foretold(facts: Facts) -> list[str]:
-    """That the machine is off at the check points by more than what the readings leave open."""
+def _beyond_prediction(facts: Facts) -> list[str]:
+    """Note where the error at the check points significantly exceeds its prediction by the
+    posterior.
+    """
     check, after = facts.check, facts.errors["after"].check
     if check is None or after is None or facts.unexplained is not None:
         return []
-    foretold = predicted_rms(facts.after, check)
-    if after.value - _SURELY * after.u <= _FURTHER * foretold:
+    predicted = predicted_rms(facts.after, check)
+    if after.value - _SURELY * after.u <= _FURTHER * predicted:
         return []
     return [
-        f"the error at the check points is {_um(after)}, where what is declared and what was found "
-        f"foretell {foretold:.3g} µm: these readings do not show all that the machine or the "
-        "instrument has, or the declared family is too narrow; measure in another way, or from "
-        "another place, what they may have taken for the machine's own errors"
+        f"the error at the check points is {_um(after)}, larger than the {predicted:.3g} µm "
+        "predicted from the declared and identified errors: the readings do not show all errors of "
+        "the machine or the instrument, or the declared family is too narrow; measure with another "
+        "instrument or from another place, or declare a wider family"
     ]
 
 
 def _described_at_the_check(facts: Facts) -> list[str]:
-    """What the error at the check points would be with the description of what is unexplained,
-    where that is most of its uncertainty.
+    """Note on the error at the check points with the description of what is unexplained, where that
+    makes up most of its uncertainty.
     """
     described, check, after = facts.described, facts.check, facts.errors["after"]
     if described is None or check is None or after.check is None:
@@ -207,46 +217,47 @@ def _described_at_the_check(facts: Facts) -> list[str]:
     if not apart > math.sqrt(0.5) * after.check.u:
         return []
     return [
-        f"the error at the check points is {_um(after.check)}: with what describes what is "
-        f"unexplained ({in_words(described.effect)}) it would be {value:.3g} µm, which is "
-        "most of its uncertainty"
+        f"the error at the check points is {_um(after.check)}; with the empirical description of "
+        f"what is unexplained ({in_words(described.effect)}) it would be {value:.3g} µm, which is "
+        "most of its uncertainty: find the cause of what is unexplained first"
     ]
 
 
-def _untold(facts: Facts) -> list[str]:
-    """Which parameters of the effects that were `found` are as uncertain as before: such as an
+def _poorly_determined(facts: Facts) -> list[str]:
+    """Note on parameters of the found effects whose uncertainty is that of the prior, such as an
     acceleration in a direction in which nothing moved.
     """
-    told = zip(facts.after.entries, facts.after.information, strict=True)
-    hardly = [(key, p.name) for (key, p), share in told if share < HARDLY_TOLD]
+    shares = zip(facts.after.entries, facts.after.information, strict=True)
+    hardly = [(key, p.name) for (key, p), share in shares if share < HARDLY_TOLD]
     return [
-        f"{key}: the readings say next to nothing of {', '.join(names)}; what is given is what "
-        "was known before"
+        f"{key}: the readings poorly determine {', '.join(names)}; the values and uncertainties "
+        "given are those of the prior; measure where the effect would be larger"
         for key in dict.fromkeys(item.effect.key for item in facts.found)
         if (names := [name for its, name in hardly if its == key])
     ]
 
 
 def _noise(facts: Facts) -> list[str]:
-    """That the readings scatter otherwise than declared."""
+    """Note where the readings scatter differently from what is declared."""
     noise = facts.state.noise
     if noise is not None and noise.uneven:
         each = ", ".join(
             f"{part.name} {part.factor:.2f}" for part in noise.parts if part.u == part.u
         )
         return [
-            f"the readings do not scatter alike, in parts of what is declared: {each}; tests and "
-            "uncertainties are with these, or what is declared where that is larger"
+            "the kinds of reading differ in the ratio of their noise to the declared noise: "
+            f"{each}; tests and uncertainties use these ratios, uncertainties at least the "
+            "declared noise; check the declared noise"
         ]
     return [
         f"the readings{f' of {name}' if name else ''} scatter "
         f"{'at most ' if noise <= LEAST_NOISE else ''}{max(noise, LEAST_NOISE):.2f} times as "
         "much as declared; uncertainties "
         + (
-            "are scaled accordingly"
+            "are scaled accordingly; check the declared noise"
             if noise > 1
-            else "are left as declared, and what was known before counts for more than it "
-            "would with the noise that was found"
+            else "stay as declared, and the priors have more weight than with the estimated noise; "
+            "declare a smaller noise if that is plausible"
         )
         for name, noise in facts.scales.items()
         if noise != 1.0
@@ -254,56 +265,57 @@ def _noise(facts: Facts) -> list[str]:
 
 
 def _little_left(facts: Facts) -> list[str]:
-    """That there are hardly more readings than parameters."""
+    """Note where there are hardly more readings than parameters."""
     dof = facts.state.fit.dof
     if dof >= _MANY:
         return []
     return [
-        f"only {dof:.0f} degrees of freedom are left beside what is declared: "
-        "effects that are not large go unseen"
+        f"only {dof:.0f} degrees of freedom are left beside the declared model, so that only large "
+        "effects can be detected; measure more points, or declare fewer parameters"
     ]
 
 
 def _blank(facts: Facts) -> list[str]:
-    """Which rows are left out as a reading of them is blank."""
+    """Note on rows that are left out because a reading is blank."""
     return [
         f"left out: {rows_in_words(rows)} of {file}, as a reading is blank"
         for file, rows in facts.after.measurement.blank.items()
     ]
 
 
-def _stray(facts: Facts) -> list[str]:
-    """That more readings are stray than are left out, and which of those may not be."""
+def _outliers(facts: Facts) -> list[str]:
+    """Notes on outliers: more than may be left out, and those that may be a displacement."""
     plan, fit, said = facts.plan, facts.state.fit, []
-    if astray := too_many(fit):
-        rows = ", ".join(
-            plan.row_name(s.row) for s in sorted(astray, key=lambda s: -s.distance)[:5]
-        )
+    if found := too_many(fit):
+        rows = ", ".join(plan.row_name(s.row) for s in sorted(found, key=lambda s: -s.distance)[:5])
         said.append(
-            f"{len(astray)} rows of {fit.used.sum()} are too far out for noise, at random "
-            f"places: more stray readings than are left out; look at them first ({rows}, ...)"
+            f"{len(found)} rows of {fit.used.sum()} are outliers at random places, more than may "
+            f"be left out; check these readings first ({rows}, ...), and remove or repeat them"
         )
     said += [
-        f"row {plan.row_name(row)}, left out, is {where}: had something moved there and stayed, "
-        "that would look the same; more readings of the same would tell"
-        for row, where in at_an_end(fit, [s.row for s in facts.state.strays]).items()
+        f"row {plan.row_name(row)}, left out as an outlier, is {where}: a displacement at that "
+        "moment would look the same; more readings there would distinguish the two"
+        for row, where in at_an_end(fit, [s.row for s in facts.state.outliers]).items()
     ]
     return said
 
 
 def _other_shapes(facts: Facts) -> list[str]:
-    """Other pitches and moments of what was found."""
+    """Note on other pitches and moments of the found effects."""
     return [
         f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well (probability "
-        f"{100 * probability:.2g} %): these positions and times hardly tell them apart"
+        f"{100 * probability:.2g} %): these positions and times hardly distinguish them; measure "
+        "at further ones"
         for item in facts.added
         for shape, probability in item.weighed.other_shapes
     ]
 
 
-def _went_together(facts: Facts) -> list[str]:
-    """What went together with what an effect follows, and that nobody recorded the time."""
-    names = [name for item in facts.added for name in item.effect.betrayed_by]
+def _confounding(facts: Facts) -> list[str]:
+    """Notes on covariates that are confounded with what an effect depends on, and on a time that
+    was not recorded.
+    """
+    names = [name for item in facts.added for name in item.effect.indicators]
     first = facts.unexplained.depends_on[:1] if facts.unexplained is not None else []
     return [
         *confounded(facts.plan, [*names, *first]),
@@ -312,12 +324,12 @@ def _went_together(facts: Facts) -> list[str]:
 
 
 def _no_machine(facts: Facts) -> list[str]:
-    """That what remains is nothing that a machine is off by."""
+    """Note where the residual is larger than any machine error."""
     worst = fit_rms(facts.state.fit).value
     if worst <= _NO_MACHINE_UM or chi2_per_dof(facts.state.fit) <= 1e4:
         return []
     return [
-        f"what remains is {worst / 1e3:.3g} mm, which no machine is off by: compare the "
+        f"the residual is {worst / 1e3:.3g} mm, larger than any machine error: compare the "
         "columns, signs and units of the first rows with what was measured"
     ]
 
@@ -325,11 +337,14 @@ def _no_machine(facts: Facts) -> list[str]:
 def _unconverged(facts: Facts) -> list[str]:
     if facts.state.fit.converged:
         return []
-    return ["the final fit did not converge: its numbers are not to be relied on"]
+    return [
+        "the final fit did not converge, and its numbers are unreliable: declare fewer free "
+        "parameters, or measure more points"
+    ]
 
 
 def _vibrating(facts: Facts) -> list[str]:
-    """A vibration, where it is not told with what is unexplained."""
+    """Note on a vibration, where the verdict does not mention it."""
     if facts.vibration is None or facts.unexplained is not None:
         return []
     return [facts.vibration.words]
@@ -346,21 +361,21 @@ def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
 
 
 _NOTES = (
-    _contradicting,
+    _inconsistent_data_sets,
     _elsewhere,
     _few_check_points,
     _not_at_the_check,
     _beyond_at_the_check,
     _worse,
-    _beyond_what_is_foretold,
+    _beyond_prediction,
     _described_at_the_check,
-    _untold,
+    _poorly_determined,
     _noise,
     _little_left,
     _blank,
-    _stray,
+    _outliers,
     _other_shapes,
-    _went_together,
+    _confounding,
     _no_machine,
     _unconverged,
     _vibrating,
@@ -368,18 +383,19 @@ _NOTES = (
 
 
 _FACTOR = 2.0
-"""Of chi2 per degree of freedom together over that of every data set alone, from which they are
-taken to contradict each other: what is missing from all of them shows in each."""
+"""Ratio of chi-square per degree of freedom of all data sets together to that of each alone, from
+which they are inconsistent. An effect that is missing from all of them shows in each."""
 _CHANCE = 1e-3
-"""Probability by chance below which what is added by fitting them together counts."""
+"""Probability by chance of the chi-square that is added by fitting them together."""
 
 
 def data_set_consistency(before: Fit, after: Fit, room: int) -> str:
-    """That the data sets do not fit one machine, in words; empty where they do, or there is one.
+    """Sentence where the data sets do not fit one machine; empty where they do, or there is only
+    one.
 
-    The readings that the declared model leaves by every data set `alone`, against what it leaves
-    together, also with what was found: (dX / dn) / (X / n) is F with dn and n degrees of freedom
-    where one machine has made all of them.
+    The chi-square X that remains when the declared model is fitted to each data set `alone` is
+    compared with that of the common fit, before or after the search: (dX / dn) / (X / n) has the F
+    distribution with dn and n degrees of freedom where one machine produced all of them.
     """
     parts = before.measurement.plan.parts
     if len(parts) < 2:
@@ -388,7 +404,7 @@ def data_set_consistency(before: Fit, after: Fit, room: int) -> str:
     if any(fit.dof <= 1.0 for fit in each.values()):
         return ""
     own = {name: chi2_per_dof(fit) for name, fit in each.items()}
-    # What was found may be just what makes one machine of them, or what pulls them further apart.
+    # The effects found may be what makes the data sets consistent, or what makes them less so.
     together, fit = min(((chi2_per_dof(f), f) for f in (before, after)), key=lambda pair: pair[0])
     n = sum(one.dof for one in each.values())
     squares = sum(own[name] * one.dof for name, one in each.items())
@@ -401,13 +417,13 @@ def data_set_consistency(before: Fit, after: Fit, room: int) -> str:
     return (
         f"the data sets do not fit one machine: chi² per degree of freedom is {together:.3g} where "
         f"they are fitted together, but {said} where each is fitted alone with the declared model; "
-        "check that they are of one machine with the same tool, units and mounting, or study them "
-        "alone"
+        "check that they are of one machine with the same tool, units and mounting, or evaluate "
+        "each alone"
     )
 
 
 def alone(fit: Fit, rows: np.ndarray, room: int) -> Fit:
-    """The model of a fit, identified from one data set: without what acts in others only."""
+    """The model of a fit, identified from one data set, without effects that act in others only."""
     model, plan = fit.model, fit.measurement.plan
     places = [i for i, e in enumerate(model.effects) if (np.asarray(e.rows(plan)) & rows).any()]
     mine = tuple(model.effects[i] for i in places)

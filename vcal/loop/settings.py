@@ -1,4 +1,4 @@
-"""``[loop]``: how the missing effect is looked for, within which bounds."""
+"""``[loop]``: settings of the search for missing effects, with their bounds."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -10,18 +10,19 @@ from ..effects.registry import effect_class
 
 
 class LoopSettings(BaseModel):
-    """``[loop]``: how the missing effect is looked for."""
+    """``[loop]``: settings of the search for missing effects."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     alpha: float = Field(default=0.01, gt=0, lt=1)
-    """Share of clean measurements in which the whole loop may name an effect."""
+    """Probability that the whole loop names an effect in a clean measurement."""
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
     effects: tuple[str, ...] | None = Field(default=None, min_length=1)
     """Identifiers of the effects to try; all of the catalogue by default."""
     draws: int = Field(default=500, ge=25, le=1_000_000)
-    """Null draws behind a significance: fewer do not tell how rare the rarest of them is."""
+    """Null draws for the p-values. With fewer, the tail of the null distribution is poorly known.
+    """
     max_effects: int = Field(default=16, ge=0)
-    """Effects after which the loop stops."""
+    """Number of effects after which the loop stops."""
     learn: bool = False
     """Whether the families' sizes are learned for the final fit, after the search."""
 
@@ -39,9 +40,9 @@ def checked(**settings: Any) -> LoopSettings:
 
 
 def classes_of(effects: Iterable[type[Effect] | str]) -> list[type[Effect]]:
-    """The classes of effects to try, of which names are those of the catalogue.
+    """The classes of the given effects; names are those of the catalogue.
 
-    Raises `ValueError` for what is neither, and for a name that is not known.
+    Raises `ValueError` for an unknown name, and for anything that is neither a class nor a name.
     """
     given = [effects] if isinstance(effects, str) else list(effects)
     found = [effect_class(one) if isinstance(one, str) else one for one in given]

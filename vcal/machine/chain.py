@@ -1,13 +1,17 @@
 """Serial kinematic chains of prismatic and revolute joints.
 
-Conventions (stated here once): frames are right-handed; error = actual - nominal. A prismatic joint
-translates by its position along its nominal direction plus its error translation, then rotates by
-its error rotation about its own moving frame, then comes what it carries. A joint on the workpiece
-side moves against its own command, and its errors live in its own frame all the same. A rotary axis
-(ISO 230-1) is displaced by its error translation, tilted by its error rotation about its reference
-point, and turns about the axis that is there: its errors are seen from what carries it and do not
-turn with it. A revolute joint (standard DH) rotates by theta + q about z, then comes the error
-twist, then d, a, alpha: its errors turn with it.
+Conventions (stated here once):
+
+- Frames are right-handed; error = actual - nominal.
+- A prismatic joint translates by its position along its nominal direction plus its error
+  translation, then rotates by its error rotation about its own moving frame. What it carries
+  follows.
+- A joint on the workpiece side moves against its own command; its errors are in its own frame too.
+- A rotary axis (ISO 230-1) is displaced by its error translation and tilted by its error rotation
+  about its reference point, then rotates about the displaced and tilted axis. Its errors are in the
+  frame of what carries it, and do not rotate with it.
+- A revolute joint (standard DH) rotates by theta + q about z, then has its error twist, then d, a
+  and alpha. Its errors rotate with it.
 """
 
 import re
@@ -41,11 +45,11 @@ _DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 _ABOUT = dict(zip("ABC", _DIRECTIONS.values(), strict=True))
 """Nominal directions of rotary axes: A turns about X, B about Y, C about Z (ISO 841)."""
 UPRIGHT = "+Z"
-"""The axis that points against gravity where nothing is said."""
+"""The axis that points against gravity by default."""
 
 
 class Joint(Record):
-    """One joint: what it does nominally, and where its six error ports act."""
+    """One joint: its nominal motion, and the frame of its six error ports."""
 
     name: str = eqx.field(static=True)
     kind: Literal["prismatic", "rotary", "revolute"] = eqx.field(static=True)
@@ -67,7 +71,7 @@ class Joint(Record):
 
     @property
     def around(self) -> bool:
-        """Whether it turns all the way round, so that its errors come round with it."""
+        """Whether it turns by 360 degrees or more, so that its errors are periodic."""
         low, high = np.asarray(self.travel)
         return self.turns and bool(high - low >= 2.0 * np.pi * (1.0 - 1e-9))
 
@@ -78,7 +82,7 @@ class Joint(Record):
 
 
 class _Hinge(NamedTuple):
-    """Where the motion and the errors of one joint act, in the bed's frame."""
+    """Lines and points of the motion and the errors of one joint, in the frame of the bed."""
 
     drive: Vector
     """Direction of its motion."""
@@ -102,7 +106,7 @@ class Chain(Record):
     tool_offset: Float[Array, "3"]
     """From the last joint's frame to the tool point, m."""
     text: str = eqx.field(static=True, default="")
-    """The chain as it was declared, for reports."""
+    """The declaration of the chain, for reports."""
     up: tuple[float, float, float] = eqx.field(static=True, default=(0.0, 0.0, 1.0))
     """Unit vector against gravity in the frame of the bed, or of an arm's base."""
 
@@ -123,11 +127,13 @@ class Chain(Record):
     def pose(
         self, q: Sequence[Scalar], twists: Sequence[Sequence[Scalar]]
     ) -> tuple[Rotation, Vector]:
-        """Pose of the last joint's frame in the workpiece frame, T = T_w^-1 T_t, for one row.
+        """Pose of the last joint's frame in the workpiece frame, T = T_w^-1 T_t, for one row: the
+        rotation and the translation (m).
 
-        `q` are the axis positions, `twists` six errors per joint. The derivative is that of a
-        serial chain: every motion moves what it carries by a translation, or by w x (p - origin).
-        Raises `NotImplementedError` where it is differentiated by the chain's own dimensions.
+        `q` are the axis positions (m or rad), `twists` six errors per joint (m, rad). The
+        derivative is that of a serial chain: every motion displaces what it carries by a
+        translation, or by w x (p - origin). Raises `NotImplementedError` where the pose is
+        differentiated with respect to the dimensions of the chain.
         """
         return _pose(self, tuple(q), tuple(tuple(twist) for twist in twists))
 
@@ -135,8 +141,8 @@ class Chain(Record):
         self, q: Float[Array, " axes"], twists: Float[Array, "axes 6"]
     ) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
         """`pose` in arrays: R (3, 3) and t (3,)."""
-        rt, pt, _ = self._walk(self.tool_side, q, twists, ARRAYS)
-        rw, pw, _ = self._walk(self.workpiece_side, q, twists, ARRAYS)
+        rt, pt, _ = self._frames_along(self.tool_side, q, twists, ARRAYS)
+        rw, pw, _ = self._frames_along(self.workpiece_side, q, twists, ARRAYS)
         return rw.T @ rt, rw.T @ (pt - pw)
 
     def jacobian(
@@ -144,12 +150,12 @@ class Chain(Record):
     ) -> tuple[Array, Array, Array, Array]:
         """`pose` in arrays and its derivative by the twists, for a point of the last joint's frame.
 
-        R (3, 3), the point t + R offset (3,), what moves it (3, 6 axes) and what turns R (3, 6
-        axes; dR = skew(w) R), all in the workpiece frame: the geometric Jacobian of a serial chain,
-        of which every column is read off where its joint stands.
+        Returns R (3, 3), the point t + R offset (3,), the derivative of the point (3, 6 axes) and
+        of the rotation (3, 6 axes; dR = skew(w) R), all in the workpiece frame. This is the
+        geometric Jacobian of a serial chain; every column follows from the pose of its joint.
         """
-        rt, pt, tool = self._walk(self.tool_side, q, twists, ARRAYS)
-        rw, pw, work = self._walk(self.workpiece_side, q, twists, ARRAYS)
+        rt, pt, tool = self._frames_along(self.tool_side, q, twists, ARRAYS)
+        rw, pw, work = self._frames_along(self.workpiece_side, q, twists, ARRAYS)
         point = pt + rt @ offset
         moved, turned = (
             [jnp.zeros((3, 6))] * len(self.joints),
@@ -171,10 +177,10 @@ class Chain(Record):
             back @ jnp.concatenate(turned, 1),
         )
 
-    def _walk(
+    def _frames_along(
         self, side: Sequence[int], q: Any, twists: Any, algebra: Algebra = COMPONENTS
     ) -> tuple[Any, Any, list[_Hinge]]:
-        """Pose of the last frame of one side in the bed's frame, and the joints on the way."""
+        """Pose of the last frame of one side in the frame of the bed, and the joints before it."""
         r, t = algebra.identity, algebra.origin
         hinges = []
         for i in side:
@@ -210,7 +216,7 @@ class Chain(Record):
         dq: Sequence[Scalar],
         dtwists: Sequence[Sequence[Scalar]],
     ) -> tuple[Vector, Vector]:
-        """Displacement of a point carried by one side, and the rotation with it."""
+        """Displacement of a point carried by one side, and the rotation of the last frame."""
         moved, turned = ORIGIN, ORIGIN
         for i, hinge in zip(side, hinges, strict=True):
             spin = hinge.drive * dq[i]
@@ -225,7 +231,7 @@ class Chain(Record):
 
     @property
     def arm(self) -> bool:
-        """Whether it is an arm of revolute joints, the errors of whose links are not small."""
+        """Whether it is an arm of revolute joints, whose link errors are not small."""
         return any(joint.kind == "revolute" for joint in self.joints)
 
     @property
@@ -246,9 +252,10 @@ class Chain(Record):
     def _nominal(
         self, side: Sequence[int], q: Float[np.ndarray, "n axes"]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """`_walk` without errors, all rows at once: R (n, 3, 3) and t (n, 3).
+        """`_frames_along` without errors for all rows: R (n, 3, 3) and t (n, 3).
 
-        In numpy: the first call of every operation of jax takes a compilation, a hundred here.
+        In numpy, because the first call of every operation of jax takes a compilation, a hundred
+        here.
         """
         q = np.asarray(q, float)
         r, t = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
@@ -265,15 +272,15 @@ class Chain(Record):
         return r, t
 
     def frames(self, q: Float[Array, " axes"]) -> tuple[Array, Array]:
-        """Nominal frame of every joint before its motion, in the bed frame: R (axes, 3, 3) and
-        origin (axes, 3); for gravity torques.
+        """Nominal frame of every joint before its motion, in the frame of the bed: R (axes, 3, 3)
+        and origin (axes, 3), m; for gravity torques.
         """
         still = jnp.zeros((len(self.joints), 6))
         rotations: list[Array] = [jnp.eye(3)] * len(self.joints)
         origins: list[Array] = [jnp.zeros(3)] * len(self.joints)
         for side in (self.tool_side, self.workpiece_side):
             for k, i in enumerate(side):
-                r, t, _ = self._walk(side[:k], q, still, ARRAYS)
+                r, t, _ = self._frames_along(side[:k], q, still, ARRAYS)
                 before = self.joints[i].before
                 rotations[i], origins[i] = r @ before[:3, :3], t + r @ before[:3, 3]
         return jnp.stack(rotations), jnp.stack(origins)
@@ -281,8 +288,8 @@ class Chain(Record):
 
 @eqx.filter_custom_jvp
 def _pose(chain: Chain, q, twists):
-    rt, pt, _ = chain._walk(chain.tool_side, q, twists)
-    rw, pw, _ = chain._walk(chain.workpiece_side, q, twists)
+    rt, pt, _ = chain._frames_along(chain.tool_side, q, twists)
+    rw, pw, _ = chain._frames_along(chain.workpiece_side, q, twists)
     return rw.T @ rt, rw.T @ (pt - pw)
 
 
@@ -291,20 +298,20 @@ def _(primals, tangents):
     chain, q, twists = primals
     if jax.tree.leaves(tangents[0]):
         raise NotImplementedError(
-            "the pose of a chain has no derivative with respect to the chain's own dimensions; "
+            "the pose of a chain has no derivative with respect to the dimensions of the chain; "
             "give them as errors, or differentiate Chain.pose_as_arrays"
         )
-    # What is not varied has no tangent, and drops out of the expression.
+    # Arguments that are not varied have no tangent, and drop out of the expression.
     still = lambda v: 0.0 if v is None else v  # noqa: E731
     dq = jax.tree.map(still, tangents[1], is_leaf=lambda v: v is None)
     dtwists = jax.tree.map(still, tangents[2], is_leaf=lambda v: v is None)
-    rt, pt, tool = chain._walk(chain.tool_side, q, twists)
-    rw, pw, work = chain._walk(chain.workpiece_side, q, twists)
+    rt, pt, tool = chain._frames_along(chain.tool_side, q, twists)
+    rw, pw, work = chain._frames_along(chain.workpiece_side, q, twists)
     moved, turned = chain._velocity(chain.tool_side, tool, pt, twists, dq, dtwists)
     back, undone = chain._velocity(chain.workpiece_side, work, pt, twists, dq, dtwists)
     r, t = rw.T @ rt, rw.T @ (pt - pw)
     slopes = spun(r, rw.T @ (turned - undone)), rw.T @ (moved - back)
-    # A component that does not change is a number; its tangent must look like the component.
+    # A constant component is a number; its tangent must have the type of the component.
     return (r, t), jax.tree.map(like, slopes, (r, t))
 
 
@@ -318,17 +325,16 @@ def chain_from_string(
     """A machine tool from its ISO 10791-6 description, such as ``"w X b Y Z t"`` or, with rotary
     axes A, B or C, ``"w C A b X Y Z t"``.
 
-    Everything between ``b`` (bed) and ``t`` (tool) carries the tool, everything between ``w``
-    (workpiece) and ``b`` carries the workpiece. The seeds' way to write the same without spaces
-    and with ``F`` or ``b`` for the bed (``"XFYZ"``) is understood too. `travel` is in m or rad;
-    `rotary_m` gives a point on every rotary axis with all axes at zero, m: its reference point,
-    about which it tilts. The frame of the machine is the one in which the tool point is then at the
-    tool offset. `up` is the axis that points against gravity, ``"+Y"`` where the spindle is
-    horizontal.
+    Axes between ``b`` (bed) and ``t`` (tool) carry the tool, axes between ``w`` (workpiece) and
+    ``b`` carry the workpiece. The short form without spaces, with ``F`` or ``b`` for the bed
+    (``"XFYZ"``), is accepted too. `travel` is in m or rad. `rotary_m` gives a point on every rotary
+    axis with all axes at zero, m: its reference point, about which it tilts. In the frame of the
+    machine, the tool point is then at the tool offset `tool_offset_m`, m. `up` is the axis that
+    points against gravity, ``"+Y"`` where the spindle is horizontal.
 
-    Raises `ValueError` if the string does not start at ``w`` and end at ``t`` with one bed in
-    between, or names an axis twice, or one that is none of X, Y, Z, A, B and C; if `rotary_m`
-    does not say where one of its rotary axes is, or says so of another.
+    Raises `ValueError` if the string does not start with ``w`` and end with ``t`` with one bed in
+    between, if it names an axis twice or an axis other than X, Y, Z, A, B and C, or if the axes in
+    `rotary_m` are not the rotary axes of the chain.
     """
     letters = re.findall(r"[A-Za-z]\d*", text)
     if letters and letters[0] != "w" and letters[-1] != "t":
@@ -351,8 +357,8 @@ def chain_from_string(
         if axis not in places or axis not in axes or axis not in _ABOUT:
             raise ValueError(
                 f"chain {text!r}: found the rotary axis {axis!r} only in "
-                f"{'the chain' if axis not in places else 'what says where rotary axes are'}, "
-                "expected every rotary axis of the chain, and where it is; add or remove it"
+                f"{'the chain' if axis not in places else 'the positions of rotary axes'}, "
+                "expected a position for every rotary axis of the chain; add or remove it"
             )
     bed = letters.index("b")
     order = sorted(axes, key=lambda axis: (axis in _ABOUT, axis))
@@ -400,11 +406,12 @@ def chain_from_dh(
 ) -> Chain:
     """A chain from standard Denavit-Hartenberg rows, base to flange.
 
-    Each row: ``type`` (``"revolute"`` or ``"prismatic"``), ``a``, ``d`` (m), ``alpha``, ``theta``
-    (rad); the joint variable is added to theta or to d. T = Rz(theta) Tz(d) Tx(a) Rx(alpha). The
-    error twist acts behind the joint's motion and before the link. Optional ``low`` and ``high``
-    bound the joint variable. Joints are named J1, J2, ... `up` is the axis of the base that points
-    against gravity, ``"-Z"`` for an arm that hangs.
+    Each row has ``type`` (``"revolute"`` or ``"prismatic"``), ``a`` and ``d`` (m), ``alpha`` and
+    ``theta`` (rad): T = Rz(theta) Tz(d) Tx(a) Rx(alpha). The joint variable is added to theta or to
+    d. The error twist acts after the joint's motion and before the link. Optional ``low`` and
+    ``high`` (m or rad) bound the joint variable. Joints are named J1, J2, ... `tool_offset_m` is
+    the tool point in the frame of the flange, m. `up` is the axis of the base that points against
+    gravity, ``"-Z"`` for a hanging arm.
     """
     joints = []
     for i, row in enumerate(rows):

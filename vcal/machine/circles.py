@@ -1,9 +1,10 @@
-"""Circles that an axis pair interpolates: what was really travelled, from the axes' own readings.
+"""Circles that two axes interpolate: the actual motion, from the encoder readings of the axes.
 
     x_i(t) = c_i + A_i cos(omega t) + B_i sin(omega t)
 
-The amplitudes of a closed loop differ from those that were commanded (0.8 to 1.1 of them are usual
-at 5 m/s^2), and so do accelerations; what a machine's structure answers to is the actual one.
+The amplitudes of a control loop differ from the commanded ones (0.8 to 1.1 times as large is usual
+at 5 m/s^2), and so do the accelerations. The structure of the machine responds to the actual
+acceleration.
 """
 
 from dataclasses import dataclass
@@ -15,21 +16,22 @@ from jaxtyping import Float, Int
 from ..numerics.arrays import Array
 
 _STEPS = 20
+"""Largest number of Gauss-Newton steps for the angular velocity."""
 _AT = 5e-3
-"""Share of a step from row to row within which a row is at a reversal."""
+"""Share of the step from row to row within which a row counts as being at a reversal."""
 _STILL = 0.02
-"""Amplitude over that of the circle below which an axis is at rest: a held axis gives way to what
-the others do to it, by some micrometres."""
+"""Amplitude, relative to that of the circle, below which an axis counts as at rest: the motion of
+the others deflects a held axis by some micrometres."""
 
 
 @dataclass(frozen=True)
 class Circle:
-    """The fundamental of one run of several axes."""
+    """The fundamental oscillation of several axes in one run."""
 
     omega: float
     """Angular velocity, rad/s."""
     centre: Float[np.ndarray, " axes"]
-    """m."""
+    """c of every axis, m."""
     cosine: Float[np.ndarray, " axes"]
     """A of every axis, m."""
     sine: Float[np.ndarray, " axes"]
@@ -42,43 +44,45 @@ class Circle:
 
     @property
     def moving(self) -> np.ndarray:
-        """Which axes take part."""
+        """Which axes move (axes,)."""
         return self.amplitude > _STILL * self.amplitude.max()
 
     def position(self, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n axes"]:
-        """m; that of the centre for an axis that takes no part."""
+        """Position of every axis, m; that of the centre for an axis at rest."""
         return self.centre + self._wave(t, self.moving * self.cosine, self.moving * self.sine)
 
     def velocity(self, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n axes"]:
-        """m/s; zero for an axis that takes no part."""
+        """Velocity of every axis, m/s; zero for an axis at rest."""
         k = self.omega * self.moving
         return self._wave(t, k * self.sine, -k * self.cosine)
 
     def acceleration(self, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n axes"]:
-        """m/s^2; zero for an axis that takes no part."""
+        """Acceleration of every axis, m/s^2; zero for an axis at rest."""
         k = -(self.omega**2) * self.moving
         return self._wave(t, k * self.cosine, k * self.sine)
 
     def direction(self, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n axes"]:
-        """+1, -1; zero for an axis that takes no part. A row at a reversal is on the side from
-        which it came, as a position that was approached (ISO 230-2, 3.7), not on that which the
-        rounding of its phase happens to give.
+        """Direction of motion of every axis, +1 or -1; zero for an axis at rest.
+
+        A row at a reversal has the direction of its approach, as for a bidirectional position
+        (ISO 230-2, 3.7), and not the direction that the rounding of its phase would give.
         """
         at = self._phase(t) >= np.pi
         return np.where(at, -1.0, 1.0) * np.sign(self.velocity(t))
 
     def since_reversal(self, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n axes"]:
-        """Distance travelled since the last reversal of every axis, m, as if the circle had been
-        travelled for ever; the radius for an axis that takes no part, half of the way to the next
-        one: were it far, all axes that move would seem alike beside it, and a product with the
-        distance that an axis has travelled would be a product with whether it moves.
+        """Distance travelled since the last reversal of every axis, m, on a circle without start.
+
+        An axis at rest has the radius of the circle, half the distance between two reversals. With
+        a large distance, the values of all moving axes would be nearly equal in comparison, and a
+        product with the distance would only distinguish moving axes from axes at rest.
         """
-        way = self.amplitude * (1.0 - np.cos(self._phase(t)))
-        return np.where(self.moving, way, self.amplitude.max())
+        travelled = self.amplitude * (1.0 - np.cos(self._phase(t)))
+        return np.where(self.moving, travelled, self.amplitude.max())
 
     def _phase(self, t: np.ndarray) -> np.ndarray:
-        """Angle since the last reversal of every axis, 0 to pi; pi and a little more in a row that
-        is at the next one.
+        """Phase angle since the last reversal of every axis, 0 to pi; pi or slightly more in a row
+        at the next reversal.
         """
         t = np.asarray(t)
         start = np.arctan2(-self.sine, self.cosine)
@@ -92,10 +96,11 @@ class Circle:
 
 
 def fit_circle(t: Float[np.ndarray, " n"], position: Float[np.ndarray, "n axes"]) -> Circle:
-    """The fundamental by least squares, the angular velocity included.
+    """The fundamental oscillation by least squares, including the angular velocity.
 
-    It starts at the mean turn of the two axes that move most, and is refined by Gauss-Newton steps.
-    Raises `ValueError` for fewer than five rows, and where fewer than two axes move.
+    `t` is in s, `position` in m. The start is the mean angular velocity of the two axes that move
+    most; Gauss-Newton steps refine it. Raises `ValueError` for fewer than five rows, and where
+    fewer than two axes move.
     """
     t, x = np.asarray(t, float), np.asarray(position, float)
     if len(t) < 5:
@@ -111,7 +116,7 @@ def fit_circle(t: Float[np.ndarray, " n"], position: Float[np.ndarray, "n axes"]
         c, a, b = np.linalg.lstsq(columns, x, rcond=None)[0]
         left = x - columns @ np.array([c, a, b])
         slope = t[:, None] * (np.outer(columns[:, 1], b) - np.outer(columns[:, 2], a))
-        # What the linear amplitudes can take up of a change of omega is theirs.
+        # The linear amplitudes are eliminated: only the part orthogonal to them remains.
         slope = slope - columns @ np.linalg.lstsq(columns, slope, rcond=None)[0]
         step = float((slope * left).sum() / (slope * slope).sum())
         omega += step
@@ -127,8 +132,8 @@ def squared_pace(
     velocity: Float[Array, "n axes"],
     acceleration: Float[Array, "n axes"],
 ) -> Float[Array, " n"]:
-    """omega^2 of the circle of every row, (rad/s)^2: the mean square of the acceleration in its run
-    over that of the velocity.
+    """omega^2 of the circle of every row (n,), (rad/s)^2: the mean square of the acceleration in
+    its run, divided by that of the velocity.
     """
     runs, index = np.unique(np.asarray(run), return_inverse=True)
 

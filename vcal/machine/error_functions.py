@@ -1,8 +1,8 @@
 """Families of functions of one axis position, with the prior of their coefficients.
 
-An error motion's prior is a covariance over the coefficients of the *declared family's own* basis.
-Replacing the family by polynomials of too low a degree is the commonest false effect: what the
-polynomials cannot follow looks like something physical.
+The prior of an error motion is a covariance of the coefficients of the *declared family's own*
+basis. Replacing the family by polynomials of too low a degree is the most frequent cause of false
+effects: the part that the polynomials cannot represent looks like a physical effect.
 """
 
 import abc
@@ -21,8 +21,8 @@ from ..numerics.record import Record
 
 @functools.cache
 def unit_uniform() -> Uniform:
-    """Uniform between -1 and 1."""
-    with jax.ensure_compile_time_eval():  # it is kept, and must not be part of a trace
+    """Uniform distribution between -1 and 1."""
+    with jax.ensure_compile_time_eval():  # it is cached, and must not be part of a trace
         return Uniform(-1.0, 1.0)
 
 
@@ -36,21 +36,20 @@ class Basis(Record):
 
     @property
     def law(self) -> Univariate | None:
-        """Distribution of which the standardised form is that of the coefficients, where they are
-        not normal.
-        """
+        """Distribution whose standardised form is that of the coefficients; None: normal."""
         return None
 
     @abc.abstractmethod
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
-        """Values of the basis functions at positions `x` (m or rad)."""
+        """Values (n, k) of the basis functions at positions `x` (m or rad)."""
 
 
 class Fourier(Basis):
     """E(u) = a0 + a1 u + sum_n b_n sin(n pi u) + c_n cos(n pi u), u in [-1, 1] over the travel.
 
-    Amplitudes are the half-widths of uniform distributions, of variance amplitude^2 / 3. Terms of
-    amplitude zero are left out.
+    The coefficients have uniform distributions with the given amplitudes as half-widths, so that
+    their variance is amplitude^2 / 3. `harmonics` are (n, amplitude of b_n, amplitude of c_n), in
+    the unit of the error motion (SI). Terms of amplitude zero are left out.
     """
 
     sigma: np.ndarray
@@ -84,7 +83,7 @@ class Fourier(Basis):
             return np.zeros((*np.shape(x), 0))
         low, high = self.travel
         u = ((2.0 * x - low - high) / (high - low))[..., None]
-        # All columns at once: a family of a machine has a hundred of them to compile.
+        # All columns at once: the family of a machine has a hundred of them to compile.
         kind = np.array([label[0] for label in self.labels])
         angle = self.waves * (np.pi * u)
         xp = namespace(angle)
@@ -96,11 +95,13 @@ class Fourier(Basis):
 class Matern(Basis):
     """A Gaussian process with Matern-5/2 kernel on the travel, in its Karhunen-Loeve basis.
 
-    k(d) = s^2 (1 + r + r^2/3) exp(-r), r = sqrt(5) |d| / l, correlation length l = smoothness times
-    travel. The eigenfunctions of the kernel (Nystroem, 200 nodes) are kept until 99.999 % of the
-    variance is explained: what a hundredth of the size leaves out is seen as an effect where errors
-    are some hundred times the noise. On a whole turn the distance is that of the chord, 2 sin
-    (angle / 2), which is 2 at most in place of the travel: the functions come round.
+    k(d) = s^2 (1 + r + r^2/3) exp(-r), r = sqrt(5) |d| / l, with the correlation length l =
+    smoothness * travel. The eigenfunctions of the kernel (Nystroem, 200 nodes) are kept until they
+    explain 99.999 % of the variance: a truncated part of a hundredth of the size would appear as an
+    effect where errors are a hundred times the noise.
+
+    With `around`, for a full turn, the distance is the chord 2 sin(angle / 2), whose maximum 2
+    takes the place of the travel; the functions are then periodic.
     """
 
     sigma: np.ndarray
@@ -123,7 +124,7 @@ class Matern(Basis):
         values, vectors = np.linalg.eigh(kernel)
         values, vectors = values[::-1], vectors[:, ::-1]
         kept = int(np.searchsorted(np.cumsum(values) / values.sum(), 0.99999)) + 1
-        # Scaled so that every coefficient has the declared sigma and unit-variance functions.
+        # Scaled so that every coefficient has the declared sigma, with functions of unit variance.
         self.weights = vectors[:, :kept] / np.sqrt(values[:kept])
         self.sigma = np.full(kept, sigma)
         self.labels = tuple(f"k{i}" for i in range(kept))

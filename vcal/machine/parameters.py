@@ -17,22 +17,22 @@ from ..units import in_name, si_factor
 class Parameter:
     """One parameter of an effect.
 
-    An *amplitude* enters the deviation linearly; its prior has the mean `mean` and the standard
+    An *amplitude* enters the deviation linearly. Its prior has the mean `mean` and the standard
     deviation `sigma` (`math.inf`: flat; zero: known), and is normal unless there is a `law`. A
-    *shape* parameter (a pitch, a time constant, a moment) enters non-linearly; its prior is uniform
-    over the interval that is scanned, in the coordinate in which the scan has equal steps.
+    *shape* parameter (a pitch, a time constant, a point of time) enters non-linearly. Its prior is
+    uniform over the scanned interval, in the coordinate in which the scan has equal steps.
     """
 
     name: str
     """Name without unit, such as ``"size"``."""
     unit: str
-    """Unit at the edges, such as ``"um"``; inside, values are SI."""
+    """Unit in files and reports, such as ``"um"``; internal values are in SI."""
     sigma: float = math.inf
     """Prior standard deviation of an amplitude, in `unit`."""
     mean: float = 0.0
     """Prior mean of an amplitude, or declared value of a shape parameter, in `unit`."""
     scale: float = 1.0
-    """Size that counts as one for the solver where the prior is flat, in `unit`."""
+    """Solver unit of an amplitude with a flat prior, in `unit`."""
     shape: bool = False
     """Whether the parameter enters non-linearly."""
     coordinate: Literal["linear", "reciprocal", "log"] = "linear"
@@ -40,11 +40,12 @@ class Parameter:
     smooth: bool = True
     """Whether the deviation is differentiable in a shape parameter (the time of a jump is not)."""
     choice: bool = False
-    """Whether a shape parameter numbers possibilities that have no order."""
+    """Whether a shape parameter is an index of alternatives that have no order."""
     law: Univariate | None = field(default=None, compare=False, repr=False)
-    """What machines are drawn from, where that is not the usual prior: of an amplitude, any
-    distribution whose standardised form is that of the parameter; of a shape parameter, its
-    distribution in `unit`. An identification has the mean and the standard deviation for its prior.
+    """Distribution from which machines are drawn, where it is not the default prior.
+
+    For an amplitude, any distribution whose standardised form is that of the parameter; for a shape
+    parameter, its distribution in `unit`. An identification uses only mean and standard deviation.
     """
 
     @property
@@ -60,7 +61,7 @@ class Parameter:
 
     @property
     def step(self) -> float:
-        """What the solver counts as one, in SI: the prior sigma, or `scale` if that is flat."""
+        """Solver unit in SI: the prior sigma, or `scale` if the prior is flat."""
         return self.si * (self.sigma if math.isfinite(self.sigma) else self.scale)
 
     @property
@@ -84,12 +85,12 @@ class Parameter:
 
 
 class Prior(Record):
-    """What is known of parameters of one effect before any measurement: a distribution.
+    """Distribution of parameters of one effect before any measurement.
 
-    ``Prior("alpha", Uniform(8, 12))`` or, for several that depend on each other,
-    ``Prior(("sine", "cosine"), MultivariateNormal(mean, covariance))``, in the parameters' units.
-    Machines are drawn from it; the prior of an identification has its means and standard
-    deviations, but neither its shape nor its correlations.
+    ``Prior("alpha", Uniform(8, 12))`` or, for correlated parameters,
+    ``Prior(("sine", "cosine"), MultivariateNormal(mean, covariance))``, in the units of the
+    parameters. Machines are drawn from this distribution. An identification uses its means and
+    standard deviations, but neither its shape nor its correlations.
 
     Raises `ValueError` unless there is one name for every number of a draw.
     """
@@ -109,17 +110,18 @@ class Prior(Record):
 
     @property
     def mean(self) -> tuple[float, ...]:
-        """Expectation of every parameter."""
+        """Expectation of every parameter, in its unit."""
         return tuple(np.ravel(self.distribution.mean).tolist())
 
     @property
     def sigma(self) -> tuple[float, ...]:
-        """Standard deviation of every parameter."""
+        """Standard deviation of every parameter, in its unit."""
         return tuple(np.sqrt(np.diagonal(self.distribution.covariance)).tolist())
 
     def of(self, parameter: Parameter) -> Parameter:
-        """The parameter with what this says of it. Raises `ValueError` for a shape parameter in a
-        distribution of several.
+        """The parameter with this prior.
+
+        Raises `ValueError` for a shape parameter in a distribution of several parameters.
         """
         law = self.distribution if isinstance(self.distribution, Univariate) else None
         if parameter.shape:

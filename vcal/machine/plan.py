@@ -1,4 +1,4 @@
-"""What was commanded, and under which conditions: one row per observation."""
+"""Commanded positions and recorded conditions: one row per observation."""
 
 from collections.abc import Collection, Mapping
 
@@ -11,39 +11,40 @@ from ..numerics.arrays import Array, array, arrays, known, namespace
 from ..numerics.record import Record
 
 DATA_SET = "data_set"
-"""Group with the place of every row's data set in `Plan.sets`."""
+"""Name of the group that holds the index in `Plan.sets` of the data set of every row."""
 
 
 def of_set(name: str, what: str) -> str:
-    """What belongs to one data set only, by its name there: ``"tracker:azimuth"``."""
+    """Name of a quantity of one data set in a joint plan: ``"tracker:azimuth"``."""
     return f"{name}:{what}"
 
 
 class Plan(Record):
     """Positions and conditions of all observations of a run, in the order of time.
 
-    A pytree of arrays with a leading row axis (n). A covariate that was not recorded is absent; an
-    effect that needs it then cannot be tested, and says so.
+    A plan is a pytree of arrays with a leading row axis (n). A covariate that was not recorded is
+    absent; an effect that needs it cannot be tested, and is reported as not tested.
     """
 
     axes: tuple[str, ...] = eqx.field(static=True)
     """Names of the joints, in the order of the columns of `position`."""
     position: Float[Array, "n axes"] = eqx.field(converter=array)
-    """Axis positions, m or rad. Commanded, or found (ball array), or read back (arm)."""
+    """Axis positions, m or rad: commanded ones, or those that were probed (ball array) or read back
+    (arm)."""
     covariates: Mapping[str, Float[Array, " n"]] = eqx.field(converter=arrays, default_factory=dict)
-    """Everything else that was recorded, SI, by name: ``"dir_X"`` (+1, -1), ``"t"`` (s),
-    ``"T_X"``, ``"T_air"`` (degC), ``"commanded_J1"``, ``"read_J1"`` (rad), ..."""
+    """Other recorded quantities, SI, by name: ``"dir_X"`` (+1, -1), ``"t"`` (s), ``"T_X"``,
+    ``"T_air"`` (degC), ``"commanded_J1"``, ``"read_J1"`` (rad), ..."""
     groups: Mapping[str, Int[Array, " n"]] = eqx.field(converter=arrays, default_factory=dict)
     """Group indices by name: ``"pose"``, ``"ball"``, ``"run"``, ``"segment"``."""
     sets: tuple[str, ...] = eqx.field(static=True, default=())
-    """Names of the data sets whose rows stand one after the other; none where there is only one.
+    """Names of the data sets, whose rows follow one after the other; empty for a single data set.
 
-    What all of them share goes by its own name. What only some of them have, or what only means
-    something to the instrument of one, goes by `of_set`, and is nan in the rows of the others
-    (group indices: -1).
+    Quantities that all data sets share have their plain name. Quantities that only some of them
+    have, or that concern the instrument of one only, are named by `of_set`; they are nan in the
+    rows of the other data sets (group indices: -1).
     """
     numbers: Int[Array, " n"] | None = None
-    """Number of every row in its table, from 1, where rows of that are left out; else None."""
+    """Number of every row in its table, from 1, if rows of the table are left out; else None."""
 
     def __check_init__(self) -> None:
         if not known(self.position):
@@ -78,18 +79,18 @@ class Plan(Record):
         return self.position.shape[0]
 
     def x(self, axis: str) -> Float[Array, " n"]:
-        """Position of one axis."""
+        """Position of one axis (n,), m or rad."""
         return self.position[:, self.axes.index(axis)]
 
     def covariate(self, name: str) -> Float[Array, " n"]:
-        """A recorded covariate by name; `KeyError` where it was not recorded."""
+        """A covariate by name (n,), SI. Raises `KeyError` where it was not recorded."""
         return self.covariates[name]
 
     def values(self, name: str) -> Float[np.ndarray, " n"]:
-        """Values of an axis, covariate or group index, nan in rows of data sets without it.
+        """Values of an axis, covariate or group index (n,), nan in rows of data sets without it.
 
-        By the name of one data set (`of_set`) also what all share, in the rows of that one only.
-        Raises `KeyError` where it was not recorded.
+        With a name of `of_set`, shared quantities are given in the rows of that data set only.
+        Raises `KeyError` where the quantity was not recorded.
         """
         key = self._key(name)
         if key in self.axes:
@@ -102,14 +103,14 @@ class Plan(Record):
         return np.where(self.in_set(owner), found, np.nan) if owner in self.sets else found
 
     def has(self, *names: str) -> bool:
-        """Whether all of these covariates, groups or axes were recorded, in all rows or, by a name
-        of `of_set`, in those of one data set.
+        """Whether all of these covariates, groups or axes were recorded: in all rows or, with a
+        name of `of_set`, in those of one data set.
         """
         known = {*self.covariates, *self.groups, *self.axes}
         return all(self._key(name) in known for name in names)
 
     def _key(self, name: str) -> str:
-        """The name under which something stands that is asked for as one data set's own."""
+        """The name of the column that holds the quantity `name` of one data set."""
         owner, _, plain = name.partition(":")
         if owner in self.sets and name not in self.covariates and name not in self.groups:
             return plain
@@ -120,10 +121,11 @@ class Plan(Record):
         return Plan(self.axes, position, self.covariates, self.groups, self.sets, self.numbers)
 
     def elsewhere(self, position: Float[Array, "m axes"], rows: Int[Array, " m"]) -> "Plan":
-        """Other positions, each under the conditions of one of the rows; groups are dropped.
+        """Other positions (m, axes), each under the conditions of one of the `rows` (m,); groups
+        are dropped.
 
-        Positions that were commanded and read move with the position: by how much they differ
-        from it is a condition, where they were is not.
+        Commanded and read positions move with the position: their difference from it is a
+        condition, their value is not.
         """
         found = {name: np.asarray(values)[rows] for name, values in self.covariates.items()}
         moved = position - np.asarray(self.position)[rows]
@@ -146,19 +148,19 @@ class Plan(Record):
 
     # --- several data sets ----------------------------------------------------------------------
     def in_set(self, name: str) -> Bool[np.ndarray, " n"]:
-        """The rows of one data set."""
+        """Which rows belong to one data set (n,)."""
         return np.asarray(self.groups[DATA_SET]) == self.sets.index(name)
 
     @property
     def parts(self) -> dict[str, Bool[np.ndarray, " n"]]:
-        """The rows of every data set by its name; all under no name where there is one only."""
+        """Rows of every data set (n,) by its name; a single data set has the empty name."""
         if not self.sets:
             return {"": np.ones(self.rows, bool)}
         return {name: self.in_set(name) for name in self.sets}
 
     def in_time(self, rows: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
-        """These rows, data set by data set, as they were taken, however the file is sorted; in the
-        order of the file where time was not recorded.
+        """These rows (m,), data set by data set, in the order of time however the file is sorted;
+        in the order of the file where time was not recorded.
         """
         ordered = []
         for name, inside in self.parts.items():
@@ -169,8 +171,8 @@ class Plan(Record):
         return np.concatenate(ordered)
 
     def place(self, row: int) -> tuple[str, int]:
-        """The data set of a row and its number in that one's table, from 0; no name where there is
-        only one.
+        """The data set of a row and the row's number in its table, from 0; the name is empty for a
+        single data set. Raises `IndexError` for a row that does not exist.
         """
         for name, inside in self.parts.items():
             if inside[row]:
@@ -180,15 +182,15 @@ class Plan(Record):
         raise IndexError(f"found row {row}, expected one of {self.rows}")
 
     def row_name(self, row: int) -> str:
-        """A row as its table counts it, from 1, and of which data set where there are several."""
+        """Number of a row in its table, from 1, with its data set if there are several."""
         name, number = self.place(row)
         return f"{number + 1} of {name}" if name else str(number + 1)
 
     def of(self, name: str) -> "Plan":
-        """All rows under the names that one data set uses. In the rows of others, what is its own
-        is zero, and they are in none of its groups (-1).
+        """All rows, with the names that one data set uses.
 
-        What only others have is left out.
+        In the rows of other data sets, its own covariates are zero and its group indices -1.
+        Quantities that only other data sets have are left out.
         """
         here = self.groups[DATA_SET] == self.sets.index(name)
         prefix, tables = of_set(name, ""), []
@@ -207,16 +209,16 @@ class Plan(Record):
         return self.of(name).take(np.flatnonzero(self.in_set(name)))
 
     def lacking(self, name: str) -> tuple[str, ...]:
-        """The data sets that have no such covariate, group or axis."""
+        """Names of the data sets without this covariate, group or axis."""
         return tuple(s for s in self.sets if not self.has(of_set(s, name)))
 
 
 def joined(plans: Mapping[str, Plan], own: Mapping[str, Collection[str]]) -> Plan:
-    """One plan of the rows of several data sets, one after the other, by their names.
+    """One plan of the rows of several data sets, one after the other.
 
-    `own` names, per data set, the covariates that mean something to its own instrument only. Group
-    indices always do: they count within one table. Raises `ValueError` where there are no plans, or
-    their axes differ.
+    `plans` are the plans by the name of the data set. `own` lists, per data set, the covariates
+    that concern only its own instrument. Group indices always do, as they count within one table.
+    Raises `ValueError` where there are no plans, or where their axes differ.
     """
     if not plans:
         raise ValueError("found no data set, expected at least one")

@@ -1,11 +1,11 @@
-"""Where a deviation can enter an observation.
+"""Ports: the quantities through which effects act on an observation.
 
-All effects reach the readings through a short vector of *ports* per observation: six numbers per
-joint (ISO 230-1: three error translations, three error rotations, in the joint's own moving
-frame), six at the tool, and those the instrument declares (its frame, its targets, its readings).
-The derivative of one observation with respect to its ports is a small matrix that is compiled once
-per chain and instrument; the derivative with respect to any parameter of any effect is that matrix
-times the effect's own response. Adding an effect therefore compiles nothing.
+All effects act on the readings through a short vector of *ports* per observation: six numbers per
+joint (ISO 230-1: three error translations, three error rotations, in the joint's own moving frame),
+six at the tool, and those that the instrument declares (its frame, its targets, its readings). The
+derivative of one observation with respect to its ports is a small matrix that is compiled once per
+chain and instrument. The derivative with respect to any parameter of any effect is that matrix
+times the response of the effect. Adding an effect therefore compiles nothing.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ COMPONENTS = ("X", "Y", "Z", "A", "B", "C")
 
 @dataclass(frozen=True)
 class PortLayout:
-    """Names of the ports and their place in the port vector."""
+    """Names of the ports and their position in the port vector."""
 
     names: tuple[str, ...]
 
@@ -36,7 +36,7 @@ class PortLayout:
         return name in self.names
 
     def index(self, name: str) -> int:
-        """Place of a port; raises `ValueError` that lists the known ones."""
+        """Position of a port. Raises `ValueError` that lists the known ports."""
         try:
             return self.names.index(name)
         except ValueError:
@@ -46,12 +46,12 @@ class PortLayout:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Names of the groups, those of an instrument without the name of its data set."""
+        """Names of the port groups, without the names of data sets."""
         named = (name.rpartition(":")[2].partition(".") for name in self.names)
         return tuple(dict.fromkeys(head for head, dot, _ in named if dot))
 
     def slice(self, group: str) -> slice:
-        """The contiguous ports named ``group.*``."""
+        """The contiguous ports named ``group.*``. Raises `ValueError` where there are none."""
         inside = [i for i, name in enumerate(self.names) if name.startswith(group + ".")]
         if not inside:
             raise ValueError(f"no ports named {group!r}.*; this model has {', '.join(self.names)}")

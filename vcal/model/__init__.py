@@ -1,8 +1,12 @@
 """The forward model: a chain, an instrument and effects as one differentiable function.
 
-Holds also what is declared about a measurement (prior, noise) and simulated measurements. Uses
-`effects`, `instruments` and `machine`; knows nothing of fits. `identification` and every verb above
-stand on it.
+- `forward`: the function from parameters to readings, and its derivatives by the ports;
+- `measurement`: a plan with readings, and check points;
+- `declared_noise`, `prior`: the declared covariance of the readings, and draws of the parameters;
+- `simulate`, `port_map`: simulated measurements, and their fast evaluation for many draws.
+
+It uses `instruments`, `effects`, `machine` and the packages below them. It knows nothing of
+identification, which stands on it, as do all packages above.
 """
 
 from .forward import Model, Terms, predict

@@ -1,4 +1,4 @@
-"""The noise that is declared: of every reading, and what random effects add to it."""
+"""The declared covariance of the readings: their noise, and the contribution of random effects."""
 
 import dataclasses
 
@@ -15,31 +15,33 @@ _RANDOM: IdentityCache[list[tuple[str, np.ndarray]]] = IdentityCache(4)
 
 
 def declared_whitener(model: Model, measurement: Measurement) -> np.ndarray:
-    """W of every row from the instrument's declared noise and the model's random effects.
+    """W of every row (n, m, m), from the declared noise of the instrument and the random effects.
 
-    A random effect whose response through the nominal machine is c (per unit of its parameter, SI)
-    adds sigma^2 c c' to the covariance of each row.
+    W'W is the inverse of the covariance of the readings of the row (`declared_covariances`). A
+    random effect with the response c through the nominal machine (per unit of its parameter, SI)
+    adds sigma^2 c c' to it.
     """
     covariance = np.sum([part for _, part in declared_covariances(model, measurement)], axis=0)
     return whitener_of(covariance + absent(model, measurement.plan))
 
 
 def whitener_of(covariance: Float[np.ndarray, "n m m"]) -> Float[np.ndarray, "n m m"]:
-    """W of every row, with W'W the inverse of its covariance."""
+    """W of every row (n, m, m), with W'W the inverse of its covariance."""
     return np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
 
 
 def absent(model: Model, plan: Plan) -> Float[np.ndarray, "n m m"]:
-    """What keeps the covariance of a row invertible that has fewer readings than others: one, in
-    the place of what it has not.
+    """Ones on the diagonal (n, m, m) for readings that a row does not have, which keep its
+    covariance invertible.
     """
     missing = ~model.instrument.present(plan)
     return np.einsum("ni,ij->nij", missing.astype(float), np.eye(missing.shape[1]))
 
 
 def declared_covariances(model: Model, measurement: Measurement) -> list[tuple[str, np.ndarray]]:
-    """What the covariance of every row is made of, each with its name and (n, m, m), SI: the noise
-    of every component of a reading, of every data set, and the random effects.
+    """Contributions to the covariance of every row, each with its name and (n, m, m), SI.
+
+    These are the noise of every component of a reading, for every data set, and the random effects.
     """
     plan, instrument = measurement.plan, model.instrument
     sigma = instrument.noise(plan, measurement.readings) * instrument.present(plan)
@@ -59,7 +61,9 @@ def declared_covariances(model: Model, measurement: Measurement) -> list[tuple[s
 def _random_covariances(
     model: Model, measurement: Measurement
 ) -> list[tuple[str, Float[np.ndarray, "n m m"]]]:
-    """What random effects add to the covariance of every row, through the nominal machine."""
+    """Contributions of the random effects to the covariance of every row, through the nominal
+    machine.
+    """
     plan, instrument, found = measurement.plan, model.instrument, []
     still = np.zeros((plan.rows, len(model.layout)))
     rows, measured = instrument.rows(plan), measurement.readings

@@ -1,8 +1,8 @@
 """A machine, an instrument and everything that disturbs them, as one function.
 
-``predict`` is the path of one observation: command - pose - observe - read - reduce. All effects
-enter through the ports (`vcal.ports`); the derivative of the readings with respect to the ports is
-compiled once per chain and instrument, and every parameter's derivative follows from it.
+`predict` follows one observation: command, pose, observation, reading, reduction. All effects act
+through the ports (`vcal.machine.ports`). The derivative of the readings with respect to the ports
+is compiled once per chain and instrument; the derivative by every parameter follows from it.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -33,8 +33,10 @@ Shapes = Mapping[int, Mapping[str, Any]]
 
 
 class Terms(NamedTuple):
-    """Effects as data: ``ports = offset``, plus ``values * theta[parameter]`` at ``port`` for every
-    term. Exact for amplitudes; shape parameters enter linearised at their present values.
+    """Effects as data: the ports are `offset`, plus ``values * theta[parameter]`` at `port` for
+    every term.
+
+    This is exact for amplitudes; shape parameters are linearised at their present values.
     """
 
     offset: Float[Array, "n p"]
@@ -56,14 +58,15 @@ class Entry:
 
 
 class Model(Record):
-    """Chain + Instrument + Effects."""
+    """A kinematic chain, an instrument and effects."""
 
     chain: Chain
     instrument: Instrument
     effects: tuple[Effect, ...]
-    """Effects that are fitted: systematic ones and nuisances."""
+    """Effects that are fitted: systematic effects and nuisances."""
     random: tuple[Effect, ...]
-    """Effects with a fresh draw per row: they enter the covariance of the readings."""
+    """Effects with an independent draw per row: they contribute to the covariance of the readings.
+    """
 
     def __init__(self, chain: Chain, instrument: Instrument, effects: Iterable[Effect] = ()):
         given = tuple(effects)
@@ -74,11 +77,11 @@ class Model(Record):
 
     @property
     def layout(self) -> PortLayout:
-        """Names and places of the ports of one observation."""
+        """Names and positions of the ports of one observation."""
         return PortLayout.of(self.chain.axes, self.instrument.ports)
 
     def setup(self, plan: Plan) -> Setup:
-        """What effects may look at to say where they could be."""
+        """The information from which effects decide where they may occur."""
 
         def of(instrument: Instrument, layout: PortLayout, plan: Plan, **more: Any) -> Setup:
             own = {"artefact": instrument.artefact, "derived": instrument.derived}
@@ -92,21 +95,21 @@ class Model(Record):
         return of(self.instrument, self.layout, plan, parts=tuple(parts))
 
     def with_effects(self, *effects: Effect) -> "Model":
-        """The same model with further effects: all that closing the loop changes."""
+        """The same model with further effects: the only change that closing the loop makes."""
         return Model(self.chain, self.instrument, (*self.effects, *self.random, *effects))
 
     def without(self, effect: int) -> "Model":
-        """The same model less the effect at that position."""
+        """The same model without the effect at that position."""
         kept = tuple(e for i, e in enumerate(self.effects) if i != effect)
         return Model(self.chain, self.instrument, (*kept, *self.random))
 
     def check_plan(self, plan: Plan) -> None:
-        """Raise `ValueError` for a plan of another machine, or with its axes in another order."""
+        """Raise `ValueError` for a plan with other axes, or with the axes in another order."""
         if plan.axes != self.chain.axes:
             raise ValueError(
                 f"plan: found the axes {', '.join(plan.axes)}, expected "
-                f"{', '.join(self.chain.axes)} in this order, as the chain has them; put the "
-                "columns of the positions in order"
+                f"{', '.join(self.chain.axes)} in this order, as in the chain; reorder the columns "
+                "of the positions"
             )
 
     @property
@@ -116,13 +119,13 @@ class Model(Record):
 
     @property
     def places(self) -> tuple[slice, ...]:
-        """Where in the parameter vector the amplitudes of every effect are."""
+        """Positions in the parameter vector of the amplitudes of every effect."""
         ends = [0, *accumulate(len(e.amplitudes) for e in self.effects)]
         return tuple(slice(*pair) for pair in pairwise(ends))
 
     def shapes_at(self, plan: Plan, shapes: Shapes | None = None) -> dict[int, dict[str, Any]]:
-        """Values (SI) of all shape parameters: as given, as declared, or the middle of their scan,
-        by position of the effect.
+        """Values (SI) of all shape parameters by position of the effect: the given value, else the
+        declared value, else the middle of the scan on `plan`.
         """
         found: dict[int, dict[str, Any]] = {}
         for i, effect in enumerate(self.effects):
@@ -141,8 +144,9 @@ class Model(Record):
         return found
 
     def terms(self, plan: Plan, shapes: Shapes | None = None) -> Terms:
-        """Responses of all effects per solver unit (prior sigma) of their amplitudes, at the given
-        shape parameters or those of `shapes_at`.
+        """Responses of all effects per solver unit (prior sigma) of their amplitudes.
+
+        Shape parameters (SI) are completed by `shapes_at`.
         """
         shapes, layout = self.shapes_at(plan, shapes), self.layout
         blocks = [
@@ -155,9 +159,10 @@ class Model(Record):
 def effect_terms(
     effect: Effect, layout: PortLayout, plan: Plan, shape: Mapping[str, Any], start: int = 0
 ) -> Terms:
-    """One effect's terms, its first amplitude at `start` in the parameter vector.
+    """Terms of one effect, whose first amplitude is at `start` in the parameter vector.
 
-    Raises `ValueError` where the response names a port or an amplitude that does not exist.
+    `shape` are its shape parameters (SI). Raises `ValueError` where the response names a port or an
+    amplitude that does not exist.
     """
     amplitudes = {p.name: (k, p) for k, p in enumerate(effect.amplitudes)}
     offset = np.zeros((plan.rows, len(layout)))
@@ -181,7 +186,7 @@ def effect_terms(
 
 
 def concatenate(blocks: Sequence[Terms], rows: int, ports: int) -> Terms:
-    """Terms of several effects side by side."""
+    """Terms of several effects as one."""
     empty = Terms(np.zeros((rows, ports)), np.zeros((rows, 0)), *[np.zeros(0, int)] * 2)  # type: ignore
     offsets, *parts = zip(empty, *blocks, strict=True)
     return Terms(sum(offsets), *(np.concatenate(part, -1) for part in parts))  # type: ignore
@@ -190,7 +195,7 @@ def concatenate(blocks: Sequence[Terms], rows: int, ports: int) -> Terms:
 def observe_row(
     chain: Chain, instrument: Instrument, q: Sequence[Scalar], row: Any, ports: Sequence[Scalar]
 ) -> tuple[Scalar, ...]:
-    """Reading of one observation from its axis positions and ports: pose - observe - read."""
+    """Reading of one observation (SI) from its axis positions `q` (m or rad) and its ports."""
     joints = 6 * len(chain.joints)
     r, t = chain.pose(q, _twists(chain, ports))
     tool = ports[joints : joints + 6]
@@ -204,7 +209,7 @@ def _twists(chain: Chain, ports: Sequence[Scalar]) -> list[Sequence[Scalar]]:
 
 
 def split_ports(instrument: Instrument, ports: Sequence[Scalar]) -> dict[str, Sequence[Scalar]]:
-    """The instrument's part of the port vector by group name."""
+    """The part of the port vector that belongs to the instrument, by group name."""
     bounds: dict[str, list[int]] = {}
     for i, name in enumerate(instrument.ports):
         bounds.setdefault(name.split(".")[0], [i, i])[1] = i + 1
@@ -212,7 +217,7 @@ def split_ports(instrument: Instrument, ports: Sequence[Scalar]) -> dict[str, Se
 
 
 def port_values(terms: Terms, theta: Float[Array, " k"], size: int) -> Float[Array, "n p"]:
-    """Port vector of every row: the terms summed."""
+    """Port vector of every row (n, p), SI: the sum of the terms."""
     columns = terms.values * theta[terms.parameter]
     return terms.offset + columns @ jax.nn.one_hot(terms.port, size, dtype=columns.dtype)
 
@@ -231,8 +236,8 @@ def observe_columns(
 ) -> tuple[Float[Array, " n"], ...]:
     """`observe_row` over all rows, with one array per port and per component of the reading.
 
-    A port that is a plain number is the same constant in every row; one without axes the same
-    variable.
+    A port that is a plain number is a constant, equal in every row; a port without axes is a
+    variable, equal in every row.
     """
     return _over_rows(
         lambda q, row, p: observe_row(chain, instrument, q, row, p), position, rows, ports
@@ -243,7 +248,7 @@ def observe_columns(
 def observe_with_jacobian(
     chain: Chain, instrument: Instrument, position: Array, rows: Any, ports: Array
 ) -> tuple[Float[Array, "n m"], Float[Array, "n m p"]]:
-    """`observe_row` over all rows, and its derivative with respect to each row's ports."""
+    """`observe_row` over all rows, and its derivative with respect to the ports of each row."""
     size = 6 * len(chain.joints) + 6
 
     def one(q, row, p):
@@ -257,7 +262,7 @@ def observe_with_jacobian(
             down = along[:3], skew(along[3:6]) @ r, along[6:]
             return jax.jvp(lambda t, r, own: reading(r, t, own), (t, r, p[size:]), down)
 
-        # Value and derivative from one trace of the instrument: half as much to compile.
+        # Value and derivative from one trace of the instrument: half the compilation.
         directions = jnp.eye(6 + p.shape[0] - size)
         value, slopes = jax.vmap(push, out_axes=(None, -1))(directions)
         by_tool = slopes[:, :3] @ moved + slopes[:, 3:6] @ turned
@@ -270,8 +275,10 @@ def observe_with_jacobian(
 def compared_with_jacobian(
     chain: Chain, instrument: Instrument, plan: Plan, rows: Any, measured: Array, ports: Array
 ) -> tuple[Float[Array, "n m"], Float[Array, "n m p"]]:
-    """By how much readings differ from those of a machine with these ports, and the derivative of
-    those by the ports. Compiled once for an instrument and a plan, whatever the model.
+    """Difference of the readings `measured` (n, m) from those predicted with these ports, and the
+    derivative of the predicted readings by the ports, SI.
+
+    It is compiled once for an instrument and a plan, whatever the model.
     """
     predicted, by_port = observe_with_jacobian(chain, instrument, plan.position, rows, ports)
     difference = instrument.difference(measured, instrument.reduce(predicted, plan))
@@ -279,8 +286,8 @@ def compared_with_jacobian(
 
 
 def _tool_with_jacobian(chain: Chain, q: Array, ports: Array) -> tuple[Array, Array, Array, Array]:
-    """Tool frame and tool point in the workpiece frame, and what the ports of the chain and of the
-    tool do to them: displacement of the point and rotation of the frame (3, 6 axes + 6).
+    """Tool frame and tool point in the workpiece frame, and their derivatives by the ports of the
+    chain and of the tool: displacement of the point and rotation of the frame (3, 6 axes + 6).
     """
     joints = 6 * len(chain.joints)
     tool = ports[joints : joints + 6]
@@ -297,7 +304,7 @@ def _tool_with_jacobian(chain: Chain, q: Array, ports: Array) -> tuple[Array, Ar
 
 
 def tool_point(chain: Chain, q: Sequence[Scalar], ports: Sequence[Scalar]) -> Vector:
-    """Tool point in the workpiece frame for one row, from the chain's and the tool's ports."""
+    """Tool point in the workpiece frame (m) for one row, from the ports of chain and tool."""
     joints = 6 * len(chain.joints)
     r, t = chain.pose(q, _twists(chain, ports))
     offset = Vector.of(chain.tool_offset) + Vector.of(ports[joints : joints + 3])
@@ -314,7 +321,7 @@ def tool_points(chain: Chain, position: Array, ports: Array) -> Float[Array, "n 
 def tool_points_with_jacobian(
     chain: Chain, position: Array, ports: Array
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 p"]]:
-    """`tool_point` over all rows, and its derivative with respect to each row's ports."""
+    """`tool_point` over all rows, and its derivative with respect to the ports of each row."""
 
     def one(q, p):
         _, t, moved, _ = _tool_with_jacobian(chain, q, p)
@@ -328,7 +335,7 @@ def tool_columns(
 ) -> tuple[Float[Array, " n"], ...]:
     """`tool_point` over all rows, with one array per port and per coordinate.
 
-    A port that is a plain number is the same constant in every row.
+    A port that is a plain number is a constant, equal in every row.
     """
     return _over_rows(lambda q, _, p: tool_point(chain, q, p).parts, position, (), ports)
 
@@ -336,7 +343,7 @@ def tool_columns(
 def _over_rows(
     function, position: Array, rows: Any, ports: Sequence[Scalar]
 ) -> tuple[Float[Array, " n"], ...]:
-    """`function(q, row, ports)` of one row over all rows, ports given one by one."""
+    """`function(q, row, ports)` of one row over all rows; `ports` is a sequence of single ports."""
     varies = [not isinstance(p, float) and jnp.ndim(p) == 1 for p in ports]
     varying = [p for p, own in zip(ports, varies, strict=True) if own]
 
@@ -349,8 +356,10 @@ def _over_rows(
 
 
 def check_theta(model: Model, theta: Any) -> None:
-    """Raises `ValueError` where there is not one value per amplitude, alone or before one per shape
-    parameter that moves, as a fit has them: compiled code would read past the end without a word.
+    """Raise `ValueError` unless `theta` has one value per amplitude, optionally followed by one per
+    shape parameter that moves, as in a fit.
+
+    Compiled code would otherwise read past the end of the array without an error.
     """
     amplitudes = len(model.entries)
     moving = sum(p.moves for effect in model.effects for p in effect.shapes)
@@ -358,12 +367,12 @@ def check_theta(model: Model, theta: Any) -> None:
         more = f", or ({amplitudes + moving},) with the shape parameters" if moving else ""
         raise ValueError(
             f"theta: found shape {np.shape(theta)}, expected ({amplitudes},), one value per "
-            f"amplitude of the model{more}; `Model.entries` names them in order"
+            f"amplitude of the model{more}; `Model.entries` lists them in order"
         )
 
 
 def check_keep(plan: Plan, keep: Any) -> None:
-    """Raises `ValueError` where there is not one value per row: one alone would count for all."""
+    """Raise `ValueError` unless `keep` has one value per row; a single one would apply to all."""
     if np.shape(keep) != (plan.rows,):
         raise ValueError(
             f"keep: found shape {np.shape(keep)}, expected ({plan.rows},), True or False for each "
@@ -374,17 +383,19 @@ def check_keep(plan: Plan, keep: Any) -> None:
 def predict(
     model: Model, plan: Plan, theta: Float[Array, " k"], shapes: Shapes | None = None
 ) -> Float[Array, "n m"]:
-    """Reduced readings of a plan.
+    """Reduced readings (n, m) of a plan, SI.
 
-    `theta` are the amplitudes in solver units (`Model.entries`), `shapes` the values of shape
-    parameters in SI; what is left out of them is as `Model.shapes_at` has it. Of these, `theta` may
-    be traced by `jax.jit`, `jax.vmap` and the like. Raises `RuntimeError` where JAX runs in
-    float32, and `ValueError` where plan or theta do not fit the model.
+    `theta` (k,) are the amplitudes in solver units (`Model.entries`), `shapes` the values of shape
+    parameters in SI, completed by `Model.shapes_at`. Only `theta` may be traced, by `jax.jit`,
+    `jax.vmap` and other transformations.
+
+    Raises `RuntimeError` where JAX runs in float32, and `ValueError` where plan or theta do not fit
+    the model.
     """
     require_float64()
     model.check_plan(plan)
     check_theta(model, theta)
-    with jax.ensure_compile_time_eval():  # also where theta is traced, the effects are plain data
+    with jax.ensure_compile_time_eval():  # the effects are plain data even where theta is traced
         terms = model.terms(plan, shapes)
     ports = port_values(terms, jnp.asarray(theta), len(model.layout))
     readings = observe_all(

@@ -1,4 +1,4 @@
-"""A plan with the readings taken at it."""
+"""A plan with its readings, and check points."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,17 +10,20 @@ from ..machine.plan import Plan
 
 @dataclass(frozen=True)
 class Measurement:
-    """Plan + readings: what came from the measuring instrument, in the order of time."""
+    """A plan and the readings of the measuring instrument, in the order of time.
+
+    Raises `ValueError` where the readings do not fit the plan, or are not finite.
+    """
 
     plan: Plan
     readings: np.ndarray
     """(n, m), SI."""
     name: str = ""
     aside: np.ndarray | None = field(default=None, repr=False)
-    """Rows (n,) that are neither fitted nor foretold, as they do not belong; None: all count."""
+    """Rows (n,) that are excluded from fits and predictions, such as outliers; None: no row."""
     blank: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    """Numbers of the rows of each table, from 1, that are not in it as a reading of them is blank,
-    by the name of the file.
+    """Numbers, from 1, of the rows of each table that were left out because of a blank reading, by
+    the name of the file.
     """
 
     def __post_init__(self) -> None:
@@ -43,14 +46,16 @@ class Measurement:
 
 
 def rows_in_words(numbers: Sequence[int], most: int = 5) -> str:
-    """How many rows, and the numbers of the first `most`: ``"7 rows (2, 3, 5, 8, 9, ...)"``."""
+    """Number of rows, with the numbers of the first `most`: ``"7 rows (2, 3, 5, 8, 9, ...)"``."""
     shown = [*map(str, numbers[:most]), *(["..."] if len(numbers) > most else [])]
     return f"{len(numbers)} row{'s' * (len(numbers) > 1)} ({', '.join(shown)})"
 
 
 @dataclass(frozen=True)
 class CheckPoints:
-    """Independent check: conditions, and the true tool point in the workpiece frame."""
+    """Check points of an independent measurement: conditions, and the true tool point in the
+    workpiece frame.
+    """
 
     plan: Plan
     tool_point: np.ndarray = field(repr=False)

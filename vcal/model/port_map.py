@@ -1,8 +1,8 @@
-"""From parameters to ports, one array per port: what `vcal.model.Terms` say, laid out for speed.
+"""From parameters to ports, one array per port: `vcal.model.Terms` in a layout for many draws.
 
-A campaign evaluates the same model on the same plan for many draws. Only the ports that some effect
-disturbs are computed, each as one small product of its own responses with its own parameters; the
-others stay the constant zero, and whatever only they need is never compiled.
+A campaign evaluates the same model on the same plan for many draws. Only the ports on which an
+effect acts are computed, each as one small product of its own responses with its own parameters.
+The others are the constant zero; what depends only on them is never compiled.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,12 +30,12 @@ class PortColumn(Record):
     parameter: Int[Array, " t"]
     offset: Float[Array, " n"] | None
     uniform: bool = eqx.field(static=True, default=False)
-    """Whether it is the same in all rows: then everything that only depends on such ports, like the
-    pose of an instrument, is computed once and not row by row.
+    """Whether the port is equal in all rows. Everything that only depends on such ports, such as
+    the pose of an instrument, is then computed once and not row by row.
     """
 
     def __call__(self, theta: Float[Array, " k"]) -> Float[Array, " n"] | Float[Array, ""]:
-        """The port of every row, or that of all rows."""
+        """Value of the port in every row (n,), or one value () for all rows, SI."""
         values = self.values[:, 0] if self.uniform else self.values
         value = jnp.asarray(theta)[self.parameter] @ values
         if self.offset is None:
@@ -50,7 +50,7 @@ class _Moving(Record):
     place: int = eqx.field(static=True)
     """Position of the effect in the model."""
     start: int = eqx.field(static=True)
-    """Place of its first amplitude."""
+    """Position of its first amplitude in the parameter vector."""
 
 
 class PortMap(Record):
@@ -64,11 +64,11 @@ class PortMap(Record):
     def __call__(
         self, theta: Float[Array, " k"], shapes: Mapping[int, Mapping[str, Any]] | None = None
     ) -> list[Scalar]:
-        """Values of all ports: an array (n,) where an effect disturbs a port, one number () where
-        it is the same in all rows, else 0.0.
+        """Values of all ports, SI: an array (n,) where an effect acts on a port, one number ()
+        where it is equal in all rows, else 0.0.
 
-        `theta` are amplitudes in solver units, `shapes` the values (SI) of the shape parameters of
-        the effects that are moving, by position of the effect in the model.
+        `theta` are amplitudes in solver units. `shapes` are the values (SI) of the shape parameters
+        that are not fixed, by position of the effect in the model.
         """
         ports: list[Scalar] = [0.0] * len(self.layout)
         for column in self.columns:
@@ -96,10 +96,11 @@ def port_map(
     *,
     machine_only: bool = False,
 ) -> PortMap:
-    """The ports of a model on a plan, or what the machine's own effects make of them.
+    """The ports of a model on a plan as a function of its parameters.
 
-    `shapes` are the values of the shape parameters (SI) of all effects but those at the positions
-    `moving`, whose shapes are arguments of the result.
+    `shapes` are the values of the shape parameters (SI) of all effects except those at the
+    positions `moving`, whose shapes are arguments of the result. `machine_only` leaves out the
+    effects of the instrument.
     """
     blocks, items = [], []
     for i, (effect, place) in enumerate(zip(model.effects, model.places, strict=True)):

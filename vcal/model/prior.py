@@ -1,10 +1,10 @@
-"""Draws from the priors of a model: what machines and instruments there are.
+"""Draws from the priors of a model: the population of machines and instruments.
 
-    theta = (X - mean) / std, X ~ prior,
+    theta = (X - mean) / std, X ~ prior
 
-in the solver's units, so that a normal prior is a standard normal number. Other distributions are
-made from such a number by x(z) = F^-1(Phi(z)): a parameter that gets another distribution leaves
-the draws of all others as they were.
+in solver units, so that a normal prior gives a standard normal number z. Other distributions follow
+from such a number by x(z) = F^-1(Phi(z)). A change of the distribution of one parameter therefore
+does not change the draws of the others.
 """
 
 from collections.abc import Sequence
@@ -37,13 +37,13 @@ class DrawnShape(eqx.Module):
     law: Univariate | None
 
     def sample(self, key: PRNGKeyArray) -> Float[Array, ""]:
-        """A value (SI), from the key of the machine."""
+        """A value (SI), from the key of the machine or instrument."""
         own = jax.random.fold_in(jax.random.fold_in(key, self.effect), 1)
         return self._at(jax.random.uniform(jax.random.fold_in(own, self.index)))
 
     @property
     def middle(self) -> Float[Array, ""]:
-        """Its median (SI)."""
+        """The median (SI)."""
         return self._at(jnp.asarray(0.5))
 
     def _at(self, share: Float[Array, ""]) -> Float[Array, ""]:
@@ -61,7 +61,7 @@ _COORDINATES = {
 
 
 def drawn_shapes(model: Model, plan: Plan) -> tuple[DrawnShape, ...]:
-    """The shape parameters of a model that are not declared."""
+    """Priors of the shape parameters of a model that are not declared."""
     found = []
     for i, effect in enumerate(model.effects):
         declared = {name for name, *_ in effect.given}
@@ -77,11 +77,12 @@ def drawn_shapes(model: Model, plan: Plan) -> tuple[DrawnShape, ...]:
 
 
 class _Alike(eqx.Module):
-    """Amplitudes whose standardised distributions are of one kind."""
+    """Amplitudes whose standardised distributions belong to one family."""
 
     place: tuple[int, ...] = eqx.field(static=True)
+    """Positions of the amplitudes."""
     laws: Univariate
-    """Their distributions, every parameter of them an array over the amplitudes."""
+    """Their distributions; every parameter of these is an array over the amplitudes."""
 
 
 class _Joint(eqx.Module):
@@ -94,7 +95,7 @@ class _Joint(eqx.Module):
 
     @property
     def std(self) -> Float[Array, " d"]:
-        """Standard deviations of the amplitudes; one for an amplitude without variance."""
+        """Standard deviations (d,) of the amplitudes; one for an amplitude without variance."""
         variance = jnp.diagonal(self.law.covariance)
         return jnp.sqrt(jnp.where(variance > 0.0, variance, 1.0))
 
@@ -103,15 +104,15 @@ class Amplitudes(eqx.Module):
     """The prior of the amplitudes of some effects, in units of its standard deviations."""
 
     counts: tuple[int, ...] = eqx.field(static=True)
-    """Amplitudes per effect."""
+    """Number of amplitudes per effect."""
     informed: Float[Array, " k"]
-    """One for an amplitude with a proper prior; zero for a flat one, which stays nominal."""
+    """One for an amplitude with a proper prior; zero for a flat prior: the amplitude is nominal."""
     alike: tuple[_Alike, ...]
     joint: tuple[_Joint, ...]
 
     @classmethod
     def of(cls, effects: Sequence[Effect]) -> "Amplitudes":
-        """Of these effects, in their order."""
+        """The prior of these effects, in their order."""
         groups: dict[Any, list[tuple[int, Univariate]]] = {}
         joint, counts, informed, start = [], [], [], 0
         for i, effect in enumerate(effects):
@@ -139,8 +140,9 @@ class Amplitudes(eqx.Module):
 
     @property
     def root(self) -> Float[np.ndarray, "k k"]:
-        """A with A A' the covariance of the draws: unity, but for joint distributions and where a
-        prior is flat.
+        """A (k, k) with A A' the covariance of the draws.
+
+        It is the identity except for joint distributions and flat priors.
         """
         found = np.diag(np.asarray(self.informed))
         for part in self.joint:
@@ -149,7 +151,7 @@ class Amplitudes(eqx.Module):
         return found
 
     def sample(self, key: PRNGKeyArray) -> Float[Array, " k"]:
-        """One draw; every effect has a key of its own, by its place."""
+        """One draw (k,); every effect has its own key, by its position."""
         drawn = [
             jax.random.normal(jax.random.fold_in(key, i), (count,))
             for i, count in enumerate(self.counts)
@@ -165,7 +167,7 @@ class Amplitudes(eqx.Module):
         return self.informed * theta
 
     def shaped(self, score: Float[Array, "... k"]) -> Float[Array, "... k"]:
-        """Independent standard normal numbers as draws of (X - mean) / std of every amplitude."""
+        """Draws of (X - mean) / std of every amplitude from independent standard normal numbers."""
         for part in self.alike:
             at = np.array(part.place)
             own = jax.vmap(_from_score, in_axes=(0, -1), out_axes=-1)(part.laws, score[..., at])

@@ -1,10 +1,10 @@
-"""Simulation: what an instrument would read on a machine drawn from the priors of a model.
+"""Simulation: the readings of an instrument on a machine drawn from the priors of a model.
 
     theta ~ prior -> ports -> readings -> readings + noise
 
-`prepare` computes once what does not depend on the draw; `draw` is then a pure function of it and
-of a key, which may be compiled and mapped over keys. `simulate` makes one measurement of it, with
-the positions an implicit instrument would find.
+`prepare` computes once what does not depend on the draw. `draw` is then a pure function of this and
+of a key, which may be compiled and mapped over keys. `simulate` makes one complete measurement,
+with the positions that an implicit instrument would find.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ from .prior import Amplitudes, DrawnShape, drawn_shapes
 
 
 class Truth(NamedTuple):
-    """What a machine and an instrument really are: a value for every parameter of a model."""
+    """The true machine and instrument: a value for every parameter of a model."""
 
     theta: np.ndarray
     """Amplitudes (k,) in solver units (`Model.entries`)."""
@@ -52,7 +52,7 @@ class Truth(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """One virtual measurement: what it found, and what is behind it."""
+    """One virtual measurement with the true parameters behind it."""
 
     theta: Float[Array, " k"]
     """True amplitudes in solver units."""
@@ -63,7 +63,7 @@ class Draw(NamedTuple):
 
 
 class Simulator(eqx.Module):
-    """A model on a plan, ready to draw from: arrays, none of which depends on the draw."""
+    """A model on a plan, prepared for draws: arrays that do not depend on the draw."""
 
     chain: Chain
     instrument: Instrument
@@ -73,9 +73,10 @@ class Simulator(eqx.Module):
     scatter: tuple[PortColumn, ...]
     """Random effects, per standard deviation."""
     fresh: Amplitudes
-    """Amplitudes of the random effects, drawn anew for every row."""
+    """Prior of the amplitudes of the random effects, which are drawn independently for every row.
+    """
     shapes: tuple[DrawnShape, ...]
-    """Shape parameters that are drawn; none, unless `prepare` was asked for it."""
+    """Shape parameters that are drawn; none, unless `prepare` had `draw_shapes`."""
     fixed: dict[int, dict[str, float]]
     """Values (SI) of the shape parameters that are not drawn."""
     sigma: Float[Array, "n m"]
@@ -86,18 +87,18 @@ class Simulator(eqx.Module):
 
 @dataclass(frozen=True)
 class Simulated:
-    """A measurement that was made up, and what is behind it."""
+    """A simulated measurement with the true parameters behind it."""
 
     model: Model
-    """The truth: the model it was drawn from, with the effects that were added."""
+    """The true model: the one it was drawn from, with the added effects."""
     measurement: Measurement
     truth: Truth
     ideal: np.ndarray = field(repr=False)
-    """Readings (n, m) without the instrument's noise, SI; for an implicit instrument at the
-    positions recorded.
+    """Readings (n, m) without the noise of the instrument, SI; for an implicit instrument, at the
+    recorded positions.
     """
     noise: np.ndarray = field(repr=False)
-    """The noise drawn (n, m), SI, in the readings or in the positions recorded."""
+    """The drawn noise (n, m), SI, of the readings or of the recorded positions."""
 
     @property
     def theta(self) -> np.ndarray:
@@ -110,8 +111,10 @@ class Simulated:
         return self.truth.shapes
 
     def values(self, effect: Effect) -> list[tuple[Parameter, float]]:
-        """Parameters of an effect of the model with their true values, in edge units; of a random
-        effect, their standard deviations. Raises `ValueError` if it is not in the model.
+        """Parameters of an effect of the model with their true values, in the units of the
+        parameters; for a random effect, with their standard deviations.
+
+        Raises `ValueError` if the effect is not in the model.
         """
         if any(effect is other for other in self.model.random):
             return [(p, _deviation(p)) for p in effect.amplitudes]
@@ -127,8 +130,8 @@ class Simulated:
         return values + [(p, self.shapes[places[0]][p.name] / p.si) for p in effect.shapes]
 
     def tool_points(self, plan: Plan) -> Float[np.ndarray, "n 3"]:
-        """True tool points in the workpiece frame, m: all effects of the machine, none of the
-        instrument.
+        """True tool points (n, 3) in the workpiece frame, m: with all effects of the machine and
+        none of the instrument.
         """
         return true_tool_points(self.model, plan, self.truth)
 
@@ -136,10 +139,10 @@ class Simulated:
 def draw_truth(model: Model, plan: Plan, key: PRNGKeyArray) -> Truth:
     """A machine and an instrument drawn from the priors of a model.
 
-    Amplitudes come from their priors, uncertain calibrated positions among them; those with a flat
-    prior stay at zero, that is, nominal. Shape parameters that are not declared are uniform over
-    what the loop would scan on `plan`, in the coordinate of the scan, or have their own
-    distribution. Every effect has a key of its own: adding one leaves the others as they were.
+    Amplitudes, including uncertain calibrated positions, are drawn from their priors; those with a
+    flat prior are zero, that is nominal. Shape parameters that are not declared have their own
+    distribution, or are uniform over the scan of the loop on `plan`, in the coordinate of the scan.
+    Every effect has its own key: an additional effect does not change the draws of the others.
     """
     theta = np.asarray(Amplitudes.of(model.effects).sample(key))
     shapes = {
@@ -160,12 +163,14 @@ def prepare(
     noise_factor: float = 1.0,
     draw_shapes: bool = False,
 ) -> Simulator:
-    """All of a simulation that is the same for every draw.
+    """The part of a simulation that is the same for every draw.
 
     `shapes` are the values of shape parameters (SI); with `draw_shapes`, those that are not
-    declared are drawn with the amplitudes instead. `noise_factor` multiplies the instrument's
-    declared noise. Raises `RuntimeError` where JAX runs in float32, `ValueError` for a negative
-    factor, and `KeyError` where an effect needs a covariate that the plan does not hold.
+    declared are drawn with the amplitudes instead. `noise_factor` multiplies the declared noise of
+    the instrument.
+
+    Raises `RuntimeError` where JAX runs in float32, `ValueError` for a negative factor, and
+    `KeyError` where an effect needs a covariate that the plan does not have.
     """
     require_float64()
     if not 0.0 <= noise_factor < np.inf:
@@ -194,7 +199,7 @@ def prepare(
 
 
 def _scatter(model: Model, plan: Plan) -> Terms:
-    """Random effects with their standard deviation as one unit."""
+    """Terms of the random effects, with their standard deviation as unit."""
     blocks, count = [], 0
     for effect in model.random:
         blocks.append(effect_terms(scattering(effect), model.layout, plan, {}, count))
@@ -203,35 +208,35 @@ def _scatter(model: Model, plan: Plan) -> Terms:
 
 
 def scattering(effect: Effect) -> Effect:
-    """A random effect with its standard deviation as one unit."""
+    """A random effect with its standard deviation as unit of its amplitudes."""
     given = tuple((p.name, 0.0, _deviation(p)) for p in effect.amplitudes)
     return replace(effect, given=given, priors=())
 
 
 def _fresh(model: Model) -> Amplitudes:
-    """Priors of the random effects; raises `ValueError` for one that is not centred on zero."""
+    """Priors of the random effects. Raises `ValueError` for a prior with a mean other than zero."""
     for effect in model.random:
         for prior in effect.priors:
             if any(prior.mean) or not isinstance(prior.distribution, Univariate):
                 raise ValueError(
                     f"effect {effect.key!r}: found a {prior.distribution.name} distribution with "
-                    f"the mean {', '.join(f'{v:g}' for v in prior.mean)}, expected one of one "
-                    "number with the mean zero; what a random effect has beside its scatter is an "
+                    f"the mean {', '.join(f'{v:g}' for v in prior.mean)}, expected a univariate "
+                    "one with the mean zero; declare the systematic part of a random effect as an "
                     "effect of its own"
                 )
     return Amplitudes.of(model.random)
 
 
 def _deviation(parameter: Parameter) -> float:
-    """Standard deviation of a random effect, in its unit: the declared value, or the prior's."""
+    """Standard deviation of a random effect, in its unit: the declared or the prior's value."""
     return parameter.mean or parameter.sigma
 
 
 def draw(simulator: Simulator, key: PRNGKeyArray) -> Draw:
     """One virtual measurement: a pure function of the key.
 
-    The amplitudes are those `draw_truth` gives for the first of the three keys that `key` splits
-    into. The readings of an implicit instrument are its residuals at the planned positions.
+    The amplitudes are those of `draw_truth` for the first of the three keys into which `key` is
+    split. The readings of an implicit instrument are its residuals at the planned positions.
     """
     machine, noise, fresh = jax.random.split(key, 3)
     theta = simulator.amplitudes.sample(machine)
@@ -243,7 +248,7 @@ def draw(simulator: Simulator, key: PRNGKeyArray) -> Draw:
 
 
 def draw_scatter(simulator: Simulator, key: PRNGKeyArray) -> Float[Array, "n r"]:
-    """Amplitudes of the random effects for every row, in standard deviations."""
+    """Amplitudes (n, r) of the random effects for every row, in standard deviations."""
     own = simulator.fresh
     return own.shaped(standard_normal(key, (simulator.plan.rows, sum(own.counts))))
 
@@ -254,10 +259,10 @@ def ideal_readings(
     scatter: Float[Array, "n r"],
     shapes: Mapping[int, Mapping[str, Any]] | None = None,
 ) -> Float[Array, "n m"]:
-    """Reduced readings without the instrument's noise: a pure function.
+    """Reduced readings (n, m) without the noise of the instrument, SI: a pure function.
 
-    `theta` are the amplitudes in solver units, `scatter` those of the random effects (n, r),
-    `shapes` the values (SI) of the shape parameters that are drawn.
+    `theta` are the amplitudes in solver units, `scatter` those of the random effects in standard
+    deviations, `shapes` the values (SI) of the drawn shape parameters by position of the effect.
     """
     s = simulator
     ports = s.ports(theta, shapes)
@@ -280,9 +285,10 @@ def simulate(
 ) -> Simulated:
     """One measurement of a plan on a machine drawn from the priors of `model`.
 
-    `effects` are there in reality beside those of the model; `truth` (of the model with these
-    effects) replaces the draw; `noise_factor` multiplies the instrument's declared noise (0: none).
-    The result depends on `key` alone.
+    `effects` are present in the true machine in addition to those of the model. `truth` (of the
+    model with these effects) replaces the draw. `noise_factor` multiplies the declared noise of the
+    instrument (0: no noise). `name` becomes that of the measurement. For the same arguments, the
+    result is the same.
 
     Raises `RuntimeError` where JAX runs in float32, `ValueError` for a negative factor or a truth
     that does not fit the model, and `StudyError` where the positions of an implicit instrument are
@@ -302,7 +308,7 @@ def simulate(
     scatter = draw_scatter(simulator, fresh)
 
     def ideal(at: Plan) -> np.ndarray:
-        # Effects respond to where the axes are, so that their terms change with the positions.
+        # The terms of the effects depend on the positions of the axes.
         here = simulator if at is plan else prepare(model, at, truth.shapes)
         return np.asarray(ideal_readings(here, jnp.asarray(truth.theta), scatter))
 
@@ -317,9 +323,9 @@ def simulate(
 
 
 def true_tool_points(model: Model, plan: Plan, truth: Truth) -> Float[np.ndarray, "n 3"]:
-    """Tool points of the true machine in the workpiece frame, m.
+    """Tool points (n, 3) of the true machine in the workpiece frame, m.
 
-    Effects of the machine alone: what only the instrument sees does not move the tool.
+    Only effects of the machine count: effects of the instrument do not move the tool.
     """
     require_float64()
     model.check_plan(plan)
@@ -334,29 +340,31 @@ def true_tool_points(model: Model, plan: Plan, truth: Truth) -> Float[np.ndarray
 
 
 def travels(chain: Chain, plan: Plan) -> Float[np.ndarray, "axes 2"]:
-    """Travel of every axis, or what a plan covers where it is not declared (m or rad)."""
+    """Travel of every axis (m or rad), or the range of the plan where no travel is declared."""
     own = np.asarray(plan.position)
     ends = np.column_stack([own.min(0), own.max(0)])
     return np.where(np.isfinite(chain.travel), chain.travel, ends)
 
 
 def scattered(chain: Chain, plan: Plan, key: PRNGKeyArray, rows: int) -> Plan:
-    """Conditions of an independent check: random positions over the travel, random directions.
+    """Plan of an independent check: `rows` random positions over the travel, random directions.
 
-    Where a travel is not bounded, positions lie within those of `plan`. All other covariates are
-    those of a row of `plan` picked at random, so that they fit together (`Plan.elsewhere`).
+    Where a travel is not bounded, positions are within the range of `plan`. All other covariates
+    are those of a row of `plan` chosen at random, so that they are consistent (`Plan.elsewhere`).
     """
-    at, where, way = jax.random.split(key, 3)
+    at, where, direction = jax.random.split(key, 3)
     picked = np.asarray(jax.random.choice(where, plan.rows, (rows,)))
     low, high = travels(chain, plan).T
     position = low + (high - low) * np.asarray(jax.random.uniform(at, (rows, len(plan.axes))))
     found = plan.elsewhere(position, picked)
-    signs = np.asarray(jax.random.rademacher(way, position.shape, float))
-    ways = {f"dir_{axis}": signs[:, i] for i, axis in enumerate(plan.axes)}
-    ways = {name: values for name, values in ways.items() if name in found.covariates}
-    return Plan(plan.axes, position, {**found.covariates, **ways})
+    signs = np.asarray(jax.random.rademacher(direction, position.shape, float))
+    directions = {f"dir_{axis}": signs[:, i] for i, axis in enumerate(plan.axes)}
+    directions = {name: values for name, values in directions.items() if name in found.covariates}
+    return Plan(plan.axes, position, {**found.covariates, **directions})
 
 
 def conditions_at(plan: Plan, position: Float[np.ndarray, "n axes"]) -> Plan:
-    """Other positions under the conditions of the middle row of a plan (`Plan.elsewhere`)."""
+    """Other positions (m or rad) under the conditions of the middle row of a plan
+    (`Plan.elsewhere`).
+    """
     return plan.elsewhere(position, np.full(len(position), plan.rows // 2))

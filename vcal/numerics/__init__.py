@@ -1,5 +1,12 @@
-"""Numerical ground: least squares, rigid motions, compiled programs, caches, reproducible draws.
+"""Numerical methods that are independent of machines and measurements.
 
-Nothing here knows of machines or measurements; only jax, numpy and scipy. Every room above may use
-it.
+- `least_squares`, `gauss_newton`, `anderson`, `trust_region`: non-linear least squares, in a
+  compiled program or step by step on the host;
+- `spatial`, `rigid`: rotations and rigid motions, as arrays or by components;
+- `compiled`, `identity_cache`, `arrays`, `record`: compilation, caches, and the base classes of
+  what may be traced;
+- `normal_draws`: normal numbers from explicit keys.
+
+This package knows only jax, equinox, optimistix, numpy and scipy, and no other package of vcal.
+Every package above may use it.
 """

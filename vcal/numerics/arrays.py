@@ -1,4 +1,4 @@
-"""The type of an array: of JAX inside a compiled function, of numpy outside."""
+"""Arrays of either library: JAX inside a compiled function, numpy outside."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,26 +9,26 @@ import numpy as np
 from jax.core import Tracer
 
 Array = jax.Array | np.ndarray
-"""What every function takes; what it gives is a JAX array where JAX computed it."""
+"""Type of the array arguments of every function; results are JAX arrays where JAX computed them."""
 
 
 def array(values: Any) -> Any:
-    """Values as an array: those that have a shape, traced or not, as they are."""
+    """Values as an array; values that have a shape, traced or not, are returned as they are."""
     return values if hasattr(values, "shape") else np.asarray(values)
 
 
 def arrays(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The same of every column of a table."""
+    """`array` of every column of a table."""
     return {name: array(values) for name, values in table.items()}
 
 
 def known(values: Any) -> bool:
-    """Whether there are numbers: not where a value is traced, or only its shape stands for it."""
+    """Whether the numbers are available: not for a traced value, nor for a mere shape."""
     return isinstance(values, np.ndarray | jax.Array) and not isinstance(values, Tracer)
 
 
 def namespace(*values: Any) -> Any:
-    """The functions to use on these values: those of `jax.numpy` where one of them is an array of
-    JAX, traced or not, else those of `numpy`, which have nothing to compile for a new shape.
+    """The module whose functions suit these values: `jax.numpy` if one of them is an array of JAX,
+    traced or not, else `numpy`, which has nothing to compile for a new shape.
     """
     return jnp if any(isinstance(value, jax.Array) for value in values) else np

@@ -1,4 +1,7 @@
-"""Compiled programs that no other one contains, compiled in two thirds of the time."""
+"""jit for outermost functions, with compiler options that cut compile time by a third.
+
+Only an outermost function, one that no other compiled function calls, may have compiler options.
+"""
 
 import functools
 from collections.abc import Callable, Mapping
@@ -13,14 +16,16 @@ _T = TypeVar("_T")
 _Options = dict[str, bool | int | str]
 
 _OPTIONS: _Options = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
-"""Fits run as fast with these; campaigns of a tracker take up to a fifth longer, those of a ball
-array a third of the time. Without any optimisation (0) compilation takes a third less still, but
-short loops over rows up to half as long again."""
+"""Fits run as fast with these options. Campaigns of a tracker take up to a fifth longer, campaigns
+of a ball array a third of the time. No optimisation at all (level 0) would cut compile time by a
+further third, but short loops over rows take up to half as long again."""
 
 
 def known_options(options: Mapping[str, bool | int | str]) -> _Options:
-    """Those of the options that this release of the compiler knows: nobody promised them, and
-    nothing but time may depend on them (jax 0.12 has no `xla_cpu_use_fusion_emitters`).
+    """The options that this release of the compiler accepts.
+
+    They are not part of a stable interface, and only the run time may depend on them (jax 0.12 has
+    no `xla_cpu_use_fusion_emitters`).
     """
     known = {}
     for name, value in options.items():
@@ -34,19 +39,22 @@ def known_options(options: Mapping[str, bool | int | str]) -> _Options:
 
 @functools.cache
 def _options() -> _Options:
-    """None on an accelerator, which has a compiler of its own."""
+    """The accepted options; none on an accelerator, which has its own compiler."""
     return known_options(_OPTIONS) if jax.default_backend() == "cpu" else {}
 
 
 def jit_outermost(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """`jax.jit` of what is called from outside of other compiled programs only; inside of one it
-    raises `ValueError`.
+    """`jax.jit` with these options, for a function that no compiled function calls.
+
+    The result raises `ValueError` where it is called inside another compiled function.
     """
     return jax.jit(function, compiler_options=_options())  # type: ignore[return-value]
 
 
 def filter_jit_outermost(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """The same of `equinox.filter_jit`, to decorate with; compiles nothing before a first call."""
+    """`equinox.filter_jit` with these options, as a decorator; compiles nothing before the first
+    call.
+    """
 
     @functools.cache
     def program() -> Callable[_P, _T]:

@@ -1,4 +1,4 @@
-"""Results that are asked for again and again of the very same objects."""
+"""A cache of results by the identity of the objects that they were computed from."""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -8,9 +8,10 @@ T = TypeVar("T")
 
 
 class IdentityCache(Generic[T]):
-    """The last few results, each by the objects it was made of: by identity, as arrays and what
-    holds them cannot be hashed, a text by its letters. They must not be changed afterwards; nor
-    may a result.
+    """The last `most` results, each found by the objects that it was computed from.
+
+    Objects are compared by identity, because arrays and their containers cannot be hashed; texts
+    are compared by value. Neither the objects nor a result may be changed afterwards.
     """
 
     def __init__(self, most: int):
@@ -20,10 +21,10 @@ class IdentityCache(Generic[T]):
         )
 
     def of(self, objects: tuple[object, ...], make: Callable[[], T]) -> T:
-        """What was made of these objects before, or is made now."""
+        """The result kept for these objects, or the one that `make` computes now."""
         key = tuple(it if isinstance(it, str) else id(it) for it in objects)
         known = self._found.get(key)
-        # The objects are kept beside the result, so that no other one gets their identity.
+        # The objects are kept with the result, so that no other object gets their identity.
         made = make() if known is None else known[1]
         self._found[key] = objects, made
         self._found.move_to_end(key)

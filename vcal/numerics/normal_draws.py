@@ -13,11 +13,12 @@ _HALF = 2.0**-32
 
 
 def standard_normal(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "..."]:
-    """Independent N(0, 1) of that shape, in float64; a pure function of key and shape.
+    """Independent N(0, 1) numbers of that shape, in float64; a pure function of key and shape.
 
-    sqrt(2) erfinv(2 u - 1) with u = (i + 1/2) / 2^32, i of 32 random bits: noise is the larger part
-    of a simulated measurement's cost, and this takes half the bits of `jax.random.normal`. Steps
-    in probability are 2.3e-10, and no value lies beyond 6.3 standard deviations (one in 4e9 would).
+    z = sqrt(2) erfinv(2 u - 1) with u = (i + 1/2) / 2^32 and i of 32 random bits. Noise takes most
+    of the time of a simulated measurement, and this needs half the bits of `jax.random.normal`. The
+    probability is resolved to 2.3e-10, and no value lies beyond 6.3 standard deviations (one in 4e9
+    would).
     """
     count = math.prod(shape)
     bits = jax.random.bits(key, ((count + 1) // 2,), "uint64")

@@ -1,4 +1,4 @@
-"""What models, plans and effects are: frozen dataclasses that are pytrees."""
+"""The base class of models, plans and effects: frozen dataclasses that are pytrees."""
 
 from typing import TYPE_CHECKING
 
@@ -6,12 +6,12 @@ import equinox as eqx
 
 
 class Record(eqx.Module):
-    """A module of equinox whose methods are those of any other Python object.
+    """An equinox module whose methods are looked up as those of any other Python object.
 
-    A module's own are wrapped, each time one is looked up, in one more module that is a pytree
-    too, so that a compiled function may take it for an argument. What is looked up a hundred
-    thousand times in one run of the loop, and never given to a compiled function, need not be: it
-    took a tenth of the time of a run, with compilation.
+    equinox wraps a method, each time it is looked up, in a further module that is a pytree, so that
+    a compiled function may take it as an argument. Methods of these classes are looked up a hundred
+    thousand times in one run of the loop and never passed to a compiled function. Wrapping them
+    took a tenth of the time of a run, compilation included.
     """
 
     if not TYPE_CHECKING:

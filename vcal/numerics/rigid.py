@@ -1,9 +1,9 @@
-"""Vectors and rotations as separate components, for what is mapped over rows and draws.
+"""Vectors and rotations as separate components, for functions that are mapped over rows and draws.
 
-An array of shape (3, 3) per row and draw makes every product a tiny matrix product, in memory
-between each two steps. Nine scalars instead make the whole path of an observation one elementwise
-expression, which a compiler runs through in registers: fifteen times as fast.
-Components that are plain Python numbers are constants: products with 0 and 1 are left out.
+With an array of shape (3, 3) per row and draw, every product is a tiny matrix product that is
+written to memory. With nine scalars, the whole path of an observation is one elementwise
+expression, which the compiler evaluates in registers: fifteen times as fast. Components that are
+plain Python numbers are constants: products with 0 and 1 are left out.
 """
 
 import math
@@ -52,7 +52,7 @@ def _times(a: Scalar, b: Scalar) -> Scalar:
 
 
 class Vector(Record):
-    """Three components."""
+    """A vector by its three components."""
 
     x: Scalar
     y: Scalar
@@ -60,7 +60,7 @@ class Vector(Record):
 
     @classmethod
     def of(cls, values) -> "Vector":
-        """From a sequence or array of three; a concrete numpy array gives constants."""
+        """From a sequence or array (3,); the components of a numpy array are constants."""
         if isinstance(values, np.ndarray):
             values = values.tolist()
         return cls(values[0], values[1], values[2])
@@ -108,7 +108,7 @@ class Rotation(Record):
 
     @classmethod
     def of(cls, matrix) -> "Rotation":
-        """From an array of shape (3, 3); a concrete numpy array gives constants."""
+        """From an array (3, 3); the components of a numpy array are constants."""
         return cls((Vector.of(matrix[0]), Vector.of(matrix[1]), Vector.of(matrix[2])))
 
     @property
@@ -167,12 +167,12 @@ def _series(first: int, squared: Scalar) -> Scalar:
 
 
 def exp(v: Vector) -> Rotation:
-    """Rotation by the rotation vector `v` (rad), meant for errors: R = exp(skew(v)).
+    """Rotation by the rotation vector `v` (rad), intended for small errors: R = exp(skew(v)).
 
-    I + sin(t)/t K + (1 - cos t)/t^2 K^2 with t = |v|, both coefficients by their power series in
-    t^2, which has no branch at zero and needs no library call: exact to rounding up to 1 rad, to
-    1e-13 up to pi. Its derivative is d R = skew(J dv) R with J = I + (1 - cos t)/t^2 K +
-    (t - sin t)/t^3 K^2.
+    R = I + sin(t)/t K + (1 - cos t)/t^2 K^2 with K = skew(v), t = |v|. Both coefficients are power
+    series in t^2, which have no branch at zero and need no library call. They are exact to rounding
+    up to 1 rad, and to 1e-13 up to pi. The derivative is dR = skew(J dv) R with
+    J = I + (1 - cos t)/t^2 K + (t - sin t)/t^3 K^2.
     """
     if all(isinstance(c, float) and c == 0.0 for c in v.parts):
         return IDENTITY
@@ -202,7 +202,7 @@ def like(value: Scalar, other: Scalar) -> Array:
 
 
 def left_jacobian(v: Vector, dv: Vector) -> Vector:
-    """Rotation, in the fixed frame, that a change `dv` of the rotation vector `v` makes: J dv."""
+    """Rotation in the fixed frame by a change `dv` of the rotation vector `v`: J dv (rad)."""
     squared = v.dot(v)
     first = v.cross(dv)
     return dv + first * _series(2, squared) + v.cross(first) * _series(3, squared)
@@ -221,15 +221,15 @@ def spun(r: Rotation, w: Vector) -> Rotation:
 
 
 class Algebra(NamedTuple):
-    """How vectors and rotations are represented: what a kinematic chain is written in.
+    """A representation of vectors and rotations: the operations that a kinematic chain needs.
 
-    Both representations know `+`, `-`, `@`, `.T` and the product with a number.
+    Both representations support `+`, `-`, `@`, `.T` and the product with a number.
     """
 
     identity: Any
     origin: Any
     vector: Callable[[Any], Any]
-    """From a sequence or array of three."""
+    """Vector from a sequence or array (3,)."""
     placement: Callable[[Any], tuple[Any, Any]]
     """Rotation and translation of a homogeneous matrix."""
     about: Callable[[Any, Any], Any]
@@ -239,7 +239,7 @@ class Algebra(NamedTuple):
 
 
 COMPONENTS = Algebra(IDENTITY, ORIGIN, Vector.of, placement, about, exp)
-"""Fastest to run over many draws."""
+"""Vectors and rotations by components: the fastest evaluation over many draws."""
 ARRAYS = Algebra(
     np.eye(3),
     np.zeros(3),
@@ -248,4 +248,5 @@ ARRAYS = Algebra(
     lambda axis, angle: rotation(axis * angle),
     rotation,
 )
-"""Fastest to compile where derivatives with respect to all errors are wanted side by side."""
+"""Vectors and rotations as arrays: the fastest compilation where the derivatives with respect to
+all errors are needed together."""

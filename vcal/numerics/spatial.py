@@ -16,10 +16,10 @@ def skew(v: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def rotation(v: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Rotation matrix of the rotation vector `v` (rad): R = exp(skew(v)), Rodrigues' formula.
+    """Rotation matrix of the rotation vector `v` (rad): R = exp(skew(v)), by Rodrigues' formula.
 
-    Below an angle of 1e-4 the coefficients are taken from their series, whose truncation error is
-    below the rounding of float64, so that value and all derivatives are finite at v = 0.
+    Below an angle of 1e-4 rad the coefficients are taken from their series. Its truncation error is
+    below the rounding of float64, and value and all derivatives are finite at v = 0.
     """
     squared = v @ v
     small = squared < 1e-8
@@ -50,10 +50,10 @@ def euler_xyz(angles: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def best_rigid(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation R and translation t minimising the sum of |R source + t - target|^2.
+    """Rotation R (3, 3) and translation t (3,) that minimise the sum of |R source + t - target|^2.
 
-    Kabsch's solution by singular value decomposition. Shapes (n, 3), n >= 3 points that are not on
-    one line; returns R (3, 3) and t (3,).
+    Kabsch's solution by singular value decomposition. `source` and `target` are (n, 3), n >= 3
+    points that do not lie on one line.
     """
     cs, ct = source.mean(0), target.mean(0)
     u, _, vt = np.linalg.svd((source - cs).T @ (target - ct))
@@ -63,7 +63,7 @@ def best_rigid(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def rigid_columns(points: np.ndarray) -> np.ndarray:
-    """Displacement of `points` (n, 3) per unit of a rigid motion: (n, 3, 6), translations first."""
+    """Displacement (n, 3, 6) of `points` (n, 3) per unit of a rigid motion, translations first."""
     columns = np.zeros((len(points), 3, 6))
     columns[:, :, :3] = np.eye(3)
     x, y, z = points.T
@@ -76,22 +76,23 @@ def rigid_columns(points: np.ndarray) -> np.ndarray:
 def rigid_basis(points: np.ndarray) -> np.ndarray:
     """Orthonormal displacements (3 n, r) that span the rigid motions of `points` (n, 3).
 
-    r = 6; 5 for points on a line, which a rotation about it leaves where they are, 3 for points in
-    one place.
+    r = 6 in general; 5 for points on one line, as a rotation about the line does not move them; 3
+    for points that coincide.
     """
     arms = points - points.mean(0)
     columns = rigid_columns(arms)
-    # Rotations by the size of the whole, not each by its own: one that moves nothing must not grow.
+    # All rotations have one scale: a rotation that moves nothing must not be scaled up.
     columns[:, :, 3:] /= np.sqrt((arms**2).sum(1).mean()) or 1.0
     u, s, _ = np.linalg.svd(columns.reshape(-1, 6), full_matrices=False)
     return u[:, s > 1e-9 * s[0]]
 
 
 def align_rigid(points: np.ndarray, displacements: np.ndarray) -> np.ndarray:
-    """Displacements less the rigid motion that fits them best (first order, least squares).
+    """Displacements minus the rigid motion that fits them best (first order, least squares).
 
-    `points` (n, 3) and `displacements` (n, 3, ...) in m. Volumetric errors are compared after this,
-    because an unknown station or artefact pose cannot see a rigid motion.
+    `points` (n, 3) and `displacements` (n, 3, ...) in m. Volumetric errors are compared after this
+    alignment, because a measurement from a station or artefact of unknown pose contains no
+    information about a rigid motion.
     """
     rigid = rigid_basis(points)
     flat = displacements.reshape(len(rigid), -1)
@@ -99,9 +100,9 @@ def align_rigid(points: np.ndarray, displacements: np.ndarray) -> np.ndarray:
 
 
 def require_float64() -> None:
-    """Raise if JAX runs in float32: 1 nm in 3 m is 3e-10 and would be lost.
+    """Raise `RuntimeError` if JAX runs in float32: 1 nm in 3 m is 3e-10 and would be lost.
 
-    Raises `RuntimeError` that says how to switch float64 on.
+    The message explains how to switch to float64.
     """
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         raise RuntimeError(

@@ -1,12 +1,13 @@
-"""Least squares with a prior, within a region that is trusted: for strongly curved problems.
+"""Least squares with a prior, by a trust region: for strongly curved problems.
 
     minimise  |r(z)|^2,    r(z) = (data residual, z),    z in standard deviations of the prior
 
-What a catalogue leaves open by a factor of two is, of data a thousand times more accurate, far from
-linear: a Gauss-Newton step from the catalogue leads anywhere. Steps are therefore the minimum of
-the linear model within |dz| <= radius, in standard deviations of the prior, by the eigenvalues of
-J'J, all of which are at least one (More', Sorensen 1983). The radius grows where the model foretold
-the cost, and shrinks where it did not.
+A parameter that a catalogue gives within a factor of two is far from linear for data that are a
+thousand times more accurate: a Gauss-Newton step from the catalogue value may end anywhere. Each
+step is therefore the minimum of the linear model within |dz| <= radius, in standard deviations of
+the prior. It is found from the eigenvalues of J'J, all of which are at least one (More', Sorensen
+1983, SIAM J. Sci. Stat. Comput. 4, 553). The radius grows where the linear model predicted the
+cost, and shrinks where it did not.
 """
 
 from collections.abc import Callable
@@ -25,31 +26,33 @@ from .spatial import require_float64
 _RADIUS = 1.0
 """First radius, standard deviations of the prior."""
 _GOOD, _POOR = 0.75, 0.25
-"""Shares of the foretold reduction above which the radius grows, and below which it shrinks."""
+"""Shares of the predicted reduction above which the radius grows, and below which it shrinks."""
 _ACCEPTED = 1e-3
 _LOST = 1e-10
-"""Radius at which nothing changes any more."""
+"""Radius at which a step no longer changes anything."""
 _ROUNDING = 1e-11
-"""Foretold reduction over the cost that rounding hides."""
+"""Predicted reduction, relative to the cost, that may be rounding alone."""
 _SECULAR = 6
 """Newton steps for the length of a step; each doubles the digits."""
 
 
 class Found(eqx.Module):
-    """Where a search within the prior ended. Under `vmap` every field has a leading axis."""
+    """The end of a search within the prior. Under `vmap` every field has a leading axis."""
 
     value: Float[Array, " k"]
+    """z, in standard deviations of the prior."""
     status: Int[Array, ""]
     """A `Status`."""
     steps: Int[Array, ""]
-    """Evaluations after that of the start."""
+    """Number of evaluations after the first one, at the start."""
     cost: Float[Array, ""]
+    """|r|^2 at `value`."""
     residual: Float[Array, " n"]
     jacobian: Float[Array, "n k"]
 
     @property
     def covariance(self) -> Float[Array, "k k"]:
-        """(J'J)^-1."""
+        """(J'J)^-1, the posterior covariance in units of the prior."""
         return jnp.linalg.inv(self.jacobian.T @ self.jacobian)
 
 
@@ -59,10 +62,10 @@ class _State(eqx.Module):
     jacobian: Float[Array, "n k"]
     cost: Float[Array, ""]
     radius: Float[Array, ""]
-    foretold: Float[Array, ""]
-    """Reduction of the cost that the linear model expects at the trial."""
+    predicted: Float[Array, ""]
+    """Reduction of the cost that the linear model predicts for the trial."""
     length: Float[Array, ""]
-    """Of the step to the trial."""
+    """Length of the step to the trial."""
     evaluations: Int[Array, ""]
     status: Int[Array, ""]
     done: Bool[Array, ""]
@@ -73,7 +76,7 @@ class TrustRegion(optx.AbstractLeastSquaresSolver):
 
     tolerance: float | Array
     """Remaining step at which to stop, sqrt(g' H^-1 g), in posterior standard deviations."""
-    # Names that optimistix asks every solver for; convergence is judged by the tolerance alone.
+    # optimistix requires these names of every solver; convergence is judged by the tolerance alone.
     rtol: float = 0.0
     atol: float = 0.0
     norm: Any = optx.max_norm
@@ -86,7 +89,7 @@ class TrustRegion(optx.AbstractLeastSquaresSolver):
             jacobian=jnp.zeros((n, k)),
             cost=jnp.asarray(jnp.inf),
             radius=jnp.asarray(_RADIUS),
-            foretold=jnp.asarray(1.0),
+            predicted=jnp.asarray(1.0),
             length=jnp.asarray(0.0),
             evaluations=jnp.asarray(0),
             status=jnp.asarray(int(Status.STEP_LIMIT)),
@@ -99,7 +102,7 @@ class TrustRegion(optx.AbstractLeastSquaresSolver):
         cost = residual @ residual
         first = state.evaluations == 0
         finite = jnp.isfinite(cost) & jnp.isfinite(jacobian).all()
-        share = jnp.where(finite, (state.cost - cost) / state.foretold, -jnp.inf)
+        share = jnp.where(finite, (state.cost - cost) / state.predicted, -jnp.inf)
         accept = (first | (share > _ACCEPTED)) & finite
         edge = state.length >= 0.9 * state.radius
         radius = jnp.where(~first & (share > _GOOD) & edge, 2.0 * state.radius, state.radius)
@@ -114,11 +117,11 @@ class TrustRegion(optx.AbstractLeastSquaresSolver):
             )
         )
         gradient = residual @ jacobian
-        values, ways = jnp.linalg.eigh(jacobian.T @ jacobian)
-        along = gradient @ ways
+        values, vectors = jnp.linalg.eigh(jacobian.T @ jacobian)
+        along = gradient @ vectors
         newton = (along**2 / values).sum()
-        step, foretold = _within(values, along, radius)
-        # What is left is lost in rounding, or shorter than what was asked for.
+        step, predicted = _within(values, along, radius)
+        # The remaining step is rounding, or shorter than the tolerance.
         stationary = (newton <= self.tolerance**2) | (newton <= _ROUNDING * cost)
         broken = first & ~finite
         lost = ~stationary & (radius < _LOST)
@@ -126,12 +129,12 @@ class TrustRegion(optx.AbstractLeastSquaresSolver):
         status = jnp.where(lost, int(Status.STALLED), status)
         status = jnp.where(broken, int(Status.NON_FINITE), status)
         state = _State(
-            trial=y + ways @ step,
+            trial=y + vectors @ step,
             residual=residual,
             jacobian=jacobian,
             cost=cost,
             radius=radius,
-            foretold=foretold,
+            predicted=predicted,
             length=jnp.linalg.norm(step),
             evaluations=state.evaluations + 1,
             status=status,
@@ -147,11 +150,11 @@ class TrustRegion(optx.AbstractLeastSquaresSolver):
 
 
 def _within(values: Array, along: Array, radius: Array) -> tuple[Array, Array]:
-    """The step -(H + mu)^-1 g no longer than the radius, along the eigenvectors of H, and the
-    reduction of the cost that it should bring.
+    """The step -(H + mu)^-1 g, at most as long as the radius, along the eigenvectors of H, and the
+    reduction of the cost that the linear model predicts for it.
     """
     free = jnp.linalg.norm(along / values)
-    # 1 / |step(mu)| is all but linear in mu: Newton's steps on it rise to the solution.
+    # 1 / |step(mu)| is nearly linear in mu: Newton's iteration on it rises to the solution.
     mu = jnp.asarray(0.0)
     for _ in range(_SECULAR):
         scaled = along / (values + mu)
@@ -172,15 +175,18 @@ def within_prior(
     tolerance: float = 1e-3,
     max_steps: int = 60,
 ) -> Found:
-    """Minimise |residual(z, args)|^2, the rows of the prior, z itself, among the residuals.
+    """Minimise |residual(z, args)|^2 over z (k,), in standard deviations of the prior.
 
-    `tolerance` is the remaining step in posterior standard deviations. May be jitted and mapped;
-    failure is a value: see `Found.status`. A minimum may be a local one. Raises `RuntimeError`
-    where JAX runs in float32.
+    `residual` returns the whitened data residual followed by the rows of the prior, z itself.
+    `tolerance` is the remaining step in posterior standard deviations, `max_steps` limits the
+    number of steps. The function may be jitted and mapped. A failure is no exception: see
+    `Found.status`. The minimum may be a local one.
+
+    Raises `RuntimeError` where JAX runs in float32.
     """
     require_float64()
     solver = TrustRegion(tolerance=jnp.asarray(tolerance))
-    # The first evaluation is that of the start.
+    # The first evaluation is at the start.
     found = optx.least_squares(residual, solver, start, args, max_steps=max_steps + 1, throw=False)
     state = found.state
     return Found(

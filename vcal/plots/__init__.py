@@ -1,4 +1,4 @@
-"""Pictures of what closing the loop found: functions that return a matplotlib figure."""
+"""Pictures of the results: functions that return a matplotlib figure."""
 
 from .changing import changing_sizes
 from .effect_signature import Signature, signature, signatures

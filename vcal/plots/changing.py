@@ -1,4 +1,4 @@
-"""How an effect changes with a recorded quantity: its size in parts of the readings."""
+"""Change of an effect with a recorded quantity: its size in parts of the readings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,21 +16,21 @@ from .style import AFTER, BEFORE, INK, column_label, figure, grid, pretty_unit, 
 from .views import column_of
 
 _SEEN = 1e-6
-"""Share of a parameter's largest part in the readings from which a part of them says anything."""
+"""Least sensitivity of a part of the readings to a parameter, relative to the largest one."""
 _OPEN = 1e-10
-"""Information, of that of a part, that counts as none."""
+"""Regularisation, relative to the information of one part."""
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """The size of an effect in parts of the readings, and as the description has it."""
+    """The size of an effect in parts of the readings, and by its empirical description."""
 
     parameter: str
     unit: str
     quantity: np.ndarray
     """Mean of the quantity in every part (k,)."""
     size: np.ndarray
-    """(k,), by the readings of that part."""
+    """(k,), from the readings of that part."""
     u: np.ndarray
     """(k,), standard uncertainties."""
     at: np.ndarray
@@ -38,14 +38,16 @@ class Sizes:
     line: np.ndarray
     """Size by the description, there."""
     overall: float
-    """That of all readings together."""
+    """Size from all readings together."""
 
 
 def changing_sizes(fit: Fit, best: Rival) -> Sizes | None:
-    """What the readings say of the amplitude that changes most, part by part: a linear fit at the
-    minimum, with a size of its own in every part. Parts that say less of it than its whole size are
-    left out. None for other descriptions, where a fit has the effect no more or knows its size, and
-    where fewer than two parts say anything.
+    """Estimates of the amplitude that changes most, part by part: a linear fit at the minimum, with
+    a separate size in every part.
+
+    Parts whose standard uncertainty exceeds the size itself are left out. None for other
+    descriptions, where the fit lacks the effect or its size is known, and where fewer than two
+    parts remain.
     """
     effect, plan = best.effect, fit.measurement.plan
     if not isinstance(effect, Changing):
@@ -57,8 +59,7 @@ def changing_sizes(fit: Fit, best: Rival) -> Sizes | None:
     last = len(best.fit.model.effects) - 1
     change = {p.name: (value, u) for _, p, value, u in best.fit.values_of(last) if not p.shape}
     own = effects[places[0]].amplitudes
-    told = [abs(change[p.name][0]) / change[p.name][1] for p in own]
-    k = int(np.argmax(told))
+    k = int(np.argmax([abs(change[p.name][0]) / change[p.name][1] for p in own]))
     parameter = own[k]
     if parameter.known:
         return None
@@ -76,25 +77,32 @@ def changing_sizes(fit: Fit, best: Rival) -> Sizes | None:
     sizes, u = _in_parts(fit, column, [index == part for part in parts])
     step = parameter.step / parameter.si
     sizes, u = sizes * step + parameter.mean, u * step
-    told = u < max(abs(overall), np.abs(described).max())
-    if told.sum() < 2:
+    known = u < max(abs(overall), np.abs(described).max())
+    if known.sum() < 2:
         return None
     means = np.array([x[index == part].mean() for part in parts])
     return Sizes(
-        parameter.name, parameter.unit, means[told], sizes[told], u[told], line, described, overall
+        parameter.name,
+        parameter.unit,
+        means[known],
+        sizes[known],
+        u[known],
+        line,
+        described,
+        overall,
     )
 
 
 def _in_parts(fit: Fit, column: int, parts: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Value and standard uncertainty (k,) of one parameter in each of these parts of the rows, in
-    solver units, by the readings alone; infinitely uncertain where they say nothing of it.
+    solver units, from the readings alone; infinite uncertainty where they are insensitive to it.
     """
     m = fit.residual.shape[1]
     g, own = fit.jacobian[:, column], np.delete(fit.jacobian, column, axis=1)
     split = np.column_stack([g * np.repeat(rows, m) for rows in parts])
     precision = np.delete(fit.precision, column)
     theta = np.delete(fit.theta, column)
-    # The others are eliminated, with what is believed of them: what they would change by.
+    # The other parameters are eliminated together with their priors.
     root = np.sqrt(precision)
     whole = np.vstack([own, np.diag(root)])
     whole /= np.where((length := np.linalg.norm(whole, axis=0)) > 0.0, length, 1.0)
@@ -109,7 +117,7 @@ def _in_parts(fit: Fit, column: int, parts: Sequence[np.ndarray]) -> tuple[np.nd
     value, u = np.zeros(len(parts)), np.full(len(parts), np.inf)
     if seen.any():
         scaled = columns[:, seen] / length[seen]
-        # What only all parts together leave open is wide, not nothing.
+        # What only all parts together leave undetermined gets a large variance, not an error.
         covariance = np.linalg.inv(scaled.T @ scaled + _OPEN * np.eye(seen.sum()))
         value[seen] = covariance @ (scaled.T @ target) / length[seen]
         u[seen] = np.sqrt(np.diag(covariance)) / length[seen]

@@ -1,4 +1,4 @@
-"""Pictures of a measurement that is designed: its artefact, its places, what it leaves open."""
+"""Pictures of a designed measurement: its artefact, its positions, its uncertainties."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -12,20 +12,20 @@ from .work_space import work_space
 
 
 class Places(NamedTuple):
-    """Positions of a plan, m, and which of them belong together."""
+    """Positions of a plan, m, with the groups they belong to."""
 
     name: str
     position: Float[np.ndarray, "n 3"]
     """X, Y, Z."""
     group: np.ndarray
-    """A number per row; rows of one number are joined."""
+    """A number per row; rows with the same number are joined."""
     station: Float[np.ndarray, "3"] | None = None
-    """Where the instrument stands, if it does."""
+    """Position of the instrument, if it has one."""
     colour: str = AFTER
 
 
 class Angles(NamedTuple):
-    """Where the rotary axes of a plan stand, deg, by their names."""
+    """Angles of the rotary axes of a plan, deg, by their names."""
 
     name: str
     angle: Mapping[str, Float[np.ndarray, " n"]]
@@ -44,7 +44,7 @@ class Uncertain(NamedTuple):
 
 
 def artefact_views(nominal: Mapping[str, np.ndarray], made: Mapping[str, np.ndarray]) -> Figure:
-    """Balls from two sides, as they are and as designed; columns as in the artefact's table."""
+    """Present and designed balls from two sides; columns as in the artefact's table."""
     sizes = {c: np.ptp(np.r_[nominal[f"{c}_mm"], made[f"{c}_mm"]]) for c in "xyz"}
     first, second, third = sorted("xyz", key=lambda c: -sizes[c])
     drawn = figure(9.6, 4.4)
@@ -52,14 +52,14 @@ def artefact_views(nominal: Mapping[str, np.ndarray], made: Mapping[str, np.ndar
     column = grid(drawn, 2, 1, margins)[:, 0]
     for ax, across in zip(column, (second, third), strict=True):
         for table, colour, mark, word in (
-            (nominal, BEFORE, "o", "as it is"),
+            (nominal, BEFORE, "o", "present"),
             (made, AFTER, "o", "designed"),
         ):
             x, y = table[f"{first}_mm"], table[f"{across}_mm"]
             order = np.argsort(x)
             faint = {"color": colour, "linewidth": 0.8, "alpha": 0.5}
             ax.plot(x[order], y[order], **faint)
-            face = "white" if word == "as it is" else colour
+            face = "white" if word == "present" else colour
             ax.plot(x, y, mark, color=colour, markerfacecolor=face, markersize=6, label=word)
         for ball, x, y in zip(made["ball"], made[f"{first}_mm"], made[f"{across}_mm"], strict=True):
             ax.annotate(
@@ -100,8 +100,8 @@ def places_views(travel: Float[np.ndarray, "3 2"], views: Sequence[Places]) -> F
 
 
 def angles_views(views: Sequence[Angles]) -> Figure:
-    """Angles of plans, side by side: each rotary axis over the one that turns furthest, a single
-    one over the rows.
+    """Angles of plans, side by side: each rotary axis over the one with the largest travel, a
+    single one over the rows.
     """
     travel = views[0].travel
     first, *others = sorted(travel, key=lambda axis: -float(np.ptp(travel[axis])))
@@ -122,7 +122,7 @@ def angles_views(views: Sequence[Angles]) -> Figure:
 
 
 def _round(low: float, high: float) -> list[float]:
-    """Round numbers from `low` to `high`, not more than seven of them."""
+    """At most seven round numbers from `low` to `high`."""
     decades = range(int(np.floor(np.log10(low))) - 1, int(np.ceil(np.log10(high))) + 1)
     for steps in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 3, 5), (1, 3), (1,)):
         found = [
@@ -134,7 +134,7 @@ def _round(low: float, high: float) -> list[float]:
 
 
 def uncertainties(rows: Sequence[Uncertain], words: tuple[str, str]) -> Figure:
-    """Largest U of every error on a logarithmic scale: before any measurement, and by two plans."""
+    """Largest U of every error, logarithmic: before any measurement, and with two plans."""
     # A slope of um/m and an angle of urad are the same number.
     panels: dict[str, list[Uncertain]] = {}
     for row in rows:
@@ -169,12 +169,12 @@ def uncertainties(rows: Sequence[Uncertain], words: tuple[str, str]) -> Figure:
 
 
 def worth(groups: Sequence[int], shares: Float[np.ndarray, " g"], group: str) -> Figure:
-    """By how much the criterion is worse without each group."""
+    """Increase of the criterion without each group, as a share."""
     drawn = figure(9.6, 2.6)
     ax = grid(drawn, 1, 1, {"left": 0.75, "right": 0.2, "top": 0.3, "bottom": 0.6})[0, 0]
     ax.bar(np.arange(len(groups)), 100.0 * shares, color=AFTER, width=0.75)
     step = max(1, len(groups) // 24)
     ax.set_xticks(np.arange(len(groups))[::step], [str(g) for g in groups][::step])
     ax.margins(x=0.01)
-    titled(ax, "", f"{group} left out", "criterion worse by, %")
+    titled(ax, "", f"{group} left out", "increase of the criterion, %")
     return drawn

@@ -1,4 +1,4 @@
-"""What an effect does to the ports it disturbs, against the covariate that betrays it."""
+"""The signature of an effect: its deviations at the ports, against the covariate that shows it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from .views import column_of, described, values_of
 _MARGINS = {"left": 0.8, "right": 1.1, "top": 0.45, "bottom": 0.6, "wspace": 1.7, "hspace": 0.95}
 _MOST = 6
 _CLEAR = 0.95
-"""Share of the variance from which on one covariate says it all."""
+"""Share of the variance above which one covariate is sufficient."""
 _SIDES = 3
-"""So many values or fewer of a covariate are moved apart a little, so that dots do not hide."""
+"""Covariates with at most this many values are spread a little, so that dots do not coincide."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Signature:
 
 
 def signatures(effect: Effect, setup: Setup) -> list[Signature]:
-    """One for every amplitude, at most six: the port by which it moves the tool most."""
+    """One for every amplitude, at most six, at the port through which it moves the tool most."""
     plan = setup.plan
     shape = {name: float(grid[len(grid) // 2]) for name, grid in effect.scan(plan).items()}
     found = []
@@ -63,8 +63,8 @@ def signatures(effect: Effect, setup: Setup) -> list[Signature]:
 
 
 def _foremost(values: Mapping[str, np.ndarray], setup: Setup) -> str:
-    """The port whose deviations (n,), SI, move the tool point most over the rows; those that move
-    what the instrument sees count as they are.
+    """The port whose deviations (n,), SI, move the tool point most over the rows; deviations of
+    ports of the instrument count without a lever.
     """
     if len(values) == 1:
         return next(iter(values))
@@ -84,7 +84,7 @@ _TURNED = ("A", "B", "C", "azimuth", "elevation")
 
 
 def _against(effect: Effect, plan: Plan, shape: dict[str, float], y: np.ndarray):
-    names = [n for n in dict.fromkeys((*effect.betrayed_by, *effect.needs)) if plan.has(n)]
+    names = [n for n in dict.fromkeys((*effect.indicators, *effect.needs)) if plan.has(n)]
     names = [n for n in names if np.ptp(values_of(n, plan)) > 0.0]
     if not names:
         return np.arange(plan.rows, dtype=float), "row", None, ""
@@ -101,7 +101,7 @@ def _against(effect: Effect, plan: Plan, shape: dict[str, float], y: np.ndarray)
         return x, column_label(column), None, ""
     second = max(others, key=lambda n: described(values_of(n, plan), np.abs(y)))
     if len(np.unique(values_of(first, plan))) <= _SIDES:
-        # A direction makes a poor axis and a good colour.
+        # A direction is unsuitable as an axis and suitable as a colour.
         first, second = second, first
         column, factor = column_of(first, plan)
         x = factor * values_of(first, plan)

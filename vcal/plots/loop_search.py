@@ -1,4 +1,4 @@
-"""What the search tried, and how much each kind of effect would have explained."""
+"""Significance of every kind of effect in each round of the search."""
 
 import math
 from collections.abc import Sequence
@@ -10,15 +10,15 @@ from ..loop.screening.screening import KindResult, Screening
 from .style import AFTER, BEFORE, DOTS, INK, figure, grid, titled, width_of
 
 _LETTERS = 72
-"""That the headings of all panels hold, side by side."""
+"""Most characters of the headings of all panels, side by side."""
 _MANY = 8
-"""Rounds from which there is no room for what all columns have alike in each of them."""
+"""Number of rounds from which the columns share one axis label."""
 _MOST = 12
-"""Rounds from which there is none for the zero either, where all bars begin."""
+"""Number of rounds from which the tick label 0 is left out."""
 
 
 def minus_log10_p(screening: Screening, kind: KindResult) -> float:
-    """-log10 of the corrected p-value of a kind, also where that underflows."""
+    """-log10 of the corrected p-value of a kind, also where the p-value underflows."""
     p = screening.corrected(kind)
     if p > 1e-290:
         return max(-math.log10(p), 0.0)
@@ -27,8 +27,9 @@ def minus_log10_p(screening: Screening, kind: KindResult) -> float:
 
 
 def search(screenings: Sequence[Screening], alpha: float) -> Figure:
-    """Significance of the best candidate of every kind, a column per round, logarithmic bars: blue
-    where the kind was added in that round, orange where it is significant and was not, else grey.
+    """Significance of the best candidate of every kind, a column per round, on a logarithmic scale.
+
+    Blue: added in that round; orange: significant and not added; grey: not significant.
     """
     kinds = sorted({kind.kind for screening in screenings for kind in screening.kinds})
     height = {
@@ -37,10 +38,10 @@ def search(screenings: Sequence[Screening], alpha: float) -> Figure:
     kinds.sort(key=lambda kind: height.get(kind, 0.0))
     added = [s.added.name if s.added is not None else "" for s in screenings]
     longest = max(map(len, added))
-    # Else there is no room for the names, one beside the other.
-    told = len(screenings) <= 3 and 0 < longest * len(screenings) <= _LETTERS
-    top = 0.62 if told else 0.45
-    # Drawn text is a little wider, for its letters begin at whole pixels.
+    # Names of added effects, where they have room side by side.
+    named = len(screenings) <= 3 and 0 < longest * len(screenings) <= _LETTERS
+    top = 0.62 if named else 0.45
+    # Drawn text is slightly wider, because its letters begin at whole pixels.
     left = max(1.75, 0.2 + 1.06 * max(map(width_of, kinds), default=0.0))
     drawn = figure(7.85 + left, 0.7 + top + 0.235 * len(kinds))
     row = grid(
@@ -80,7 +81,7 @@ def search(screenings: Sequence[Screening], alpha: float) -> Figure:
         titled(
             ax,
             (f"{i + 1}" if many else f"round {i + 1}")
-            + (f"\nadded {chosen}" if chosen and told else ""),
+            + (f"\nadded {chosen}" if chosen and named else ""),
             quantity,
         )
     return drawn

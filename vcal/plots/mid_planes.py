@@ -15,11 +15,11 @@ _MARGINS = {"left": 0.75, "right": 1.1, "top": 0.4, "bottom": 0.55, "wspace": 0.
 
 
 class PlaneRow(NamedTuple):
-    """A row of heat maps, which has one colour scale."""
+    """A row of heat maps with one colour scale."""
 
     title: str
     sizes: Sequence[Float[np.ndarray, "n m"]]
-    """In every one of `PLANES`, um; the first axis is along the plane's first letter."""
+    """One array for each of `PLANES`, um; the first axis is along the plane's first letter."""
     vectors: Sequence[Float[np.ndarray, "n m 3"]] | None = None
     """Drawn over them as arrows, um."""
 

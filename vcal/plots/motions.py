@@ -12,8 +12,8 @@ from .style import AFTER, DOTS, INK, figure, grid, pretty_unit, ticks_apart, tit
 def error_motions(tables: Sequence[ErrorMotionTable]) -> Figure:
     """Small multiples, a column per axis: value, U (k = 2) as a dark band, prior as a light one.
 
-    Errors that are constant (the links of an arm) are drawn as one point each; location errors only
-    where there is nothing else.
+    Constant errors (the links of an arm) are drawn as one point each; location errors only where
+    there are no error motions.
     """
     moving = [t for t in tables if len(t.position)] or list(tables)
     if all(t.constant for t in moving):

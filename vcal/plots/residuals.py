@@ -1,4 +1,4 @@
-"""Residuals against what betrays them: before and after, what stays unexplained, their spread."""
+"""Residuals against their covariates: before and after, unexplained, and their distribution."""
 
 from collections.abc import Mapping
 
@@ -32,14 +32,14 @@ from .views import View, column_of, described, values_of
 
 _MOST_DOTS = 4000
 _NEAR = 0.7
-"""Share of the width of a group, were all of one width, within which groups begin that are one."""
+"""Groups that begin closer than this share of the mean group width are merged."""
 
 
 def before_after(view: View, name: str) -> Figure:
-    """Residual of the model without and with an effect of this name, against what betrays it.
+    """Residual of the model without and with an effect of this name, against its covariate.
 
-    Dots are readings, the coloured points means of groups with two standard errors; the line is
-    what is visible of the effect, that is, not taken up by other parameters.
+    Dots are readings, coloured points group means with two standard errors; the line is the visible
+    part of the effect, that is, the part that other parameters do not absorb.
     """
     width, height = 9.6, 4.45
     drawn = figure(width, height)
@@ -56,14 +56,14 @@ def before_after(view: View, name: str) -> Figure:
         if view.event is not None:
             ax.axvline(view.event, color=INK, linewidth=1.2, linestyle="--")
         if view.kind != "sides":
-            # Numbers of six letters have room beside each other.
+            # Tick labels of six characters have room beside each other.
             ax.locator_params(axis="x", nbins=7)
         rms = np.sqrt((y**2).mean())
         titled(ax, f"{word} (rms {rms:.3g} µm)", view.x_label)
         ax.set_ylim(-bound, bound)
     along = f" {view.along}" if len(view.along) < 24 else " of the tool point"
     left.set_ylabel(f"residual{along}, µm", fontsize=9.5, color=INK)
-    # Below the panels: within them it would be on dots of some measurement.
+    # Below the panels, where it covers no dots.
     drawn.legend(
         *left.get_legend_handles_labels(), fontsize=8.5, loc="lower left", ncols=2, frameon=False,
         bbox_to_anchor=(0.75 / width, 0.08 / height), borderpad=0.0, borderaxespad=0.0,
@@ -72,9 +72,9 @@ def before_after(view: View, name: str) -> Figure:
 
 
 def _visible(ax: Axes, view: View) -> None:
-    """What is visible of an effect, as a line through the means of groups."""
+    """The visible part of an effect, as a line through the group means."""
     x, y = view.x, view.visible
-    label = "what is visible of it"
+    label = "visible part of the effect"
     levels = np.unique(x)
     if len(levels) <= 12:
         width = 0.3 * (np.diff(levels).min() if len(levels) > 1 else 1.0)
@@ -97,8 +97,8 @@ def _legend(ax: Axes) -> None:
 
 
 def _means(x: np.ndarray, y: np.ndarray, groups: int) -> tuple[np.ndarray, np.ndarray]:
-    """Means of `x` and `y` over groups of equal size in the order of `x`; what has the same `x`, or
-    as good as the same, is in one group, so that there is one mean of it.
+    """Means of `x` and `y` over groups of equal size in the order of `x`; equal or nearly equal `x`
+    are in the same group, so that they have one mean.
     """
     _, level, counts = np.unique(x, return_inverse=True, return_counts=True)
     middle = np.cumsum(counts) - 0.5 * counts
@@ -115,7 +115,7 @@ def _means(x: np.ndarray, y: np.ndarray, groups: int) -> tuple[np.ndarray, np.nd
 
 
 def unexplained_views(fit: Fit, what: Unexplained) -> list[str]:
-    """One covariate or two worth a panel: the most telling ones, no copies of each other."""
+    """The one or two covariates with the largest shares that are not copies of each other."""
     table = distinct_covariates(fit.measurement.plan)
     chosen: list[str] = []
     for name in what.depends_on:
@@ -127,9 +127,10 @@ def unexplained_views(fit: Fit, what: Unexplained) -> list[str]:
 
 
 def unexplained(fit: Fit, what: Unexplained) -> Figure:
-    """What stays unexplained: against the covariates it depends on most, or, where it is local,
-    against its place (shaded), and what the empirical description leaves of it. Of an effect that
-    changes, its size.
+    """The unexplained residual against the covariates it depends on most.
+
+    Where it is local, against its place (shaded), beside the remainder after the empirical
+    description. For an effect that changes: its size.
     """
     if what.empirical is not None and (shown := changing(fit, what.empirical)) is not None:
         return shown
@@ -173,7 +174,7 @@ def _panels(
 
 
 def _component(fit: Fit, name: str, moved: np.ndarray, direction: str) -> int:
-    """The component to show: the main one, or the one that the covariate describes best."""
+    """The component to show: the main one, or that with the largest variance by the covariate."""
     if direction in fit.ways:
         return fit.ways.index(direction)
     x = values_of(name, fit.measurement.plan)[fit.used]
@@ -187,7 +188,7 @@ def _panel(ax: Axes, fit: Fit, name: str, y: np.ndarray, colour: str, i: int) ->
     column = column_of(name, plan)[0]
     frame = " of the tool" if fit.model.chain.arm else ""
     x = np.asarray(in_file(name, values_of(name, plan), plan, fit.model.instrument))[fit.used]
-    there = np.isfinite(x)  # of the data sets that have it
+    there = np.isfinite(x)  # rows of the data sets that have the covariate
     _dots(ax, x[there], y[there], colour, many=True)
     bound = limit([y])
     ax.set_ylim(-bound, bound)
@@ -207,10 +208,10 @@ def studentised(fit: Fit, rows: np.ndarray | bool = True) -> np.ndarray:
 
 
 def normal_plot(before: Fit, after: Fit, noise_scales: Mapping[str, float]) -> Figure:
-    """Normal probability plot of the studentised residuals: on the line is as declared.
+    """Normal probability plot of the studentised residuals; the line is the declared noise.
 
     One panel for every data set. `noise_scales` are the factors, by data set, by which the fit
-    after closing the loop enlarged the declared noise.
+    after closing the loop enlarges the declared noise.
     """
     parts = before.measurement.plan.parts
     if len(parts) == 1:
@@ -250,7 +251,7 @@ def _normal(
     titled(
         ax,
         f"{name}residuals against the declared noise",
-        "expected of normal noise, standard deviations",
+        "quantile of the normal distribution, standard deviations",
         "residual, declared standard deviations",
     )
 
@@ -270,7 +271,7 @@ def _dots(
     few = len(levels) <= 12
     shown = x
     if few and len(levels) > 1:
-        # Readings at the same place are spread out, so that their number can be seen.
+        # Readings at the same abscissa are spread, so that their number is visible.
         spread = 0.18 * np.diff(levels).min() * np.random.default_rng(0).uniform(-1, 1, len(x))
         shown = x + spread
     step = max(1, len(x) // _MOST_DOTS)

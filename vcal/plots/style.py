@@ -1,4 +1,4 @@
-"""How every figure looks: one size of type, one palette, units written as people write them."""
+"""Common style of all figures: type size, palette, units and column names as labels."""
 
 import io
 import re
@@ -15,19 +15,19 @@ BEFORE = "#D55E00"
 AFTER = "#0072B2"
 NOMINAL = "#6b6b6b"
 MARK = "#E69F00"
-"""Palette of Okabe and Ito, which the colour-blind can tell apart."""
+"""Palette of Okabe and Ito, distinguishable with colour vision deficiency."""
 DOTS = "#9aa5b1"
 INK = "#1f2933"
 FIELD = "viridis"
 TONE = "#21918c"
-"""Colour map of fields, and the middle of it."""
+"""Colour map of fields, and its middle."""
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DPI = 110
 _BETWEEN = 0.08
-"""Least space between the labels of two ticks, in inches."""
+"""Least gap between two tick labels, inches."""
 _LABEL = 9.0
-"""Size of the type of labels, points."""
+"""Font size of labels, points."""
 
 _UNITS = {
     "um": "µm",
@@ -48,14 +48,14 @@ _COLUMN_UNITS = {
     "rpm": "1/min",
     "pct": "%",
 }  # fmt: skip
-"""How a unit is written at the end of a column's name. What may as well be a name is none: A, m."""
+"""Units at the end of column names. A and m are left out, because they may be names."""
 _COLUMN_UNITS |= {
     f"{a}_per_{b}": f"{_COLUMN_UNITS[a]}/{b}" for a in _COLUMN_UNITS for b in ("m", "K", "min", "s")
 }
 
 
 def figure(width: float, height: float) -> Figure:
-    """An empty figure, in inches, that no global state knows of."""
+    """An empty figure of this size in inches, without global state."""
     drawn = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
     FigureCanvasAgg(drawn)
     return drawn
@@ -69,7 +69,7 @@ def grid(
     *,
     sharey: bool = False,
 ) -> np.ndarray:
-    """Axes (rows, columns), styled, so that nothing overlaps whatever the size of the figure.
+    """Styled axes (rows, columns) with margins that are independent of the size of the figure.
 
     `margins` are in inches: ``left``, ``right``, ``top``, ``bottom``, and the gaps ``wspace`` and
     ``hspace`` between columns and rows.
@@ -82,7 +82,7 @@ def grid(
 
 
 def spread(drawn: Figure, table: np.ndarray, margins: Mapping[str, float]) -> None:
-    """Give the axes of a `grid` other margins, once their labels are known."""
+    """Change the margins of a `grid`, once its labels are known."""
     rows, columns = table.shape
     shares = _shares(drawn, rows, columns, margins)
     table[0, 0].get_gridspec().update(**shares)
@@ -93,7 +93,7 @@ def spread(drawn: Figure, table: np.ndarray, margins: Mapping[str, float]) -> No
 def _shares(
     drawn: Figure, rows: int, columns: int, margins: Mapping[str, float]
 ) -> dict[str, float]:
-    """Margins in the units of matplotlib: shares of the figure, and of the axes."""
+    """Margins in the units of matplotlib: shares of the figure and of the axes."""
     width, height = drawn.get_size_inches()
     wspace, hspace = margins.get("wspace", 0.0), margins.get("hspace", 0.0)
     inner_w = (width - margins["left"] - margins["right"] - wspace * (columns - 1)) / columns
@@ -120,7 +120,7 @@ def plain(ax: Axes) -> None:
 
 
 def titled(ax: Axes, title: str, x: str = "", y: str = "") -> None:
-    """Title and axis labels in the common type."""
+    """Title and axis labels in the common style."""
     ax.set_title(title, fontsize=10, color=INK, loc="left", pad=6)
     if x:
         ax.set_xlabel(x, fontsize=9.5, color=INK)
@@ -129,14 +129,14 @@ def titled(ax: Axes, title: str, x: str = "", y: str = "") -> None:
 
 
 def width_of(text: str) -> float:
-    """How wide a text is as a label, in inches."""
+    """Width of a label, inches."""
     if not text:
         return 0.0
     return float(TextPath((0.0, 0.0), text, size=_LABEL).get_extents().width) / 72.0
 
 
 def labels_width(axis: Axis) -> float:
-    """How wide the labels of the ticks of an axis are, in inches."""
+    """Largest width of the tick labels of an axis, inches."""
     low, high = sorted(axis.get_view_interval())
     ticks = [x for x in axis.get_majorticklocs() if low <= x <= high]
     labels = axis.get_major_formatter().format_ticks(ticks)
@@ -144,7 +144,7 @@ def labels_width(axis: Axis) -> float:
 
 
 def ticks_apart(ax: Axes, most: int) -> None:
-    """Up to `most` steps between the ticks of x, fewer where their labels would touch."""
+    """At most `most` steps between the ticks of x, fewer where their labels would touch."""
     whole = ax.get_figure(root=True)
     assert whole is not None
     low, high = sorted(ax.get_xlim())
@@ -174,9 +174,7 @@ def pretty_unit(unit: str) -> str:
 
 
 def column_label(column: str) -> str:
-    """A column as an axis label: ``"x_mm"`` gives ``"x, mm"``, that of one data set with its name:
-    ``"tracker: x_mm"``.
-    """
+    """A column as an axis label: ``"tracker: x_mm"`` gives ``"tracker: x, mm"``."""
     owner, colon, plain = column.partition(": ")
     if colon:
         return f"{owner}: {column_label(plain)}"
@@ -200,7 +198,7 @@ def column_label(column: str) -> str:
         return f"joint {match[1]}, {'commanded' if match[2] == 'cmd' else 'read back'}, °"
     if match := re.fullmatch(r"T_(\w+)_degC", column):
         return f"temperature of {match[1] if len(match[1]) > 1 else match[1].upper()}, °C"
-    # The first place from which it is a unit: of load_m_s that is m_s, not s.
+    # The longest ending that is a unit: m_s in load_m_s, not s.
     words = column.split("_")
     for k in range(1, len(words)):
         if unit := _COLUMN_UNITS.get("_".join(words[k:])):
@@ -210,7 +208,7 @@ def column_label(column: str) -> str:
 
 
 def limit(values: Sequence[np.ndarray], share: float = 0.995) -> float:
-    """A bound that holds all but a few of the largest magnitudes."""
+    """A bound above all but a few of the largest magnitudes."""
     sizes = np.abs(np.concatenate([np.ravel(v) for v in values]))
     sizes = sizes[np.isfinite(sizes)]
     return float(np.quantile(sizes, share)) * 1.15 if len(sizes) and sizes.any() else 1.0

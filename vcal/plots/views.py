@@ -1,4 +1,4 @@
-"""In which direction, and against what, the residual shows an effect best: numbers for pictures."""
+"""Direction and abscissa that show an effect best in the residual: numbers for pictures."""
 
 import re
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ from ..machine.plan import Plan
 from .style import column_label, pretty_unit
 
 _CLEAR = 0.5
-"""Share of an effect's own pattern that a covariate must describe to be its axis in a picture."""
+"""Least share of an effect's pattern that a covariate must describe to be the abscissa."""
 
 
 @dataclass(frozen=True)
 class View:
-    """The residual seen along one direction against one quantity, rows that were fitted only."""
+    """The residual along one direction against one quantity, for the fitted rows."""
 
     x: np.ndarray
     """In the unit that `x_label` names."""
     x_label: str
     kind: str
     """``"sides"`` (a direction of travel), ``"scatter"``, ``"step"`` at `event`, or ``"visible"``
-    where `x` is what is visible of the effect."""
+    where `x` is the visible part of the effect."""
     along: str
     """The direction in words, such as ``"along Y"``."""
     without: np.ndarray
@@ -36,13 +36,13 @@ class View:
     """Residual of the model that has it, um."""
     event: float | None = None
     tone: np.ndarray | None = None
-    """Where `x` is what is visible of the effect: the covariate that betrays it best, as colour."""
+    """Where `x` is the visible part of the effect: the covariate that describes it best."""
     tone_label: str = ""
 
     @property
     def visible(self) -> np.ndarray:
-        """What the effect changes in the residual, um: its displacement less what the other
-        parameters can take up of it.
+        """Change of the residual by the effect, um: its displacement minus the part that the other
+        parameters absorb.
         """
         return self.without - self.with_
 
@@ -50,8 +50,8 @@ class View:
 def column_of(covariate: str, plan: Plan) -> tuple[str, float]:
     """Column of the data file that holds a covariate or axis, and the factor from SI to its unit.
 
-    The axes of an arm are read back or commanded, whichever the plan takes as its positions. A
-    column that belongs to one data set has its name in front.
+    The axes of an arm are read back or commanded, whichever the plan uses as its positions. A
+    column of one data set has the name of that data set in front.
     """
     owner, _, plain = covariate.partition(":")
     if owner in plan.sets:
@@ -70,7 +70,7 @@ def values_of(covariate: str, plan: Plan) -> np.ndarray:
 
 
 def place_of(fit: Fit, effect: Effect) -> int:
-    """Position of this very effect in the model of a fit, or of one that is alike."""
+    """Position of this effect, or of an equal one, in the model of a fit."""
     for i, candidate in enumerate(fit.model.effects):
         if candidate is effect:
             return i
@@ -86,18 +86,18 @@ def _unwhitened(fit: Fit, whitened: np.ndarray) -> np.ndarray:
 
 
 def contribution(fit: Fit, place: int) -> np.ndarray:
-    """Displacement of the tool point (n, 3), m, that one effect of the fit accounts for."""
+    """Displacement of the tool point (n, 3), m, by one effect of the fit."""
     amplitudes, _ = fit.places_of(place)
     step = fit.jacobian[:, amplitudes] @ fit.theta[amplitudes]
     return displacements(fit, _unwhitened(fit, step))
 
 
 def residual_without(fit: Fit, place: int) -> np.ndarray:
-    """Residual (n, m), SI, of the model less one effect, all other parameters fitted anew.
+    """Residual (n, m), SI, of the model without one effect, all other parameters refitted.
 
-    Exact for the linearised problem: taking the effect out adds its share C a to the residual, of
-    which the others take up J (J'J + L)^-1 J' C a. That inverse is the one of the whole model with
-    the effect's own block taken out.
+    Exact for the linearised problem: removing the effect adds its contribution C a to the residual,
+    of which the other parameters absorb J (J'J + L)^-1 J' C a. That inverse follows from the
+    inverse of the whole model by eliminating the block of the effect.
     """
     amplitudes, shapes = fit.places_of(place)
     step = fit.jacobian[:, amplitudes] @ fit.theta[amplitudes]
@@ -121,11 +121,11 @@ def described(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def effect_view(fit: Fit, effect: Effect, rows: np.ndarray | bool = True) -> View:
-    """Where the residual of some rows (n,) shows an effect of the fit.
+    """Direction and abscissa that show an effect of the fit in the residual of some rows (n,).
 
-    Direction: that in which its one port moves the tool point, row by row; of effects with several
-    ports the main direction of what they displace. Abscissa: of the covariates that betray it the
-    one that describes best what is visible of it; where none does, that visible part itself.
+    Direction: that in which its only port moves the tool point, row by row; for effects with
+    several ports, the main direction of their displacement. Abscissa: the indicating covariate that
+    describes the visible part of the effect best; if none describes it, that part itself.
     """
     place = place_of(fit, effect)
     used = fit.used & effect.rows(fit.measurement.plan) & rows
@@ -167,7 +167,7 @@ def _direction(
         )
         return np.broadcast_to(main, moved.shape), words
     length = np.linalg.norm(moved, axis=1, keepdims=True)
-    # Rows that the effect does not touch are seen along its main direction.
+    # For rows that the effect does not move, its main direction.
     touched = length > 1e-9 * length.max()
     direction = np.where(touched, moved / np.where(touched, length, 1.0), main)
     return direction, "along the displacement that the effect causes"
@@ -175,7 +175,7 @@ def _direction(
 
 def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.ndarray):
     plan, instrument = fit.measurement.plan, fit.model.instrument
-    named = [n for n in effect.betrayed_by if plan.has(n)]
+    named = [n for n in effect.indicators if plan.has(n)]
     if "pitch" in shape and effect.placement in plan.axes:
         (of,) = (p for p in effect.shapes if p.name == "pitch")
         pitch, unit = float(shape["pitch"]) / of.si, pretty_unit(of.unit)
@@ -200,18 +200,18 @@ def _abscissa(fit: Fit, effect: Effect, shape, visible: np.ndarray, used: np.nda
         excess = values_of(warm[0], plan) - REFERENCE_DEGC
         x = excess[used] * values_of(axes[0], plan)[used]
         if described(x, visible) > _CLEAR:
-            zero = f"{REFERENCE_DEGC + instrument.warmer:g} °C"
+            zero = f"{REFERENCE_DEGC + instrument.temperature_offset_K:g} °C"
             label = f"(temperature of {axes[0]} − {zero}) × its position, K m"
             return x, label, "scatter", None
-    return visible, "what is visible of it, µm", "visible", None
+    return visible, "visible part of the effect, µm", "visible", None
 
 
 def _tone(
     fit: Fit, effect: Effect, visible: np.ndarray, used: np.ndarray
 ) -> tuple[np.ndarray | None, str]:
-    """The betraying covariate that describes best what is visible, as ranks from 0 to 1."""
+    """The covariate that describes the visible part best, as ranks from 0 to 1."""
     plan = fit.measurement.plan
-    table = {n: values_of(n, plan)[used] for n in effect.betrayed_by if plan.has(n)}
+    table = {n: values_of(n, plan)[used] for n in effect.indicators if plan.has(n)}
     table = {n: x for n, x in table.items() if np.ptp(x) > 0}
     if not table:
         return None, ""

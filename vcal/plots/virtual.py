@@ -14,8 +14,8 @@ _MOST = 12
 _TONES = {"noise": DOTS, "fitted": AFTER, "not fitted": BEFORE}
 _NAMES = {
     "noise": "noise",
-    "fitted": "fitted: what the data leave of its prior",
-    "not fitted": "not fitted: all it does",
+    "fitted": "identified: remainder of its prior",
+    "not fitted": "not identified: its whole contribution",
 }
 
 
@@ -37,8 +37,8 @@ def volumetric_histograms(result: VirtualCalibration) -> Figure:
 
 
 def volumetric_bounds(result: VirtualCalibration) -> Figure:
-    """Volumetric error that most machines stay below, before and after calibration, on the grid of
-    its points.
+    """Upper coverage bound of the volumetric error before and after calibration, on the grid of its
+    points.
     """
     rows = []
     for when in WHEN:
@@ -52,7 +52,7 @@ def volumetric_bounds(result: VirtualCalibration) -> Figure:
 
 
 def sources(contributions: Sequence[Contribution]) -> Figure:
-    """What the largest sources add to the volumetric error after calibration."""
+    """Contributions of the largest sources to the volumetric error after calibration."""
     shown = contributions[:_MOST][::-1]
     drawn = figure(9.6, 1.2 + 0.3 * len(shown))
     left = min(max(2.4, 0.3 + max(width_of(c.source) for c in shown)), 5.0)

@@ -47,7 +47,7 @@ class Field:
     error: np.ndarray
     """Identified error, actual - nominal: (planes, n, n, 3), um."""
     change: np.ndarray
-    """What closing the loop changed in it, (planes, n, n, 3), um."""
+    """Its change by closing the loop, (planes, n, n, 3), um."""
     u: np.ndarray
     """Standard uncertainty of the length of the error vector, (planes, n, n), um."""
 
@@ -59,11 +59,11 @@ def error_field(
     alternatives: Sequence[Alternatives] = (),
 ) -> Field | None:
     """The identified error field of a machine with the axes X, Y and Z; None for other machines,
-    and for models that hold nothing that depends on the position.
+    and for models without any dependence on the position.
 
-    Only what depends on the axis positions alone is in it: no direction, temperature or time. With
-    check points the grid is made to fit their number, so that nothing has to be compiled anew. What
-    effects may be instead (`alternatives`) is part of the uncertainty.
+    It contains only what depends on the axis positions alone: no direction, temperature or time.
+    With check points, the size of the grid follows from their number, so that nothing has to be
+    compiled again. The uncertainty includes the between-model variance of the `alternatives`.
     """
     chain = after.model.chain
     if set(chain.axes) != set("XYZ"):
@@ -115,7 +115,7 @@ def _plane(axes: Sequence[str], line, middle, first: str, second: str) -> np.nda
 
 
 def field(values: Field) -> Figure:
-    """Heat maps over three mid-planes: identified error, its uncertainty, what the loop changed."""
+    """Heat maps over three mid-planes: identified error, uncertainty, change by the loop."""
     rows = [
         _row("identified error", values.error),
         PlaneRow("standard uncertainty", list(values.u)),
@@ -142,9 +142,7 @@ def check_errors(fits: Mapping[str, Fit], check: CheckPoints) -> dict[str, np.nd
 
 
 def check_points(errors: Mapping[str, np.ndarray], check: CheckPoints) -> Figure:
-    """Size of the error at every check point, seen from above and from the front, one colour scale
-    for all columns.
-    """
+    """Size of the error at every check point from above and from the front, one colour scale."""
     points = check.tool_point * 1e3
     sizes = {name: np.linalg.norm(vectors, axis=1) for name, vectors in errors.items()}
     everything = np.concatenate(list(sizes.values()))
@@ -175,7 +173,7 @@ def check_points(errors: Mapping[str, np.ndarray], check: CheckPoints) -> Figure
                 ax.set_ylabel(f"{'XYZ'[b]}, mm", fontsize=9.5, color=INK)
             else:
                 ax.tick_params(labelleft=False)
-    # Of the ticks of x, the last of a column and the first of the next may touch.
+    # The last tick label of a column and the first one of the next may touch.
     room = {
         "left": max(margins["left"], 0.45 + max(labels_width(ax.yaxis) for ax in table[:, 0])),
         "wspace": max(margins["wspace"], 0.1 + max(labels_width(ax.xaxis) for ax in table.flat)),

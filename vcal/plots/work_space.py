@@ -1,4 +1,4 @@
-"""A work space in three dimensions, to draw measurements into."""
+"""Axes of a work space in three dimensions."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,13 +10,13 @@ from .style import DOTS, INK
 
 _ELEVATION, _AZIMUTH = 22, -57
 _THINNEST = 0.25
-"""Height of the box of a flat work space, over its longest side."""
+"""Least height of the box of a work space, relative to its longest side."""
 
 
 def work_space(
     drawn: Figure, columns: int, column: int, travel: Float[np.ndarray, "3 2"]
 ) -> Axes3D:
-    """Axes in that column of a figure, with the edges of the travel of X, Y, Z, m; scales in mm."""
+    """Axes in a column of a figure, with the edges of the travel of X, Y, Z (m); scales in mm."""
     ax = drawn.add_subplot(1, columns, column + 1, projection="3d", computed_zorder=False)
     assert isinstance(ax, Axes3D)
     ends = 1e3 * np.asarray(travel, float)

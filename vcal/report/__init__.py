@@ -1,35 +1,34 @@
-"""Reports: a page to read, a record for programs, tables, pictures."""
+"""Reports: a folder per command with page, pictures, record and writer, and the output formats."""
 
-from ..geometry.acceptance import GeometricTest, geometric_tests
-from ..geometry.error_motions import error_motion_tables
+from .formats import FORMATS, Format, Results
+from .formats.compensation_csv import compensation_csv
+from .formats.effects_csv import effects_csv
 from .html.picture import Picture
 from .html.sheet import Badge, Section, Table, Tile, sheet
 from .loop.record import SCHEMA, record
-from .loop.tables import compensation_csv, effects_csv
 from .loop.write import check_folder, write_report
-from .uncertainty.record import VIRTUAL_SCHEMA, sentence, virtual_record
-from .uncertainty.write import DRAWS, check_virtual_folder, write_virtual
+from .uncertainty.record import UNCERTAINTY_SCHEMA, sentence
+from .uncertainty.write import DRAWS, check_uncertainty_folder, write_uncertainty
 
 __all__ = [
     "DRAWS",
+    "FORMATS",
     "SCHEMA",
-    "VIRTUAL_SCHEMA",
+    "UNCERTAINTY_SCHEMA",
     "Badge",
-    "GeometricTest",
+    "Format",
     "Picture",
+    "Results",
     "Section",
     "Table",
     "Tile",
     "check_folder",
-    "check_virtual_folder",
+    "check_uncertainty_folder",
     "compensation_csv",
     "effects_csv",
-    "error_motion_tables",
-    "geometric_tests",
     "record",
     "sentence",
     "sheet",
-    "virtual_record",
     "write_report",
-    "write_virtual",
+    "write_uncertainty",
 ]

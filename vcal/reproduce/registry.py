@@ -11,8 +11,8 @@ from ..errors import StudyError
 from ..plots import png
 from ..registry import nearest
 from ..report import Picture
-from ..report.html.folder import ReportFolder
-from ..report.loop.record import plain, versions
+from ..report.html.folder import Contents, ReportFolder
+from ..report.html.provenance import plain, versions
 
 Progress = Callable[[str], None]
 """progress(what is being done)."""
@@ -114,10 +114,9 @@ def write(
     `result.json` holds `content` besides the table (`quantity`, `seed`, `vcal`, `unit`, `note`).
     Returns the path of the page. Raises as `check_place` does.
     """
-    out = Path(out)
     place = _place(name)
 
-    def make(work: Path) -> Sequence[str]:
+    def make(work: Path) -> Contents:
         record = {
             "schema": place.schema + "1",
             "name": name,
@@ -125,10 +124,9 @@ def write(
             "table": [vars(row) for row in table],
             **content,
         }
-        return place.write(work, {"index.html": page}, pictures, plain(record))
+        return Contents(plain(record), {"index.html": page}, pictures)
 
-    place.fill(out, make)
-    return out / "index.html"
+    return place.publish(out, make)
 
 
 def _place(name: str) -> ReportFolder:

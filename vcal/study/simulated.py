@@ -268,10 +268,14 @@ def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndar
     if len(there) < len(study.sets):
         plan = plan.take(np.flatnonzero(np.any([plan.in_set(one.name) for one in there], axis=0)))
     kept = set.intersection(*(_conditions(study, one) for one in there))
-    warmer = study.sets[0].instrument.warmer
-    table = linear_plan_table(scattered(chain, plan, key, _CHECK_ROWS), warmer=warmer)
+    temperature_offset_K = study.sets[0].instrument.temperature_offset_K
+    table = linear_plan_table(
+        scattered(chain, plan, key, _CHECK_ROWS), temperature_offset_K=temperature_offset_K
+    )
     table = {name: values for name, values in table.items() if name in kept}
-    points = result.tool_points(linear_plan(chain, table, warmer=warmer))
+    points = result.tool_points(
+        linear_plan(chain, table, temperature_offset_K=temperature_offset_K)
+    )
     return table | {f"tcp_{c}_mm": points[:, i] * 1e3 for i, c in enumerate("xyz")}
 
 

@@ -123,7 +123,7 @@ def check_points(
         _check_tool_points(table, chain)
     # Check points belong to the machine; they have no columns that an instrument derives.
     if tool:
-        plan = linear_plan(chain, table, warmer=instrument.warmer)
+        plan = linear_plan(chain, table, temperature_offset_K=instrument.temperature_offset_K)
     else:
         plan = instrument.plan(chain, table)
     return CheckPoints(plan, points)

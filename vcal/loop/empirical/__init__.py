@@ -1,7 +1,9 @@
-"""Empirical descriptions: what no physical effect has to look like.
+"""Empirical descriptions: functions of covariates without a physical cause.
 
-They are no part of the catalogue. Where one of them describes a residual better than every effect
-that is, the residual is *unexplained*, and the description says along what, and where.
+They are not part of the catalogue. Where one of them describes a residual better than every effect
+of the catalogue, the residual is *unexplained*, and the description says on which covariate it
+depends, and where. Knows `effects` and the plan, nothing of fits. All later stages, the report and
+the plots stand on it.
 """
 
 from .base import Empirical, Interval
@@ -20,7 +22,7 @@ EMPIRICAL: tuple[type[Empirical], ...] = (
     Since,
     Changing,
 )
-"""All of them."""
+"""All empirical descriptions."""
 
 __all__ = [
     "EMPIRICAL",

@@ -1,4 +1,4 @@
-"""What an empirical description is."""
+"""The base class of empirical descriptions."""
 
 import abc
 import math
@@ -16,7 +16,7 @@ from ...machine.plan import Plan
 
 @dataclass(frozen=True)
 class Interval:
-    """A stretch of a covariate, in SI."""
+    """An interval of a covariate, in SI."""
 
     covariate: str
     low: float
@@ -24,18 +24,18 @@ class Interval:
 
 
 Read = Callable[[str], str]
-"""Python for the values of a covariate by its name."""
+"""Python code for the values of a covariate, by its name."""
 Code = tuple[list[str], dict[tuple[str, str], str]]
-"""Lines of Python, and an expression for every port and amplitude."""
+"""Lines of Python code, and an expression for every port and amplitude."""
 
 
 class Empirical(Effect):
-    """Base class of the descriptions: functions of covariates in one error motion of an axis, of
-    free size.
+    """Base class of the descriptions: functions of covariates in one error motion of an axis, with
+    amplitudes that are not bounded by physics.
     """
 
     words: ClassVar[str]
-    """What it is, for a sentence: *a local error*."""
+    """Name of the description within a sentence: *a local error*."""
     port: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
 
@@ -48,34 +48,34 @@ class Empirical(Effect):
         return (self.placement,)
 
     def said(self, shape: Mapping[str, float]) -> str:
-        """The words at given shape values."""
+        """The name within a sentence, at given shape values (SI)."""
         del shape
         return self.words
 
     def depends_on(self, plan: Plan, shape: Mapping[str, float]) -> tuple[str, ...]:
-        """Covariates that it depends on, first of all that along which it has its shape."""
+        """Covariates that it depends on; the first is that of its shape."""
         del plan, shape
         return self.needs
 
     @property
     def joint(self) -> bool:
-        """Whether it is a product of the first two of them."""
+        """Whether it is a product of the first two covariates."""
         return False
 
     def intervals(self, plan: Plan, shape: Mapping[str, float]) -> tuple[Interval, ...]:
-        """Where it sits; nothing where it is everywhere."""
+        """The intervals where it is not zero or deviates; empty where it acts everywhere."""
         del plan, shape
         return ()
 
     @property
     def coded(self) -> bool:
-        """Whether there is Python for it."""
+        """Whether `code` can write it as Python."""
         return True
 
     @abc.abstractmethod
     def code(self, plan: Plan, shape: Mapping[str, float], read: Read) -> Code:
-        """Lines of Python that prepare what it needs from what `read` gives for a covariate, and
-        the expression of a port's deviation per unit of an amplitude.
+        """Lines of Python code that prepare the values given by `read`, and the expression of every
+        port's displacement per unit of an amplitude (SI).
         """
 
     @classmethod
@@ -89,14 +89,14 @@ class Empirical(Effect):
 
 
 def written(value: float, over: float) -> str:
-    """A number to six digits of the range that it is a place in: a moment of a clock that counts
-    from 1970 has more of them before its point.
+    """A number rounded to six digits of the range `over`. An absolute time counted from 1970 has
+    more digits than that before its decimal point.
     """
     digits = 6 - math.floor(math.log10(over)) if over > 0.0 else 6
     return repr(round(float(value), digits))
 
 
 def range_of(plan: Plan, axis: str) -> tuple[float, float]:
-    """Between which positions of an axis was measured, m or rad."""
+    """Lowest and highest measured position of an axis, m or rad."""
     x = np.asarray(plan.x(axis))
     return float(x.min()), float(x.max())

@@ -1,4 +1,4 @@
-"""Errors that are known, but change with something else that was recorded."""
+"""Effects of the model whose parameters change with a recorded quantity."""
 
 import dataclasses
 from collections.abc import Iterable, Mapping
@@ -17,21 +17,23 @@ from .covariates import distinct_covariates, has_zero
 from .product import Factor, about_the_middle, quantities
 
 _MOST = 9
-"""Most amplitudes of an effect that may change: more are a family, not an effect."""
+"""Most amplitudes of such an effect: more belong to a family, not to an effect."""
 _SEQUENCE = ("run", "pose")
-"""Groups that count up with time."""
+"""Groups whose number increases with time."""
 _STEP = 0.05
-"""Relative, of shape parameters, for derivatives."""
+"""Relative step of shape parameters for numerical derivatives."""
 _RATIO = 2.0
-"""Largest over smallest value from which the logarithm of a quantity that has a zero is tried."""
+"""Ratio of the largest to the smallest value from which the logarithm of a quantity with a natural
+zero is tried."""
 
 
 class Changing(Empirical):
-    """An effect of the model whose parameters change with a recorded quantity: every amplitude a
-    by a' u, every shape parameter s that is a scale by s s' u, to first order. u is the quantity
-    from -1 to 1 over what was measured, or its logarithm where that says more.
+    """An effect of the model whose parameters change with a recorded quantity u.
 
-    Play that grows along an axis, quadrant peaks whose height falls with the acceleration.
+    To first order, every amplitude a changes by a' u and every shape parameter s that is a scale by
+    s s' u. u is the quantity, or its logarithm where that fits better, from -1 to 1 over the
+    measured range. Examples are backlash that grows along an axis, and quadrant peaks whose height
+    falls with the acceleration.
     """
 
     name = "changing"
@@ -39,9 +41,9 @@ class Changing(Empirical):
     words = "an effect that changes with a quantity"
     effect: Effect
     shape: tuple[tuple[str, float], ...] = eqx.field(static=True)
-    """Its shape parameters where they were found, SI."""
+    """Its shape parameters as identified, SI."""
     sizes: tuple[tuple[str, float], ...] = eqx.field(static=True)
-    """Its amplitudes as they were found, SI."""
+    """Its amplitudes as identified, SI."""
     quantities: tuple[Factor, ...] = eqx.field(static=True, repr=False)
 
     @property
@@ -65,7 +67,7 @@ class Changing(Empirical):
 
     def depends_on(self, plan: Plan, shape: Mapping[str, float]) -> tuple[str, ...]:
         del plan
-        return (self._quantity(shape).name, *self.effect.betrayed_by)
+        return (self._quantity(shape).name, *self.effect.indicators)
 
     def said(self, shape: Mapping[str, float]) -> str:
         del shape
@@ -84,7 +86,7 @@ class Changing(Empirical):
 
     @property
     def coded(self) -> bool:
-        """Where the effect is one of the catalogue, which is told by what a file can hold."""
+        """Whether the effect is one of the catalogue and its fields can be written in a file."""
         written = all(
             isinstance(value, str | int | float | tuple) for value in self._placed.values()
         )
@@ -117,7 +119,7 @@ class Changing(Empirical):
 
     @property
     def _placed(self) -> dict[str, Any]:
-        """What the effect is made with, declared values apart."""
+        """The fields that the effect is constructed from, without declared values and priors."""
         fields = (f.name for f in dataclasses.fields(self.effect) if f.init)
         return {
             name: getattr(self.effect, name) for name in fields if name not in ("given", "priors")
@@ -128,8 +130,8 @@ class Changing(Empirical):
 
     @property
     def _scales(self) -> tuple[str, ...]:
-        """Shape parameters that are lengths or times: not places, and not the lengths of periods,
-        of which a change is no change of scale after many of them.
+        """Shape parameters that are lengths or times. Positions are not scales. Nor are lengths of
+        periods: over many periods their change is no change of scale.
         """
         return tuple(p.name for p in self.effect.shapes if p.moves and p.coordinate == "log")
 
@@ -138,7 +140,7 @@ class Changing(Empirical):
         return self.effect.response(plan, {name: np.asarray(value) for name, value in at.items()})
 
     def _slopes(self, plan: Plan) -> dict[tuple[str, str], Array]:
-        """What a change of one does, by port and parameter."""
+        """Derivative of the displacement by each parameter, by port and parameter."""
         found: dict[tuple[str, str], Array] = dict(self._moved(plan))
         at, sizes = dict(self.shape), dict(self.sizes)
         for scale in self._scales:
@@ -183,8 +185,8 @@ class Changing(Empirical):
 
 
 def _constant(moved: Iterable[np.ndarray], u: np.ndarray) -> bool:
-    """Whether what moves, changing with u, is the same wherever it is not zero: play times its own
-    sense of travel, which tells nothing but the rows in which that is not known.
+    """Whether the displacement times u is constant wherever it is not zero. Backlash times its own
+    sense of travel is an example: it differs only in rows whose sense of travel is unknown.
     """
     products = [values * u for values in moved]
     sizes = [p[np.abs(p) > 0.0] for p in products]
@@ -192,5 +194,5 @@ def _constant(moved: Iterable[np.ndarray], u: np.ndarray) -> bool:
 
 
 def _expected(parameter: Parameter) -> float:
-    """The prior standard deviation, where there is one and the value is not known."""
+    """The prior standard deviation, where there is one and the value is not declared; else zero."""
     return parameter.sigma if parameter.informed else 0.0

@@ -1,4 +1,4 @@
-"""Everything that was recorded and that a residual may depend on."""
+"""Covariates: all recorded quantities that a residual may depend on."""
 
 import numpy as np
 
@@ -7,21 +7,22 @@ from ...instruments.conditions import file_column
 from ...machine.plan import Plan, of_set
 
 _SAME = 0.9999
-"""Correlation from which two columns count as the same."""
+"""Correlation from which two columns count as identical."""
 _UNITS = {"_deg": np.pi / 180.0, "_rad": 1.0}
-"""Ends of the names of columns of angles, and their factors to rad."""
+"""Endings of the names of columns of angles, and their factors to rad."""
 _GAP = 0.25
-"""Share of a turn that may be missing in angles that go round."""
+"""Largest gap, as a share of a turn, in angles that cover a full turn."""
 _SEAM = 2.0
-"""How much wider than the others the gap may be at which angles within one turn begin anew."""
+"""Largest ratio of the gap at the seam, where angles within one turn wrap around, to the other
+gaps."""
 
 
 def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
-    """Axes, covariates and groups by their names inside vcal; of columns that are the same but for
-    scale and offset only the first.
+    """Axes, covariates and groups by their internal names, (n,) each; of columns that are identical
+    but for scale and offset only the first.
 
-    What only the rows of one data set have is nan in the others; the axes are there for all rows
-    and for those of every data set.
+    Quantities that only one data set has are nan in the rows of the others. The axes are given for
+    all rows together and for each data set.
     """
     tables = [plan.axes, plan.covariates, plan.groups]
     names = [name for table in tables for name in table]
@@ -44,8 +45,10 @@ def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
 
 
 def angles_around(plan: Plan) -> list[str]:
-    """Covariates that are angles, by the units in the names of their columns, and go round. What a
-    joint has travelled since the pose before is no place on a turn.
+    """Covariates that are angles, by the units in the names of their columns, and cover a full
+    turn.
+
+    The angle that a joint has moved since the previous pose is not a position on a turn.
     """
     return [
         name
@@ -59,8 +62,8 @@ def angles_around(plan: Plan) -> list[str]:
 
 
 def has_zero(plan: Plan, name: str) -> bool:
-    """Whether the zero of a quantity is that of nature: not that of positions, of clocks, of
-    numbers of runs, and of temperatures in degC.
+    """Whether a quantity has a natural zero. Positions, clocks, run numbers and temperatures in
+    degC have none.
     """
     if name in plan.axes or name in plan.groups or name in CLOCKS:
         return False
@@ -68,7 +71,7 @@ def has_zero(plan: Plan, name: str) -> bool:
 
 
 def _goes_round(angle: np.ndarray) -> bool:
-    """Whether angles (n,) in rad are places all around a turn, not those of a swivel with stops."""
+    """Whether angles (n,) in rad cover a full turn, unlike those of a swivel axis."""
     turn = 2.0 * np.pi
     places = np.unique(np.mod(angle, turn))
     widest = np.diff(places, append=places[0] + turn).max()
@@ -79,21 +82,21 @@ def _goes_round(angle: np.ndarray) -> bool:
 
 
 def in_rad(plan: Plan, name: str) -> float:
-    """Factor that turns the values of a covariate that is an angle into rad, by the unit in the
-    name of its column.
+    """Factor that converts the values of an angular covariate to rad, by the unit in the name of
+    its column.
     """
     column, factor = file_column(name, plan.axes)
     return factor * _UNITS[column[-4:]]
 
 
 def correlation(x: np.ndarray, y: np.ndarray) -> float:
-    """Size of the correlation of two columns; zero where one of them does not vary."""
+    """Magnitude of the correlation of two columns; zero where one of them is constant."""
     if np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
         return 0.0
     return float(abs(_direction(x) @ _direction(y)))
 
 
 def _direction(x: np.ndarray) -> np.ndarray:
-    """A column without its offset, of unit length."""
+    """A column without its mean, of unit length."""
     centred = x - x.mean()
     return centred / np.linalg.norm(centred)

@@ -1,4 +1,4 @@
-"""Errors that come round with an angle."""
+"""Errors that are periodic in an angle."""
 
 from collections.abc import Iterable, Mapping
 
@@ -13,25 +13,26 @@ from .base import Code, Empirical, Read
 from .covariates import angles_around, in_rad
 
 CIRCLE = "circle_angle"
-"""The covariate that says where on its circle the tool is."""
+"""The covariate with the angle of the tool on its circle."""
 _PORTS = tuple(f"tool.{c}" for c in "XYZ")
 _PULLS, _PACES = (tuple(f"{kind}_{c}" for c in "XYZ") for kind in "av")
 _WAYS = {"outwards": _PULLS, "around": (*_PULLS, *_PACES)}
-"""Ways of an error on a circle, and the covariates that tell them."""
+"""Directions of an error on a circle, and the covariates that define them."""
 _ORDERS = 60
-"""The highest order that is looked for."""
+"""Highest order that is tried."""
 
 
 class Harmonic(Empirical):
-    """An error of order n in a recorded angle: a cos(n phi) + b sin(n phi) of the tool point along
-    an axis or, on a circle, outwards or around it (the way in which its angle grows).
+    """An error of order n in a recorded angle phi: a cos(n phi) + b sin(n phi).
 
-    Orders are tried up to half of the places per turn that were measured.
+    It displaces the tool point along an axis or, on a circle, radially outwards or along the circle
+    (in the sense of increasing angle). Orders are tried up to half the number of measured positions
+    per turn.
     """
 
     name = "harmonic"
-    summary = "empirical: comes round with an angle"
-    words = "an error that comes round with an angle"
+    summary = "empirical: periodic in an angle"
+    words = "an error that is periodic in an angle"
     angle: str = eqx.field(static=True)
     highest: int = eqx.field(static=True, repr=False)
 
@@ -97,14 +98,14 @@ class Harmonic(Empirical):
         }
 
     def _parts(self, plan: Plan) -> Mapping[str, Array | float]:
-        """By port, what of the error goes there."""
+        """The components of the error's direction, by port."""
         if self.port not in _WAYS:
             return {self.port: 1.0}
         pull = np.array([plan.values(name) for name in _PULLS])
         way = -pull / np.linalg.norm(pull, axis=0)
         if self.port == "around":
             pace = np.array([plan.values(name) for name in _PACES])
-            # Planes are named in the order in which their third axis is the axis of the turn.
+            # Planes are named so that their third axis is the axis of rotation.
             turning = np.sign(np.cross(way, pace, axis=0).sum(0))
             way = turning * pace / np.linalg.norm(pace, axis=0)
         return dict(zip(_PORTS, way, strict=True))
@@ -125,8 +126,8 @@ class Harmonic(Empirical):
 
 
 def _per_turn(plan: Plan, angle: str) -> int:
-    """How many places of a turn were measured: of a circle, which every run goes round, in one
-    run.
+    """Number of measured positions per turn. The angle on a circle recurs in every run, so that
+    only the positions of one run count.
     """
     turn = np.mod(in_rad(plan, angle) * plan.values(angle), 2.0 * np.pi).round(3)
     runs = angle == CIRCLE and "run" in plan.groups

@@ -1,4 +1,4 @@
-"""Errors from one moment on."""
+"""Errors that start at one moment."""
 
 from collections.abc import Mapping
 
@@ -12,8 +12,8 @@ from .base import Code, Empirical, Interval, Read, written
 
 
 class Since(Empirical):
-    """An error in proportion to the position, from one moment on: (a + b (t - at)) x for t > at, as
-    where a compensation is no longer fed with what it needs.
+    """An error proportional to the position from one moment on: (a + b (t - at)) x for t > at. It
+    occurs where a compensation no longer receives its input.
     """
 
     name = "scale_since"

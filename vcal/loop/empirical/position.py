@@ -1,4 +1,4 @@
-"""Errors at one place of an axis."""
+"""Errors at one position of an axis."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ from .base import Code, Empirical, Interval, Read, range_of
 
 
 class LocalBump(Empirical):
-    """A bump of Gaussian form in one error motion: a exp(-((x - centre)/width)^2 / 2)."""
+    """A Gaussian bump in one error motion: a exp(-((x - centre)/width)^2 / 2)."""
 
     name = "local_bump"
     summary = "empirical: local error"
@@ -35,7 +35,8 @@ class LocalBump(Empirical):
         span = (high - low) or 1.0
         return {
             "centre": np.linspace(low, high, 41),
-            # Wider than a tenth of the travel is a matter of the declared family's smoothness.
+            # Bumps wider than a tenth of the travel belong to the declared family and its
+            # smoothness.
             "width": np.geomspace(span / 80.0, span / 10.0, 4),
         }
 
@@ -52,8 +53,8 @@ class LocalBump(Empirical):
 
 
 class Kink(Empirical):
-    """An error motion whose slope changes at one position: a max(0, x - at), as where two
-    guideways join.
+    """An error motion whose slope changes at one position: a max(0, x - at), as at a joint of two
+    guideways.
     """
 
     name = "kink"

@@ -1,4 +1,4 @@
-"""Errors in proportion to what was recorded, or to products of it."""
+"""Errors proportional to recorded quantities, or to products of two."""
 
 import abc
 import itertools
@@ -19,7 +19,7 @@ from .covariates import angles_around, distinct_covariates
 
 @dataclass(frozen=True)
 class Factor:
-    """One factor of a product: ((x - middle)/half)^power, or of the logarithm of x."""
+    """One factor of a product: ((x - middle)/half)^power, or the same of the logarithm of x."""
 
     name: str
     middle: float
@@ -28,21 +28,23 @@ class Factor:
     logarithm: bool = False
 
     def values(self, plan: Plan) -> np.ndarray:
-        """Its values (n,)."""
+        """Its values (n,) in the rows of a plan."""
         return self.of(plan.values(self.name))
 
     def of(self, x: np.ndarray) -> np.ndarray:
-        """Its values where the quantity has these."""
+        """Its values at the values x (n,) of the quantity."""
         x = np.log(np.maximum(x, self.least)) if self.logarithm else x
         return ((x - self.middle) / self.half) ** self.power
 
     @property
     def least(self) -> float:
-        """The smallest value that a logarithm was measured at: below, it stays what it is there."""
+        """Smallest measured value of a quantity whose logarithm is used. Below it the factor stays
+        constant.
+        """
         return math.exp(self.middle - self.half)
 
     def code(self, read: Read) -> str:
-        """Python for its values."""
+        """Python code for its values."""
         value, middle = read(self.name), written(self.middle, self.half)
         if self.logarithm:
             value = f"jnp.log(jnp.maximum({value}, {self.least:.6g}))"
@@ -51,8 +53,8 @@ class Factor:
 
 
 class Product(Empirical):
-    """Base class of what is in proportion to recorded quantities: a p, or a p q. Of what it is, is
-    scanned.
+    """Base class of errors proportional to recorded quantities: a p, or a p q. The quantities are
+    the shape parameter that is scanned.
     """
 
     products: tuple[tuple[Factor, ...], ...] = eqx.field(static=True, repr=False)
@@ -119,14 +121,15 @@ class Product(Empirical):
     @classmethod
     @abc.abstractmethod
     def of(cls, setup: Setup) -> tuple[tuple[Factor, ...], ...]:
-        """What it may be in proportion to."""
+        """The products that it may be proportional to."""
 
 
 class Proportion(Product):
-    """An error in proportion to one recorded quantity that no effect of the catalogue looks at.
+    """An error proportional to one recorded quantity that no effect of the catalogue uses.
 
-    What effects look at, they have as well; positions are the declared family's matter. What an
-    instrument derives counts too, such as the time since the start of a run.
+    Quantities that effects use are described by these effects, and positions by the declared
+    family. Quantities that an instrument derives, such as the time since the start of a run, are
+    included.
     """
 
     name = "proportion"
@@ -141,15 +144,16 @@ class Proportion(Product):
 
 
 class Interaction(Product):
-    """An error in proportion to the product of two recorded quantities, a p q.
+    """An error proportional to the product of two recorded quantities, a p q.
 
-    Quantities count from their middle, -1 to 1 over what was measured, positions from their zero as
-    well; of two positions there are products of higher order, too (u^2 v^2, u^3 v, u v^3).
+    Quantities are counted from their middle, -1 to 1 over the measured range; positions are counted
+    from their zero as well. Two positions also have products of higher order (u^2 v^2, u^3 v, u
+    v^3).
     """
 
     name = "interaction"
     summary = "empirical: product of two quantities"
-    words = "an error that two quantities make together"
+    words = "an error in proportion to the product of two quantities"
 
     @property
     def joint(self) -> bool:
@@ -161,8 +165,9 @@ class Interaction(Product):
 
 
 def quantities(plan: Plan, derived: Collection[str] = ()) -> dict[str, np.ndarray]:
-    """What was recorded of every row, none a function of others, without what was `derived`, and
-    without angles that go round: they begin anew somewhere.
+    """Quantities that were recorded for every row and are no functions of others, (n,) each.
+
+    `derived` quantities and angles that cover a full turn are left out; the latter wrap around.
     """
     around = angles_around(plan)
     return {
@@ -173,14 +178,14 @@ def quantities(plan: Plan, derived: Collection[str] = ()) -> dict[str, np.ndarra
 
 
 def about_the_middle(name: str, x: np.ndarray, logarithm: bool = False) -> Factor:
-    """A quantity, or its logarithm, from -1 to 1."""
+    """A quantity, or its logarithm, scaled from -1 to 1."""
     x = np.log(x) if logarithm else x
     middle, half = 0.5 * float(x.max() + x.min()), 0.5 * float(np.ptp(x))
     return Factor(name, middle, half, logarithm=logarithm)
 
 
 def _products(plan: Plan, derived: Collection[str]) -> tuple[tuple[Factor, ...], ...]:
-    """Pairs of quantities whose product says more than either."""
+    """Pairs of quantities whose products are tried."""
     known = quantities(plan, derived)
     factors = [about_the_middle(name, x) for name, x in known.items()]
     positions = [factor for factor in factors if factor.name in plan.axes]

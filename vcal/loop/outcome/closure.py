@@ -1,4 +1,4 @@
-"""What closing the loop found: numbers and names only, from which pages and files are made."""
+"""The result of closing the loop: numbers and names only, from which pages and files are made."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,17 +22,18 @@ Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
 
 
 _LOUDER, _SURELY = 1.5, 3.0
-"""Scatter over what is declared, and standard uncertainties of that, from which the verdict tells
-it."""
+"""Scatter over the declared noise, and standard uncertainties of that ratio, from which the verdict
+reports it."""
 _MOST_OF_IT = 0.5
-"""Share of a reading's scatter from which a vibration is all that is said of the rest."""
+"""Share of a reading's scatter from which the verdict describes the rest by the vibration alone."""
 _A_PART = 0.05
-"""Share of what remains from which a covariate is told with noise that is correlated in time."""
+"""Share of the remainder from which a covariate is reported together with noise that is correlated
+in time."""
 
 
 @dataclass(frozen=True)
 class SetErrors:
-    """How wrong a model is on the readings of one data set of several."""
+    """Errors of a model on the readings of one data set of several."""
 
     heldout: Rms
     fit: Rms
@@ -42,11 +43,11 @@ class SetErrors:
 
 @dataclass(frozen=True)
 class Errors:
-    """How wrong a model is."""
+    """Errors of a model."""
 
     check: Rms | None
-    """Volumetric error at the check points after rigid alignment; None without check data. What an
-    effect may be instead, and what is unexplained, is part of its uncertainty."""
+    """Volumetric error at the check points after rigid alignment; None without check data. Its
+    uncertainty includes the alternatives to the effects, and what is unexplained."""
     check_raw: Rms | None
     heldout: Rms
     fit: Rms
@@ -58,37 +59,40 @@ class Errors:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect the loop added."""
+    """An effect that the loop added."""
 
     effect: Effect
     status: Literal["named", "ambiguous"]
     placement: str
     """Its place; a class of equivalent placements is written ``"X|Y|Z"``."""
     parameters: list[tuple[str, float, str, float]]
-    """(name, value, unit, standard uncertainty), from the final fit, which has it at the placement
-    of `effect`: at another one of its class they may have another size and sign."""
+    """(name, value, unit, standard uncertainty), from the final fit, at the placement of `effect`.
+    At another placement of its class, size and sign may differ."""
     p_value: float
     log_evidence: float
     delta_bic: float
     heldout_gain: float
-    """Share by which the held-out rms fell when it was added, of several data sets that where it
-    fell most; an effect of the instrument of one has that of its own."""
+    """Relative fall of the held-out rms when it was added. Of several data sets, the largest fall;
+    for an effect of one instrument, that of its own data set."""
     equivalent: list[str]
     alternatives: list[tuple[str, str, float]]
     separation: str
-    """The measurement that would separate it from its rivals, in words; empty if none is needed."""
+    """The measurement that would distinguish it from its rivals, in words; empty where none is
+    needed."""
 
     @property
     def joint(self) -> bool:
-        """Whether its place is one of several that the data do not tell apart."""
+        """Whether the data cannot distinguish its place from others."""
         return self.placement != self.effect.placement
 
     @property
     def name(self) -> str:
-        """Its name and place, with effects of other kinds that the data cannot tell from it."""
+        """Its name and place, with effects of other kinds that cannot be distinguished from it."""
         own = f"{self.effect.name} {self.placement}".strip()
         others = [key for key in self.equivalent if key.split(" ")[0] != self.effect.name]
-        return f"{own} (for these data the same as {', '.join(others)})" if others else own
+        return (
+            f"{own} (indistinguishable from {', '.join(others)} with these data)" if others else own
+        )
 
 
 @dataclass(frozen=True)
@@ -102,12 +106,12 @@ class Rejected:
 
 
 def in_words(effect: Effect) -> str:
-    """What an empirical description is: ``"local error"``."""
+    """What an empirical description is, in words: ``"local error"``."""
     return effect.summary.removeprefix("empirical: ")
 
 
 def outdone_by(effect: Effect) -> str:
-    """Why nothing else is added where an empirical description ends the search."""
+    """Reason why nothing else is added where an empirical description ends the search."""
     return f"an empirical description ({in_words(effect)}) describes the residual better"
 
 
@@ -120,7 +124,7 @@ class Closure:
     """The result of `close_loop`."""
 
     verdict: Verdict | None
-    """None where the search was interrupted before it had found anything."""
+    """None where the search was interrupted before any effect was found."""
     effects: list[FoundEffect]
     errors: Mapping[Literal["uncompensated", "before", "after"], Errors]
     before: Fit = field(repr=False)
@@ -128,7 +132,7 @@ class Closure:
     nominal: Fit = field(repr=False)
     """The nominal machine with only the nuisances fitted."""
     alternatives: Sequence[Alternatives] = field(repr=False)
-    """What each of `effects` may be instead; then what describes what is unexplained."""
+    """Alternatives to each of `effects`, then the description of what is unexplained."""
     check: CheckPoints | None = field(repr=False)
     unexplained: Unexplained | None
     suspected: list[Outlier]
@@ -138,28 +142,28 @@ class Closure:
     """Effects that the declared model already spans on this plan."""
     screenings: list[Screening] = field(repr=False)
     noise_scale: float
-    """Root of chi2 per degree of freedom at the end, where it differs from one significantly."""
+    """Root of chi-square per degree of freedom of the final fit, where it differs from one
+    significantly; else one."""
     noise_components: tuple[Component, ...]
-    """Noise found of every kind of reading; empty where the readings of a row are clustered."""
+    """Estimated noise of every kind of reading; empty where the readings of a row are clustered."""
     settings: Mapping[str, Any]
     noise_scales: Mapping[str, float] = field(default_factory=dict)
-    """The same of every data set by its name, one or several."""
+    """`noise_scale` of every data set, by its name."""
     noise_uneven: bool = False
-    """Whether the kinds of reading scatter differently from one another, in parts of what is
-    declared; the fit after closing the loop then goes by `noise_components`.
-    """
+    """Whether the kinds of reading differ in the ratio of estimated to declared noise. The final
+    fit then uses `noise_components`."""
     interrupted: bool = False
     vibration: Vibration | None = None
-    """Of what is left, where runs of several paces tell it."""
+    """A vibration in the residual, which runs of several feed rates can reveal."""
     notes: list[str] = field(default_factory=list)
 
     @property
     def variance(self) -> dict[str, float]:
-        """Shares of the whitened variance that the declared model leaves: what the named effects
-        take of it, what the empirical description would, the declared noise, and the rest.
+        """Shares of the whitened variance that the declared model leaves: the named effects, the
+        empirical description, the declared noise, and the rest. They add up to one.
         """
         before, after = (self.errors[name].chi2_per_dof for name in ("before", "after"))
-        before = max(before, after)  # with other weights, the declared chi2 is not at its minimum
+        before = max(before, after)  # with other weights, the declared chi2 is not minimal
         noise = min(1.0, after)
         what, described = self.unexplained, 0.0
         if what is not None and what.empirical is not None:
@@ -176,41 +180,41 @@ class Closure:
 
     @property
     def searched(self) -> list[str]:
-        """Those of the effects asked for that were screened: that have a place on this instrument,
-        find the columns they need, and are not spanned by the declared model.
+        """The requested effects that were screened: they have a place on this instrument and the
+        columns they need, and the declared model does not span them.
         """
         screened = {kind.kind for screening in self.screenings for kind in screening.kinds}
         return [name for name in self.settings.get("effects", ()) if name in screened]
 
     @property
     def passed_over(self) -> list[Rejected]:
-        """Kinds of effects that were significant in some round, the last of which counts, but were
-        neither added nor worth a refit, so that `rejected` has none of them.
+        """Kinds of effects that were significant in some round but were neither added nor refitted,
+        and are not in `rejected`. The last such round counts.
         """
         known = {f.effect.name for f in self.effects} | {r.effect for r in self.rejected}
         found: dict[str, Rejected] = {}
         for i, screening in enumerate(self.screenings):
             for kind in screening.kinds:
                 p_value, best = screening.corrected(kind), kind.peaks[0].effect
-                told = kind.kind in known or isinstance(best, Empirical)
-                if p_value <= self.settings["alpha"] and not told:
+                listed = kind.kind in known or isinstance(best, Empirical)
+                if p_value <= self.settings["alpha"] and not listed:
                     why = self._why_passed_over(i)
                     found[kind.kind] = Rejected(kind.kind, best.placement, p_value, why)
         return list(found.values())
 
     def _why_passed_over(self, number: int) -> str:
-        """Why the rest of a round, from 0, was not looked at."""
+        """Reason why the remaining candidates of a round (counted from 0) were not refitted."""
         if number < len(self.screenings) - 1:
-            return "not significant any more beside what was added"
+            return "no longer significant after another effect was added"
         if self.interrupted:
             return "the search was interrupted"
         if self.screenings[number].added is not None:
-            return "less likely than what was added"
+            return "less probable than the effect that was added"
         if self.full:
             return "no more effects may be added (max_effects)"
         if self.unexplained is not None and self.unexplained.empirical is not None:
             return outdone_by(self.unexplained.empirical.effect)
-        return "its evidence is far behind that of others"
+        return "its evidence is far below that of others"
 
     @property
     def sentence(self) -> str:
@@ -222,11 +226,14 @@ class Closure:
         tried = set(self.settings.get("effects", ()))
         tested = {kind.kind for screening in self.screenings for kind in screening.kinds}
         if self.verdict == "nothing_missing" and tried and tested and not tried & tested:
-            return "Nothing could be tested: the data say nothing about any effect that was tried."
+            return (
+                "Nothing could be tested: the data contain no information about any effect that "
+                "was tried."
+            )
         if self.louder:
             return (
                 f"No effect was found, but {self._scatter()} times as declared: the noise is "
-                "larger than was declared, or something is missing that nothing tried describes."
+                "larger than declared, or an effect is missing that none of those tried describes."
             )
         if self.verdict == "nothing_missing":
             return "The declared model explains the measurement: nothing is missing."
@@ -235,7 +242,7 @@ class Closure:
         if self.verdict == "ambiguous":
             likely = all(
                 2.0 * p < 1.0 for found in self.effects for *_, p in found.alternatives
-            )  # else a rival is the likelier one
+            )  # else a rival is more probable
             how = "most likely" if likely else "it may be"
             return f"The declared model lacks something: {how} {listed}, but not for certain."
         found = f"Found {listed}; the rest is unexplained" if names else "Unexplained"
@@ -244,8 +251,8 @@ class Closure:
 
     @property
     def louder(self) -> dict[str, float]:
-        """Where no effect was found: what scatters far more than declared, by the kind of reading
-        or the data set (all: without a name), in units of what is declared.
+        """Where no effect was found: noise far larger than declared, by kind of reading or data set
+        (all: without a name), in units of the declared noise.
         """
         if self.verdict != "nothing_missing":
             return {}
@@ -260,14 +267,14 @@ class Closure:
         return parts or sets
 
     def _scatter(self) -> str:
-        """What `louder` says, up to "times as declared"."""
+        """`louder` in words, up to "times as declared"."""
         (name, factor), *others = self.louder.items()
         first = f"{name} scatters {factor:.2g}" if name else f"the readings scatter {factor:.2g}"
         return _and([first, *(f"{other} {factor:.2g}" for other, factor in others)])
 
     @property
     def full(self) -> bool:
-        """Whether the limit of effects, and no description, ended the search."""
+        """Whether the limit of effects ended the search, and no description did."""
         described = self.unexplained is not None and self.unexplained.empirical is not None
         return not described and len(self.effects) >= self.settings["max_effects"]
 
@@ -275,14 +282,14 @@ class Closure:
         swings = self.vibration
         if swings is None:
             return self._described()
-        # That of one data set says nothing of what the others leave.
+        # A vibration in one data set does not describe the remainder of the others.
         most = swings.share > _MOST_OF_IT and not swings.data_set
         return swings.words if most else f"{self._described()}; {swings.words}"
 
     def _described(self) -> str:
         what = self.unexplained
         if what is None or not what.depends_on:
-            return "no covariate orders it"
+            return "it depends on no recorded covariate"
         axes = self.after.measurement.plan.axes
         columns = [file_column(name, axes)[0] for name in what.depends_on[:2]]
         on = " times ".join(columns if what.joint else columns[:1])

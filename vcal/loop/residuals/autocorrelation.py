@@ -1,13 +1,13 @@
-"""Readings that follow each other and are alike: noise that is correlated in time.
+"""Autocorrelation: noise that is correlated in time.
 
-A part s of the noise's variance persists, with the correlation phi from one row to the next; the
-rest is white. What a reading says beyond those before it,
+A share s of the variance of the noise persists, with the correlation phi from one row to the next;
+the rest is white. The innovation of a reading, given those before it,
 
     e_i = y_i - phi y_(i-1) + phi (1 - s) / F_(i-1) e_(i-1),
     F_i = P_i + 1 - s,  P_i = phi^2 P_(i-1) (1 - s) / F_(i-1) + s (1 - phi^2),  P_0 = s,
 
 has the variance F_i and is white: the Kalman filter of an ARMA(1, 1) process (Box, Jenkins, Reinsel
-2008, ch. 5 and 7). The linearised fit is done again with these innovations; phi and s by its
+2008, ch. 5 and 7). The linearised fit is repeated with these innovations; phi and s maximise its
 marginal likelihood over a grid.
 """
 
@@ -25,32 +25,35 @@ _PHI = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
 _SHARE = (0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 0.97, 0.99, 0.999)
 _COARSE = tuple((phi, s) for phi in (0.5, 0.8, 0.95, 0.99) for s in (0.2, 0.5, 0.9, 0.99))
 _SUSPICIOUS = 3.0
-"""Lag-one correlation, in its standard deviations by chance, from which the grid is looked at."""
+"""Lag-one correlation, in its standard deviations under the null hypothesis, from which the grid is
+evaluated."""
 _BREAKS = ("run", "pose", DATA_SET)
 """Groups between which nothing persists, of every data set."""
 
 
 @dataclass(frozen=True)
 class Serial:
-    """Correlated noise."""
+    """Noise that is correlated in time."""
 
     phi: float
-    """Correlation from row to row of what persists."""
+    """Correlation from row to row of the part that persists."""
     share: float
-    """Of the variance that persists."""
+    """Share of the variance that persists."""
     p_value: float
-    """Of a gain as large as this by chance."""
+    """Probability of a gain as large as this under white noise."""
     log_bayes: float
     """Gain in log evidence over white noise."""
 
     @property
     def length(self) -> float:
-        """Rows after which the correlation has fallen by e."""
+        """Correlation length: rows after which the correlation has fallen by a factor e."""
         return float(-1.0 / np.log(self.phi))
 
 
 def serial(fit: Fit) -> Serial | None:
-    """The correlated noise that describes the residual best; None where it does not look so."""
+    """The correlated noise that describes the residual best; None where the lag-one correlation is
+    not significant.
+    """
     if not persists(fit):
         return None
     data = _Sequence.of(fit)
@@ -63,13 +66,13 @@ def serial(fit: Fit) -> Serial | None:
 
 
 def persists(fit: Fit) -> bool:
-    """Whether readings that follow each other are alike, at first sight."""
+    """Whether the lag-one correlation of successive readings is suspicious."""
     return _Sequence.of(fit).suspicion >= _SUSPICIOUS
 
 
 def gain_beside(fit: Fit, columns: np.ndarray) -> float:
-    """What some parameters are worth where the noise may be correlated: gain in log evidence of the
-    fit with them over that without, both with the noise that suits them best, white or not.
+    """Gain in log evidence by the parameters `columns` (k,), where the noise may be correlated: the
+    fit with them over that without, each with the noise that suits it best, white or correlated.
     """
     data = _Sequence.of(fit)
     every = np.ones(len(fit.theta), bool)
@@ -84,20 +87,22 @@ def gain_beside(fit: Fit, columns: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class _Sequence:
-    """The linearised fit in the order of the readings, in pieces between which nothing persists."""
+    """The linearised fit in the order of the readings, split into pieces between which nothing
+    persists.
+    """
 
     pieces: list[slice]
     residual: np.ndarray
-    """Whitened (n, m), of the rows that were used."""
+    """Whitened residual (n, m) of the rows that were used."""
     jacobian: np.ndarray
     """(n, m, k)."""
     theta: np.ndarray
     precision: np.ndarray
-    """Shape parameters within their scans."""
+    """Prior precision (k,), with shape parameters confined to their grids."""
     proper: np.ndarray
-    """Whether an amplitude has a prior, by which it is weighed."""
+    """Whether a parameter has a proper prior (k,), which enters the evidence."""
     counted: np.ndarray
-    """Which readings there are (n, m)."""
+    """Which readings are present (n, m)."""
 
     @classmethod
     def of(cls, fit: Fit) -> "_Sequence":
@@ -112,7 +117,7 @@ class _Sequence:
         if plan.has("t"):
             used = plan.in_time(used)
         elif broken:
-            # Those of one run or pose one after the other, in the order of the file.
+            # Rows of one run or pose in succession, in the order of the file.
             used = used[np.lexsort([index[used] for index in broken])]
         marks = [index[used] for index in broken]
         breaks = np.zeros(len(used) - 1, bool)
@@ -131,7 +136,7 @@ class _Sequence:
 
     @property
     def suspicion(self) -> float:
-        """Lag-one correlation over its standard deviation by chance."""
+        """Lag-one correlation over its standard deviation under white noise."""
         total, count = 0.0, 0
         for p in self.pieces:
             total += float((self.residual[p][1:] * self.residual[p][:-1]).sum())
@@ -142,9 +147,11 @@ class _Sequence:
     def likelihood(
         self, kept: np.ndarray | None = None, phi: float = 0.0, share: float = 0.0
     ) -> float:
-        """ln p(readings) with the noise's scale at its best, up to a constant."""
+        """ln p(readings), up to a constant, with the scale of the noise that maximises it. `kept`
+        (k,) are the parameters that are fitted.
+        """
         kept = np.ones(len(self.theta), bool) if kept is None else kept
-        # What is left out is taken out of the residual too.
+        # The contribution of parameters that are left out returns to the residual.
         residual = self.residual + self.jacobian[:, :, ~kept] @ self.theta[~kept]
         both = np.concatenate([residual[:, :, None], self.jacobian[:, :, kept]], axis=2)
         log_determinant = 0.0
@@ -175,8 +182,10 @@ class _Sequence:
         )
 
     def _innovations(self, y: np.ndarray, phi: float, share: float) -> tuple[np.ndarray, float]:
-        """What every row of `y` (n, m, k) says beyond those before it in its piece, in standard
-        deviations, and ln det of the correlations of all readings. All pieces row by row together.
+        """Innovations of the rows of `y` (n, m, k) within each piece, in standard deviations, and
+        ln det of the correlation matrix of all readings.
+
+        The recursion runs over the rows of all pieces together.
         """
         pieces = sorted(self.pieces, key=lambda piece: piece.start - piece.stop)
         start = np.array([piece.start for piece in pieces])

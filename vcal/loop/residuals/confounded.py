@@ -1,4 +1,4 @@
-"""Covariates of which no reading tells which mattered: they went together, or only one is known."""
+"""Confounded covariates, whose influences cannot be separated with these data."""
 
 from collections.abc import Iterable, Mapping
 
@@ -9,15 +9,17 @@ from ...machine.plan import Plan
 from ..screening.candidates import Untestable
 
 _TOGETHER = 0.95
-"""Least correlation of covariates that count as one."""
+"""Least correlation of covariates that count as confounded."""
 _CLOSELY = 0.9
-"""The same of what a plan should not let go together, while that can be changed."""
+"""The same for a plan before it is measured, while it can still be changed."""
 _SEQUENCE = ("order", "pose", "run")
-"""What counts up with time."""
+"""Groups whose number increases with time."""
 
 
 def confounded(plan: Plan, names: Iterable[str]) -> list[str]:
-    """Sentences on what went together with any of `names`: time, temperatures, sequence."""
+    """Sentences on the covariates that are confounded with any of `names`: time, temperatures,
+    sequence.
+    """
     conditions = {
         name: np.asarray(x, float)
         for name, x in plan.covariates.items()
@@ -29,42 +31,43 @@ def confounded(plan: Plan, names: Iterable[str]) -> list[str]:
         if name in plan.groups
     }
     conditions = _varied(conditions)
-    found, told = [], set()
+    found, reported = [], set()
     for name in names:
-        if name not in conditions or name in told:
+        if name not in conditions or name in reported:
             continue
         linked = _linked(name, conditions, _TOGETHER)
-        told |= {name, *linked}
+        reported |= {name, *linked}
         if linked:
             columns = [file_column(n, plan.axes)[0] for n in (name, *linked)]
             found.append(
-                f"the columns {', '.join(columns[:-1])} and {columns[-1]} went together "
-                f"(correlation {min(linked.values()):.2f} or more): what depends on one of them "
-                "looks as if it depended on the others; vary them independently to tell"
+                f"the columns {', '.join(columns[:-1])} and {columns[-1]} are correlated "
+                f"({min(linked.values()):.2f} or more): a dependence on one of them cannot be "
+                "distinguished from one on the others; vary them independently"
             )
     return found
 
 
 def confounding(plan: Plan, names: Iterable[str]) -> list[str]:
-    """Sentences on which of these covariates follow a position or another covariate, before
-    anything is measured or looked for.
+    """Sentences on which of these covariates follow a position or another covariate in a plan, for
+    use before anything is measured.
     """
     names = list(names)
     positions = {axis: np.asarray(plan.x(axis), float) for axis in plan.axes}
     known = _varied(positions | {n: np.asarray(plan.covariates[n], float) for n in names})
-    found, told = [], set()
+    found, reported = [], set()
     for name in names:
-        if name not in known or name in told:
+        if name not in known or name in reported:
             continue
         linked = _linked(name, known, _CLOSELY)
-        told |= {name, *linked} - positions.keys()
+        reported |= {name, *linked} - positions.keys()
         if linked:
             column = file_column(name, plan.axes)[0]
             each = [f"{file_column(n, plan.axes)[0]} ({r:.2f})" for n, r in linked.items()]
-            do = "measure in random order" if linked.keys() & positions.keys() else "vary them"
+            random = linked.keys() & positions.keys()
+            do = "measure in random order" if random else "vary them independently"
             found.append(
-                f"{column} follows {', '.join(each)}: what depends on one looks as if it depended "
-                f"on the other{'s' * (len(each) > 1)}; {do} to tell them apart"
+                f"{column} is correlated with {', '.join(each)}: a dependence on one cannot be "
+                f"distinguished from one on the other{'s' * (len(each) > 1)}; {do}"
             )
     return found
 
@@ -74,7 +77,7 @@ def _varied(known: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _linked(name: str, known: Mapping[str, np.ndarray], least: float) -> dict[str, float]:
-    """Others with their correlation with one, where it is as large as that."""
+    """Other covariates whose correlation with one is at least `least`, with its magnitude."""
     linked = {
         other: abs(float(np.corrcoef(known[name], x)[0, 1]))
         for other, x in known.items()
@@ -84,7 +87,9 @@ def _linked(name: str, known: Mapping[str, np.ndarray], least: float) -> dict[st
 
 
 def unrecorded_time(plan: Plan, name: str, untestable: Iterable[Untestable]) -> list[str]:
-    """That what depends on the sequence may depend on time, where nobody recorded the time."""
+    """A sentence where the residual depends on the sequence and the time was not recorded: it may
+    depend on time.
+    """
     wanting = {u.effect for u in untestable if [missing for missing, _ in u.missing] == ["t"]}
     if name not in _SEQUENCE or not wanting:
         return []

@@ -1,4 +1,4 @@
-"""What a residual depends on: covariates and products of two, against what chance gives."""
+"""Dependence of a residual on covariates and products of two, against its null distribution."""
 
 import itertools
 import math
@@ -16,19 +16,19 @@ from ..screening.significance import SILENT, corrected, effective_trials
 
 _BINS = 10
 _FEWEST = 10.0
-"""Degrees of freedom from which it is asked what the residual depends on: a covariate has ten bins,
-and of dozens of products one describes a handful of numbers whatever they are."""
+"""Degrees of freedom from which dependence is tested. A covariate has ten bins, and of dozens of
+products one always describes a handful of numbers."""
 _ROUNDING = 1e-9
-"""Share of the variance, on average over null draws, that is nothing but rounding."""
+"""Mean share of the variance over null draws below which a share is rounding."""
 _SHOWN = 3
-"""Products of two covariates that are told."""
+"""Products of two covariates that are reported."""
 
 
 def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
-    """The displacement of the tool point (n, 3), m, that would give each row's residual.
+    """The displacement of the tool point (n, 3), m, that corresponds to each row's residual.
 
-    Least squares of the residual on the ports of the tool, in the tool's own frame. What reads
-    angles alone gives turns about X, Y and Z instead, times its lever arm (`Fit.by_tool`).
+    Least squares of the residual on the ports of the tool, in the tool's frame. For instruments
+    that read only angles, these are rotations about X, Y and Z times a lever arm (`Fit.by_tool`).
     """
     weights = np.einsum("nij,njp->nip", fit.whitener, fit.by_tool)
     values = fit.residual if residuals is None else residuals
@@ -37,7 +37,7 @@ def displacements(fit: Fit, residuals: np.ndarray | None = None) -> np.ndarray:
 
 
 def bins(x: np.ndarray) -> np.ndarray:
-    """Bin index of every value: its own category up to 12 distinct values, else ten quantiles."""
+    """Bin index of every value: one bin per value up to 12 distinct values, else ten quantiles."""
     values = np.unique(x)
     if len(values) <= 12:
         return np.searchsorted(values, x)
@@ -49,27 +49,29 @@ class Dependence(NamedTuple):
     """What the residual depends on."""
 
     single: list[tuple[str, float]]
-    """Covariates with the share of the variance that each describes alone, what chance gives taken
-    off; best first."""
+    """Covariates, each with the share of the variance that it describes alone, corrected for
+    chance; largest first."""
     products: list[tuple[str, str, float]]
-    """The same of products of two, beyond what is linear in either."""
+    """The same for products of two, beyond the part that is linear in either."""
     joint: bool
-    """Whether a product is less likely to be chance than every covariate alone."""
+    """Whether the best product is less probable by chance than the best covariate alone."""
     p_value: float
-    """Of the best, corrected for all of them."""
+    """Of the best, corrected for the number of covariates and products."""
 
 
 def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
-    """Shares of the tool point's residual variance that are described by ten bins of each
-    covariate, and by products of two, against what chance gives in `draws` null residuals. Nothing
-    where too few degrees of freedom are left to tell.
+    """Shares of the tool point's residual variance that ten bins of each covariate, and products of
+    two, describe.
+
+    They are compared with `draws` null residuals. The result is empty where there are too few
+    degrees of freedom.
     """
     if fit.dof < _FEWEST:
         return Dependence([], [], False, 1.0)
     moved = _moved(fit, draws, seed)
     total = (moved**2).sum((0, 1))
     if not total[1:].any():
-        return Dependence([], [], False, 1.0)  # nothing that the tool does is seen
+        return Dependence([], [], False, 1.0)  # the readings do not depend on the tool's position
     total = np.maximum(total, SILENT * total[1:].mean())
     plan, used = fit.measurement.plan, fit.used
     known = {name: x[used] for name, x in distinct_covariates(plan).items()}
@@ -82,25 +84,25 @@ def dependence(fit: Fit, draws: int, seed: int) -> Dependence:
     best, best_null = rare[:, 0].max(), rare[:, 1:].max(0)
     exceeding = int((best_null >= best).sum())
     p_value = (1.0 + exceeding) / (draws + 1.0)
-    if exceeding == 0:  # beyond what draws can tell: as the screening corrects for its trials
+    if exceeding == 0:  # beyond the draws: corrected for the trials, as in the screening
         trials = effective_trials(math.log(10.0) * best_null)
         p_value = min(p_value, float(corrected(math.log(10.0) * best, trials)))
     usual = float(best_null.mean())
     count = len(names)
-    telling = [(names[i], share) for i, share in _by_share(singles) if rare[i, 0] > usual]
+    beyond_chance = [(names[i], share) for i, share in _by_share(singles) if rare[i, 0] > usual]
     joined = [(*pairs[i], share) for i, share in _by_share(products) if rare[count + i, 0] > usual]
-    # Both may be beyond what a probability can say: then the larger share decides.
+    # Both probabilities may underflow. The larger share then decides.
     rarest = [
         max(zip(part[:, 0], table[:, 0], strict=True), default=(0.0, 0.0))
         for part, table in ((rare[:count], singles), (rare[count:], products))
     ]
     joint = bool(joined) and rarest[1] > rarest[0]
-    return Dependence(telling, joined[:_SHOWN], joint, p_value)
+    return Dependence(beyond_chance, joined[:_SHOWN], joint, p_value)
 
 
 def _moved(fit: Fit, draws: int, seed: int) -> np.ndarray:
-    """Displacements of the tool point (used rows, 3, 1 + draws) by the residual and, behind it, by
-    null residuals; those of several data sets in units of the scatter of each.
+    """Displacements of the tool point (used rows, 3, 1 + draws) by the residual, followed by those
+    by null residuals; for several data sets in units of the scatter of each.
     """
     state = ScoreTest(fit, draws, seed)
     used = fit.used
@@ -109,13 +111,13 @@ def _moved(fit: Fit, draws: int, seed: int) -> np.ndarray:
     null = np.einsum("npi,nid->npd", inverse.astype(np.float32), state.null[used])
     both = np.concatenate([data[:, :, None], null], axis=2)
     for rows in fit.measurement.plan.parts.values() if fit.measurement.plan.sets else ():
-        # In units of its own scatter: a precise data set would be lost beside a coarse one.
+        # In units of its own scatter: a precise data set would be masked by a coarse one.
         mine = rows[used]
         if not mine.any():
             continue
         scatter = np.sqrt(np.mean(both[mine][:, :, 1:] ** 2))
         if fit.chi2_and_dof(rows)[1] < 1.0 or scatter == 0.0:
-            both[mine] = 0.0  # what its own parameters leave of it is rounding
+            both[mine] = 0.0  # its own parameters leave nothing of it but rounding
         else:
             both[mine] /= scatter
     return both
@@ -133,7 +135,7 @@ def _alone(
         sums = np.tensordot(np.eye(len(counts))[:, index], moved[there], 1)
         described = (sums**2 / np.maximum(counts, 1)[:, None, None]).sum((0, 1)) / total
         if described[1:].mean() < _ROUNDING:
-            continue  # nuisances take all of it, such as the place of a sphere in every run
+            continue  # nuisances absorb all of it, such as the position of a sphere in every run
         names.append(name)
         shares.append(described)
     return names, np.array(shares).reshape(len(shares), len(total))
@@ -143,8 +145,8 @@ def _multiplied(
     known: Mapping[str, np.ndarray], plan: Plan, moved: np.ndarray, total: np.ndarray
 ) -> tuple[list[tuple[str, str]], np.ndarray]:
     """Pairs of covariates, and the shares (pairs, 1 + draws) that the product of each describes."""
-    # A group index is no quantity to multiply by, unless there are only two of a kind; nor is an
-    # angle that begins anew somewhere.
+    # A group index is not a quantity to multiply by, unless there are only two groups. Nor is an
+    # angle that wraps around.
     out = {*plan.groups, *angles_around(plan)}
     multiplied = {n for n in known if n not in out and np.isfinite(known[n]).all()}
     if len(plan.sets) == 2:
@@ -152,13 +154,13 @@ def _multiplied(
     pairs, columns = _products({n: x for n, x in known.items() if n in multiplied})
     along = np.tensordot(columns, moved, 1) if pairs else np.zeros((0, *moved.shape[1:]))
     shares = (along**2).sum(1) / total
-    told = shares[:, 1:].mean(1) >= _ROUNDING
-    return [pair for pair, one in zip(pairs, told, strict=True) if one], shares[told]
+    resolved = shares[:, 1:].mean(1) >= _ROUNDING
+    return [pair for pair, one in zip(pairs, resolved, strict=True) if one], shares[resolved]
 
 
 def _products(known: dict[str, np.ndarray]) -> tuple[list[tuple[str, str]], np.ndarray]:
-    """Pairs of covariates and (pairs, n) their products, without what is linear in either, of unit
-    length.
+    """Pairs of covariates, and their products (pairs, n) without the part that is linear in either,
+    of unit length.
     """
     pairs, rows = [], []
     for (first, x), (second, y) in itertools.combinations(known.items(), 2):
@@ -173,10 +175,12 @@ def _products(known: dict[str, np.ndarray]) -> tuple[list[tuple[str, str]], np.n
 
 
 def _rarity(table: np.ndarray) -> np.ndarray:
-    """-log10 of the probability of a share by chance, every row against the gamma distribution with
-    the mean and variance of its null draws (columns from 1 on): what has one degree of freedom and
-    what has thirty is then alike. A draw is judged by the others, as the data are by all: with
-    itself among them it would look commoner than it is.
+    """-log10 of the probability of a share under the null hypothesis.
+
+    Every row is compared with the gamma distribution that has the mean and variance of its null
+    draws (columns from 1 on), so that rows with one and with thirty degrees of freedom are
+    comparable. Each draw is compared with the others, without itself, as the data are compared with
+    all draws.
     """
     if not len(table):
         return table
@@ -191,7 +195,7 @@ def _rarity(table: np.ndarray) -> np.ndarray:
 
 
 def _by_share(table: np.ndarray) -> list[tuple[int, float]]:
-    """Rows with their share beyond chance, largest first."""
+    """Rows with their share corrected for chance, largest first."""
     if not len(table):
         return []
     expected = table[:, 1:].mean(1)

@@ -1,4 +1,4 @@
-"""Readings that do not belong: single rows far outside what all the others say."""
+"""Outliers: single rows far outside the distribution of all others."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,26 +15,25 @@ from ..screening.significance import LEAST_NOISE, minus_log_chi2_tail
 from .dependence import bins
 
 _CHANCE = 1e-3
-"""Probability that any row of a clean measurement is suspected; that rows at random places gather
-as much as those that are taken for a structure."""
+"""Probability that any row of a clean measurement is suspected; also that rows at random places
+cluster as much as those that count as a structure."""
 _FEW = 3
 _MOST = 0.05
-"""More suspected rows than this share are a structure, not stray readings."""
+"""Largest share of suspected rows that may be outliers; more are a structure."""
 _MOST_APART = 0.1
-"""The same of rows that are only predicted, of which there are few."""
+"""The same for rows that are only predicted, of which there are few."""
 _LASTING = 2
-"""As many suspected rows one after the other, and all displaced alike, are no stray readings. Two
-are alike only within their noise: of two vectors at random one pair in ten is roughly so."""
+"""Number of successive suspected rows that are no outliers where all are displaced alike. Two must
+agree within their noise, because one pair of random vectors in ten agrees roughly."""
 _BEYOND = 3.0
-"""Times the distance of the next one from which few readings do not belong, whatever is missing."""
+"""Ratio of the distances of successive rows from which a few are outliers even where a structure is
+missing from the model."""
 _FREE = 1e-6
-"""Share of a reading's variance that must be left beside the fit for it to be told from others: the
-place of three balls across their plane is what their pose says.
-"""
+"""Least share of a reading's variance that the fit leaves for the reading to be testable. The
+position of three balls normal to their plane, for example, determines their pose alone."""
 _ALIKE = 0.2
-"""Displaced alike: one displacement of the tool leaves less than this of their chi-square, of both
-per degree of freedom.
-"""
+"""Rows are displaced alike where one displacement of the tool leaves less than this share of their
+chi-square, both per degree of freedom."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +49,9 @@ class Outlier:
 def outlying_rows(fit: Fit, robust: Callable[[], tuple[Fit, np.ndarray]]) -> list[Outlier]:
     """Rows whose own residual has a probability below 1e-3 / rows, given the robust scale of all.
 
-    Where there are several, they are looked for in a fit that they cannot pull away: that and its
-    weights are what `robust` gives (`vcal.robust`). More than 5 % of the rows, or neighbours along
-    anything that is recorded, are something systematic: then only those are returned that are far
-    beyond it.
+    Several outliers are searched for in a robust fit: `robust` returns that fit and its weights
+    (`vcal.identification.robust`). More than 5 % of the rows, or rows that cluster along a recorded
+    quantity, are systematic. Only those far beyond them are then returned.
     """
     found = _outstanding(fit, np.ones(len(fit.used)))
     if len(found) <= 1:
@@ -63,12 +61,13 @@ def outlying_rows(fit: Fit, robust: Callable[[], tuple[Fit, np.ndarray]]) -> lis
 
 
 def outliers_apart(fit: Fit, apart: np.ndarray) -> list[Outlier]:
-    """Of the rows (n,) that are only predicted, those far beyond what the model leaves of others.
+    """Outliers among the rows `apart` (n,) that are only predicted: those far beyond the errors of
+    the others.
 
-    What is missing from the model shows there too, so that their own scale, not the noise, is what
-    they are judged by, and only few of them can be told.
+    Effects that are missing from the model show in these rows too. The rows are therefore compared
+    with their own scale, not with the noise, and only a few can be identified.
     """
-    strays: list[Outlier] = []
+    outliers: list[Outlier] = []
     whitened = np.einsum("nij,nj->ni", declared_whitener(fit.model, fit.measurement), fit.residual)
     present = fit.model.instrument.present(fit.measurement.plan)
     squares = np.where(present, whitened, 0.0) ** 2
@@ -77,12 +76,12 @@ def outliers_apart(fit: Fit, apart: np.ndarray) -> list[Outlier]:
         if len(rows):
             readings = present[rows].sum(1)
             found = _improbable(rows, squares[rows].sum(1), readings, len(rows))
-            strays += _far_beyond(found, min(_FEW, int(_MOST_APART * len(rows))))
-    return strays
+            outliers += _far_beyond(found, min(_FEW, int(_MOST_APART * len(rows))))
+    return outliers
 
 
 def _far_beyond(found: Sequence[Outlier], most: int = _FEW) -> list[Outlier]:
-    """At most so many of the improbable rows, much further out than all the others."""
+    """At most `most` of the improbable rows, where they are much further out than all others."""
     ordered = sorted(found, key=lambda s: -s.distance)
     ends = [s.distance for s in ordered] + [0.0]
     for k in range(min(most, len(ordered)), 0, -1):
@@ -92,7 +91,7 @@ def _far_beyond(found: Sequence[Outlier], most: int = _FEW) -> list[Outlier]:
 
 
 def scattered(fit: Fit, found: Sequence[int]) -> bool:
-    """Whether these rows may be stray readings: few, and not neighbours along anything recorded."""
+    """Whether these rows may be outliers: few, and not clustered along a recorded quantity."""
     rows = np.flatnonzero(fit.used)
     if len(found) > max(_FEW, _MOST * len(rows)):
         return False
@@ -100,8 +99,8 @@ def scattered(fit: Fit, found: Sequence[int]) -> bool:
 
 
 def too_many(fit: Fit) -> list[Outlier]:
-    """Rows far outside what the others say at random places, where they are more than may be left
-    out; nothing where they are fewer, or neighbours along anything recorded.
+    """Outliers at random places, where there are more than may be left out; empty where they are
+    fewer, or cluster along a recorded quantity.
     """
     found = _outstanding(fit, np.ones(len(fit.used)))
     rows = np.flatnonzero(fit.used)
@@ -111,11 +110,11 @@ def too_many(fit: Fit) -> list[Outlier]:
 
 
 def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
-    """Those of these rows, left out of the fit, that a displaced tool explains: two or more at the
-    end or at the beginning of a pose, a run or a data set, all displaced alike.
+    """Those of these rows, left out of the fit, that a displacement of the tool explains: two or
+    more at the end or at the beginning of a pose, a run or a data set, all displaced alike.
 
-    Something moved there. A reading that does not belong is alone, or good ones of the same pose
-    follow it.
+    Something moved there and stayed. An outlier is single, or followed by good readings of the same
+    pose.
     """
     plan = fit.measurement.plan
     suspected = np.isin(np.arange(plan.rows), found)
@@ -137,7 +136,7 @@ def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
     for _, mine in _together(plan, fit.used | suspected):
         good = np.flatnonzero(~suspected[mine])
         first, last = (good[0], good[-1] + 1) if len(good) else (0, 0)
-        # Good readings beside the step may be suspected too: any part of it may be it.
+        # Good readings next to the step may be suspected too, so that any part may be the step.
         for side in (mine[:first], mine[last:][::-1]):
             if any(alike(side[:k]) for k in range(_LASTING, len(side) + 1)):
                 lasting |= set(side.tolist())
@@ -145,8 +144,8 @@ def displaced(fit: Fit, found: Sequence[int]) -> set[int]:
 
 
 def at_an_end(fit: Fit, found: Sequence[int]) -> dict[int, str]:
-    """Those of these rows that are the first or the last of a pose, a run or a data set, and where
-    they are, in words: something that moved beside them would look the same.
+    """Those of these rows that are the first or the last of a pose, a run or a data set, with their
+    place in words. A displacement at that moment would look the same.
     """
     suspected = np.isin(np.arange(fit.measurement.plan.rows), found)
     ends: dict[int, str] = {}
@@ -154,15 +153,15 @@ def at_an_end(fit: Fit, found: Sequence[int]) -> dict[int, str]:
         if len(mine) > _FEW:
             for row, way in ((mine[0], "first"), (mine[-1], "last")):
                 if suspected[row]:
-                    # A group that only one data set has goes by that one's name too.
+                    # A group that only one data set has is named with the data set.
                     common = group.rpartition(":")[2] or DATA_SET
                     ends[int(row)] = f"the {way} of its {common.replace('_', ' ')}"
     return ends
 
 
 def _together(plan: Plan, taken: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Of the rows taken those, one after the other, of each data set, and of each pose, run and so
-    on, with what they have in common; nothing where it is the data set.
+    """The rows that were taken, in time order, of each data set and of each of its poses, runs and
+    other groups, with the name of the group (empty for a data set).
     """
     for inside in plan.parts.values():
         rows = plan.in_time(np.flatnonzero(taken & inside))
@@ -181,7 +180,7 @@ def _outstanding(fit: Fit, weights: np.ndarray) -> list[Outlier]:
     whitened = fit.whitened.reshape(n, m)
     solved = cho_solve(fit.factor, fit.jacobian.T).T.reshape(n, m, -1)
     own = np.eye(m) - np.einsum("nik,njk->nij", jacobian, solved)
-    strays = []
+    outliers = []
     for inside in fit.measurement.plan.parts.values():
         rows = np.flatnonzero(fit.used & inside)
         if not len(rows):
@@ -190,20 +189,20 @@ def _outstanding(fit: Fit, weights: np.ndarray) -> list[Outlier]:
         along = np.einsum("nij,ni->nj", vectors, whitened[rows])
         free = values > _FREE
         distance = np.where(free, along**2 / np.where(free, values, 1.0), 0.0).sum(1)
-        # A reading that there is not is an unfitted number of its own.
+        # An absent reading is not a constraint of the fit and must not count.
         readings = free.sum(1) - (own.shape[1] - fit.counted[rows].sum(1))
         seen = readings > 0
-        strays += _improbable(
+        outliers += _improbable(
             rows[seen], (distance / weights[rows])[seen], readings[seen], int(fit.used.sum())
         )
-    return strays
+    return outliers
 
 
 def _improbable(
     rows: np.ndarray, squares: np.ndarray, readings: np.ndarray | int, count: int
 ) -> list[Outlier]:
-    """Those of the rows whose squared distance, of so many readings, is too large for one of
-    `count`, by the robust scale of all of them.
+    """Those of the rows whose squared distance, of so many `readings`, is too improbable for one of
+    `count`, given the robust scale of all of them.
     """
     if not len(rows):
         return []
@@ -217,8 +216,8 @@ def _improbable(
 
 
 def _gathered(fit: Fit, rows: np.ndarray, found: Sequence[int]) -> bool:
-    """Whether more of them share a bin of some covariate than rows at random would."""
-    # Only here: to import it takes half as long as to import all of jax, and few data need it.
+    """Whether more of the found rows share a bin of some covariate than rows at random would."""
+    # Imported here because the import takes half as long as that of jax, and few data need it.
     from scipy.stats import hypergeom
 
     among = np.isin(rows, found)

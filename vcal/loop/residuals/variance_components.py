@@ -1,13 +1,14 @@
-"""Variance components: how large the noise of every kind of reading is, against what is declared.
+"""Variance components: the noise of every kind of reading, relative to the declared noise.
 
     V_i = sum_c f_c^2 V_ic,    c: the components of a reading, and the declared random effects
 
-by restricted maximum likelihood, iterated as Henderson's and Forstner's almost unbiased estimate,
+The factors f_c are estimated by restricted maximum likelihood, iterated as Henderson's and
+Forstner's almost unbiased estimate,
 
     f_c^2 <- f_c^2 (e' V^-1 V_c V^-1 e) / tr(P V_c),    P = V^-1 - V^-1 J H^-1 J' V^-1,
 
-with the residual e of the fit under V and H = J' V^-1 J + L: the readings that went into the
-parameters are taken off (Searle, Casella, McCulloch 1992, ch. 8; Forstner 1979).
+with the residual e of the fit under V and H = J' V^-1 J + L. tr(P V_c) accounts for the degrees of
+freedom that the parameters take (Searle, Casella, McCulloch 1992, ch. 8; Forstner 1979).
 """
 
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from scipy.special import gammaincc
 
 from ...identification.fit import Fit
 from ...model.declared_noise import absent, declared_covariances, whitener_of
-from ..screening.significance import LEAST_NOISE, TOLD
+from ..screening.significance import LEAST_DOF, LEAST_NOISE
 
 _ROUNDS = 100
 _SETTLED = 1e-3
@@ -32,9 +33,9 @@ class Component:
 
     name: str
     factor: float
-    """Standard deviation found over the declared one."""
+    """Estimated standard deviation over the declared one."""
     u: float
-    """Standard uncertainty of `factor`; nan where the readings do not tell it."""
+    """Standard uncertainty of `factor`; nan where the readings do not determine it."""
 
 
 @dataclass(frozen=True)
@@ -43,17 +44,17 @@ class Components:
 
     parts: tuple[Component, ...]
     p_value: float
-    """Of factors as different as these, were they all one."""
+    """Probability of factors as different as these, if all were equal."""
     declared: np.ndarray
-    """What each declares of every row (c, n, m, m), SI."""
+    """Declared covariance of each component for every row (c, n, m, m), SI."""
     absent: np.ndarray
-    """In the place of what a row lacks (n, m, m)."""
+    """Placeholder covariance for readings that a row lacks (n, m, m)."""
     factor: float
-    """Standard deviation found over the declared one, of all together."""
+    """Estimated standard deviation over the declared one, of all components together."""
 
     @property
     def uneven(self) -> bool:
-        """Whether they differ by more than chance."""
+        """Whether the factors differ significantly."""
         return self.p_value < _CHANCE
 
     @property
@@ -63,12 +64,12 @@ class Components:
 
     @property
     def whitener_at_least_declared(self) -> np.ndarray:
-        """The same, with no component below what is declared of it."""
+        """W of every row (n, m, m), with no component below its declared noise."""
         return self._whitener(np.array([max(part.factor, 1.0) for part in self.parts]))
 
     @property
     def whitener_alike(self) -> np.ndarray:
-        """The same, with one factor of all."""
+        """W of every row (n, m, m), with one common factor."""
         return self._whitener(np.full(len(self.parts), self.factor))
 
     def _whitener(self, factors: np.ndarray) -> np.ndarray:
@@ -76,7 +77,7 @@ class Components:
 
 
 def components(fit: Fit) -> Components:
-    """Those of a fit; the parameters move with them, linearly."""
+    """Variance components of a fit; the parameters are re-estimated with them, linearly."""
     parts = declared_covariances(fit.model, fit.measurement)
     used = fit.used
     each = np.array([v for _, v in parts])[:, used]
@@ -84,29 +85,30 @@ def components(fit: Fit) -> Components:
     back = np.linalg.inv(fit.whitener[used])
     jacobian = back @ fit.jacobian.reshape(n, m, -1)[used]
     missing = absent(fit.model, fit.measurement.plan)
-    # A shape that the readings do not tell is somewhere in its scan.
+    # A shape parameter that the readings do not determine is confined to its grid.
     precision = fit.within_scans / _stretched(fit)
     problem = _Problem(fit.residual[used], jacobian, fit.theta, precision, missing[used])
     whole, dof, level = problem.estimate(each.sum(0)[None], np.ones(1, bool))
     factors = np.full(len(each), whole[0])
-    told = problem.seen(each, factors) > TOLD  # others share one factor
-    if told.sum() > 1:
-        factors, dof, apart = problem.estimate(each, told, factors)
-        p_value = float(gammaincc(0.5 * (told.sum() - 1), max(apart - level, 0.0)))
+    free = problem.seen(each, factors) > LEAST_DOF  # the others share one factor
+    if free.sum() > 1:
+        factors, dof, apart = problem.estimate(each, free, factors)
+        p_value = float(gammaincc(0.5 * (free.sum() - 1), max(apart - level, 0.0)))
     else:
-        told, dof, p_value = np.zeros(len(each), bool), np.full(len(each), np.nan), 1.0
+        free, dof, p_value = np.zeros(len(each), bool), np.full(len(each), np.nan), 1.0
     known = [
         Component(name, float(f), float(f / np.sqrt(2.0 * d)) if seen else float("nan"))
-        for (name, _), f, d, seen in zip(parts, factors, dof, told, strict=True)
+        for (name, _), f, d, seen in zip(parts, factors, dof, free, strict=True)
     ]
     every = np.array([v for _, v in parts])
     return Components(tuple(known), p_value, every, missing, float(whole[0]))
 
 
 def _stretched(fit: Fit) -> float:
-    """Mean square of the parameters in units of their prior, at least one: where something that is
-    missing has stretched them far beyond that, the prior is wrong, and must not turn the rest of it
-    into noise.
+    """Mean square of the parameters in units of their prior, at least one.
+
+    Where a missing effect has driven the parameters far beyond their prior, the prior is wrong. It
+    must not turn the rest of that effect into noise.
     """
     informed = np.count_nonzero(fit.precision)
     return max(1.0, float(fit.theta**2 @ fit.precision) / max(informed, 1))
@@ -114,7 +116,7 @@ def _stretched(fit: Fit) -> float:
 
 @dataclass(frozen=True)
 class _Problem:
-    """The linearised fit: residual = data - J delta, with the prior of what is estimated."""
+    """The linearised fit: residual = data - J delta, with the prior of the parameters."""
 
     residual: np.ndarray
     jacobian: np.ndarray
@@ -134,7 +136,7 @@ class _Problem:
         return inverse, weighted, factor, error, self.theta + delta
 
     def _shares(self, each: np.ndarray, factors: np.ndarray):
-        """Squares that every component explains, its trace, and the log likelihood."""
+        """Sum of squares and trace of every component (c,), and the log likelihood."""
         covariance = np.einsum("c,cnij->nij", factors**2, each) + self.absent
         inverse, weighted, factor, error, theta = self._solved(covariance)
         turned = (inverse @ error[:, :, None])[:, :, 0]
@@ -159,13 +161,15 @@ class _Problem:
         return factors**2 * self._shares(each, factors)[1]
 
     def estimate(
-        self, each: np.ndarray, told: np.ndarray, start: np.ndarray | None = None
+        self, each: np.ndarray, free: np.ndarray, start: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Factors, degrees of freedom and log likelihood; what is not told keeps its start."""
+        """Factors, degrees of freedom and log likelihood. Components that are not in `free` (c,)
+        keep their start.
+        """
         factors = np.ones(len(each)) if start is None else start.copy()
         for _ in range(_ROUNDS):
             squares, trace, _ = self._shares(each, factors)
-            new = np.where(told, factors * np.sqrt(squares / np.where(told, trace, 1.0)), factors)
+            new = np.where(free, factors * np.sqrt(squares / np.where(free, trace, 1.0)), factors)
             new = np.maximum(new, LEAST_NOISE)
             moved = np.abs(new / factors - 1.0).max()
             factors = new

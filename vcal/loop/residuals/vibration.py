@@ -1,4 +1,4 @@
-"""What swings at one frequency in every run, however fast its circle is travelled."""
+"""Vibration: an oscillation at one frequency in every run, whatever the feed rate of its circle."""
 
 import math
 from dataclasses import dataclass
@@ -11,35 +11,36 @@ from ...machine.plan import of_set
 from ..screening.significance import SILENT
 
 _CHANCE = 1e-3
-"""Probability by chance, over all frequencies and readings, below which one is told."""
+"""Probability by chance, over all frequencies and readings, below which a vibration is reported."""
 _A_PART = 0.1
 """Least share of the variance of a reading that it must describe."""
 _EVERYWHERE = 0.3
-"""Least part of that share in the runs of every pace: what belongs to the circle has another
-frequency on each."""
+"""Least fraction of that share in the runs of every feed rate. An error that belongs to the circle
+has a different frequency at each."""
 _AT_ONCE = 1_000_000
-"""Products of frequencies and readings that are looked at together."""
+"""Most products of frequencies and readings that are evaluated together."""
 _FINE = 4.0
-"""Frequencies that are tried within the width of a peak, one over the length of the longest run."""
+"""Frequencies that are tried within the width of a peak, which is the inverse of the longest run.
+"""
 
 
 @dataclass(frozen=True)
 class Vibration:
-    """A swing of one reading with a frequency of its own."""
+    """An oscillation of one reading at a fixed frequency."""
 
     reading: str
     hz: float
     amplitude_um: float
     """Median over the runs."""
     share: float
-    """Of the variance that was left of this reading."""
+    """Share of the residual variance of this reading."""
     p_value: float
     data_set: str = ""
-    """Where it is, of several."""
+    """Its data set, where there are several."""
 
     @property
     def words(self) -> str:
-        """What it is, for a sentence."""
+        """The vibration in words, within a sentence."""
         where = f"{self.reading} of {self.data_set}" if self.data_set else self.reading
         return (
             f"a vibration of {self.hz:.3g} Hz in every run, of {self.amplitude_um:.2g} um in "
@@ -48,13 +49,15 @@ class Vibration:
 
 
 def vibration(fit: Fit) -> Vibration | None:
-    """The strongest one in the residual; None where there is none beyond chance, or where all runs
-    have one pace, so that a frequency in time is one on the circle. Of several data sets each by
-    itself, as runs and their times are its own; chance counts in all of them.
+    """The strongest vibration in the residual; None where there is none beyond chance.
 
-    Least-squares periodograms (Lomb 1976, Astrophys. Space Sci. 39, 447-462) of every run, whose
-    phase is its own, added up over the runs: the sum of squares that cosine and sine take, in units
-    of the variance that is left, is chi-square distributed with two degrees of freedom a run.
+    None also where all runs have one feed rate, because a frequency in time is then one on the
+    circle. Several data sets are evaluated separately, since each has its own runs and times; the
+    p-value covers all of them.
+
+    Least-squares periodograms (Lomb 1976, Astrophys. Space Sci. 39, 447-462) of all runs, each with
+    its own phase, are summed. The sum of squares that cosine and sine explain, in units of the
+    remaining variance, is chi-square distributed with two degrees of freedom per run.
     """
     plan = fit.measurement.plan
     timed = [s for s in plan.sets or ("",) if plan.has(_own(s, "run"), _own(s, "t_run"))]
@@ -68,7 +71,7 @@ def _own(data_set: str, name: str) -> str:
 
 
 def _in_set(fit: Fit, data_set: str, sets: int) -> Vibration | None:
-    """The strongest one in one of as many data sets as are looked at."""
+    """The strongest vibration in one of the `sets` data sets."""
     plan, instrument = fit.measurement.plan, fit.model.instrument
     used = fit.used & plan.parts[data_set]
     readings = instrument.members.get(data_set, instrument).readings
@@ -76,7 +79,7 @@ def _in_set(fit: Fit, data_set: str, sets: int) -> Vibration | None:
     rows = [np.flatnonzero((run == number) & used) for number in np.unique(run[used])]
     rows = [mine[np.argsort(t[mine])] for mine in rows if len(mine) > _FINE]
     length = np.array([np.ptp(t[mine]) for mine in rows])
-    # Runs whose lengths are within a few per cent have one pace.
+    # Runs whose durations agree within a few per cent have the same feed rate.
     pace = np.unique(np.round(np.log(length) / 0.05), return_inverse=True)[1] if rows else []
     if len(np.unique(pace)) < 2:
         return None
@@ -85,7 +88,7 @@ def _in_set(fit: Fit, data_set: str, sets: int) -> Vibration | None:
     hz = np.arange(1.0 / length.min(), 0.5 / finest, step)
     if not len(hz):
         return None
-    # Beside readings of another instrument, those that this one lacks are zero.
+    # Columns that belong to readings of other instruments are zero.
     left = fit.residual[:, : len(readings)]
     unit = math.sqrt(float((left[used] ** 2).mean())) or 1.0
     residual = left / unit
@@ -93,7 +96,9 @@ def _in_set(fit: Fit, data_set: str, sets: int) -> Vibration | None:
     silent = scatter.sum(0) <= SILENT
 
     def taken(hz: np.ndarray) -> np.ndarray:
-        """By runs, frequencies and readings; not all frequencies of long runs at a time."""
+        """Sum of squares by runs, frequencies and readings; the frequencies are split to limit
+        memory.
+        """
         parts = np.array_split(hz, -(-len(hz) * max(map(len, rows)) // _AT_ONCE))
         return np.array(
             [np.concatenate([_taken(t[m], residual[m], part) for part in parts]) for m in rows]
@@ -119,8 +124,8 @@ def _in_set(fit: Fit, data_set: str, sets: int) -> Vibration | None:
 
 
 def _taken(t: np.ndarray, left: np.ndarray, hz: np.ndarray) -> np.ndarray:
-    """Sum of squares (f, m) that cosine and sine of every frequency take of readings (n, m) beside
-    their mean.
+    """Sum of squares (f, m) that cosine and sine of every frequency explain of readings (n, m),
+    with their mean removed.
     """
     y = left - left.mean(0)
     turn = 2.0 * np.pi * hz[:, None] * (t - t.mean())

@@ -1,6 +1,6 @@
-"""Which effects could be missing: every class of the catalogue, at every place it could sit."""
+"""Which effects could be missing: every class of the catalogue, at every place it can have."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from ...effects.base import Effect, Fitted
@@ -13,15 +13,31 @@ from ...model.measurement import Measurement
 
 @dataclass(frozen=True)
 class Untestable:
-    """An effect that could not be tested on this data, and why."""
+    """An effect that cannot be tested with these data, and the reason."""
 
     effect: str
     placement: str
     reason: str
     missing: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    """Covariates that it needs and the data sets that lack each: none of these where there is only
-    one data set, or where all have it and do not share it.
+    """Covariates that it needs, each with the data sets that lack it. The data sets are empty where
+    there is only one, or where all have the covariate and do not share it."""
+
+
+class UntestableError(ValueError):
+    """None of the requested effects can be tested with these data.
+
+    `untestable` lists them with the reasons; it is empty where none has a place on the machine.
     """
+
+    def __init__(self, untestable: Sequence[Untestable]):
+        self.untestable = list(untestable)
+        reasons = "; ".join(self.reasons) or "no place for them"
+        super().__init__(f"none of the requested effects can be tested ({reasons})")
+
+    @property
+    def reasons(self) -> list[str]:
+        """``"effect: reason"`` of each kind, sorted."""
+        return sorted({f"{item.effect}: {item.reason}" for item in self.untestable})
 
 
 def candidates(
@@ -31,8 +47,13 @@ def candidates(
     beside: Iterable[Effect] = (),
     fit: Fit | None = None,
 ) -> tuple[list[Effect], list[Untestable]]:
-    """Instances the data can speak about, and those it cannot for want of a covariate; `beside` are
-    others that are tried, `fit` is what was found of those of the model.
+    """Candidate effects: those that the data can test, and those that lack a covariate.
+
+    `classes` are instantiated at every place that the model and the plan offer, without what the
+    model has already. `beside` are effects that are tried too: the covariates that they need count
+    as used. `fit` gives the values of the effects of the model, for candidates that modify one of
+    them. The first list has the testable instances in the order of `classes`; the second an
+    `Untestable` for each of the others.
     """
     plan = measurement.plan
     used = frozenset(name for effect in beside for name in effect.needs)
@@ -67,13 +88,15 @@ def _fitted(fit: Fit) -> tuple[Fitted, ...]:
 
 
 def _wanting(plan: Plan, name: str) -> tuple[str, tuple[str, ...]]:
-    """A covariate that is not there, and the data sets that lack it."""
+    """A covariate that is absent, and the data sets that lack it."""
     owner, _, plain = name.partition(":")
     return (plain, (owner,)) if owner in plan.sets else (name, plan.lacking(name))
 
 
 def _reasons(wanted: list[tuple[str, tuple[str, ...]]], sets: tuple[str, ...]) -> list[str]:
-    """Why covariates are not there, in words: one reason for those that the same data sets lack."""
+    """Why covariates are absent, in words; covariates that the same data sets lack share one
+    reason.
+    """
     alike: dict[tuple[str, ...], list[str]] = {}
     for name, lacking in wanted:
         alike.setdefault(lacking, []).append(name)

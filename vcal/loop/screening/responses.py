@@ -1,4 +1,4 @@
-"""The steps of an effect's scan, and what it does to the machine at each of them."""
+"""The grid over an effect's shape parameters, and the response of the readings at its points."""
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping
@@ -11,24 +11,24 @@ from ...effects.base import Effect
 from ...machine.plan import Plan
 
 _ROOM = 2**28
-"""Most bytes that are kept of what effects do."""
+"""Most bytes of responses that are cached."""
 
 Response = list[tuple[str, tuple[int, ...], np.ndarray]]
-"""Port, amplitudes that disturb it (a), and by how much in solver units: (g, a, n)."""
+"""(port, amplitudes that act on it (a), displacement in solver units (g, a, n)) of every port."""
 
 
 @dataclass(frozen=True)
 class Scan:
-    """The steps of an effect's scan: all combinations of values of its shape parameters."""
+    """The grid of an effect: all combinations of values of its shape parameters."""
 
     names: list[str]
     lengths: tuple[int, ...]
     mesh: np.ndarray
-    """(steps, shape parameters); one step where there are none."""
+    """(steps, shape parameters); one step for an effect without shape parameters."""
 
     @classmethod
     def of(cls, effect: Effect, plan: Plan) -> "Scan":
-        """That of an effect on a plan."""
+        """The grid of an effect on a plan."""
         grids = effect.scan(plan)
         mesh = np.array(list(itertools.product(*grids.values()))) if grids else np.zeros((1, 0))
         return cls(list(grids), tuple(len(grid) for grid in grids.values()), mesh)
@@ -38,13 +38,15 @@ class Scan:
         return {name: self.mesh[rows, i] for i, name in enumerate(self.names)}
 
     def parts(self, most: int) -> list[slice]:
-        """All steps in order, `most` or fewer at a time."""
+        """All steps in order, in slices of at most `most`."""
         return [slice(i, min(i + most, len(self.mesh))) for i in range(0, len(self.mesh), most)]
 
 
 def filled(scans: Iterable[tuple[int, Scan]], most: int) -> Iterator[list[tuple[int, slice]]]:
-    """Parts of all scans in order, whose and which, as many as have `most` steps together. A scan
-    is always parted in the same places, whatever is beside it.
+    """Slices of all grids in order, grouped so that a group has at most `most` steps; each with the
+    index of its grid.
+
+    A grid is always split at the same steps, independently of the other grids.
     """
     together, steps = [], 0
     for i, scan in scans:
@@ -60,8 +62,10 @@ def filled(scans: Iterable[tuple[int, Scan]], most: int) -> Iterator[list[tuple[
 
 
 class Responses:
-    """What effects do to the rows of a plan, kept from one screening to the next while there is
-    room: most candidates are the same ones in every round.
+    """Responses of the rows of a plan to candidates.
+
+    They are cached from one screening to the next while there is room (bytes), because most
+    candidates are the same in every round.
     """
 
     def __init__(self, plan: Plan, room: int = _ROOM):
@@ -69,7 +73,9 @@ class Responses:
         self._kept: dict[tuple, Response] = {}
 
     def of(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> Response:
-        """Of an effect at values of its shape parameters (g,) each; one g where it has none."""
+        """Response to an effect at the values `grid` (g,) of its shape parameters, SI; g = 1 where
+        it has none.
+        """
         amplitudes = {p.name: (k, p.step) for k, p in enumerate(effect.amplitudes)}
         shape = {name: values[:, None] for name, values in grid.items()}
         size = len(next(iter(grid.values()))) if grid else 1
@@ -85,7 +91,7 @@ class Responses:
         return found
 
     def scanned(self, effect: Effect, scan: Scan, rows: slice) -> Response:
-        """The same at some steps of a scan of it, which is the same whenever it is asked for."""
+        """The same at some steps of the effect's grid, cached."""
         leaves, structure = jax.tree.flatten(effect)
         values = tuple(np.asarray(leaf).tobytes() for leaf in leaves)
         key = structure, values, rows.start, rows.stop

@@ -1,10 +1,10 @@
-"""Screening: how much every candidate would explain, without a refit, and what that is worth.
+"""Score test: how much every candidate would explain, without a refit, and how significant that is.
 
 At the fit, with whitened residual r, Jacobian J, prior precision L and H = J'J + L, a candidate
-with columns C has the score s = C'r and the information G = C'C - C'J H^-1 J'C; s'G^-1 s is the
-drop of the cost if it were added. The same statistic is computed for residuals drawn under the
-hypothesis that nothing is missing, r* = e - J H^-1 (J'e + L^(1/2) z): noise *and* parameters from
-their prior.
+with columns C has the score s = C'r and the information G = C'C - C'J H^-1 J'C. The drop of the
+cost if the candidate were added is s'G^-1 s. The null distribution comes from residuals drawn under
+the hypothesis that nothing is missing, r* = e - J H^-1 (J'e + L^(1/2) z), which contain the noise e
+*and* the parameters' standardised deviation z from their prior.
 """
 
 import itertools
@@ -20,57 +20,59 @@ from ...effects.base import Effect
 from ...identification.fit import Fit
 from .responses import Response, Responses, Scan, filled
 from .significance import SILENT, minus_log_beta_tail
-from .size_evidence import leniency, log_mixture, surprise
+from .size_evidence import log_mixture, size_allowance, size_surplus
 
 _RESOLVED = 1e-5
-"""Share of a candidate's columns that must be independent of the model for it to count: less may
-be the model's own curvature. Of a cross term a plan of a laser frame leaves a 50,000th part, which
-is many times the noise."""
+"""Least share of a candidate's columns that must be independent of the model. A smaller share may
+be due to the model's own curvature. In a plan of a laser frame a cross term keeps a share of 2e-5,
+which is many times the noise."""
 _CHUNK = 512
 _FAINT, _ROUNDING = 1e-6, 1e-9
-"""Share of what a scan says of a shape parameter, and of what readings tell of it, that count as
-nothing.
-"""
+"""Precision of a free shape parameter: share of that of its scan, and of the information in the
+readings. Both are negligible."""
 
 
 @dataclass(frozen=True)
 class Peak:
-    """One candidate at one point of its scan."""
+    """One candidate at one point of its grid."""
 
     effect: Effect
     shape: Mapping[str, float]
     amplitudes: np.ndarray
     """Linear estimate, in solver units."""
     statistic: float
-    """Drop of the cost, in units of the noise variance found."""
+    """Drop of the cost, in units of the estimated noise variance."""
     log_bayes: float
-    """Linear estimate of the gain in log evidence over the present model, all steps of the scan
-    taken together that lie closer to this peak than to another one.
-    """
+    """Linear estimate of the gain in log evidence over the present model, summed over all steps of
+    the grid that lie closer to this peak than to any other."""
     rank: int
     log_share: float = 0.0
-    """By how much that is more than that of the best shape alone: the share of the scan that
-    explains the residual as well, so never above zero where the scan resolves the peak.
-    """
-    leniency: float = 0.0
-    """What its size being larger than expected costs `log_bayes` beyond what it may."""
+    """`log_bayes` less the log evidence at the best shape alone: log of the share of the grid that
+    explains the residual equally well. Never positive where the grid resolves the peak."""
+    size_allowance: float = 0.0
+    """`size_evidence.size_allowance` of the amplitudes: added to `log_bayes` where rivals are
+    weighed."""
 
     @property
     def log_bayes_at_its_size(self) -> float:
-        """`log_bayes` as rivals are weighed."""
-        return self.log_bayes + self.leniency
+        """`log_bayes` with the size allowance, as rivals are weighed."""
+        return self.log_bayes + self.size_allowance
 
 
 def _free(fit: Fit) -> np.ndarray:
-    """The prior precision, with just so much of shape parameters that they are told at all: they
-    may go further than their scans.
+    """The prior precision (k,), with a negligible one for shape parameters. It keeps them
+    determined and lets them leave their grids.
     """
-    told = np.maximum(_FAINT * fit.within_scans, _ROUNDING * (fit.jacobian**2).sum(0))
-    return np.where(np.arange(len(told)) < len(fit.model.entries), fit.precision, told)
+    least = np.maximum(_FAINT * fit.within_scans, _ROUNDING * (fit.jacobian**2).sum(0))
+    return np.where(np.arange(len(least)) < len(fit.model.entries), fit.precision, least)
 
 
 class ScoreTest:
-    """The fit in the form in which candidates are tested against it."""
+    """A fit, prepared for the score test of candidates.
+
+    `draws` null residuals are drawn from `seed`; `responses` is the cache of what candidates do on
+    the plan.
+    """
 
     def __init__(self, fit: Fit, draws: int, seed: int, responses: Responses | None = None):
         self.fit = fit
@@ -79,15 +81,15 @@ class ScoreTest:
         self.ports = np.einsum("nij,njp->nip", fit.whitener, fit.port_jacobian)
         self.jacobian = fit.jacobian.reshape(n, m, -1)
         self.factor = cho_factor(fit.jacobian.T @ fit.jacobian + np.diag(_free(fit)))
-        # A shape parameter at the end of its scan would go further: what that leaves unexplained is
-        # nothing that a candidate could explain.
+        # A shape parameter at the end of its grid would move further. What that bound leaves in the
+        # residual must not be attributed to a candidate.
         uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
         further = cho_solve(self.factor, uphill)
         self.residual = (fit.whitened - fit.jacobian @ further).reshape(n, m)
         lower = np.tril(self.factor[0]) if self.factor[1] else np.triu(self.factor[0]).T
-        # H^-1 = whitening whitening', so that J'C times it has the projection's inner product.
+        # H^-1 = whitening whitening': J'C times it has the inner product of the projection.
         self.whitening = solve_triangular(lower, np.eye(len(lower)), lower=True).T
-        # The same for the nuisances alone, which may take up nearly all of a candidate's columns.
+        # The same for the nuisances alone, which may absorb nearly all of a candidate's columns.
         self.flat = fit.precision == 0
         self.whitening_flat = np.linalg.pinv(np.linalg.qr(fit.jacobian[:, self.flat], mode="r"))
         self.dof = fit.dof
@@ -108,15 +110,17 @@ class ScoreTest:
         self._products: dict[tuple[int, int], np.ndarray] = {}
 
     def _cost(self, chi2, prior):
-        """What a drop is a share of: squares of readings and of the prior, which counts as much as
-        the noise that was found, if not less than declared. What is beyond any prior, stretched by
-        something that is missing, counts as it does in a drop.
+        """The total that a drop is a share of: squares of the readings and of the prior.
+
+        The prior counts at least as much as the noise found, where that is not below the declared
+        noise. Prior squares beyond their expectation, due to something missing, count once, as they
+        do in a drop.
         """
         expected = np.minimum(prior, float(np.count_nonzero(self.fit.precision)))
         return chi2 + np.maximum(chi2 / self.dof, 1.0) * expected + (prior - expected)
 
     def contract(self, port: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residual (n), null residuals (n, draws) and Jacobian (n, k) seen through one port."""
+        """Residual (n), null residuals (n, draws) and Jacobian (n, k) projected on one port."""
         if port not in self._contracted:
             g = self.ports[:, :, port]
             self._contracted[port] = (
@@ -127,7 +131,7 @@ class ScoreTest:
         return self._contracted[port]
 
     def columns(self, effect: Effect, shape: Mapping[str, float]) -> np.ndarray:
-        """Whitened columns C of a candidate in solver units: (n m, amplitudes)."""
+        """Whitened columns C of a candidate (n m, amplitudes), in solver units."""
         n, m, _ = self.ports.shape
         columns = np.zeros((n, m, len(effect.amplitudes)))
         grid = {k: np.array([v]) for k, v in shape.items()}
@@ -140,14 +144,15 @@ class ScoreTest:
         return [(layout.index(port), amplitudes, phi) for port, amplitudes, phi in response]
 
     def information(self, columns: np.ndarray) -> np.ndarray:
-        """G = C'C - C'J H^-1 J'C for whitened columns (n m, c)."""
+        """G = C'C - C'J H^-1 J'C (c, c) for whitened columns (n m, c)."""
         projected = self.fit.jacobian.T @ columns
         return columns.T @ columns - projected.T @ cho_solve(self.factor, projected)
 
     def tests(self, effects: Sequence[Effect]) -> list["Tested | None"]:
-        """Statistics of candidates, each over its whole scan; None where the model spans it.
+        """Statistics of candidates, each over its whole grid; None where the model spans the
+        candidate.
 
-        Steps of the scans of all effects that have as many amplitudes are tested together.
+        The steps of all effects with the same number of amplitudes are tested in one batch.
         """
         scans = [Scan.of(effect, self.fit.measurement.plan) for effect in effects]
         alike: dict[int, list[int]] = {}
@@ -171,10 +176,12 @@ class ScoreTest:
         return tested
 
     def refine(self, peak: Peak, rounds: int = 3) -> Peak:
-        """The peak moved to the best point between its neighbours in the scan (no refit)."""
+        """The peak moved to the best point between its neighbours in the grid, by the linear
+        estimate (no refit).
+        """
         grids = dict(effect_grids(peak.effect, self.fit))
         names = [p.name for p in peak.effect.shapes if p.smooth]
-        # Without a derivative: all values there are between the neighbours.
+        # Parameters without a derivative: all distinct values between the neighbours.
         between = {}
         for name, edges in peak.effect.edges(self.fit.measurement.plan).items():
             every = 0.5 * (edges[1:] + edges[:-1])
@@ -222,7 +229,7 @@ class ScoreTest:
         return best
 
     def log_bayes(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Gain in log evidence with these values of its shape parameters (g,) each."""
+        """Gain in log evidence (g,) at the values `grid` (g,) of the shape parameters, SI."""
         size = len(next(iter(grid.values())))
         pieces = [
             self._at(effect, {n: v[i : i + _CHUNK] for n, v in grid.items()})
@@ -231,7 +238,7 @@ class ScoreTest:
         return self._evidence([Drops.joined(pieces)])[0][0]
 
     def _at(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> "Drops":
-        """What an effect would explain, without what it would of null residuals."""
+        """Drops for the data alone, without the null residuals."""
         size, response = len(next(iter(grid.values()))), self.responses.of(effect, grid)
         return self._drops(len(effect.amplitudes), [(size, response)], null=False)[0]
 
@@ -253,7 +260,8 @@ class ScoreTest:
                 cc[at, np.array(a)[:, None], np.array(b)] += both
                 if p != q:
                     cc[at, np.array(b)[:, None], np.array(a)] += both.transpose(0, 2, 1)
-        # What goes through the same port is one product of matrices, whosever it is.
+        # All responses through the same port are one matrix product, whichever effect they belong
+        # to.
         for (port, a), parts in through.items():
             r, drawn, j = self.contract(port)
             at = np.concatenate([rows for rows, _ in parts])[:, None], np.array(a)
@@ -268,17 +276,17 @@ class ScoreTest:
     def _drops(
         self, c: int, responses: Sequence[tuple[int, Response]], null: bool = True
     ) -> list["Drops"]:
-        """What effects of `c` amplitudes would explain, each at its own steps, by their number and
-        what the effect does there.
+        """Drops of effects with `c` amplitudes, each given as its number of steps and its response
+        there.
         """
         s, cj, cc, s_null = self._sums(c, responses, null)
         sizes = [size for size, _ in responses]
         first = np.cumsum([0, *sizes])
         half = (cj.reshape(-1, cj.shape[2]) @ self.whitening).reshape(cj.shape)
         g = cc - half @ half.transpose(0, 2, 1)
-        # Scaled by what flat nuisances leave: a pose may take up all but 1e-5 of a column, and the
-        # rest still be many times the noise. A column that is zero on this plan (no point under a
-        # bump), or that they take up entirely, is not seen.
+        # Columns are scaled by what flat nuisances leave of them: a pose may absorb all but 1e-5 of
+        # a column, and the rest still be many times the noise. A column is not seen where it is
+        # zero on this plan (no point under a bump), or where the nuisances absorb it entirely.
         whole = np.einsum("gaa->ga", cc)
         taken = cj[:, :, self.flat] @ self.whitening_flat
         left = whole - np.einsum("gak,gak->ga", taken, taken)
@@ -296,7 +304,8 @@ class ScoreTest:
         amplitudes = np.einsum("gab,gb->ga", root, t)
         by_rank: list[dict[int, np.ndarray]] = [{} for _ in sizes]
         owner = np.repeat(np.arange(len(sizes)), sizes)
-        # For one rank, -ln p grows with the drop: only the largest drop of a draw is needed.
+        # For a fixed rank -ln p increases with the drop, so only the largest drop of each draw is
+        # needed.
         for r in np.unique(rank[rank > 0]).tolist() if null else ():
             rows = np.flatnonzero(rank == r)
             drawn = root[rows].astype(np.float32).transpose(0, 2, 1) @ s_null[rows]
@@ -310,15 +319,16 @@ class ScoreTest:
         ]
 
     def _both(self, p: int, q: int) -> np.ndarray:
-        """By how much a reading's square grows with what two ports do to it at once (n)."""
+        """Inner product (n) of the whitened responses of the readings to two ports."""
         if (p, q) not in self._products:
             self._products[p, q] = np.einsum("nm,nm->n", self.ports[:, :, p], self.ports[:, :, q])
         return self._products[p, q]
 
     def _evidence(self, of: Sequence["Drops"]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """At every step of each scan the gain in log evidence, and what the size there costs it
-        beyond what it may (`scales.leniency`): marginal likelihood of a linear model, at the noise
-        that the best of the scan leaves.
+        """Gain in log evidence and size allowance (`size_evidence.size_allowance`) at every step of
+        each grid.
+
+        Marginal likelihood of a linear model, at the noise that the best step of the grid leaves.
         """
         sizes = [len(drops.stat) for drops in of]
         noise = [self._noise(drops) for drops in of]
@@ -329,52 +339,56 @@ class ScoreTest:
         model = np.maximum(values, 0.0), np.einsum("gab,ga->gb", vectors, s)
         ends = np.cumsum(sizes)[:-1]
         gains = log_mixture(*model)
-        # No size gains more than the drop says: what the model beside hardly leaves of a candidate
-        # is in no drop, but may look as large as it likes.
+        # An allowance never raises the gain above half the drop. A candidate that the model nearly
+        # spans has almost no drop, and the readings do not bound its size.
         most = 0.5 * np.concatenate([drops.stat for drops in of]) / every - gains
-        costs = np.minimum(leniency(surprise(*model)), np.maximum(most, 0.0))
+        costs = np.minimum(size_allowance(size_surplus(*model)), np.maximum(most, 0.0))
         return list(zip(np.split(gains, ends), np.split(costs, ends), strict=True))
 
     def _noise(self, drops: "Drops") -> float:
-        """Variance of the noise that the best of a scan leaves, in units of that of the fit."""
+        """Noise variance that the best step of a grid leaves, in units of that of the fit, at least
+        one.
+        """
         return max((self.chi2 - float(drops.stat.max())) / self.dof, 1.0)
 
     def rarest(self, drops: Mapping[int, np.ndarray], cost) -> np.ndarray:
-        """-ln p of the rarest of the largest drops of each rank."""
+        """-ln p of the least probable among the largest drops of each rank."""
         return np.max([self.minus_log_p(drop, cost, rank) for rank, drop in drops.items()], axis=0)
 
     def minus_log_p(self, stat, cost, rank) -> np.ndarray:
-        """-ln p of a drop `stat` of a cost, studentised: of chance, its share is distributed as
-        Beta(rank/2, (n - rank)/2), with n readings less the parameters of flat prior. Noise
-        declared too small or too large then changes nothing.
+        """-ln p of a drop `stat` of a cost, studentised.
+
+        Under the null hypothesis the share stat/cost has the distribution Beta(rank/2, (n -
+        rank)/2), with n readings less the parameters with a flat prior. A wrong declared noise
+        therefore has no influence.
         """
         return minus_log_beta_tail(stat / cost, self.count, rank)
 
     def rarity_of(self, peak: Peak) -> float:
-        """-ln p of a peak by itself."""
+        """-ln p of a single peak, without correction for the search."""
         return float(self.minus_log_p(peak.statistic, self.cost, peak.rank))
 
 
 def _neighbours(grid: np.ndarray, value: float) -> tuple[float, float]:
-    """The steps of a scan before and after the one nearest to a value."""
+    """The grid values before and after the one nearest to a value."""
     order = np.sort(grid)
     i = int(np.argmin(np.abs(order - value)))
     return float(order[max(i - 1, 0)]), float(order[min(i + 1, len(order) - 1)])
 
 
 def effect_grids(effect: Effect, fit: Fit) -> Mapping[str, np.ndarray]:
-    """The scan of an effect on the plan of a fit."""
+    """The grid of an effect on the plan of a fit."""
     return effect.scan(fit.measurement.plan)
 
 
 @dataclass(frozen=True)
 class Drops:
-    """What an effect would explain at some steps of its scan (g)."""
+    """What an effect would explain at the steps of its grid (g)."""
 
     stat: np.ndarray
     """Drop of the cost (g)."""
     rank: np.ndarray
-    """Amplitudes that are seen (g)."""
+    """Number of amplitudes that the readings can determine (g)."""
     amplitudes: np.ndarray
     information: np.ndarray
     scores: np.ndarray
@@ -383,7 +397,7 @@ class Drops:
 
     @classmethod
     def joined(cls, parts: Sequence["Drops"]) -> "Drops":
-        """All steps together."""
+        """The steps of all parts, concatenated."""
         if len(parts) == 1:
             return parts[0]
         fields = ("stat", "rank", "amplitudes", "information", "scores")
@@ -392,7 +406,7 @@ class Drops:
 
 
 def largest(drops: Iterable[Mapping[int, np.ndarray]]) -> dict[int, np.ndarray]:
-    """The largest of each rank."""
+    """The largest drop of each rank."""
     found: dict[int, np.ndarray] = {}
     for each in drops:
         for rank, drop in each.items():
@@ -402,15 +416,15 @@ def largest(drops: Iterable[Mapping[int, np.ndarray]]) -> dict[int, np.ndarray]:
 
 @dataclass(frozen=True)
 class Tested:
-    """A candidate that the model does not span, over its whole scan."""
+    """A candidate that the model does not span, over its whole grid."""
 
     effect: Effect
     scan: Scan
     drops: Drops
     bayes: np.ndarray
     """Gain in log evidence at every step."""
-    leniency: np.ndarray
-    """What the size there costs it beyond what it may."""
+    size_allowance: np.ndarray
+    """Size allowance at every step."""
 
     def largest(self) -> dict[int, np.ndarray]:
         """The largest drop of each rank."""
@@ -419,8 +433,8 @@ class Tested:
         return {rank: drops.stat[drops.rank == rank].max() for rank in ranks}
 
     def peaks(self, most: int) -> list[Peak]:
-        """The best local maxima of the statistic over the scan: from its slopes a fit would only
-        run to the same.
+        """The best local maxima of the statistic over the grid, at most `most`. A refit that starts
+        on their slopes would converge to the same maxima.
         """
         drops, names = self.drops, self.scan.names
         grid = np.indices(self.scan.lengths).reshape(len(names), len(drops.stat)).T
@@ -437,8 +451,9 @@ class Tested:
             left &= (np.abs(grid - grid[i]) > apart).any(1)
         steps = math.log(len(self.scan.mesh))
         spreads = self._spreads(self.bayes, grid, chosen)
-        # Of all steps too: the sizes of those that the evidence is of may be smaller.
-        with_leniency = self._spreads(self.bayes + self.leniency, grid, chosen)
+        # The sum with the allowance also covers all steps: sizes at the steps that carry the
+        # evidence may be smaller.
+        with_allowance = self._spreads(self.bayes + self.size_allowance, grid, chosen)
         return [
             Peak(
                 effect=self.effect,
@@ -448,15 +463,15 @@ class Tested:
                 log_bayes=float(self.bayes[i]) + spread - steps,
                 rank=int(drops.rank[i]),
                 log_share=spread - steps,
-                leniency=max(float(self.leniency[i]) + more - spread, 0.0),
+                size_allowance=max(float(self.size_allowance[i]) + more - spread, 0.0),
             )
-            for i, spread, more in zip(chosen, spreads, with_leniency, strict=True)
+            for i, spread, more in zip(chosen, spreads, with_allowance, strict=True)
         ]
 
     def _spreads(self, bayes: np.ndarray, grid: np.ndarray, chosen: list[int]) -> list[float]:
-        """How much more log evidence the steps about each peak have together than the peak.
+        """Log of the evidence summed over the steps around each peak, relative to that of the peak.
 
-        A step that is better than the peak next to it is on the slope of a higher one, and counts
+        A step that is better than the nearest peak lies on the slope of a higher peak and counts
         there.
         """
         if not self.scan.names or any(p.choice for p in self.effect.shapes):

@@ -1,6 +1,6 @@
-"""Screening of all candidates: the best of each kind of effect, and what that is worth.
+"""Screening of all candidates: the best of each kind of effect, and its significance.
 
-The largest of each kind is corrected for the search within that kind first, then over the kinds.
+The p-value of the best is corrected for the search within its kind first, then over the kinds.
 """
 
 import math
@@ -16,12 +16,12 @@ from .significance import corrected, effective_trials
 
 @dataclass(frozen=True)
 class KindResult:
-    """The best of one kind of effect, corrected for the whole search within the kind."""
+    """The best candidates of one kind of effect, corrected for the whole search within the kind."""
 
     kind: str
     peaks: list[Peak]
     instances: int
-    """How many places and components were tried."""
+    """Number of places and components that were tried."""
     minus_log_p: float
     """Uncorrected."""
     trials: float
@@ -32,24 +32,24 @@ class KindResult:
 
 @dataclass(frozen=True)
 class Screening:
-    """Everything a screening found."""
+    """The result of a screening."""
 
     kinds: list[KindResult]
     p_value: float
     """Of the best kind, corrected over all kinds."""
     trials: float
     noise_scale: float
-    """Root of chi2 per degree of freedom, after the best candidate's share was taken out."""
+    """Root of chi-square per degree of freedom, after the best candidate's drop is subtracted."""
     unseen: list[Effect]
     """Candidates whose columns the declared model already spans."""
     added: Effect | None = None
-    """What was added after it, whether that stayed or not."""
-    told: Mapping[str, float] = field(default_factory=dict)
-    """Corrected p-value, by kind, of what was added or describes what is left: of its own shape,
-    which may be between the steps of a scan."""
+    """The effect that was added after this screening, whether or not it was kept."""
+    refined_p: Mapping[str, float] = field(default_factory=dict)
+    """Corrected p-value, by kind, of the effect that was added or of the description that ended the
+    search. It holds for its fitted shape, which may lie between the steps of the grid."""
 
     def corrected(self, kind: KindResult) -> float:
-        """p-value of a kind's best candidate, corrected over all kinds too."""
+        """p-value of a kind's best candidate, corrected within the kind and over all kinds."""
         return float(corrected(_minus_log_corrected(kind), self.trials))
 
     def corrected_as(self, kind: str, minus_log_p: float) -> float:
@@ -60,15 +60,15 @@ class Screening:
 
     @property
     def peaks(self) -> list[Peak]:
-        """All peaks, best evidence first."""
+        """All peaks, highest evidence first."""
         found = [peak for kind in self.kinds for peak in kind.peaks]
         return sorted(found, key=lambda peak: -peak.log_bayes)
 
 
 def screen(state: ScoreTest, effects: Sequence[Effect], *, peaks: int = 10) -> Screening:
-    """Test all candidates against a fit; see the module's description for the method.
+    """Test all candidates against a fit (method: `score_test`).
 
-    `peaks` is how many maxima of a scan are kept.
+    `peaks` is the number of maxima of a grid that are kept.
     """
     groups: dict[str, list[Tested]] = {}
     unseen = []
@@ -105,7 +105,7 @@ def screen(state: ScoreTest, effects: Sequence[Effect], *, peaks: int = 10) -> S
 
 
 def _minus_log_corrected(kind: KindResult) -> float:
-    """-ln of the corrected p-value, also where that underflows."""
+    """-ln of the corrected p-value, also where the p-value underflows."""
     if kind.p_value > 1e-290:
         return -math.log(kind.p_value)
     return kind.minus_log_p - math.log(kind.trials)

@@ -1,20 +1,18 @@
-"""How likely something as large is by chance: tails without underflow, and what searching costs."""
+"""Tail probabilities without underflow, and the correction for the number of trials."""
 
 import numpy as np
 from scipy.special import betainc, betaln, gammaincc, gammaln
 
 LEAST_NOISE = 0.01
-"""Of what is declared: the loop goes by no noise that is smaller. Readings of a simulation without
-any would else be judged by how numbers are rounded.
-"""
+"""Least noise that is used, in units of the declared noise. Otherwise simulated readings without
+noise would be judged by rounding errors."""
 SILENT = 0.1
-"""Variance, in that of the noise that a fit goes by, that residuals count for at least: by noise
-that was found theirs is one, but by the least noise it may be anything.
-"""
-TOLD = 10.0
-"""Least degrees of freedom by which noise is estimated."""
+"""Least variance, in units of the noise used, that residuals count for. It is one where the noise
+was estimated from them; with the least noise it could be arbitrarily small."""
+LEAST_DOF = 10.0
+"""Least degrees of freedom for an estimate of the noise."""
 _RAREST, _ENOUGH = 0.1, 25
-"""Share of the null draws, and their least number, that tell of how many trials the rarest is."""
+"""Share of the null draws, and their least number, from which the number of trials is estimated."""
 
 
 def minus_log_chi2_tail(x: np.ndarray, dof: np.ndarray | float) -> np.ndarray:
@@ -30,9 +28,11 @@ def minus_log_chi2_tail(x: np.ndarray, dof: np.ndarray | float) -> np.ndarray:
 def minus_log_beta_tail(
     share: np.ndarray | float, dof: float, rank: np.ndarray | float
 ) -> np.ndarray:
-    """-ln of the probability that a share of the squares of `dof` normal numbers, that which lies
-    in a space of `rank` dimensions, exceeds `share`; without underflow. Zero where there are no
-    more numbers than dimensions.
+    """-ln of the probability that a random subspace explains a share of squares above `share`.
+
+    The squares are those of `dof` independent normal numbers, the subspace has `rank` dimensions,
+    and their ratio has the distribution Beta(rank/2, (dof - rank)/2). No underflow; zero where
+    `dof` does not exceed `rank`.
     """
     share, b = np.broadcast_arrays(np.clip(share, 0.0, 1.0 - 1e-12), 0.5 * np.asarray(rank, float))
     a = np.maximum(0.5 * dof - b, 1e-6)
@@ -44,12 +44,14 @@ def minus_log_beta_tail(
 
 
 def effective_trials(null: np.ndarray) -> float:
-    """Effective number of independent trials whose largest -ln p is distributed as the rarest of
-    `null` (draws): maximum likelihood, where all others are known to be no rarer than these.
+    """Effective number of independent trials whose largest -ln p is distributed as `null` (draws).
 
-    Neighbouring steps of a scan are alike, and the less so the rarer what they show (Gross,
-    Vitells, Eur. Phys. J. C 70, 2010, 525): by all draws, most of which show nothing rare, there
-    are fewer trials than where something seems significant.
+    Maximum likelihood from the least probable draws; all others are censored, as known to be no
+    rarer.
+
+    Neighbouring steps of a grid are correlated, and the less so the rarer the excursion (Gross,
+    Vitells, Eur. Phys. J. C 70, 2010, 525). An estimate from all draws, most of which show nothing
+    rare, would give fewer trials than apply where something seems significant.
     """
     common = np.log1p(-np.clip(np.exp(-null), 1e-15, 1.0 - 1e-15))
     count = min(max(int(_RAREST * len(null)), _ENOUGH), len(null))
@@ -58,6 +60,6 @@ def effective_trials(null: np.ndarray) -> float:
 
 
 def corrected(minus_log_p: np.ndarray | float, trials: float) -> np.ndarray:
-    """Probability that the best of `trials` is as good: 1 - (1 - p)^trials."""
+    """Probability that the best of `trials` independent trials is as good: 1 - (1 - p)^trials."""
     p = np.exp(-np.asarray(minus_log_p, float))
     return -np.expm1(trials * np.log1p(-np.minimum(p, 1.0 - 1e-15)))

@@ -1,9 +1,9 @@
 """Evidence of an effect whose size is known to orders of magnitude only.
 
-The prior of an amplitude tells how large an effect may be on some machine. On a precise one it may
-be a hundred times smaller, and an effect of three amplitudes would then pay three times for a width
-that says nothing. Therefore the prior is a mixture: sigma times 1, 1/2, 1/4, ... with equal odds,
-one factor for all amplitudes of an effect.
+The prior of an amplitude says how large an effect may be on some machine. On a precise machine it
+may be a hundred times smaller, and an effect of three amplitudes would then be penalised three
+times for a width that carries no information. The prior is therefore a mixture: sigma times 1, 1/2,
+1/4, ... with equal odds, one factor for all amplitudes of an effect.
 """
 
 import math
@@ -17,49 +17,56 @@ from ...identification.fit import Fit
 _SQUARED = 4.0 ** -np.arange(11.0)
 """Squares of the factors, down to a thousandth."""
 
-_TOLD = 1e-9
-"""Least information, in units of that of the prior, from which an amplitude has a size."""
-_SURPRISE = math.log(20.0)
-"""Most that a size beyond its prior may count against a rival, as log odds."""
+_LEAST_INFORMATION = 1e-9
+"""Least information, in units of that of the prior, for an amplitude to have an estimated size."""
+_MOST_COST = math.log(20.0)
+"""Most log odds that a size beyond its prior may cost a rival."""
 
 
-def surprise(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """What it costs the log evidence that amplitudes are larger than expected, of a linear model as
-    in `log_gain` (..., c), as (...): what the prior adds to half the chi-square at its minimum,
-    beyond what an amplitude of one standard deviation costs.
+def size_surplus(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    """Cost in log evidence of amplitudes that are larger than expected: the size surplus.
 
-    A prior that outweighs the readings makes an amplitude look small and the fit poor; that counts
-    as well: with b = l x, half of l x^2 / (1 + l) is half of x^2 where the readings tell x.
+    For a linear model as in `log_gain`, with information l and scores b (..., c) in units of the
+    noise, the least-squares amplitudes are x = b / l in prior standard deviations, and
+
+        surplus = sum over c of max(0, (l x^2 / (1 + l) - 1) / 2)    as (...)
+
+    l x^2 / (1 + l) is what the prior adds to chi-square at its minimum: x^2 where the readings
+    determine x. One standard deviation costs nothing. A prior that outweighs the readings shrinks
+    the amplitude and worsens the fit; that cost is included.
     """
     cost = 0.5 * (_sizes(information, scores) ** 2 * information / (1.0 + information) - 1.0)
     return np.maximum(cost, 0.0).sum(-1)
 
 
-def size_told(information: np.ndarray, scores: np.ndarray) -> float:
-    """How large the readings alone say that amplitudes (c,) are together, in prior standard
+def observed_size(information: np.ndarray, scores: np.ndarray) -> float:
+    """Least-squares size of the amplitudes (c,) together, without their prior, in prior standard
     deviations.
     """
     return float(np.linalg.norm(_sizes(information, scores)))
 
 
 def _sizes(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    seen = information > _TOLD
+    seen = information > _LEAST_INFORMATION
     return np.where(seen, scores / np.where(seen, information, 1.0), 0.0)
 
 
-def leniency(surprise: np.ndarray) -> np.ndarray:
-    """What that costs beyond `_SURPRISE`: how large an effect may be is known roughly, enough to
-    prefer one rival, not to exclude another.
+def size_allowance(surplus: np.ndarray) -> np.ndarray:
+    """Part of a size surplus beyond ln 20, which is credited to the log odds of a rival.
+
+    How large an effect may be is known roughly. That is enough to prefer one rival, and not enough
+    to exclude another.
     """
-    return np.maximum(surprise - _SURPRISE, 0.0)
+    return np.maximum(surplus - _MOST_COST, 0.0)
 
 
 def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -> np.ndarray:
-    """Log Bayes factors of amplitudes with a normal prior of sigma s over none, by s^2 (k).
+    """Log Bayes factors of amplitudes with a normal prior of sigma s over none, by s^2 (k), as
+    (..., k).
 
-    For a linear model with the eigenvalues l of C'C (what the model beside leaves of it) and the
-    scores b = v'C'r, both (..., c), in units of the noise: sum of s^2 b^2/(1 + s^2 l)/2 -
-    ln(1 + s^2 l)/2, as (..., k).
+    For a linear model with the eigenvalues l of C'C (with the other parameters eliminated) and the
+    scores b = v'C'r, both (..., c), in units of the noise: sum over c of s^2 b^2 / (1 + s^2 l) / 2
+    - ln(1 + s^2 l) / 2.
     """
     s2 = squared[:, None]
     grown = 1.0 + s2 * information[..., None, :]
@@ -67,13 +74,13 @@ def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -
 
 
 def log_mixture(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """The same of the mixture, (...)."""
+    """Log Bayes factor of the mixture over none, as (...)."""
     each = log_gain(information, scores, _SQUARED)
     return logsumexp(each, axis=-1) - np.log(len(_SQUARED))
 
 
 def over_scales(fit: Fit, entries: slice | np.ndarray, noise_scale: float = 1.0) -> float:
-    """What the mixture adds to the log evidence of a fit (`Fit.log_evidence`) for the effect whose
+    """What the mixture adds to the log evidence of a fit (`Fit.log_evidence`), for the effect whose
     amplitudes are these entries of theta.
     """
     values, scores = _seen(fit, entries, noise_scale, len(fit.theta))
@@ -84,9 +91,11 @@ def over_scales(fit: Fit, entries: slice | np.ndarray, noise_scale: float = 1.0)
 def at_its_shape(
     fit: Fit, entries: slice | np.ndarray, noise_scale: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Information and scores (as of `log_gain`) of the amplitudes that are these entries of theta,
-    beside all other amplitudes, at the shapes of the fit: where the readings do not tell a time
-    constant, how large the amplitude would be at another one says nothing of this.
+    """Information and scores (as in `log_gain`) of the amplitudes that are these entries of theta.
+
+    All other amplitudes are eliminated; shapes are held at those of the fit. Where the readings do
+    not determine a time constant, the size that the amplitude would have at another one is
+    irrelevant.
     """
     return _seen(fit, entries, noise_scale, len(fit.model.entries))
 

@@ -1,4 +1,4 @@
-"""What keeps a name from being certain, however likely it is among those that were tried."""
+"""Reasons why a name stays uncertain, however probable it is among the candidates tried."""
 
 import math
 from collections.abc import Iterable
@@ -16,39 +16,42 @@ from ..screening.score_test import ScoreTest
 from .state import State, without
 
 _OUT = 3.0
-"""By how many of its standard uncertainties a shape would have to leave its scan to be told."""
+"""Standard uncertainties by which a shape parameter would have to leave its grid to count as
+outside."""
 
 
 def doubted(
     found: FoundEffect, fit: Fit, rest: Unexplained | None, untestable: Iterable[Untestable]
 ) -> FoundEffect:
-    """The effect as it was found in a fit, or not for certain where something speaks against that:
-    what is unexplained beside it, a shape beyond what was looked for, an effect that could not be
-    tested, or readings that do not tell its size.
+    """The effect as found in a fit, or the same as ambiguous where something makes its name
+    uncertain.
+
+    Such reasons are a larger unexplained residual that depends on the same covariate, a shape
+    parameter outside its grid, an effect that could not be tested, and an amplitude that is poorly
+    determined.
     """
     if found.status != "named":
         return found
     place = next(i for i, e in enumerate(fit.model.effects) if e.alike(found.effect))
     why = (
-        beside_the_rest(fit, place, rest)
-        or beyond_its_scan(fit, place)
-        or beside_the_untested(fit, place, untestable)
-        or hardly_told(fit, place)
+        part_of_unexplained(fit, place, rest)
+        or beyond_scan(fit, place)
+        or untested_twin(fit, place, untestable)
+        or poorly_determined(fit, place)
     )
     return replace(found, status="ambiguous", separation=why) if why else found
 
 
-def beside_the_rest(fit: Fit, place: int, rest: Unexplained | None) -> str:
-    """Where something that can be described is unexplained, more than the effect explains, and
-    depends on the same: it may be a part of that. What only scatters, or what many small things
-    leave, takes nothing from a name.
+def part_of_unexplained(fit: Fit, place: int, rest: Unexplained | None) -> str:
+    """Reason where a larger residual is unexplained and depends on the same covariate: the effect
+    may be a part of it. Only a residual with an empirical description counts, not scatter or many
+    small errors.
 
-    The effect explains theta' C^-1 theta of its amplitudes, the chi-square that would be there
-    without them.
+    The effect explains theta' C^-1 theta of its amplitudes, the chi-square that it removes.
     """
     if rest is None or rest.empirical is None:
         return ""
-    same = [n for n in rest.depends_on if n in fit.model.effects[place].betrayed_by]
+    same = [n for n in rest.depends_on if n in fit.model.effects[place].indicators]
     if not same:
         return ""
     mine = fit.places_of(place)[0]
@@ -56,13 +59,16 @@ def beside_the_rest(fit: Fit, place: int, rest: Unexplained | None) -> str:
     if theta @ np.linalg.solve(covariance, theta) >= declared_chi2(fit) - fit.dof:
         return ""
     column = file_column(same[0], fit.measurement.plan.axes)[0]
-    return f"what is unexplained, more than it explains, depends on {column} too: find that first"
+    return (
+        f"the unexplained residual is larger than what the effect explains and depends on {column} "
+        "too: find its cause first"
+    )
 
 
-def beyond_its_scan(fit: Fit, place: int) -> str:
-    """Where a pitch or a speed is held at an end of what is looked for, and a step of the
-    linearised fit beyond it would lower chi-square by more than chance: the true one is somewhere
-    else, and so may be the effect.
+def beyond_scan(fit: Fit, place: int) -> str:
+    """Reason where a pitch or a speed is held at an end of its grid, and a step of the linearised
+    fit beyond it would lower chi-square significantly. The true value is then elsewhere, and the
+    effect may be another.
     """
     effect, (_, moving) = fit.model.effects[place], fit.places_of(place)
     if not len(moving):
@@ -77,20 +83,22 @@ def beyond_its_scan(fit: Fit, place: int) -> str:
         if held and step[k] ** 2 > _OUT**2 * fit.covariance[k, k]:
             low, high = (end / p.si for end in ends)
             return (
-                f"its {p.name} would have to lie within what is looked for, {low:.3g} to "
-                f"{high:.3g} {p.unit}, and the readings ask for more"
+                f"its {p.name} would have to lie within the searched range, {low:.3g} to "
+                f"{high:.3g} {p.unit}, and the readings require a value beyond it: declare the "
+                "effect with its actual value, or look for another cause"
             )
     return ""
 
 
-def beside_the_untested(fit: Fit, place: int, untestable: Iterable[Untestable]) -> str:
-    """Where an effect of the instrument of one data set follows what the data sets do not share:
-    one of the machine that follows the same could look like it, and was not tested.
+def untested_twin(fit: Fit, place: int, untestable: Iterable[Untestable]) -> str:
+    """Reason where an effect of one data set's instrument follows a covariate that the data sets do
+    not share: an effect of the machine that follows the same could look like it, and was not
+    tested.
     """
     effect = fit.model.effects[place]
     if not isinstance(effect, OfDataSet):
         return ""
-    own = {name.rpartition(":")[2] for name in effect.betrayed_by}
+    own = {name.rpartition(":")[2] for name in effect.indicators}
     twins = [
         other
         for other in untestable
@@ -103,23 +111,26 @@ def beside_the_untested(fit: Fit, place: int, untestable: Iterable[Untestable]) 
     reason = twins[0].reason
     if "t" in own and any(not lacking for _, lacking in twins[0].missing):
         reason += ": say when each began by its start_s"
-    return f"{names} of the machine may look the same and could not be tested, as {reason}"
+    return f"{names} of the machine may look the same and could not be tested, because {reason}"
 
 
-def hardly_told(fit: Fit, place: int) -> str:
-    """Where the readings say next to nothing of any of its amplitudes: what got better with it is
-    then something else, such as a fit that had not come to its end.
+def poorly_determined(fit: Fit, place: int) -> str:
+    """Reason where the readings determine none of its amplitudes. The fit then improved for another
+    reason, such as a fit that had not converged before.
     """
     if (fit.information[fit.places_of(place)[0]] > HARDLY_TOLD).any():
         return ""
-    return "the readings say next to nothing of its size: measure where it would be larger"
+    return "the readings poorly determine its size: measure where it would be larger"
 
 
 def jump_time_uncertainty(state: State, place: int, room: int) -> dict[str, float]:
-    """Standard uncertainty (SI) of those of the effect at that position in the model, by name.
+    """Standard uncertainty (SI) of those shape parameters of an effect that take discrete values,
+    by name.
 
-    Seen from the model without it, every interval between two of its edges has the evidence of a
-    step there: about the value found, the second moment of the posterior, even within an interval.
+    `place` is the place of the effect in the model. The evidence of a step in every interval
+    between two edges is computed from the model without it. The uncertainty is the root of the
+    second moment of the posterior about the value found, including the width of the intervals. nan
+    where the fit without the effect does not converge.
     """
     effect, shape = state.model.effects[place], state.fit.shapes.get(place, {})
     edges = effect.edges(state.fit.measurement.plan)

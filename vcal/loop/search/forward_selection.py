@@ -1,4 +1,4 @@
-"""Adding effects one after the other: what was tried, added, refused and left over."""
+"""Forward selection: effects added one by one, with what was rejected and what was left."""
 
 import math
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ import numpy as np
 
 from ...effects.base import Effect
 from ...identification.fit import Fit
+from ...machine.plan import Plan
 from ...model.forward import Model
 from ...model.measurement import Measurement
 from ..empirical import EMPIRICAL, Empirical
@@ -23,14 +24,14 @@ from .round import Round
 from .state import State, chi2_per_dof, fitted
 
 _CONTRADICTED = math.log(5.0)
-"""Log odds of an effect that is refused over the next, from which that one is no name either: what
-fits as the one and holds as the other is something else."""
-_NO_MINIMUM = "its fit does not end in a minimum"
+"""Log odds of a rejected effect over the next from which that one is not named either: what looks
+like one effect and holds as another is something else."""
+_NO_MINIMUM = "its fit does not converge to a minimum"
 
 
 @dataclass(frozen=True)
 class Added:
-    """An effect that was added, and what spoke for it."""
+    """An effect that was added, and the evidence for it."""
 
     effect: Effect
     weighed: Weighed
@@ -41,7 +42,7 @@ class Added:
 
 
 def place_of(item: Added, effects: Sequence[Effect]) -> int:
-    """Where among the effects of a model an added one is."""
+    """Place of an added effect among the effects of a model."""
     return next(i for i, e in enumerate(effects) if e.alike(item.effect))
 
 
@@ -59,6 +60,16 @@ class Kept:
     outdone: tuple[Rejected, ...]
 
 
+@dataclass(frozen=True)
+class _Tested:
+    """The candidates of a model on a plan."""
+
+    model: Model
+    plan: Plan
+    effects: list[Effect]
+    untestable: list[Untestable]
+
+
 class ForwardSelection:
     """Rounds of a search, each of which adds one effect or ends it."""
 
@@ -66,27 +77,30 @@ class ForwardSelection:
         self.check, self.classes, self.alpha = check, classes, alpha
         self.draws, self.seed, self.room, self.progress = draws, seed, room, progress
         self.history: list[Added] = []
-        """Whatever was added, whether it stayed or not."""
+        """Every effect that was added, whether or not it was kept."""
         self.rejected: list[Rejected] = []
         self.untestable: list[Untestable] = []
         self.screenings: list[Screening] = []
         self.unexplained: Unexplained | None = None
         self.refused: Effect | None = None
-        """What was significant in the last round, and did not hold."""
+        """The effect that was significant in the last round and was rejected."""
         self._barred: frozenset[str] = frozenset()
-        """Names that are not to be candidates."""
+        """Names that are excluded as candidates."""
         self._describing = True
         """Whether empirical descriptions are candidates."""
         self._description: Rival | None = None
         self._description_trials = 1.0
-        """The one that ended the search, in whatever words what is unexplained is told."""
+        """The description that ended the search, even where a covariate is reported instead of it.
+        """
         self._outdone: list[Rejected] = []
-        """What was rejected for its sake."""
+        """Effects that were rejected because of it."""
+        self._tested: _Tested | None = None
+        """The candidates of the model that was last asked for."""
         self._responses: Responses | None = None
-        """What candidates do on the plan, kept from round to round."""
+        """Responses to candidates, cached from round to round."""
 
     def added(self, state: State) -> list[Added]:
-        """What was added and is in the model as far as it has come."""
+        """Added effects that are in the present model."""
         found = []
         for effect in state.model.effects:
             mine = [item for item in self.history if item.effect.alike(effect)]
@@ -94,7 +108,7 @@ class ForwardSelection:
         return found
 
     def step(self, state: State) -> State | None:
-        """One round: None where nothing (more) is to be added."""
+        """One round: the state with one effect more, or None where nothing is added."""
         number = len(self.added(state)) + 1
         screen_state, screening = self._screened(state)
         if screening.p_value > self.alpha:
@@ -114,7 +128,7 @@ class ForwardSelection:
         small: set[int] = set()
         for rival in preferred(significant, odds):
             untried.discard(id(rival))
-            # One that holds, and makes too little of a difference, contradicts no other.
+            # An effect that holds, and makes too small a difference, contradicts no other.
             likeliest = next(one for one, _ in found.ranked if id(one) not in small)
             if why := found.unlikely(rival):
                 self._reject(found, rival, why)
@@ -124,7 +138,7 @@ class ForwardSelection:
             if not why and behind > _CONTRADICTED and id(likeliest) not in untried:
                 significant_itself = found.p_value(likeliest) <= self.alpha
                 held = "does not hold" if significant_itself else "is not significant itself"
-                why = f"a far likelier one {held}"
+                why = f"a far more probable effect {held}"
             if not why and (why := found.too_little(rival)):
                 small.add(id(rival))
             if not why:
@@ -136,8 +150,8 @@ class ForwardSelection:
         return None
 
     def look_on(self, state: State) -> None:
-        """What is significant where no more effects may be added: the first of it is refused, a
-        description only where no effect is significant.
+        """Screen where no more effects may be added. The first significant effect is recorded as
+        refused, a description only where no effect is significant.
         """
         _, screening = self._screened(state)
         best = [k.peaks[0].effect for k in screening.kinds if screening.corrected(k) <= self.alpha]
@@ -147,13 +161,13 @@ class ForwardSelection:
 
     @property
     def refusal(self) -> Refused | None:
-        """What `refused` is, with the p-value and the reason that are told of it."""
+        """`refused` with the p-value and the reason that are reported."""
         effect = self.refused
         if effect is None:
             return None
-        for told in self.rejected:
-            if (told.effect, told.placement) == (effect.name, effect.placement):
-                return Refused(effect, told.p_value, told.reason)
+        for known in self.rejected:
+            if (known.effect, known.placement) == (effect.name, effect.placement):
+                return Refused(effect, known.p_value, known.reason)
         tested = (
             screening.corrected(kind)
             for screening in reversed(self.screenings)
@@ -162,12 +176,26 @@ class ForwardSelection:
         )
         return Refused(effect, next(tested, math.nan), _NO_MINIMUM)
 
+    def candidates(
+        self, model: Model, measurement: Measurement
+    ) -> tuple[list[Effect], list[Untestable]]:
+        """The effects to try beside a model, and those that cannot be tested (`candidates`).
+
+        Computed once per model and plan: the first screening uses the list that `close_loop` has
+        checked.
+        """
+        last = self._tested
+        if last is None or last.model is not model or last.plan is not measurement.plan:
+            found = candidates(model, measurement, self.classes)
+            self._tested = last = _Tested(model, measurement.plan, *found)
+        return list(last.effects), list(last.untestable)
+
     def _screened(self, state: State) -> tuple[ScoreTest, Screening]:
         """The screening of one round."""
         number = len(self.added(state)) + 1
         fit, measurement = state.scored, state.fit.measurement
         self.progress(f"round {number}: screening")
-        tried, self.untestable = candidates(state.model, measurement, self.classes)
+        tried, self.untestable = self.candidates(state.model, measurement)
         kinds = EMPIRICAL if self._describing else ()
         beside = [*state.model.effects, *tried]
         empirical, _ = candidates(state.model, measurement, kinds, beside, state.fit)
@@ -187,7 +215,7 @@ class ForwardSelection:
         after = found.at_declared(rival.fit)
         refitted = self._fitted(rival.fit.model, measurement, after)
         effect, p, trials = refitted.model.effects[-1], found.p_value(rival), found.trials(rival)
-        self.screenings[-1] = replace(found.screening, added=effect, told={effect.name: p})
+        self.screenings[-1] = replace(found.screening, added=effect, refined_p={effect.name: p})
         # Last, so that an interruption leaves no effect without its fit.
         self.history.append(Added(effect, weighed, p, gain, trials))
         return refitted
@@ -198,7 +226,7 @@ class ForwardSelection:
         assert best is not None
         self._description, self._description_trials = best, found.trials(best)
         p = found.p_value(best)
-        self.screenings[-1] = replace(found.screening, told={best.effect.name: p})
+        self.screenings[-1] = replace(found.screening, refined_p={best.effect.name: p})
         self.unexplained = described(
             found.fit,
             state.scored,
@@ -215,8 +243,8 @@ class ForwardSelection:
         self._outdone = self.rejected[known:]
 
     def _unfitted(self, found: Round) -> Effect | None:
-        """The first of the significant kinds of which no refit ended in a minimum: none can be held
-        against readings.
+        """The first of the significant kinds without a converged refit. Such kinds cannot be tested
+        on held-out readings.
         """
         screening = found.screening
         p_values = {kind.kind: screening.corrected(kind) for kind in screening.kinds}
@@ -231,8 +259,8 @@ class ForwardSelection:
         return first
 
     def _fitted(self, model: Model, measurement: Measurement, start: Fit) -> State:
-        """The state of a model, with a wider prior of its last effect where that is larger than
-        expected: it would be taken for smaller than it is, and the rest of it for something else.
+        """The fitted state of a model, with a wider prior of its last effect where that is larger
+        than expected. The declared prior would shrink it and leave the rest to other effects.
         """
         last, left, state = len(model.effects) - 1, WIDENINGS, None
         while True:
@@ -248,7 +276,7 @@ class ForwardSelection:
             start = state.fit
 
     def _kept(self) -> Kept:
-        """What an attempt changes, to restore it where nothing comes of it."""
+        """What an attempt changes, to restore it where the attempt fails."""
         return Kept(
             history=tuple(self.history),
             rejected=tuple(self.rejected),

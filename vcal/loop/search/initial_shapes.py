@@ -1,6 +1,7 @@
-"""Where the fit of declared effects begins whose pitch, time constant or moment is not told.
+"""Initial shape parameters of declared effects whose pitch, time constant or moment is not
+declared.
 
-A solver that starts in the middle of a scan ends in the nearest valley: of a pitch there are many.
+A solver that starts in the middle of a grid converges to the nearest minimum, and a pitch has many.
 """
 
 import dataclasses
@@ -15,15 +16,15 @@ from ...model.measurement import Measurement
 from ..screening.score_test import ScoreTest
 
 _PEAKS = 5
-"""Local maxima of a scan from which the fit is tried."""
+"""Local maxima of a grid from which a fit is started."""
 
 
 def initial_shapes(model: Model, measurement: Measurement, keep: np.ndarray, room: int) -> Shapes:
-    """Shape parameters (SI) of those effects of a model that leave some open, by place, from the
-    best of the fits that begin where the readings show them.
+    """Shape parameters (SI) of the effects of a model that leave some open, by place.
 
-    One effect after the other, the plainest first, beside what is in the model already. What no
-    reading shows is left out.
+    They come from the best of the fits that start at the maxima of the score test. The effects are
+    treated one by one, the most evident first, beside what is in the model already. Effects that no
+    reading shows are left out.
     """
     waiting = {i for i, effect in enumerate(model.effects) if _open(effect)}
     found: dict[int, dict[str, float]] = {}
@@ -61,7 +62,7 @@ def _open(effect: Effect) -> set[str]:
 
 
 def _of_any_size(effect: Effect) -> Effect:
-    """The effect with the usual prior of its size, so that it shows whatever is declared of it."""
+    """The effect with the default prior of its amplitudes, independent of what is declared."""
     shapes = {p.name for p in effect.shapes}
     given = tuple(row for row in effect.given if row[0] in shapes)
     return dataclasses.replace(effect, given=given, priors=())
@@ -73,7 +74,7 @@ def _expected(effect: Effect) -> dict[str, float]:
 
 
 def _unlikely(effect: Effect, shape: dict[str, float]) -> float:
-    """-2 ln of the declared density of shape parameters, where one is declared."""
+    """-2 ln of the declared density of shape parameters; zero where none is declared."""
     laws = [(p.law, shape[p.name] / p.si) for p in effect.shapes if p.law is not None]
     return sum(-2.0 * float(law.log_density(np.asarray(x))) for law, x in laws)
 

@@ -1,4 +1,4 @@
-"""One round of the search: what was significant, refitted and weighed before something is added."""
+"""One round of the search: significant candidates are refitted and weighed before one is added."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,18 +25,21 @@ from .state import State, at_declared, chi2_per_dof, rescored
 
 _MARGIN = 30.0
 _CLOSE = 8.0
-"""Candidates whose linear log evidence is further behind the best than `_MARGIN` are not refined,
-further than `_CLOSE` after that not refitted: their weight is below one in a thousand."""
+"""Candidates whose linear log evidence is behind the best by more than `_MARGIN` are not refined;
+after that, those behind by more than `_CLOSE` are not refitted. Their weight is below one in a
+thousand."""
 _REFITS = 12
-"""Most that are refitted."""
+"""Most candidates that are refitted."""
 
 
 def shortlist(
     state: ScoreTest, worth: Sequence[Peak], others: Sequence[Peak], instances: Mapping[str, int]
 ) -> list[Peak]:
-    """The peaks to refit: what made each kind significant, and others close enough to be rivals,
-    after their shapes were moved to the best point between the steps of the scan. `instances` tells
-    how many places and components of each kind were tried.
+    """The peaks to refit: the most significant of each kind, and others that are close enough to be
+    rivals.
+
+    Their shapes are moved to the best point between the steps of the grid. `instances` is the
+    number of places and components of each kind that were tried.
     """
     if not worth:
         return []
@@ -44,7 +47,7 @@ def shortlist(
     near = [p for p in worth if p.log_bayes_at_its_size > least]
     ids = {id(p) for p in near}
     near += [p for p in others if id(p) not in ids and p.log_bayes_at_its_size > least]
-    # Of the empirical descriptions only the best of each kind: many are alike.
+    # Only the best of each kind of empirical description, because many are alike.
     empirical: dict[str, Peak] = {}
     for peak in others:
         if isinstance(peak.effect, Empirical):
@@ -66,37 +69,37 @@ def shortlist(
     refined = sorted(moved.values(), key=weight, reverse=True)
     most = weight(refined[0])
     close = [p for p in refined if weight(p) > most - _CLOSE]
-    # The best of every kind first: many places of one kind may be alike.
+    # The best of every kind first, because many places of one kind may be alike.
     firsts = sorted({p.effect.name: p for p in reversed(close)}.values(), key=weight, reverse=True)
     ids = {id(p) for p in firsts}
     chosen = [*firsts, *(p for p in close if id(p) not in ids)][:_REFITS]
-    # A run of worthless rivals must not hide the next significant candidate, should the best fail.
+    # Poor rivals must not hide the next significant candidate if the best one fails.
     chosen += [p for p in refined if weight(p) <= most - _CLOSE][: max(0, 2 - len(chosen))]
-    # Whatever is likelier: what is significant, and is not added, has to have a reason.
+    # A significant candidate that is not added needs a reason, however improbable it is.
     ids = {id(p) for p in chosen}
     chosen += [moved[id(p)] for p in significant if id(moved[id(p)]) not in ids]
     return sorted(chosen, key=weight, reverse=True)
 
 
 _PRACTICAL = 0.02
-"""Least fall of the held-out rms, in lengths or in units of the noise, that counts where the fit is
-far worse than the noise, and what remains is no white noise: chance alignments with what is not
-modelled are then significant without being real."""
+"""Least relative fall of the held-out rms (lengths, or in units of the noise) that counts where the
+fit is far worse than the noise and the residual is not white. Chance correlations with unmodelled
+errors are then significant without being real."""
 _POOR = 2.0
 """Chi-square per degree of freedom from which a fit is far worse than the noise."""
 _BEYOND_NOISE = 5.0
-"""Standard deviations of chi-square by which a fit leaves more than the declared noise."""
+"""Standard deviations of chi-square by which a fit exceeds the declared noise."""
 _PLAINLY = 3.0
-"""How many times what is more than the noise is so beyond doubt, before a fit with that noise."""
+"""Multiple of that limit above which no refit with the declared noise is needed to decide."""
 _SOMETHING = 1.0
-"""Chi-square by which a description leaves less than there was, to be one."""
+"""Least fall of chi-square by an empirical description."""
 _BEHIND = 4
 """Most kinds that are refitted although their evidence is far behind."""
 _HOPELESS = 0.3
-"""Share of what the best effect leaves beyond the noise from which several that leave it by a
-linear fit are not refitted: they would not leave noise."""
-_UNLIKELIER = "the readings are no likelier with it than without"
-_UNEXPECTED = "it is far larger than expected, which its evidence does not make up for"
+"""Share of the residual beyond the noise of the best effect above which a subset, by its linear
+fit, is not refitted: it could not reach the noise."""
+_UNLIKELIER = "the readings are no more probable with it than without it"
+_UNEXPECTED = "its size is far larger than expected, and its evidence does not outweigh that"
 
 
 @dataclass(frozen=True)
@@ -105,22 +108,22 @@ class Round:
 
     state: State
     fit: Fit
-    """What they are weighed against: the state's fit for tests and evidence."""
+    """The fit that they are weighed against: the state's fit for tests and evidence."""
     screening: Screening
     peaks: list[Peak]
-    """Which were refitted."""
+    """Peaks that were refitted."""
     rivals: list[Rival]
-    """What came of it, most probable first, descriptions among them."""
+    """Converged refits, most probable first, with the descriptions among them."""
     p_values: dict[int, float]
     """Corrected p-value of every rival, by the id of its effect."""
     classes: list[list[Rival]]
-    """Effects that the data cannot tell apart, together."""
+    """Classes of effects that the data cannot distinguish."""
     ranked: list[tuple[Rival, float]]
     """Effects with their log odds, the most probable name first."""
     structured: bool
-    """Whether the best fit leaves more than the declared noise, and what remains is not white."""
+    """Whether the best fit exceeds the declared noise and its residual is not white."""
     behind: list[Rival]
-    """Significant kinds whose evidence is far behind, where that is so."""
+    """Significant kinds whose evidence is far behind; only where `structured`."""
     alpha: float
     room: int
     _declared: dict[int, tuple[Fit, Fit]] = field(default_factory=dict, init=False, repr=False)
@@ -129,7 +132,7 @@ class Round:
     def of(
         cls, state: State, screen: ScoreTest, screening: Screening, alpha: float, room: int
     ) -> "Round":
-        """Refit and weigh what a screening found significant, and what may be a rival of that."""
+        """Refit and weigh the significant candidates of a screening, and their possible rivals."""
         fit = state.scored
         instances = {kind.kind: kind.instances for kind in screening.kinds}
         significant = {k.kind for k in screening.kinds if screening.corrected(k) <= alpha}
@@ -171,7 +174,7 @@ class Round:
 
     @property
     def leads(self) -> list[Rival]:
-        """The first of every name that is significant: what the readings cannot tell apart once."""
+        """The first rival of every significant name; equivalent names count once."""
         names = {id(r): members[0].effect.key for members in self.classes for r in members}
         found: dict[str, Rival] = {}
         for rival in self.significant:
@@ -180,15 +183,15 @@ class Round:
 
     @property
     def description(self) -> Rival | None:
-        """The most probable empirical description that is significant, and describes something: of
-        what the plan hardly sees, chance may be rare and its fit leaves all that there was.
+        """The most probable significant empirical description that lowers chi-square noticeably.
+        Where the plan hardly determines it, a rare p-value does not imply a better fit.
         """
         found = (r for r in self.rivals if isinstance(r.effect, Empirical))
-        telling = (r for r in found if self.fit.chi2 - r.fit.chi2 > _SOMETHING)
-        return next((r for r in telling if self.p_value(r) <= self.alpha), None)
+        noticeable = (r for r in found if self.fit.chi2 - r.fit.chi2 > _SOMETHING)
+        return next((r for r in noticeable if self.p_value(r) <= self.alpha), None)
 
     def p_value(self, rival: Rival) -> float:
-        """Corrected for the search."""
+        """p-value corrected for the search."""
         return self.p_values[id(rival.effect)]
 
     def trials(self, rival: Rival) -> float:
@@ -205,33 +208,36 @@ class Round:
     def at_declared(self, fit: Fit) -> Fit:
         """A fit of this round, with the declared noise."""
         if id(fit) not in self._declared:
-            # The fit is kept with it, so that its id stays its own.
+            # The fit is stored with it, so that its id is not reused.
             self._declared[id(fit)] = fit, at_declared(fit, self.state, self.room)
         return self._declared[id(fit)][1]
 
     def gain(self, rival: Rival) -> float:
-        """Fall of the held-out rms, in lengths, as a share."""
+        """Relative fall of the held-out rms of lengths."""
         return rms_fall(self.state.fit, self.at_declared(rival.fit), self._rows(rival))
 
     def unlikely(self, rival: Rival) -> str:
-        """Why the evidence of an effect is too little; empty where it is not."""
+        """Reason where the evidence of an effect is too small, else empty."""
         return unlikely(rival, self.odds[id(rival)], len(self.screening.kinds)) or ""
 
     def fails(self, rival: Rival) -> str:
-        """Why an effect does not hold on readings it was not fitted to; empty where it does."""
+        """Reason where an effect does not hold on held-out readings, else empty."""
         noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
         fall, error = improvement(self.fit, rival.fit, noise)
         if _in_the_prior(self.fit, rival.fit, noise):
             return ""
         if fall <= (self._chosen(rival) if self._in_one_fold(rival) else error):
-            return "held-out readings are not foretold better beyond uncertainty"
+            return "held-out readings are not predicted better beyond their uncertainty"
         return ""
 
     def too_little(self, rival: Rival) -> str:
-        """Why an effect that holds makes too little of a difference on readings it was not fitted
-        to, where the fit is poor and nearly anything fits a part of the rest; empty where it is
-        enough. Rows that are never fitted may hardly see it, as those at the end of a warming up:
-        what counts is the best of these, by length and by noise, and of all that is foretold.
+        """Reason where an effect that holds makes too small a difference on held-out readings, else
+        empty.
+
+        It applies where the fit is poor, because nearly any effect then describes a part of the
+        rest. Rows that are never fitted may hardly depend on the effect, such as those at the end
+        of a warm-up. The largest of three relative falls counts: of the held-out rms in lengths,
+        the same in units of the noise, and of all predictions.
         """
         noise = math.sqrt(max(1.0, rival.fit.chi2 / rival.fit.dof))
         if not self._poor(rival.fit) or _in_the_prior(self.fit, rival.fit, noise):
@@ -240,12 +246,12 @@ class Round:
         weighted = rms_fall(self.fit, rival.fit, self._rows(rival), weighted_squares)
         if max(share, weighted, predicted_squares_fall(self.fit, rival.fit, noise)) >= _PRACTICAL:
             return ""
-        way = f"falls by {100 * share:.1f} % only" if share > 0 else "does not fall"
-        return f"held-out rms {way}"
+        way = f"falls by only {100 * share:.1f} %" if share > 0 else "does not fall"
+        return f"the held-out rms {way}"
 
     def hidden_by_each_other(self) -> Subset | None:
-        """Significant effects that together leave no more than noise where everything alone,
-        descriptions too, leaves more: what seems likeliest alone may be a part of all of them.
+        """Significant effects that together leave no more than noise, where each alone, and each
+        description, leaves more. The most probable single effect may be a mixture of all of them.
         """
         names = [*self.leads, *self.behind][:MOST]
         if not self.structured or len(names) < 2:
@@ -274,23 +280,23 @@ class Round:
         return supported_by_one_fold(rival.fit, len(rival.fit.model.effects) - 1)
 
     def _chosen(self, rival: Rival) -> float:
-        """What a moment or a pitch owes, in deviance, to having been chosen by the readings that
-        are foretold: those of one fold, whose sum has no scatter to be judged by.
+        """Deviance that a moment or a pitch owes to having been selected with the held-out
+        readings: those of one fold, whose sum has no scatter to compare with.
         """
         scan = rival.effect.scan(self.fit.measurement.plan) if rival.effect.shapes else {}
         return 2.0 * math.fsum(math.log(len(grid)) for grid in scan.values())
 
     def _rows(self, rival: Rival) -> np.ndarray:
-        # The readings of another instrument are no witness for an effect of this one.
+        # Readings of another instrument do not test an effect of this one.
         return np.asarray(rival.effect.rows(self.state.fit.measurement.plan))
 
     def _poor(self, fit: Fit) -> bool:
-        """Whether a fit is far worse than the declared noise, and what remains no white noise."""
+        """Whether a fit is far worse than the declared noise, and its residual is not white."""
         return _beyond(self.state, self.at_declared(fit), _POOR)
 
 
 def _structured(state: State, fit: Fit, room: int) -> bool:
-    """Whether a fit leaves more than the declared noise, and what remains is no white noise."""
+    """Whether a fit exceeds the declared noise, and its residual is not white."""
     limit = 1.0 + _BEYOND_NOISE * math.sqrt(2.0 / fit.dof)
     if declared_chi2(fit) <= _PLAINLY * limit * fit.dof:
         fit = at_declared(fit, state, room)
@@ -306,7 +312,7 @@ def _best(rivals: Sequence[Rival]) -> Rival:
 
 
 def _of_other_kinds(peaks: Sequence[Peak], rivals: Sequence[Rival], most: int) -> list[Peak]:
-    """The best peaks of as many kinds that have no rival."""
+    """The best peaks of at most `most` kinds without a rival."""
     known, best = {r.effect.name for r in rivals}, {}
     for peak in sorted(peaks, key=lambda p: -p.log_bayes_at_its_size):
         if peak.effect.name not in known and not isinstance(peak.effect, Empirical):
@@ -315,23 +321,26 @@ def _of_other_kinds(peaks: Sequence[Peak], rivals: Sequence[Rival], most: int) -
 
 
 def unlikely(rival: Rival, odds: float, kinds: int) -> str | None:
-    """Why the evidence of an effect, with these log odds of its name, is too little; else None.
+    """Reason where the evidence of an effect, with these log odds of its name, is too small; else
+    None.
 
-    What looking everywhere costs is in the p-value, and is not to be paid twice: the readings must
-    be likelier with it than without. A size that had to be forgiven makes chance as good a reason,
-    and needs evidence for all `kinds` of effects together.
+    The p-value accounts for the search, which must not be counted twice: it suffices that the
+    readings are more probable with the effect than without. Where the size needs an allowance,
+    chance is as good an explanation, and the evidence must outweigh all `kinds` of effects.
     """
-    evidence = odds - rival.leniency - rival.log_prior
+    evidence = odds - rival.size_allowance - rival.log_prior
     if evidence <= 0.0:
         return _UNLIKELIER
-    if rival.leniency > 0.0 and evidence <= math.log(kinds):
+    if rival.size_allowance > 0.0 and evidence <= math.log(kinds):
         return _UNEXPECTED
     return None
 
 
 def _in_the_prior(before: Fit, after: Fit, noise: float) -> bool:
-    """Whether it is what was declared, more than the readings, that an effect is at odds without:
-    other parameters had taken its part, far from what is known of them, and foretell as well.
+    """Whether an effect relieves the declared priors more than the readings.
+
+    Without it, other parameters had taken its part, far from their priors, and predict the readings
+    as well.
     """
     data = (before.chi2 - after.chi2) / noise**2
     prior = float(before.theta**2 @ before.precision - after.theta**2 @ after.precision)

@@ -1,4 +1,4 @@
-"""The search of the loop: effects are added, and those that were are looked at again."""
+"""The search of the loop: forward selection, and revision of the effects that were added."""
 
 import dataclasses
 import math
@@ -22,28 +22,29 @@ from .forward_selection import Added, ForwardSelection, Kept, place_of
 from .state import State, fitted, without
 
 _INSTEAD = 1
-"""How often several effects may take the place of a description that ended the search."""
-_SUPERFLUOUS = "superfluous after later effects"
+"""How often several effects may replace a description that ended the search."""
+_SUPERFLUOUS = "not needed after later effects were added"
 _AGAIN = 2
-"""How often the search goes on after an effect was replaced."""
+"""How often the search continues after an effect was replaced."""
 _SAME = 1.0
-"""Difference in chi-square of two fits that are the same."""
+"""Difference in chi-square below which two fits are the same."""
 _QUICKER = 2.0
-"""How many times as much as the best effect so far one that is added later may describe."""
+"""Most that a later effect may describe, as a multiple of the best effect so far."""
 _EXCHANGES = 1
-"""How often one of several effects gives way to others that leave nothing unexplained."""
+"""How often one of several effects may be exchanged for others that leave nothing unexplained."""
 _EXCHANGEABLE = 5
-"""Most effects of which one is exchanged, or all are looked for anew where something is left: of
-more, on data that hold yet others, it would take minutes, and something is left all the same; of
-those only what a rival outweighs, beside what was found later, is looked for anew.
-"""
+"""Most effects for which one is exchanged, or all are searched for again while something is left.
+With more, the repetition would take minutes, and data with further effects would still leave
+something. Only effects that a rival outweighs, given what was found later, are then searched for
+again."""
 _BARS = 1
-"""How often each of several is not to be the answer, while others are searched for."""
+"""How often each of several effects is excluded while others are searched for."""
 
 
 class Search(ForwardSelection):
-    """One pass through the loop: rounds, until nothing is to be added, and what is then looked at
-    again: whether each effect is still needed, and whether others take its place.
+    """One pass through the loop: rounds until nothing is added, then a revision.
+
+    The revision tests whether each effect is still needed, and whether others replace it.
     """
 
     def __init__(self, check, classes, alpha, draws, seed, room, progress):
@@ -53,10 +54,11 @@ class Search(ForwardSelection):
         self._bars = _BARS
 
     def rounds(self, state: State, most: int, reached: Callable[[State], None]) -> State:
-        """Add effects until nothing is to be added, or there are `most`; then look at them again:
-        at each, or, where more would be added if it might, at those that a rival outweighs. Beside
-        what is missing each is part of something else. What is `reached` on the way is told, and is
-        never left without its fit.
+        """Add effects until nothing is added or there are `most`, then revise them.
+
+        Each effect is searched for again; where more would be added if allowed, only those that a
+        rival outweighs. While something is missing, each may stand for a part of it. `reached`
+        receives every intermediate state, complete with its fit.
         """
         while len(self.added(state)) < most:
             found = self.step(state)
@@ -80,7 +82,7 @@ class Search(ForwardSelection):
                 self.weigh_again(state)
             for item in self.added(state) if len(self.added(state)) > 1 else ():
                 if each or item.weighed.outweighed:
-                    reached(state := self.anew(state, item))
+                    reached(state := self.search_again(state, item))
                 if self.unexplained is not None:
                     return state
             if each and (others := self.exchanged(state, most)) is not None:
@@ -92,18 +94,19 @@ class Search(ForwardSelection):
             return self.rounds(state, most, reached)
         return state
 
-    def anew(self, state: State, item: Added) -> State:
-        """Search anew, beside the others, for what one of several effects is: what was found first
-        may have stood for a part of what was not yet known. Where nothing is significant without
-        it, nor is it.
+    def search_again(self, state: State, item: Added) -> State:
+        """Search again for what one of several effects is, beside the others.
+
+        An effect that was found early may stand for a part of what was unknown then. Where nothing
+        is significant without it, it is not needed.
         """
         less = without(state, _place(state, item), self.room)
         if not less.converged:
             return state
         kept = self._kept()
-        self.progress(f"searching anew for what was named {item.effect.key}")
+        self.progress(f"searching again for what was named {item.effect.key}")
         bare = fitted(less.model, less.measurement, less, self.room)
-        found, screening = self._step_untold(bare, kept)
+        found, screening = self._step_unreported(bare, kept)
         if screening.p_value > self.alpha:
             return self._drop(item, less, _SUPERFLUOUS)
         if found is None and (self.unexplained is None or not self._describes_better(state)):
@@ -112,15 +115,15 @@ class Search(ForwardSelection):
         if found is not None and self.history[-1].effect.alike(item.effect):
             again = self.history[-1]
             self._restore(kept)
-            # What it may be instead is told beside what was found after it.
+            # Its alternatives are those beside what was found after it.
             both = found.fit.used & state.fit.used
             left, before = (declared_chi2(one.fit, both) for one in (found, state))
-            # Of the same name, it may begin at another moment.
+            # An effect of the same name may have another shape, such as another moment.
             better = left < before - _SAME
-            told = again if better else replace(item, weighed=again.weighed)
-            self.history = [told if other is item else other for other in self.history]
+            kept_item = again if better else replace(item, weighed=again.weighed)
+            self.history = [kept_item if other is item else other for other in self.history]
             return found if better else state
-        self.rejected.append(_dropped(item, "beside the others it is something else"))
+        self.rejected.append(_dropped(item, "beside the other effects, another one fits better"))
         self.refused = None
         return bare if found is None else found
 
@@ -130,11 +133,12 @@ class Search(ForwardSelection):
         return of is None or declared_chi2(of.fit) < declared_chi2(state.fit)
 
     def instead_of_description(self, state: State, most: int) -> State | None:
-        """Several effects that together describe better what one description, which fits better
-        than each of them, ended the search with; None where there are none.
+        """Several effects that describe the data better than the description that ended the search;
+        None where there are none.
 
-        One after the other they are added as if nothing could be described, and must then fit
-        better and be clearly likelier than the description.
+        The description fits better than each of them alone. They are added one by one, without
+        descriptions as candidates, and must then fit better and be clearly more probable than the
+        description.
         """
         if self.unexplained is None or self._description is None or not self._instead:
             return None
@@ -159,13 +163,13 @@ class Search(ForwardSelection):
         return found
 
     def exchanged(self, state: State, most: int) -> State | None:
-        """Other effects in the place of one of several beside which something is left, so that
-        nothing is; None where there are none. What was found first may have stood for parts of two
-        others, and hides both.
+        """The state after one of several effects, beside which something is left, is exchanged for
+        others that leave nothing; None where there are none.
 
-        Each is left out, and all are searched again; then, where that leads nowhere, each is not to
-        be the answer either, and what is found in its stead must be clearly likelier: one wrong
-        name may hide that another one is wrong, of which each alone is the best beside the other.
+        An effect that was found first may stand for parts of two others, and mask both. Each effect
+        is left out in turn and the search repeated. Where that fails, each is excluded in turn, and
+        what is found instead must be clearly more probable: two wrong names may support each other,
+        so that each alone is the best beside the other.
         """
         items = self.added(state)
         left = self.unexplained is not None or self.refused is not None
@@ -185,29 +189,30 @@ class Search(ForwardSelection):
     def _instead_of(
         self, state: State, items: Sequence[Added], item: Added, most: int, barred: bool
     ) -> State | None:
-        """What leaves nothing in the place of one of these effects, where there is such. Where the
-        effect is barred, or nothing describes what is left beside it, that must be likelier too.
+        """The state in which others replace `item` among `items` and leave nothing; None where
+        there is none. Where the effect is barred, or no description of the rest exists, they must
+        also be more probable.
         """
         less = without(state, _place(state, item), self.room)
         if not less.converged:
             return None
-        self.progress(f"searching for what may take the place of {item.effect.key}")
+        self.progress(f"searching for effects that may replace {item.effect.key}")
         bare = fitted(less.model, less.measurement, less, self.room)
         kept, description = self._kept(), self._description
         if self.unexplained is None:
             description = None
         self.unexplained = self.refused = None
-        self.rejected.append(_dropped(item, "others leave nothing unexplained"))
+        self.rejected.append(_dropped(item, "other effects in its place leave nothing unexplained"))
         if barred:
             self._barred = frozenset({item.effect.key, *item.weighed.equivalent})
         done = False
         try:
             found = self._added_to(bare, most, state)
             if barred and not self._nothing_left():
-                found = self._looked_at_again(found, most)
+                found = self._revised(found, most)
             done = self._nothing_left()
             if done and barred:
-                # Nor is anything left of what was barred.
+                # Nothing that was excluded may be significant either.
                 self._barred = frozenset()
                 done = self.step(found) is None and self._nothing_left()
             if done and (barred or description is None):
@@ -222,14 +227,14 @@ class Search(ForwardSelection):
     def _nothing_left(self) -> bool:
         return self.screenings[-1].p_value > self.alpha
 
-    def _looked_at_again(self, state: State, most: int) -> State:
-        """A state whose effects were each searched anew beside the others, and what is then found
-        beside them.
+    def _revised(self, state: State, most: int) -> State:
+        """A state whose effects were each searched for again beside the others, with what is then
+        found in addition.
         """
         for item in self.added(state):
             if any(item.effect.alike(one.effect) for one in self.added(state)):
                 self.unexplained = None
-                state = self.anew(state, item)
+                state = self.search_again(state, item)
         self.unexplained = self.refused = None
         return self._added_to(state, most)
 
@@ -241,8 +246,8 @@ class Search(ForwardSelection):
         others: Sequence[Added],
         description: Rival | None,
     ) -> bool:
-        """Whether effects in a fit are clearly likelier than others in another fit, which may have
-        a description at its end: on readings that both use, with the noise that the one leaves.
+        """Whether effects in a fit are clearly more probable than others in another fit, which may
+        end with a description. Both use the same readings, and the noise of `one`.
         """
         named, beside = _placed(mine, one), _placed(others, other)
         if description is not None:
@@ -259,8 +264,10 @@ class Search(ForwardSelection):
     def _added_to(
         self, state: State, most: int, but: State | None = None, goal: float = math.inf
     ) -> State:
-        """Effects added one after the other, until none is to be added, the first leads back to the
-        state that was left, or as many more as there may be come nowhere near a `goal`.
+        """Add effects one by one, until none is added.
+
+        The search also ends where the first effect leads back to the state `but`, or where as many
+        more as are allowed would not come near the chi-square `goal`.
         """
         fastest, near = 0.0, math.inf
         while (more := most - len(self.added(state))) > 0:
@@ -279,8 +286,8 @@ class Search(ForwardSelection):
         return state
 
     def beside_empirical(self, state: State) -> State:
-        """Do without the effects that are superfluous beside the empirical description that ended
-        the search: they stood for a part of it.
+        """Remove the effects that are superfluous beside the empirical description that ended the
+        search, because they stood for a part of it.
         """
         described = self.unexplained.empirical if self.unexplained is not None else None
         if described is None:
@@ -298,18 +305,17 @@ class Search(ForwardSelection):
         for item in dropped:
             less = without(bare, _place(bare, item), self.room)
             bare = fitted(less.model, less.measurement, less, self.room)
-        # What it depends on is told anew without them; what then has a name after all, has it.
+        # Its dependence is determined again without them. An effect that is then significant is
+        # added.
         kept = self._kept()
-        why = f"superfluous beside an empirical description ({in_words(effect)})"
+        why = f"not needed beside an empirical description ({in_words(effect)})"
         self.rejected += [_dropped(item, why) for item in dropped]
         self.unexplained = None
-        found, _ = self._step_untold(bare, kept)
+        found, _ = self._step_unreported(bare, kept)
         return bare if found is None else found
 
-    def _step_untold(self, state: State, kept: Kept) -> tuple[State | None, Screening]:
-        """A round and its screening, which is not among those that are told; an interruption leaves
-        what was `kept`.
-        """
+    def _step_unreported(self, state: State, kept: Kept) -> tuple[State | None, Screening]:
+        """A round and its screening, which is not reported; an interruption restores `kept`."""
         try:
             found = self.step(state)
         except KeyboardInterrupt:
@@ -320,14 +326,14 @@ class Search(ForwardSelection):
         return found, screening
 
     def weigh_again(self, state: State) -> None:
-        """Say of every effect what it may be instead beside those that were added after it."""
+        """Determine the alternatives to every effect beside those that were added after it."""
         self.progress("weighing rivals again")
         for item in self.added(state):
             now = replace(item, weighed=reweigh_rivals(item, state, self.room))
             self.history = [now if other is item else other for other in self.history]
 
     def prune(self, state: State, reached: Callable[[State], None]) -> State:
-        """Try once to do without each added effect; the evidence decides."""
+        """Try once to remove each added effect; the evidence decides."""
         for item in self.added(state)[:-1]:
             less = without(state, _place(state, item), self.room)
             if less.converged and _no_worse(less, state, item):
@@ -337,12 +343,12 @@ class Search(ForwardSelection):
     def prune_correlated(
         self, state: State, reached: Callable[[State], None]
     ) -> tuple[State, Serial | None]:
-        """Do without the added effects that noise correlated in time describes as well, the last
-        one first; and what is correlated at the end.
+        """Remove the added effects that correlated noise describes equally well, the last one
+        first. Returns the state and the correlation in its residual.
 
-        Where the noise is correlated, all that changes slowly fits a part of it. An effect stays if
-        its evidence beside such noise pays for the search: were there nothing, a Bayes factor
-        above b has a probability of less than 1/b (Ville's inequality).
+        Where the noise is correlated, every slowly varying effect fits a part of it. An effect
+        stays if its evidence beside such noise outweighs the search: under the null hypothesis, a
+        Bayes factor above b has a probability below 1/b (Ville's inequality).
         """
         for item in reversed(self.added(state)):
             fit = state.remaining
@@ -351,14 +357,15 @@ class Search(ForwardSelection):
             gain = gain_beside(fit, np.concatenate(fit.places_of(_place(state, item))))
             if item.trials * math.exp(-min(gain, 700.0)) > self.alpha:
                 less = without(state, _place(state, item), self.room)
-                why = "noise that is correlated in time describes it too"
+                why = "noise that is correlated in time describes the same"
                 reached(state := self._drop(item, less, why))
         found = serial(state.remaining)
         return state, found if found is not None and found.p_value <= self.alpha else None
 
     def described_by_noise(self, state: State) -> bool:
-        """Whether the search ended with a description of what noise correlated in time describes
-        as well: its evidence beside such noise does not pay for the search, as above.
+        """Whether correlated noise describes equally well what the description that ended the
+        search describes: its evidence beside such noise does not outweigh the search
+        (`prune_correlated`).
         """
         description = self._description
         if self.unexplained is None or description is None:
@@ -389,7 +396,7 @@ def _dropped(item: Added, reason: str) -> Rejected:
 
 
 def _placed(items: Sequence[Added], fit: Fit) -> list[tuple[int, Rival]]:
-    """Added effects by their place in the model of a fit, with what spoke for each."""
+    """Added effects by their place in the model of a fit, each with its best rival."""
     return [(place_of(item, fit.model.effects), item.weighed.best) for item in items]
 
 
@@ -398,15 +405,15 @@ def _place(state: State, item: Added) -> int:
 
 
 _FAR = 1e-3
-"""Probability in its round below which a rival was too far behind to catch up."""
+"""Probability in its round below which a rival cannot become the best."""
 
 
 def reweigh_rivals(item: Added, state: State, room: int) -> Weighed:
     """The rivals of an effect, weighed beside all other effects of a state.
 
-    In its round they stood beside fewer: what was missing then is part of what they differed by,
-    and what was added since is no rival any more. It is as it was where nothing was, or a fit does
-    not end in a minimum.
+    In its round, they were weighed beside fewer effects: what was missing then is part of their
+    difference, and effects that were added since are rivals no more. The result is unchanged where
+    nothing was added, or where a fit does not converge.
     """
     weighed, place = item.weighed, place_of(item, state.model.effects)
     others = [e for i, e in enumerate(state.model.effects) if i != place]
@@ -423,7 +430,7 @@ def reweigh_rivals(item: Added, state: State, room: int) -> Weighed:
     instances = {r.effect.name: _instances(r) for r in [weighed.best, *rivals]}
     peaks = [begun, *(_begun(r) for r in rivals)]
     found = refit_all(base, peaks, instances, state.keep, room)
-    # Of one that ran to where another shape of the same effect did, one is left.
+    # Of rivals that converged to another shape of the same effect, one is left.
     same = [r for r in found if r.effect is begun.effect]
     if not same:
         return weighed
@@ -438,7 +445,7 @@ def _more(effects: Sequence[Effect], than: Sequence[Effect]) -> bool:
 
 
 def _begun(rival: Rival, shape: Mapping[str, float] | None = None) -> Peak:
-    """Where the refit of a rival begins: where its fit ended, or at another shape."""
+    """The peak where the refit of a rival starts: the end of its fit, or another shape."""
     fit = rival.fit
     amplitudes = fit.theta[fit.model.places[-1]] * rival.wider
     if shape is None:
@@ -447,5 +454,5 @@ def _begun(rival: Rival, shape: Mapping[str, float] | None = None) -> Peak:
 
 
 def _instances(rival: Rival) -> int:
-    """How many places and components of its kind were tried in its round."""
+    """Number of places and components of its kind that were tried in its round."""
     return round(rival.effect.odds / math.exp(rival.log_prior))

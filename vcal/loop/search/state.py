@@ -1,4 +1,4 @@
-"""How far the loop has come: the model, its fits, and what they say of the noise."""
+"""State of the loop: the model, its fits, the noise and the outliers."""
 
 import dataclasses
 import math
@@ -18,46 +18,48 @@ from ...model.measurement import Measurement
 from ...numerics.least_squares import Status
 from ..residuals.outliers import Outlier, displaced, outliers_apart, outlying_rows, scattered
 from ..residuals.variance_components import Components, components
-from ..screening.significance import LEAST_NOISE, TOLD
+from ..screening.significance import LEAST_DOF, LEAST_NOISE
 from ..weighing.cross_validation import folds_of
 from .initial_shapes import initial_shapes
 
 _SEARCHES = 4
-"""Stray readings hide others: how often they are looked for anew without those found."""
+"""Number of searches for outliers. Outliers mask others, so each search follows a fit without those
+found before."""
 
 
 @dataclass(frozen=True)
 class State:
-    """The model as far as the loop has come."""
+    """The present model with its fits."""
 
     model: Model
     fit: Fit
     """With the declared noise."""
     scored: Fit
-    """With the noise that the readings show, for tests and evidence, where it differs from the
-    declared one in more than its size: the covariance of clustered readings, variance components
-    that are not alike; else the same."""
+    """With the estimated noise, for tests and evidence, where it differs from the declared noise in
+    more than one factor: the covariance of clustered readings, or unequal variance components; also
+    where it is smaller. Else the same as `fit`."""
     keep: np.ndarray
-    strays: list[Outlier]
+    outliers: list[Outlier]
     noise: Components | None
     """None for clustered readings."""
 
     @property
     def as_declared(self) -> bool:
-        """Whether tests and evidence are with the declared noise."""
+        """Whether tests and evidence use the declared noise."""
         return self.scored is self.fit
 
     @property
     def remaining(self) -> Fit:
-        """The fit whose residual is looked at for what has no name: that of `scored`, but for
-        clustered readings, where every reading of a row is looked at by itself.
+        """The fit whose residual is tested for unexplained structure: `scored`, or `fit` for
+        clustered readings, where every reading of a row is tested by itself.
         """
         return self.fit if self.noise is None else self.scored
 
 
 def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int) -> State:
-    """Fit, leave out stray readings, and fit again with the noise that the readings show.
+    """Fit a model without outliers, and again with the noise that the readings show.
 
+    `start` gives initial values, `room` the number of parameters that the compiled solver allows.
     Raises `LinAlgError` where parameters without a proper prior are not determined.
     """
     measurement = dataclasses.replace(measurement, aside=None)
@@ -69,33 +71,33 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     else:
         options["shapes"] = initial_shapes(model, measurement, keep, room)
     fit = whole = identify(model, measurement, **options)
-    _check_told(fit)
-    strays: list[Outlier] = []
+    _check_determined(fit)
+    outliers: list[Outlier] = []
     moved: set[int] = set()
     for _ in range(_SEARCHES):
         options |= {"theta": fit.theta, "shapes": fit.shapes}
-        found = [s for s in _stray(fit, options) if s.row not in moved]
+        found = [s for s in _outliers(fit, options) if s.row not in moved]
         if not found:
             break
-        strays += found
-        if not scattered(whole, [s.row for s in strays]):
-            # One after the other they turn out to be something systematic.
-            strays, fit, keep = [], whole, whole_keep
+        outliers += found
+        if not scattered(whole, [s.row for s in outliers]):
+            # Outliers that were found in succession turn out to be systematic.
+            outliers, fit, keep = [], whole, whole_keep
             options |= {"theta": fit.theta, "shapes": fit.shapes, "keep": keep}
             break
         options["keep"] = keep = keep.copy()
         keep[[s.row for s in found]] = False
         fit = identify(model, measurement, tolerance=NEARLY, **options)
-        if more := displaced(fit, [s.row for s in strays]):
+        if more := displaced(fit, [s.row for s in outliers]):
             moved |= more
-            strays = [s for s in strays if s.row not in more]
+            outliers = [s for s in outliers if s.row not in more]
             options["keep"] = keep = keep.copy()
             keep[sorted(more)] = whole_keep[sorted(more)]
             fit = identify(model, measurement, tolerance=NEARLY, **options)
-    if strays or moved:
+    if outliers or moved:
         fit = identify(model, measurement, **options | {"theta": fit.theta, "shapes": fit.shapes})
     if far := outliers_apart(fit, apart):
-        strays += far
+        outliers += far
         measurement = dataclasses.replace(measurement, aside=_rows(measurement, far))
         fit = dataclasses.replace(fit, measurement=measurement)
     scored, noise = fit, None
@@ -106,13 +108,12 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
         noise = components(fit)
         if noise.uneven or _quieter(fit):
             scored = identify(model, measurement, whitener=_found_whitener(noise, noise), **options)
-    return State(model, fit, scored, keep, sorted(strays, key=lambda s: s.row), noise)
+    return State(model, fit, scored, keep, sorted(outliers, key=lambda s: s.row), noise)
 
 
-def _check_told(fit: Fit) -> None:
-    """Raise `LinAlgError` for parameters that neither the data nor a prior tell, where that is why
-    a fit ended elsewhere than at a minimum: with nothing to hold them some run away, to where the
-    readings seem to tell them after all.
+def _check_determined(fit: Fit) -> None:
+    """Raise `LinAlgError` where parameters that neither the data nor a prior determine prevented
+    convergence. Without a bound some diverge, to where the readings seem to determine them.
     """
     free = []
     if fit.status == Status.SINGULAR:
@@ -121,13 +122,16 @@ def _check_told(fit: Fit) -> None:
         names = [f"{key} {p.name}" for key, p in fit.entries]
         free = [names[i] for i in flat_rank(fit.model, fit.measurement.plan).mixed]
     if free:
-        raise np.linalg.LinAlgError(f"no reading tells {' and '.join(free)} apart from the rest")
+        raise np.linalg.LinAlgError(
+            f"the readings cannot distinguish {' and '.join(free)} from the other parameters"
+        )
 
 
-def _stray(fit: Fit, options: dict) -> list[Outlier]:
-    """Stray readings of a fit with these options of `identify`; by the noise that there is where
-    that is less than declared, or what is known of the parameters would push some rows further out
-    than noise does.
+def _outliers(fit: Fit, options: dict) -> list[Outlier]:
+    """Outliers of a fit with these options of `identify`.
+
+    The estimated noise is used where it is smaller than declared. The priors would otherwise push
+    some rows further out than noise does.
     """
     model, measurement = fit.model, fit.measurement
     if not (fit.clusters >= 0).any() and _quieter(fit):
@@ -137,7 +141,7 @@ def _stray(fit: Fit, options: dict) -> list[Outlier]:
 
 
 def at_declared(fit: Fit, state: State, room: int) -> Fit:
-    """A fit of tests and evidence, with the declared noise."""
+    """A fit for tests and evidence, repeated with the declared noise."""
     if state.as_declared:
         return fit
     return identify(
@@ -152,9 +156,10 @@ def at_declared(fit: Fit, state: State, room: int) -> Fit:
 
 
 def rescored(state: State, best: Fit, room: int) -> Fit:
-    """The state's fit for tests and evidence, with the noise that a better model leaves: what is
-    missing makes components uneven, and must not count as noise where rivals are weighed. It is
-    the one there is where there are no components, or they are as declared.
+    """The state's fit for tests and evidence, with the noise that a better model leaves.
+
+    A missing effect makes variance components unequal and must not count as noise where rivals are
+    weighed. The fit is unchanged where there are no components, or they are as declared.
     """
     if state.as_declared or state.noise is None:
         return state.scored
@@ -170,7 +175,7 @@ def rescored(state: State, best: Fit, room: int) -> Fit:
 
 
 def without(state: State, place: int, room: int) -> Fit:
-    """The fit for tests and evidence without the effect at that position."""
+    """The fit for tests and evidence without the effect at that place."""
     fit = state.scored
     kept = np.delete(np.arange(len(state.model.entries)), state.model.places[place])
     shapes = {i - (i > place): shape for i, shape in fit.shapes.items() if i != place}
@@ -186,35 +191,37 @@ def without(state: State, place: int, room: int) -> Fit:
     )
 
 
-def _rows(measurement: Measurement, strays: list[Outlier]) -> np.ndarray:
+def _rows(measurement: Measurement, outliers: list[Outlier]) -> np.ndarray:
     found = np.zeros(measurement.rows, bool)
-    found[[s.row for s in strays]] = True
+    found[[s.row for s in outliers]] = True
     return found
 
 
 def _quieter(fit: Fit) -> bool:
-    """Whether the readings scatter less than declared by more than chance: what is known of the
-    parameters then holds them against readings that know better, and what that leaves is no error
-    of the machine.
+    """Whether the readings scatter significantly less than declared. With the declared noise, the
+    priors then outweigh readings that are more precise, and the resulting residual is no error of
+    the machine.
     """
     return noise_scale(fit, np.ones(fit.measurement.rows, bool)) < 1.0
 
 
 def _found_whitener(noise: Components, of: Components) -> np.ndarray:
-    """W of every row with that noise: by component, or by one factor where `of` is even."""
+    """W of every row with that noise: by component, or with one factor where the components `of`
+    are equal.
+    """
     return noise.whitener if of.uneven else noise.whitener_alike
 
 
 def _clustered_whitener(fit: Fit) -> np.ndarray:
-    """W of every row from the covariance the readings of one row show in the residuals.
+    """W of every row from the covariance of the readings of one row, as seen in the residuals.
 
-    For rows whose readings share errors that are not modelled (`Instrument.clusters`): in units of
-    the declared noise of every row, C = (1 - a) S + a f 1 with S = sum r r' / (rows - parameters
-    per reading) and f the mean of its diagonal. a is what chance has in how S differs from f, so
-    that as many rows decide for S as it takes, and where nothing is shared what is declared stays
-    (Ledoit, Wolf, J. Multivariate Anal. 88, 2004, 365). The parameters are shared out evenly over
-    all rows. Too few rows to tell a covariance have the declared one, and the size of none is below
-    the least noise.
+    For rows whose readings share unmodelled errors (`Instrument.clusters`): in units of the
+    declared noise of every row, C = (1 - a) S + a f 1 with S = sum r r' / (rows - parameters per
+    reading) and f the mean of its diagonal. The shrinkage a is the sampling variance of S over its
+    distance from f 1. It depends on the number of rows, and keeps the declared form where nothing
+    is shared (Ledoit, Wolf, J. Multivariate Anal. 88, 2004, 365). The parameters are shared evenly
+    by all rows. Clusters with too few rows keep the declared covariance, and none is below the
+    least noise.
     """
     used, clusters = fit.used, fit.clusters
     found = np.array(declared_whitener(fit.model, fit.measurement))
@@ -225,7 +232,7 @@ def _clustered_whitener(fit: Fit) -> np.ndarray:
             continue
         present = np.flatnonzero(fit.counted[here[0]])
         rows, m = len(here), len(present)
-        if rows <= m or fit.chi2_and_dof(mine)[1] < TOLD:
+        if rows <= m or fit.chi2_and_dof(mine)[1] < LEAST_DOF:
             continue
         r = np.einsum("nij,nj->ni", found[np.ix_(here, present, present)],
                       fit.residual[np.ix_(here, present)])  # fmt: skip
@@ -243,12 +250,14 @@ def _clustered_whitener(fit: Fit) -> np.ndarray:
 
 
 def chi2_per_dof(fit: Fit) -> float:
-    """chi2 per degree of freedom against the declared noise."""
+    """Chi-square per degree of freedom against the declared noise."""
     return declared_chi2(fit) / fit.dof
 
 
 def noise_scale(fit: Fit, rows: np.ndarray) -> float:
-    """Root of chi2/dof of these rows where that is not chance (p < 1e-3), else one."""
+    """Root of chi-square per degree of freedom of these rows where it differs significantly from
+    one (p < 1e-3), else one.
+    """
     chi2, dof = (fit.chi2, fit.dof) if rows.all() else fit.chi2_and_dof(rows)
     if dof <= 0.0:
         return 1.0
@@ -258,13 +267,15 @@ def noise_scale(fit: Fit, rows: np.ndarray) -> float:
 
 
 def noise_scales(fit: Fit) -> dict[str, float]:
-    """That of every data set by its name, one or several."""
+    """`noise_scale` of every data set, by its name."""
     return {name: noise_scale(fit, rows) for name, rows in fit.measurement.plan.parts.items()}
 
 
-def scales_told(state: State) -> tuple[float, dict[str, float]]:
-    """`noise_scale` of all readings and of every data set. Of readings that are quieter than
-    declared the declared noise leaves too little: what is known of the parameters then hides more.
+def reported_noise_scales(state: State) -> tuple[float, dict[str, float]]:
+    """`noise_scale` of all readings and of every data set, as reported.
+
+    Where readings are quieter than declared, a fit with the declared noise underestimates their
+    residual, because the priors absorb more; the variance component is then given.
     """
     fit, noise = state.fit, state.noise
     whole, each = noise_scale(fit, np.ones(fit.measurement.rows, bool)), noise_scales(fit)
@@ -274,7 +285,9 @@ def scales_told(state: State) -> tuple[float, dict[str, float]]:
 
 
 def at_noise_found(state: State, room: int) -> Fit:
-    """The fit with the noise that was found instead of the one declared, where it is larger."""
+    """The fit with the estimated noise where that is larger than declared, else with the declared
+    noise.
+    """
     fit = state.fit
     if state.noise is not None and state.noise.uneven:
         whitener = state.noise.whitener_at_least_declared

@@ -1,4 +1,4 @@
-"""Errors a fit makes on readings it has not seen, and on independent check points."""
+"""Cross-validation: errors of a fit on held-out readings, and at independent check points."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,11 +16,12 @@ from ...model.measurement import CheckPoints, Measurement
 from ...numerics.spatial import align_rigid
 
 _BLOCK, _BLOCKS = 8, 25
-"""Least rows of a block that is foretold as one, and about how many blocks a fold may have."""
+"""Least number of rows in a block that is predicted together, and about the largest number of
+blocks in a fold."""
 _FEW = 12
-"""Folds from which the scatter over them tells how certain a sum over them is."""
+"""Least number of folds whose scatter gives the standard error of a sum over them."""
 _ALL = 0.99
-"""Share of what tells an effect from which one fold is all of it."""
+"""Share of the information on an effect from which one fold counts as its only support."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Rms:
 
 def folds_of(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
     """Fold of every row (n,), -1 where it is never held out, and the rows (n,) that are never
-    fitted, without those that are set aside.
+    fitted, without those that are set aside as outliers.
     """
     folds, apart = model.instrument.folds(measurement.plan)
     apart = np.broadcast_to(apart, folds.shape) & (folds >= 0)
@@ -42,12 +43,13 @@ def folds_of(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.nda
 
 
 def heldout_residuals(fit: Fit) -> np.ndarray:
-    """Residuals (n, m), SI, of every row predicted without its fold; nan where never held out.
+    """Held-out residuals (n, m), SI: every row predicted without its fold; nan where never held
+    out.
 
-    Folds that rotate are left out by the exact downdate of the linearised problem,
-    d = -(H - J_g'J_g)^-1 J_g'r_g; parameters with a flat prior that only this fold can see (the
-    pose of an artefact) are then re-estimated from the fold with all others fixed. Folds that were
-    never fitted are predicted as they are.
+    Rotating folds are left out by the exact downdate of the linearised problem, d = -(H -
+    J_g'J_g)^-1 J_g'r_g. Parameters with a flat prior that only this fold determines (the pose of an
+    artefact) are then re-estimated from the fold with all others fixed. Folds that are never fitted
+    are predicted directly.
     """
     folds, apart = folds_of(fit.model, fit.measurement)
     n, m = fit.residual.shape
@@ -55,7 +57,7 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
     found[apart] = fit.residual[apart]
     jacobian = fit.jacobian.reshape(n, m, -1)
     total = fit.jacobian.T @ fit.jacobian
-    # A shape parameter that only the fold can see stays within its scan.
+    # A shape parameter that only this fold determines stays within its grid.
     precision = fit.within_scans
     whitened = (fit.whitened - fit.jacobian @ _left(fit, total, precision)).reshape(n, m)
     for fold in np.unique(folds[folds >= 0]):
@@ -68,8 +70,8 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
         j, common = j @ basis, ~own
         rest = basis.T @ total @ basis - j.T @ j
         h = rest[np.ix_(common, common)] + np.diag(precision[common])
-        # Stationarity of the whole fit: the gradient of the rest is minus that of the fold. The
-        # fold's own parameters leave the rest untouched.
+        # Stationarity of the whole fit: the gradient of the other folds is minus that of this fold.
+        # The fold's own parameters do not affect the other folds.
         delta = -cho_solve(cho_factor(h), j[:, common].T @ r)
         predicted = r - j[:, common] @ delta
         if own.any():
@@ -83,8 +85,10 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
 def _own(
     inside: np.ndarray, total: np.ndarray, precision: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Combinations (k, k) of the parameters, of those without a prior in place of these, and which
-    of them only this fold tells (k,): of its Jacobian `inside` (r, k) and the information of all.
+    """Basis (k, k) of the parameters, and which of its vectors only one fold determines (k,).
+
+    Parameters with a flat prior are combined so that those that only the fold with the Jacobian
+    `inside` (r, k) determines are separate; `total` (k, k) is the information of all readings.
     """
     flat = precision == 0
     basis, own = np.eye(len(total)), np.zeros(len(total), bool)
@@ -100,11 +104,11 @@ def _own(
 
 
 def _left(fit: Fit, total: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """The step that is left to the minimum where a fit came as near as it goes, else none: at the
-    end of a scan, or at a corner, there is no step to take.
+    """The remaining step to the minimum where a fit has converged to its tolerance, else zero: at
+    the end of a grid, or at a corner, there is no step to take.
 
-    A parameter that one fold sees alone is free without it: what little pull is left at its place,
-    and is none of the rest, would move it anywhere.
+    A parameter that only one fold determines is free without that fold: a small remaining gradient,
+    which does not come from the other folds, would move it anywhere.
     """
     uphill = fit.jacobian.T @ fit.whitened - fit.precision * fit.theta
     step = np.linalg.solve(total + np.diag(precision), uphill)
@@ -112,19 +116,19 @@ def _left(fit: Fit, total: np.ndarray, precision: np.ndarray) -> np.ndarray:
 
 
 def squared_errors(fit: Fit, residuals: np.ndarray) -> np.ndarray:
-    """Mean squared length of the points of every row, m^2; nan rows are left out."""
+    """Mean squared length of the deviations of every row, m^2; rows with nan are left out."""
     instrument, plan = fit.model.instrument, fit.measurement.plan
     squares = (residuals * instrument.lengths(plan, fit.measurement.readings)) ** 2
-    told = np.isfinite(squares).all(1)
-    readings = instrument.present(plan)[told].sum(1)
-    return squares[told].sum(1) * instrument.dimensions(plan)[told] / readings
+    known = np.isfinite(squares).all(1)
+    readings = instrument.present(plan)[known].sum(1)
+    return squares[known].sum(1) * instrument.dimensions(plan)[known] / readings
 
 
 def rms(squares: np.ndarray, shared: np.ndarray | None = None) -> Rms:
-    """Root of the mean of squared errors (m^2) with the uncertainty from their scatter, um.
+    """Root of the mean of squared errors (m^2), with the uncertainty from their scatter, um.
 
-    Errors with the same number in `shared` (n,) have something in common: where there are enough of
-    such groups the scatter is that of the groups' sums, as of a sample of clusters.
+    Errors with the same number in `shared` (n,) are correlated. With enough such groups, the
+    scatter is that of the sums of the groups, as for a sample of clusters.
     """
     if not len(squares):
         return Rms(math.nan, math.nan)
@@ -140,13 +144,14 @@ def rms(squares: np.ndarray, shared: np.ndarray | None = None) -> Rms:
 
 
 def fit_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
-    """3-D rms of the residuals of the rows that were fitted, um; of `rows` (n,) only."""
+    """3-D rms of the residuals of the fitted rows, um; of `rows` (n,) only."""
     return rms(squared_errors(fit, np.where((fit.used & rows)[:, None], fit.residual, np.nan)))
 
 
 def heldout_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
-    """3-D rms of the held-out residuals, um; of `rows` (n,) only. What is foretold as one, and the
-    rows of one pose or run, share what is wrong with it.
+    """3-D rms of the held-out residuals, um; of `rows` (n,) only.
+
+    Rows of one fold, pose or run share errors and count as clusters (`rms`).
     """
     plan = fit.measurement.plan
     kept = np.broadcast_to(rows, fit.used.shape)[:, None]
@@ -160,7 +165,7 @@ def heldout_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
 def check_rms(
     fit: Fit, check: CheckPoints, alternatives: Sequence[Alternatives] = ()
 ) -> tuple[Rms, Rms]:
-    """rms volumetric error at the check points: after the best rigid alignment, and raw, um.
+    """Rms volumetric error at the check points, um: after the best rigid alignment, and raw.
 
     The uncertainty combines the scatter over the points, the posterior covariance of the parameters
     and the between-model variance of the effects in `alternatives`.
@@ -172,17 +177,17 @@ def check_rms(
         return align_rigid(check.tool_point, raw), raw
 
     found = [rms((error**2).sum(1)) for error in errors(points)]
-    doubted = np.zeros(2)
+    between_models = np.zeros(2)
     for doubt in alternatives:
         named = compensated_points(doubt.found, check.plan)[0]
         for probability, other in doubt.others:
             moved = points + compensated_points(other, check.plan)[0] - named
             left = (rms((error**2).sum(1)) for error in errors(moved))
             change = [a.value - b.value for a, b in zip(left, found, strict=True)]
-            doubted += probability * np.square(change)
+            between_models += probability * np.square(change)
     covariance = fit.covariance
     results = []
-    for error, here, more in zip(errors(points), found, np.sqrt(doubted), strict=True):
+    for error, here, more in zip(errors(points), found, np.sqrt(between_models), strict=True):
         passed = 0.0
         if here.value > 0:
             gradient = np.einsum("ni,nik->k", error, jacobian) / (len(error) * here.value * 1e-6)
@@ -192,8 +197,8 @@ def check_rms(
 
 
 def predicted_rms(fit: Fit, check: CheckPoints) -> float:
-    """The rms volumetric error after alignment that is expected at the check points, um: what the
-    readings leave open of the errors that were declared.
+    """Expected rms volumetric error at the check points after alignment, um, from the posterior
+    covariance of the declared and identified errors.
     """
     points, jacobian = compensated_points(fit, check.plan)
     moved = align_rigid(points, jacobian).reshape(-1, len(fit.theta))
@@ -202,27 +207,30 @@ def predicted_rms(fit: Fit, check: CheckPoints) -> float:
 
 @dataclass(frozen=True)
 class PredictiveDensity:
-    """What a fit without its fold foretells for every block of readings."""
+    """Predictive density of every block of readings, from a fit without its fold."""
 
     deviance: np.ndarray
     """-2 ln of the density of the readings, up to a constant of the readings alone (blocks)."""
     squares: np.ndarray
-    """The part of it that is their distance from what is foretold, d'C^-1 d (blocks)."""
+    """The part of the deviance that is the squared distance from the prediction, d'C^-1 d (blocks).
+    """
     folds: np.ndarray
     """The fold of every block; negative for rows that are never fitted, one block each."""
 
 
 def log_predictive_density(fit: Fit, noise: float = 1.0) -> PredictiveDensity:
-    """How well a fit foretells every block of readings without its fold.
+    """Log predictive density of every block of readings without its fold.
 
-    Blocks of a fold are foretold one after the other, each from the other folds and the blocks
-    before it: d'C^-1 d + ln det C with the whitened residual d = r - J_b x, x = -H_s^-1 J_f'r_f,
-    and its covariance C = 1 + J_b H_s^-1 J_b'; H_s is the information of what is known by then and
-    J_f'r_f what the rest of the fold would add. What is foretold badly for want of information
-    counts little, unlike in a square. Parameters with a flat prior that only this fold can see are
-    projected out of it, as a whole. Rows that are never fitted are taken as they are, and those
-    beside them as folds that follow each other: a few poses at the end are few to tell by. `noise`
-    multiplies the noise of the fit.
+    The blocks of a fold are predicted in sequence, each from the other folds and the blocks before
+    it: d'C^-1 d + ln det C with the whitened residual d = r - J_b x, x = -H_s^-1 J_f'r_f, and its
+    covariance C = 1 + J_b H_s^-1 J_b'. H_s is the information available by then, and J_f'r_f the
+    gradient of the rest of the fold. Unlike in a plain sum of squares, a poor prediction due to a
+    lack of information counts little. Parameters with a flat prior that only this fold determines
+    are projected out of it, for the whole fold.
+
+    Rows that are never fitted are predicted directly. They may be few (some poses at the end), so
+    the fitted rows of their data set count as consecutive folds too. `noise` multiplies the noise
+    of the fit.
     """
     plan = fit.measurement.plan
     folds, apart = folds_of(fit.model, fit.measurement)
@@ -232,7 +240,7 @@ def log_predictive_density(fit: Fit, noise: float = 1.0) -> PredictiveDensity:
     whitened = fit.whitened.reshape(n, m) / noise
     total = np.einsum("nmk,nml->kl", jacobian, jacobian, optimize=True)
     precision = fit.within_scans
-    # The fit is the best one at its own noise, not at `noise` times that.
+    # The fit is the minimum at its own noise, not at `noise` times that.
     step = fit.step_at(noise) + _left(fit, fit.jacobian.T @ fit.jacobian, precision)
     whitened = whitened - jacobian @ step
     squares: list[float] = []
@@ -270,7 +278,7 @@ def log_predictive_density(fit: Fit, noise: float = 1.0) -> PredictiveDensity:
     for inside in plan.parts.values():
         rows = np.flatnonzero(apart & inside)
         if len(rows):
-            # They have no weight of their own: take that of the fitted ones.
+            # They have no whitener of their own: the median of the fitted rows is used.
             typical = np.median(fit.whitener[fit.used & inside], axis=0) / noise
             squares += list(((fit.residual[rows] @ typical.T) ** 2).sum(1))
             volumes += [0.0] * len(rows)
@@ -279,8 +287,10 @@ def log_predictive_density(fit: Fit, noise: float = 1.0) -> PredictiveDensity:
 
 
 def _beside(folds: np.ndarray, apart: np.ndarray, fit: Fit) -> np.ndarray:
-    """The folds (n,), and more of the fitted rows of a data set some of which are never fitted, of
-    as many rows each as these, in the order in which they were taken.
+    """The folds (n,), with further folds for the fitted rows of data sets that have rows which are
+    never fitted.
+
+    The further folds are consecutive in time and about as long as the part that is never fitted.
     """
     found, plan = np.array(folds), fit.measurement.plan
     taken = next((plan.values(name) for name in ("t", "pose") if plan.has(name)), found * 0)
@@ -295,7 +305,8 @@ def _beside(folds: np.ndarray, apart: np.ndarray, fit: Fit) -> np.ndarray:
 
 def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, float]:
     """Fall of the predictive deviance from one fit to another of the same readings with the same
-    weights, and its standard error from the scatter over folds, or over blocks where folds are few.
+    weights, with its standard error from the scatter over folds, or over blocks where there are few
+    folds.
     """
     a, b = (log_predictive_density(fit, noise) for fit in (before, after))
     fall = a.deviance - b.deviance
@@ -308,17 +319,18 @@ def improvement(before: Fit, after: Fit, noise: float = 1.0) -> tuple[float, flo
 
 
 def predicted_squares_fall(before: Fit, after: Fit, noise: float = 1.0) -> float:
-    """Fall of the root mean square distance of the readings from their prediction, as a share: of
-    the readings that are never fitted, and of those beside them.
+    """Relative fall of the root mean square distance of the readings from their prediction, over
+    the rows of `log_predictive_density`.
     """
     a, b = (log_predictive_density(fit, noise).squares.sum() for fit in (before, after))
     return 1.0 - math.sqrt(b / a)
 
 
 def supported_by_one_fold(fit: Fit, effect: int) -> bool:
-    """Whether only one fold tells the effect at that place of the model, as it does of a jump
-    within a run where every run has an offset of its own: what the flat parameters of the others
-    take up is no part of it.
+    """Whether a single fold supports the effect at that place of the model.
+
+    An example is a jump within a run where every run has an offset of its own: the flat parameters
+    absorb it in all other folds.
     """
     folds, _ = folds_of(fit.model, fit.measurement)
     n, m = fit.residual.shape
@@ -332,14 +344,14 @@ def supported_by_one_fold(fit: Fit, effect: int) -> bool:
 
 
 def weighted_squares(fit: Fit, residuals: np.ndarray) -> np.ndarray:
-    """Sum of squares of every row in units of the noise of the fit; nan rows are left out."""
-    told = np.isfinite(residuals).all(1)
+    """Sum of squares of every row in units of the noise of the fit; rows with nan are left out."""
+    known = np.isfinite(residuals).all(1)
     whitener = np.array(fit.whitener)
     for inside in fit.measurement.plan.parts.values():
         if (fitted := fit.used & inside).any():
-            # Rows that are never fitted have no weight of their own.
+            # Rows that are never fitted have no whitener of their own.
             whitener[~fit.used & inside] = np.median(whitener[fitted], axis=0)
-    whitened = np.einsum("nij,nj->ni", whitener[told], residuals[told])
+    whitened = np.einsum("nij,nj->ni", whitener[known], residuals[known])
     return (whitened**2).sum(1)
 
 
@@ -349,8 +361,10 @@ def rms_fall(
     rows: np.ndarray | bool = True,
     squares: Callable[[Fit, np.ndarray], np.ndarray] = squared_errors,
 ) -> float:
-    """Fall of the held-out rms as a share, of several data sets that where it fell most, if they
-    have any of `rows` (n,); of other `squares` than those of lengths.
+    """Relative fall of the held-out rms.
+
+    Of several data sets that have any of `rows` (n,), it is the largest fall. `squares` are the
+    squared errors that are averaged; by default squared lengths.
     """
     a, b = heldout_residuals(before), heldout_residuals(after)
     shares = [-math.inf]

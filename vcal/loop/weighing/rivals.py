@@ -1,4 +1,4 @@
-"""The best candidates, refitted."""
+"""Refits of the best candidates, and their evidence."""
 
 import dataclasses
 import math
@@ -13,21 +13,22 @@ from ...identification.identify import NEARLY, identify
 from ..screening.score_test import Peak
 from ..screening.size_evidence import (
     at_its_shape,
-    leniency,
     log_gain,
     log_mixture,
+    observed_size,
     over_scales,
-    size_told,
-    surprise,
+    size_allowance,
+    size_surplus,
 )
 
 _SAME_SHAPE = 2.0
 """Standard uncertainties within which two shapes are the same."""
 WIDENINGS, WIDER = 4, 4.0
-"""How often, and by how much, the prior of an effect grows that is larger than expected."""
+"""How often, and by which factor, the prior of an effect that is larger than expected is widened.
+"""
 _WIDEST = WIDER**WIDENINGS
-"""Prior standard deviations from which a size is that of readings that do not tell it: no prior is
-that wrong. Nothing of it is forgiven."""
+"""Prior standard deviations beyond which a size means that the readings do not determine it,
+because no prior is that wrong. There is no size allowance beyond it."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Rival:
     """A candidate after its non-linear refit."""
 
     peak: Peak
-    """What it was refitted from."""
+    """The peak that it was refitted from."""
     fit: Fit
     log_bayes: float
     """Gain in log evidence over the model without it."""
@@ -45,42 +46,46 @@ class Rival:
     delta_bic: float
     """Change of the Bayesian information criterion; negative is better."""
     log_shape: float = 0.0
-    """What is known of its shape beyond the fit: a share of `log_bayes`."""
-    surprise: float = 0.0
-    """What its size being larger than expected costs `log_bayes`."""
-    wider: float = 1.0
-    """By how much the prior of its amplitudes is wider in `fit` than in `effect`, by which it is
-    weighed.
+    """Prior information on its shape beyond the fit; it is included in `log_bayes`."""
+    size_surplus: float = 0.0
+    """Cost of a size larger than expected, included in `log_bayes` (`size_evidence.size_surplus`).
     """
+    wider: float = 1.0
+    """Factor by which the prior of its amplitudes is wider in `fit` than in `effect`. It is weighed
+    with the prior of `effect`."""
 
     @property
     def effect(self) -> Effect:
         return self.peak.effect
 
     @property
-    def leniency(self) -> float:
-        """What that costs beyond what it may."""
-        return float(leniency(np.asarray(self.surprise)))
+    def size_allowance(self) -> float:
+        """The part of the size surplus beyond ln 20, which is credited
+        (`size_evidence.size_allowance`).
+        """
+        return float(size_allowance(np.asarray(self.size_surplus)))
 
     @property
     def log_weight(self) -> float:
         """Log of the posterior odds among rivals."""
-        return self.log_bayes + self.log_prior + self.leniency
+        return self.log_bayes + self.log_prior + self.size_allowance
 
     @property
-    def forgiven(self) -> float:
-        """What its size still costs, which it does not against descriptions: those have any."""
-        return self.surprise - self.leniency
+    def size_cost(self) -> float:
+        """Remaining cost of its size. It is disregarded against descriptions, which have no
+        expected size.
+        """
+        return self.size_surplus - self.size_allowance
 
     @property
     def log_weight_at_its_size(self) -> float:
-        """Log of the posterior odds were its size as expected."""
-        return self.log_weight + self.forgiven
+        """Log of the posterior odds if its size were as expected."""
+        return self.log_weight + self.size_cost
 
 
 def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0, wider: float = 1.0) -> Fit:
-    """The model with one more effect, from the linear estimate of its amplitudes; with so many
-    times their prior standard deviations.
+    """The model with one more effect, from the linear estimate of its amplitudes, with their prior
+    standard deviations multiplied by `wider`.
     """
     model = base.model.with_effects(widened(peak.effect, wider))
     place = len(base.model.effects)
@@ -100,7 +105,7 @@ def refit(base: Fit, peak: Peak, keep: np.ndarray, room: int = 0, wider: float =
 
 
 def widened(effect: Effect, wider: float) -> Effect:
-    """The effect with so many times the prior standard deviations of its free amplitudes."""
+    """The effect with the prior standard deviations of its free amplitudes times `wider`."""
     rows = {
         p.name: (p.name, p.mean, wider * p.sigma)
         for p in effect.amplitudes
@@ -114,22 +119,24 @@ def widened(effect: Effect, wider: float) -> Effect:
 
 
 def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fit, float]:
-    """The refit with a prior as wide as its size asks for, and by how much. What is expected would
-    else pull an effect that is far larger off the readings, the more the less they are trusted
-    while it is missing; it would then fit worse than what it is not.
+    """The refit with a prior as wide as its size requires, and the factor.
+
+    The declared prior would pull a much larger effect away from the readings, the more so the
+    larger the noise is taken to be while the effect is missing. The true effect would then fit
+    worse than a wrong one.
     """
     wider, fit = 1.0, refit(base, peak, keep, room)
     added = fit.model.places[-1]
     for _ in range(WIDENINGS):
         if not fit.determined:
-            break  # no reading tells the place of it, and so none its size
+            break  # the readings do not determine its place, hence not its size
         if fit.converged:
             noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
             information, scores = at_its_shape(fit, added, noise)
-            if leniency(surprise(information, scores)) == 0.0:
+            if size_allowance(size_surplus(information, scores)) == 0.0:
                 break
-            size = size_told(information, scores)
-        elif wider == 1.0 and peak.leniency > 0.0:
+            size = observed_size(information, scores)
+        elif wider == 1.0 and peak.size_allowance > 0.0:
             size = float(np.linalg.norm(peak.amplitudes))
         else:
             break
@@ -137,7 +144,7 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
             break
         more = wider * WIDER ** math.ceil(math.log(size, WIDER))
         grown = refit(base, peak, keep, room, more)
-        # Its own share of the prior falls: what is more all the same is another minimum.
+        # The cost of the wider prior is lower. A higher total cost means another minimum.
         worse = fit.converged and grown.cost > fit.cost
         if not grown.converged or worse or _at_an_end(grown):
             break
@@ -146,8 +153,8 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
 
 
 def _at_an_end(fit: Fit) -> bool:
-    """Whether a shape of the last effect is at an end of its scan, where it trades with the size: a
-    drift is a warming-up of any time constant that is long enough.
+    """Whether a shape parameter of the last effect is at an end of its grid, where it is correlated
+    with the size: a drift equals a warm-up with any sufficiently long time constant.
     """
     last = len(fit.model.effects) - 1
     scan = fit.model.effects[last].scan(fit.measurement.plan)
@@ -164,10 +171,10 @@ def refit_all(
     keep: np.ndarray,
     room: int = 0,
 ) -> list[Rival]:
-    """Refits of the given peaks, most probable first, at the noise the best of them leaves.
+    """Refits of the given peaks, most probable first, at the noise that the best of them leaves.
 
-    `instances` tells how many places and components of each kind were tried. Fits that do not
-    converge, or that leave a parameter undetermined, are left out.
+    `instances` is the number of places and components of each kind that were tried. Fits that do
+    not converge, or that leave a parameter undetermined, are left out.
     """
     sized = [(peak, *_at_its_size(base, peak, keep, room)) for peak in peaks]
     sized = [item for item in sized if item[1].converged and item[1].determined]
@@ -193,15 +200,17 @@ def refit_all(
             more = over_scales(fit, added, noise)
         gain = fit.log_evidence(noise) + more - reference
         shape = _log_shape_odds(fit) + _over_the_scan(peak, fit, noise)
-        lost = float(surprise(*declared)) if size_told(*declared) <= _WIDEST else 0.0
+        lost = float(size_surplus(*declared)) if observed_size(*declared) <= _WIDEST else 0.0
         rivals.append(Rival(peak, fit, gain + shape, odds, bic, shape, lost, wider))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
 
 
 def _over_the_scan(peak: Peak, fit: Fit, noise: float) -> float:
-    """What the scan says more of the share of shapes that explain the data than the curvature at
-    the best one does. The scan is believed where it resolves the peak: seen from one moment or one
-    time constant, others look as good that are not.
+    """Difference of the log share of shapes that explain the data: grid less curvature at the best
+    shape.
+
+    The grid is used where it resolves the peak. From a single moment or time constant, linear
+    estimates elsewhere may look equally good without being so.
     """
     place, moving = len(fit.model.effects) - 1, sum(p.moves for p in peak.effect.shapes)
     if not peak.effect.shapes:
@@ -224,9 +233,12 @@ def _log_shape_odds(fit: Fit) -> float:
 
 
 def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:
-    """The fits less those whose peak ran to the optimum of a better one of the same effect: the
-    same fit at the same shape, as two pitches may fit equally well on a grid of positions. With
-    every one the highest of the peaks that ran to it, whose share of the scan it has.
+    """The fits without duplicates: those that converged to the optimum of a better fit of the same
+    effect.
+
+    Duplicates have the same chi-square at the same shape. Two pitches that fit equally well on a
+    grid of positions are not duplicates. Each fit keeps the highest of the peaks that converged to
+    it, with that peak's share of the grid.
     """
     kept: list[tuple[Peak, Fit]] = []
     for peak, fit in sorted(fits, key=lambda pair: pair[1].chi2):

@@ -1,4 +1,4 @@
-"""Several effects at once, where one alone fits badly: each may hide the others."""
+"""Several effects together, where each alone fits badly and may mask the others."""
 
 import dataclasses
 import itertools
@@ -15,9 +15,9 @@ from .rivals import Rival, widened
 MOST = 10
 """Most names of which subsets are weighed."""
 _TOGETHER = 4
-"""Most effects of a subset."""
+"""Most effects in a subset."""
 _REFITS = 3
-"""Subsets of every size that are refitted."""
+"""Number of subsets of each size that are refitted."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,13 +36,13 @@ def smallest_subset(
     keep: np.ndarray,
     room: int = 0,
 ) -> Subset | None:
-    """The fewest rivals (one of every name), two or more, whose fit beside each other is `enough`;
-    of as many those with the highest evidence. None where there are none.
+    """The smallest subset of rivals (one per name, at least two) whose joint fit is `enough`.
 
-    What adds the best one after the other (forward selection) takes what describes a part of each
-    of two for a third one. All subsets are weighed by a linear fit of the sizes, with the shapes
-    that each rival has alone; of every number of rivals the best are refitted, but those that
-    leave more than `most`, chi2 against the declared noise.
+    Of several such subsets of the same size, that with the highest evidence; None where there is
+    none. Forward selection may take one effect for parts of two others. All subsets are weighed by
+    a linear fit of the amplitudes, with the shapes that each rival has alone. The best of every
+    size are refitted, except those whose linear fit leaves a chi-square above `most`, against the
+    declared noise.
     """
     linear = _Linear.of(base, rivals)
     for size in range(2, min(_TOGETHER, len(rivals)) + 1):
@@ -65,12 +65,12 @@ def smallest_subset(
 
 @dataclasses.dataclass(frozen=True)
 class _Linear:
-    """The sizes of all rivals, beside the parameters of a fit, which are eliminated."""
+    """Linear problem in the amplitudes of all rivals, with the parameters of a fit eliminated."""
 
     left: np.ndarray
     """Whitened residual of the fit, and of its prior."""
     response: np.ndarray
-    """What the sizes do to that, the parameters of the fit being fitted again."""
+    """Its derivative by the amplitudes, with the parameters of the fit eliminated."""
     declared: np.ndarray
     """(n, m, m), from the whitened readings of a row to those in units of the declared noise."""
     gram: np.ndarray
@@ -82,7 +82,7 @@ class _Linear:
 
     @classmethod
     def of(cls, base: Fit, rivals: Sequence[Rival]) -> "_Linear":
-        """At the minimum of the fit."""
+        """The problem linearised at the minimum of the fit."""
         root = np.sqrt(base.within_scans)
         known = np.linalg.qr(np.vstack([base.jacobian, np.diag(root)]))[0]
 
@@ -111,11 +111,11 @@ class _Linear:
         )
 
     def chi2(self, places: Sequence[int]) -> float:
-        """What a fit with these rivals leaves, their priors included."""
+        """Chi-square of a fit with these rivals, including their priors."""
         return float(self.left @ self.left) - 2.0 * self._solved(places, 1.0)[0]
 
     def declared_chi2(self, places: Sequence[int]) -> float:
-        """The same of the readings alone, against the declared noise."""
+        """Chi-square of the readings alone, against the declared noise."""
         its = self._places(places)
         h = self.gram[np.ix_(its, its)] + np.diag(self.precision[its])
         left = self.left - self.response[:, its] @ np.linalg.lstsq(h, self.slope[its])[0]
@@ -124,7 +124,7 @@ class _Linear:
         return float((rows**2).sum())
 
     def log_evidence(self, places: Sequence[int], noise: float) -> float:
-        """Over the fit without any, with so many times the noise."""
+        """Log evidence over the fit without rivals, with the noise multiplied by `noise`."""
         gain, h, precision = self._solved(places, noise)
         proper = precision[precision > 0.0]
         occam = 0.5 * (np.log(proper).sum() - np.linalg.slogdet(h)[1])
@@ -137,12 +137,12 @@ class _Linear:
         its = self._places(places)
         h = self.gram[np.ix_(its, its)] / noise**2 + np.diag(self.precision[its])
         slope = self.slope[its] / noise**2
-        # Two that are the same on these readings may leave a flat direction.
+        # Two rivals that are identical on these readings leave a flat direction.
         return 0.5 * float(slope @ np.linalg.lstsq(h, slope)[0]), h, self.precision[its]
 
 
 def _together(base: Fit, rivals: Sequence[Rival], keep: np.ndarray, room: int) -> Fit:
-    """The refit with all of them, from where each alone ended."""
+    """The refit with all of them, from where each alone converged."""
     alone = len(base.model.effects)
     model = base.model.with_effects(*(widened(r.effect, r.wider) for r in rivals))
     sizes = [r.fit.theta[r.fit.model.places[-1]] for r in rivals]

@@ -1,4 +1,4 @@
-"""Weighing refitted candidates against each other: which has a name, and how certain that is."""
+"""Posterior odds of refitted candidates: which one is named, and with which probability."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -8,24 +8,24 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from ...identification.fit import Fit, declared_chi2
-from ..screening.size_evidence import at_its_shape, leniency, over_scales, surprise
+from ..screening.size_evidence import at_its_shape, over_scales, size_allowance, size_surplus
 from .rivals import Rival
 
 CERTAIN = 0.95
 """Posterior probability from which an effect is named rather than called ambiguous."""
-_TOLD = 1.0
-"""What one candidate must leave of the other, as chi-square in units of the noise, for the data to
-tell the two apart."""
-_SHAPE_TOLD = 0.02
-"""Probability from which another shape of the same effect is told."""
+_DISTINGUISHABLE = 1.0
+"""Least chi-square, in units of the noise, that one candidate must leave of the other for the data
+to distinguish the two."""
+_SHAPE_LISTED = 0.02
+"""Least probability of another shape of the same effect that is listed."""
 _LEAST = 1e-4
-"""Probability below which a rival is none."""
+"""Least probability of a rival."""
 _FITS_AS_WELL = 10.0
 """Chi-square in units of the noise by which an empirical description must fit better than an effect
 to be preferred to it ..."""
 _LIKELIER = math.log(20.0)
 """... unless it has no fewer parameters, fits no worse and has log odds over it of so much, without
-what the effect loses by being larger than expected."""
+the cost of a size that is larger than expected."""
 
 
 @dataclass(frozen=True)
@@ -36,51 +36,54 @@ class Weighed:
     probability: float
     """Of the best name (identifier with placement), among all rivals."""
     equivalent: list[str]
-    """Names this data cannot tell from the best at all."""
+    """Names that cannot be distinguished from the best with these data."""
     alternatives: list[tuple[str, str, float]]
     """(identifier, placement, probability) of the others."""
     other_shapes: list[tuple[dict[str, float], float]] = field(default_factory=list)
     """Other shapes (SI) that the best may have, with their probability."""
     instead: tuple[tuple[float, Rival], ...] = ()
-    """(probability, rival) of what else it may be, under the same name or another, however certain
-    that is; what others lose by being larger than expected apart.
-    """
+    """(probability, rival) of what the effect may be instead, under the same name or another,
+    however certain the name is. The size costs of the others are left out."""
 
     @property
     def outweighed(self) -> bool:
-        """Whether another name is likelier than the best."""
+        """Whether another name is more probable than the best."""
         return any(p > self.probability for *_, p in self.alternatives)
 
 
 def preferred(ranked: Sequence[Rival], odds: Mapping[int, float]) -> list[Rival]:
-    """Rivals (with their log odds as of `Names.ranked`, most probable first) in the order in which
-    they are to be added: of names that do not exclude each other, one of a size that is expected
-    goes before one whose size had to be forgiven.
+    """Rivals in the order in which they are tried for addition.
+
+    `ranked` are rivals, most probable first, with their log odds as of `Names.ranked`. Among names
+    that do not exclude each other, an effect of an expected size precedes one that needs a size
+    allowance.
     """
     if not ranked:
         return []
     least = odds[id(ranked[0])] + math.log(1.0 - CERTAIN)
     names = {r.effect.key for r in ranked if odds[id(r)] >= least}
     open_ = [r for r in ranked if r.effect.key in names]
-    first = sorted(open_, key=lambda r: r.leniency - odds[id(r)])
+    first = sorted(open_, key=lambda r: r.size_allowance - odds[id(r)])
     return [*first, *(r for r in ranked if r.effect.key not in names)]
 
 
 def outdoes(description: Rival, names: Sequence[tuple[Rival, float]]) -> bool:
     """Whether an empirical description is preferred to effects (most probable name first, with its
-    log odds): it is likelier than the first, the size of that apart, and fits better than each.
-    What a physical effect describes as well needs no description of its own.
+    log odds).
+
+    It must be more probable than the first, without the cost of that one's size, and fit better
+    than each. What a physical effect describes equally well needs no empirical description.
     """
     if not names:
         return True
     first, odds = names[0]
-    likelier = description.log_weight > odds + first.forgiven
+    likelier = description.log_weight > odds + first.size_cost
     return likelier and fits_better(description, [rival for rival, _ in names])
 
 
 def fits_better(best: Rival, others: Sequence[Rival]) -> bool:
-    """Whether a candidate fits clearly better than every one of the others, whatever number of
-    parameters they have, or is clearly likelier and owes it to nothing but its form.
+    """Whether a candidate fits clearly better than each of the others, whatever number of
+    parameters they have; or is clearly more probable because of its form alone.
     """
     noise = max(1.0, best.fit.chi2 / best.fit.dof)
 
@@ -101,9 +104,11 @@ def likelier(
     than: Fit,
     others: Sequence[tuple[int, Rival]],
 ) -> bool:
-    """Whether effects (their places in the model of `fit`, and what spoke for each) fit better than
-    others do in another fit and are clearly likelier together, their sizes apart. What neither
-    names has no part in it.
+    """Whether the effects `found` in `fit` are clearly more probable together, and fit better, than
+    `others` in the fit `than`.
+
+    Both are pairs of place in the model and rival. Size costs, and effects that are in neither
+    list, are left out.
     """
     noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
     gain = fit.log_evidence(noise) - than.log_evidence(noise)
@@ -115,28 +120,30 @@ def likelier(
 
 def _odds_in(fit: Fit, place: int, rival: Rival, noise: float) -> float:
     """What the effect at that place of a fit adds to its log odds beyond the evidence of the fit
-    (`Fit.log_evidence`), its size apart.
+    (`Fit.log_evidence`), without the cost of its size beyond ln 20.
     """
     mine = fit.places_of(place)[0]
     more = over_scales(fit, mine, noise) + rival.log_shape + rival.log_prior
-    return more + float(leniency(surprise(*at_its_shape(fit, mine, noise))))
+    return more + float(size_allowance(size_surplus(*at_its_shape(fit, mine, noise))))
 
 
 def in_doubt(description: Rival, best: Rival) -> bool:
-    """Whether an empirical description puts an effect in doubt: it fits better, by more than
-    nothing that the data can tell, and the effect is not clearly likelier, its size apart. One that
-    fits the same is no rival: what a physical effect describes as well needs no description.
+    """Whether an empirical description makes an effect uncertain.
+
+    The description fits better by more than the data can distinguish, and the effect is not clearly
+    more probable, its size left out. A description that fits equally well is no rival: a physical
+    effect that describes the same takes precedence.
     """
     noise = max(1.0, best.fit.chi2 / best.fit.dof)
     return (
-        best.fit.chi2 - description.fit.chi2 > _TOLD * noise
+        best.fit.chi2 - description.fit.chi2 > _DISTINGUISHABLE * noise
         and best.log_weight_at_its_size < description.log_weight + _LIKELIER
     )
 
 
 def _left(base: Fit, of: Rival, by: Rival) -> float:
-    """Chi-square that a rival's fitted contribution leaves where the other one describes it, beside
-    the declared model.
+    """Chi-square that a rival's fitted contribution leaves when the other rival is fitted to it,
+    with the declared model eliminated.
     """
 
     def columns(rival: Rival) -> np.ndarray:
@@ -153,36 +160,39 @@ def _left(base: Fit, of: Rival, by: Rival) -> float:
 
 
 def same_for_these_data(base: Fit, a: Rival, b: Rival) -> bool:
-    """Whether two rivals of as many parameters fit alike and either would describe what the other
-    one is found to be, to less than the data can tell.
+    """Whether the data cannot distinguish two rivals: they have as many parameters, fit alike, and
+    either describes what the other one is fitted to.
     """
     if len(a.effect.parameters) != len(b.effect.parameters):
         return False
     noise = max(1.0, min(a.fit.chi2 / a.fit.dof, b.fit.chi2 / b.fit.dof))
     return (
-        abs(a.fit.chi2 - b.fit.chi2) < _TOLD * noise
-        and max(_left(base, a, b), _left(base, b, a)) < _TOLD * noise
+        abs(a.fit.chi2 - b.fit.chi2) < _DISTINGUISHABLE * noise
+        and max(_left(base, a, b), _left(base, b, a)) < _DISTINGUISHABLE * noise
     )
 
 
 @dataclass(frozen=True)
 class Names:
-    """Rivals by name. Those the data cannot tell apart are one class with one name; peaks and
-    components of one name add up, and so do places that are the same: the prior of a kind is shared
-    out to them.
+    """Rivals by name.
+
+    Rivals that the data cannot distinguish form one class with one name. Peaks and components of
+    one name add up, and so do equivalent places, because the prior odds of a kind are shared among
+    them.
     """
 
     weights: dict[str, float]
-    """Posterior odds of every name, those of the most probable rival being one."""
+    """Posterior odds of every name, relative to the most probable rival."""
     members: dict[str, list[Rival]]
     """Most probable first."""
 
     @classmethod
     def of(cls, classes: Sequence[Sequence[Rival]], best: Rival | None = None) -> "Names":
-        """The classes of `classes_of`, that of `best` (the most probable one) with its name.
+        """Names of the classes of `classes_of`; the class of `best` (the most probable rival) has
+        its name.
 
-        Another class in which something else is the same as a namesake of the best has the name of
-        that: it makes the best no more certain.
+        Another class that contains a namesake of the best and some other effect is named after that
+        other effect, because it does not make the best more certain.
         """
         top = max(rival.log_weight for members in classes for rival in members)
         best = classes[0][0] if best is None else best
@@ -198,23 +208,25 @@ class Names:
         return cls(weights, found)
 
     def ranked(self) -> list[tuple[Rival, float]]:
-        """All rivals, the most probable name first, with the log odds of their name, less what they
-        are themselves less likely than the most probable one of it: another pitch or component that
-        does not fit has no part in what its name is worth.
+        """All rivals, the most probable name first, each with log odds.
+
+        They are the log odds of the name, less the difference of the rival's own log odds from the
+        most probable one of that name: a pitch or component that does not fit gains nothing from
+        its name.
         """
         top = max(rival.log_weight for members in self.members.values() for rival in members)
         order = sorted(self.weights, key=lambda key: -self.weights[key])
         found = []
         for key in order:
             most = max(rival.log_weight for rival in self.members[key])
-            # A name may be so unlikely that its odds are zero in floating point.
+            # The odds of a very improbable name may underflow to zero.
             odds = top + math.log(max(self.weights[key], 1e-300))
             found += [(rival, odds + rival.log_weight - most) for rival in self.members[key]]
         return found
 
 
 def classes_of(base: Fit, rivals: Sequence[Rival]) -> list[list[Rival]]:
-    """Rivals that the data cannot tell apart, together; most probable first."""
+    """Classes of rivals that the data cannot distinguish; most probable first."""
     classes: list[list[Rival]] = []
     for rival in sorted(rivals, key=lambda r: -r.log_weight):
         for members in classes:
@@ -229,8 +241,8 @@ def classes_of(base: Fit, rivals: Sequence[Rival]) -> list[list[Rival]]:
 def weigh(
     classes: Sequence[Sequence[Rival]], best: Rival, described: Rival | None = None
 ) -> Weighed:
-    """Posterior probabilities of the rivals (`classes_of`), seen from one of them; among them an
-    empirical description, where it puts the best in doubt.
+    """Posterior probabilities of the rivals (`classes_of`) from the viewpoint of `best`. An
+    empirical description is among them where it makes the best uncertain (`in_doubt`).
     """
     if described is not None and in_doubt(described, best):
         classes = [*classes, [described]]
@@ -242,7 +254,7 @@ def weigh(
     same = next((members for members in classes if any(r is best for r in members)), [])
     equivalent = sorted({r.effect.key for r in same} - {key})
     probability = weights[key] / total
-    # Shapes that the data cannot tell apart weigh as one in the name, and share its probability.
+    # Shapes that the data cannot distinguish count once in the name, and share its probability.
     each = {id(rival): math.exp(rival.log_weight - top) for rival in members_of[key]}
     per_weight = probability / max(sum(each.values()), 1e-300)
     others = sorted(((w / total, k) for k, w in weights.items() if k != key), reverse=True)
@@ -261,16 +273,17 @@ def weigh(
             for rival in members_of[key]
             if rival is not best
             and rival.effect is best.effect
-            and (share := each[id(rival)] * per_weight) > _SHAPE_TOLD
+            and (share := each[id(rival)] * per_weight) > _SHAPE_LISTED
         ],
         instead=_instead(best, members_of.values()),
     )
 
 
 def _instead(best: Rival, names: Iterable[Sequence[Rival]]) -> tuple[tuple[float, Rival], ...]:
-    """The members of these names other than the best, with their shares in all of them. The best
-    may owe something to the size that is expected of others; what is foretold is not to be surer
-    for that.
+    """The members of these names other than the best, with their shares in all of them.
+
+    The size costs of the others are left out: the best may owe its odds to them, and predictions
+    must not look more certain for that reason.
     """
     members = [rival for its in names for rival in its]
     logs = np.array([r.log_weight if r is best else r.log_weight_at_its_size for r in members])

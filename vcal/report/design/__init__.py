@@ -1,1 +1,1 @@
-"""The report of a designed plan, and of what to measure next."""
+"""The report of `vcal design`: page, pictures, record and writer."""

@@ -8,29 +8,30 @@ import numpy as np
 from ...design.optimiser import Designed, Seen, valuation
 from ...study.study import Study
 from ..html import text
-from ..html.picture import Picture
-from ..html.provenance import EXPANDED, NAMES, provenance
+from ..html.picture import Picture, by_section
+from ..html.provenance import EXPANDED, NAMES, provenance_section
 from ..html.sheet import Badge, Section, Table, Tile, sheet
 from .pictures import uncertain
-from .record import design_notes, design_sentence, duration, share
+from .record import notes, sentence
 
 _MOST_GROUPS = 40
+FILES = {"result.json": "all results, for programs", "plan.csv": "the plan"}
 CONVENTIONS = (
     NAMES,
     "Expected rms volumetric error: root of the expected mean square, over a grid in the travel, "
-    "of the length of the error of the tool point after compensation by the declared family's own "
-    "estimate; after the best rigid alignment, the raw figure beside it. It averages over machines "
-    "of the declared family and over the noise; it is linear in the errors.",
+    "of the length of the error of the tool point after compensation by the estimate of the "
+    "declared family, after the best rigid alignment. The expectation is over the machines of the "
+    "declared family and the noise; it is linear in the errors.",
     f"{EXPANDED} U of an error motion is the largest along its axis.",
     "Valuation: the share of the rms volumetric error before any measurement (by the priors alone) "
     "that the plan removes.",
-    "Worth of a pose or point: by which share the criterion gets worse without it, all others as "
-    "they are. All of this is known before anything is measured; it stands on the declared family, "
+    "Contribution of a pose or point: relative increase of the criterion without it, all others "
+    "unchanged. All of this is known before the measurement; it depends on the declared family, "
     "noise and certificate.",
 )
 
 
-def design_page(
+def page(
     done: Designed,
     seen: tuple[Seen, Seen],
     study: Study,
@@ -41,11 +42,11 @@ def design_page(
     seconds: float = math.nan,
 ) -> str:
     """The page as one self-contained HTML text, pictures included."""
-    shown = {picture.section: picture for picture in drawn}
+    shown = by_section(drawn)
     better = done.best is not done.nominal
     return sheet(
         study.name,
-        design_sentence(done),
+        sentence(done),
         [
             _compared(done, seen),
             _places(done, shown),
@@ -54,45 +55,48 @@ def design_page(
             _worth(done, shown),
             _starts(done),
             Section("Frames, signs, units", points=CONVENTIONS),
-            provenance(study, {"seed": str(seed)}, command, seconds, "plan.csv and the pictures"),
+            provenance_section(study, {"seed": f"{seed}"}, FILES, command, seconds),
         ],
-        kicker="vcal – a measurement designed",
+        kicker="vcal – designed measurement",
         badge=Badge("Better plan", "good") if better else Badge("No better plan", "caution"),
-        facts=facts(done, study),
-        warnings=design_notes(done),
+        facts=_facts(done, study),
+        warnings=notes(done),
         tiles=_tiles(done),
     )
 
 
-def facts(done: Designed, study: Study) -> list[tuple[str, str]]:
-    """What was asked."""
+def _facts(done: Designed, study: Study) -> list[tuple[str, str]]:
     task, settings = done.task, study.single.design
     chosen = [task.families[0].motions[i].name for i in task.families[0].chosen]
-    told = [
+    found = [
         ("Machine", study.chain.text),
         study.observers,
         ("Goal", f"{settings.goal}: {task.criterion.words}"),
         ("Plan", f"{len(task.space.groups)} {task.space.group}s, {study.plan.rows} rows"),
-        ("Free", f"{len(task.space.low)} numbers within bounds"),
+        ("Variables", f"{len(task.space.low)} within bounds"),
     ]
     if task.criterion.name != "volume":
-        told.append(("Errors that count", ", ".join(chosen)))
+        found.append(("Errors that count", ", ".join(chosen)))
     if settings.families:
-        told.append(("Averaged over", ", ".join((study.path.name, *settings.families))))
-    return told
+        found.append(("Averaged over", ", ".join((study.path.name, *settings.families))))
+    return found
 
 
 def _tiles(done: Designed) -> list[Tile]:
     criterion = done.task.criterion
     unit = text.unit(criterion.unit)
     return [
-        Tile("as it is", f"{text.number(done.before.criterion)} {unit}", criterion.words),
-        Tile("designed", f"{text.number(done.after.criterion)} {unit}", f"{share(done.gain)} less"),
+        Tile("present plan", f"{text.number(done.before.criterion)} {unit}", criterion.words),
+        Tile(
+            "designed plan",
+            f"{text.number(done.after.criterion)} {unit}",
+            f"{text.percent(done.gain)} less",
+        ),
         Tile(
             "valuation of the designed plan",
-            share(valuation(done.after, done.prior)),
+            text.percent(valuation(done.after, done.prior)),
             "of the prior rms volumetric error is removed; "
-            f"{share(valuation(done.before, done.prior))} as it is",
+            f"{text.percent(valuation(done.before, done.prior))} with the present one",
         ),
     ]
 
@@ -110,45 +114,45 @@ def _compared(done: Designed, seen: tuple[Seen, Seen]) -> Section:
             )
         )
     rows += [
-        ("the same without rigid alignment", *(text.number(v.raw_um) for v in values), "µm"),
+        ("without rigid alignment", *(text.number(v.raw_um) for v in values), "µm"),
         (
             "valuation: share of the prior rms that is removed",
-            *(share(valuation(v, done.prior)) for v in values),
+            *(text.percent(valuation(v, done.prior)) for v in values),
             "",
         ),
         ("rank of all readings", *(f"{s.rank} of {s.columns}" for s in seen), ""),
         (
             "measuring time",
-            *(duration(space.seconds(p)) for p in (done.nominal, done.best)),
+            *(text.duration(space.seconds(p)) for p in (done.nominal, done.best)),
             "",
         ),
     ]
     lines = [
-        f"{word}, these are seen in combinations only: {', '.join(one.unseen)}."
-        for word, one in zip(("As it is", "As designed"), seen, strict=True)
+        f"The {word} plan determines only combinations of {', '.join(one.unseen)}."
+        for word, one in zip(("present", "designed"), seen, strict=True)
         if one.unseen
     ]
-    note = "Rank, and what is seen, are told without any prior and with all poses unknown. "
+    note = "Rank and observability are those without any prior and with all poses unknown."
     return Section(
-        "As it is and as designed",
-        tables=(Table(("", "as it is", "designed", ""), rows, "lrrl"),),
+        "Present and designed plan",
+        tables=(Table(("", "present", "designed", ""), rows, "lrrl"),),
         note=" ".join([note, *lines]),
     )
 
 
-def _places(done: Designed, shown: Mapping[str, Picture]) -> Section:
+def _places(done: Designed, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
     return Section(
-        "Where it is measured",
+        "Measuring positions",
         (
-            "plan.csv beside this page holds the nominal positions of the axes, in the columns of "
-            "a data file. The folder is a study of its own: vcal uncertainty on it draws machines, "
-            "and the measurement fills it.",
+            "plan.csv beside this page holds the nominal axis positions, in the columns of a data "
+            "file. The folder is a study of its own: vcal uncertainty can evaluate it, and the "
+            "readings of the measurement can be added to it.",
         ),
-        pictures=tuple(shown[name] for name in ("places", "angles") if name in shown),
+        pictures=shown.get("places", ()),
     )
 
 
-def _artefact(done: Designed, shown: Mapping[str, Picture]) -> Section:
+def _artefact(done: Designed, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
     before, after = (done.task.space.artefact(p) for p in (done.nominal, done.best))
     assert before is not None and after is not None
     axes = ("x_mm", "y_mm", "z_mm")
@@ -160,28 +164,28 @@ def _artefact(done: Designed, shown: Mapping[str, Picture]) -> Section:
     header = ("ball", "x", "y", "z", "x designed", "y", "z, mm")
     return Section(
         "Artefact",
-        ("Its balls move as well." if moved else "It stays as it is.",),
-        tables=(
-            Table(header, cells, "lrrrrrr", fold="All balls, mm, as they are and as designed"),
-        ),
-        pictures=(shown["artefact"],),
+        ("The design moves its balls." if moved else "The design leaves it unchanged.",),
+        tables=(Table(header, cells, "lrrrrrr", fold="All balls, mm, present and designed"),),
+        pictures=shown["artefact"],
     )
 
 
-def _errors(done: Designed, shown: Mapping[str, Picture]) -> Section:
+def _errors(done: Designed, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
     rows = [
         (u.name, *(text.number(v) for v in (u.prior, u.before, u.after)), text.unit(u.unit))
-        for u in uncertain(done)
+        for u in uncertain(done.task, done.prior, done.before, done.after)
     ]
-    header = ("error", "U before any measurement", "U as it is", "U designed", "")
+    header = ("error", "U before any measurement", "U, present plan", "U, designed plan", "unit")
     return Section(
-        "What is left of every error",
-        tables=(Table(header, rows, "lrrrl", fold="Every error where it is least certain, k = 2"),),
-        pictures=(shown["uncertainties"],),
+        "Uncertainty of every error",
+        tables=(
+            Table(header, rows, "lrrrl", fold="Every error at its largest uncertainty, k = 2"),
+        ),
+        pictures=shown["uncertainties"],
     )
 
 
-def _worth(done: Designed, shown: Mapping[str, Picture]) -> Section:
+def _worth(done: Designed, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
     group = done.task.space.group
     order = np.argsort(-done.worse_after, kind="stable")[:_MOST_GROUPS]
     rows = [
@@ -192,12 +196,12 @@ def _worth(done: Designed, shown: Mapping[str, Picture]) -> Section:
         )
         for i in order
     ]
-    header = (group, "criterion worse without it", f"without that {group} of the plan as it is")
-    some = "" if len(rows) == len(done.worse_after) else f"; the {len(rows)} that count most"
+    header = (group, "increase of the criterion without it", "in the present plan")
+    some = "" if len(rows) == len(done.worse_after) else f"; the {len(rows)} most important"
     return Section(
-        f"What every {group} is worth",
+        f"Contribution of every {group}",
         tables=(Table(header, rows, "lrr", fold=f"Every {group}{some}"),),
-        pictures=(shown["worth"],),
+        pictures=shown["worth"],
     )
 
 
@@ -216,13 +220,15 @@ def _starts(done: Designed) -> Section:
     smooth = ""
     if done.task.criterion.name == "largest":
         smooth = (
-            "What the search makes small in place of the largest U is the norm of power 24 of all "
-            "of them, which has no kinks and lies a little above it; the best end is chosen by the "
-            "largest U itself."
+            "In place of the largest U, the search minimises the 24-norm of all U, which is smooth "
+            "and slightly larger; the best end is selected by the largest U itself."
         )
     return Section(
-        "Where the starts ended",
-        ("Quasi-Newton search by exact gradient, best end first. Ends that agree speak for it.",),
+        "Starts of the search",
+        (
+            "Quasi-Newton search with exact gradients, best end first. Agreement of the ends "
+            "indicates a global optimum.",
+        ),
         tables=(Table(header, rows, "rrrll"),) if rows else (),
         note=smooth,
     )

@@ -1,11 +1,11 @@
-"""The pictures of a designed measurement."""
+"""The pictures of a designed measurement with their captions."""
 
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from ...design.optimiser import Designed, Task
+from ...design.optimiser import Designed, Task, Value
 from ...plots.designs import (
     Angles,
     Places,
@@ -20,75 +20,69 @@ from ...plots.style import AFTER, BEFORE, png
 from ..html.picture import Picture
 
 ANGLES = (
-    "Where the rotary axes stand in every row, over their travel; with one rotary axis, in the "
-    "order of the rows."
+    "Angles of the rotary axes in every row, over their travel; a single rotary axis over the rows."
 )
 
 
-def design_pictures(done: Designed) -> Iterator[Picture]:
-    """All pictures, in the order of the page."""
+def pictures(done: Designed) -> Iterator[Picture]:
+    """All pictures in the order of the page."""
     task = done.task
     space = task.space
+    plans = ((task, done.nominal, "present", BEFORE), (task, done.best, "designed", AFTER))
     if in_space(task):
-        views = [
-            view_of(task, done.nominal, "as it is", BEFORE),
-            view_of(task, done.best, "designed", AFTER),
-        ]
         caption = (
-            "Where the axes stand during the measurement, as the plan is (left) and as it was "
-            "designed (right); the box is the travel."
+            "Axis positions during the measurement, of the present plan (left) and of the designed "
+            "one (right); the box is the travel."
         )
+        views = [view_of(*plan) for plan in plans]
         yield Picture("places", "places", caption, png(places_views(travel_of(task), views)))
-    turned = [
-        angles_of(task, done.nominal, "as it is", BEFORE),
-        angles_of(task, done.best, "designed", AFTER),
-    ]
+    turned = [angles_of(*plan) for plan in plans]
     if turned[0].travel:
-        yield Picture("angles", "angles", ANGLES, png(angles_views(turned)))
+        yield Picture("angles", "places", ANGLES, png(angles_views(turned)))
     before, after = space.artefact(done.nominal), space.artefact(done.best)
     if before is not None and after is not None:
         caption = (
-            "Balls of the artefact from two sides, as it is and as designed, with their numbers."
+            "Balls of the present and of the designed artefact from two sides, with their numbers."
         )
         yield Picture("artefact", "artefact", caption, png(artefact_views(before, after)))
     caption = (
         "Largest expanded uncertainty (k = 2) of every error motion and squareness along its axis: "
-        "before any measurement (bar), with the plan as it is (orange), as designed (blue)."
-    ) + of_lines(done.task)
-    drawn = uncertainties(uncertain(done), ("plan as it is", "designed"))
+        "before any measurement (bar), with the present plan (orange), as designed (blue)."
+    ) + of_lines(task)
+    rows = uncertain(task, done.prior, done.before, done.after)
+    drawn = uncertainties(rows, ("present plan", "designed"))
     yield Picture("uncertainties", "uncertainties", caption, png(drawn))
-    caption = f"By how much the criterion gets worse when one {space.group} is left out."
-    yield Picture(
-        "worth", "worth", caption, png(worth(space.groups, done.worse_after, space.group))
-    )
+    caption = f"Increase of the criterion when one {space.group} is left out."
+    drawn = worth(space.groups, done.worse_after, space.group)
+    yield Picture("worth", "worth", caption, png(drawn))
 
 
 def of_lines(task: Task) -> str:
-    """For a caption: which of the errors are of lines through the tool point's paths, if any."""
+    """Sentence for a caption that names the errors of lines through the tool point's paths."""
     names = [m.name for m in task.families[0].motions if not m.amplitudes]
     if not names:
         return ""
     return (
         f" {', '.join(names)}: of the least-squares lines through the tool point's paths (ISO "
-        "230-1), whatever parameters they are shared out to."
+        "230-1), irrespective of the parameters that they are divided between."
     )
 
 
-def uncertain(done: Designed) -> list[Uncertain]:
-    """Every error with what is left of it."""
-    motions = done.task.families[0].motions
-    prior = np.full(len(motions), np.nan) if done.prior is None else done.prior.largest
-    rows = zip(motions, prior, done.before.largest, done.after.largest, strict=True)
+def uncertain(task: Task, prior: Value | None, before: Value, after: Value) -> list[Uncertain]:
+    """The largest uncertainty of every error: before any measurement, and with two plans."""
+    motions = task.families[0].motions
+    priors = np.full(len(motions), np.nan) if prior is None else prior.largest
+    rows = zip(motions, priors, before.largest, after.largest, strict=True)
     return [Uncertain(m.name, m.unit, float(p), float(b), float(a)) for m, p, b, a in rows]
 
 
 def in_space(task: Task) -> bool:
-    """Whether the machine has the axes X, Y and Z, whose positions can be drawn."""
+    """Whether the machine has axes X, Y and Z, so that positions can be drawn."""
     return set("XYZ") <= set(task.families[0].model.chain.axes)
 
 
 def angles_of(task: Task, placed: Any, name: str, colour: str) -> Angles:
-    """Where the rotary axes of a machine tool stand in a plan; none on a machine without."""
+    """Angles of the rotary axes of a machine tool in a plan; empty without rotary axes."""
     chain, plan = task.families[0].model.chain, task.space.plan(placed)
     turning = [joint for joint in chain.joints if joint.kind == "rotary"]
     return Angles(
@@ -106,7 +100,7 @@ def travel_of(task: Task) -> np.ndarray:
 
 
 def view_of(task: Task, placed: Any, name: str, colour: str) -> Places:
-    """A plan as it is drawn."""
+    """Positions of a plan, with the rows that belong together."""
     space = task.space
     plan = space.plan(placed)
     position = np.column_stack([np.asarray(plan.x(axis)) for axis in "XYZ"])

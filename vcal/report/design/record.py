@@ -1,4 +1,4 @@
-"""The machine-readable record of a designed measurement: the content of ``result.json``."""
+"""The record of a designed measurement for programs: the content of ``result.json``."""
 
 import math
 from collections.abc import Mapping
@@ -6,44 +6,42 @@ from typing import Any
 
 from ...design.optimiser import Designed, Seen, Value, valuation
 from ...study.study import Study
-from ..html.text import number, percent, unit
-from ..loop.record import plain, versions
+from ..html.provenance import plain, provenance_record
+from ..html.text import number, unit
 
 DESIGN_SCHEMA = "vcal-design/1"
 
 
-def design_sentence(done: Designed) -> str:
+def sentence(done: Designed) -> str:
     """The answer in one sentence."""
     criterion = done.task.criterion
     before, after = (number(v.criterion) for v in (done.before, done.after))
     words = unit(criterion.unit)
     what = f"{criterion.words[0].upper()}{criterion.words[1:]}"
     if done.best is done.nominal:
-        return f"The search found nothing better than the plan as it is: {before} {words}."
-    return (
-        f"{what}: {before} {words} with the plan as it is, {after} {words} with the designed one."
-    )
+        return f"The search found no better plan than the present one: {before} {words}."
+    return f"{what}: {before} {words} with the present plan, {after} {words} with the designed one."
 
 
-def design_notes(done: Designed) -> list[str]:
-    """What a reader has to know of how far this can be trusted."""
+def notes(done: Designed) -> list[str]:
+    """Limitations of the results."""
     found = []
     if done.best is done.nominal:
-        found.append("No start led to a plan better than the present one, which was kept.")
+        found.append("No start led to a better plan; the present one was kept.")
     if not done.found:
-        found.append("Nothing may vary by [design]; the plan is judged as it is.")
+        found.append("[design] lets nothing vary; the present plan is evaluated.")
     out = len(done.fits) - sum(done.fits)
     if out:
-        found.append(f"{out} of {len(done.fits)} starts ended out of the travel and do not count.")
+        found.append(f"{out} of {len(done.fits)} starts ended outside the travel and do not count.")
     if done.prior is None:
         found.append(
-            "Some errors have no prior, so that there is no error before the measurement to "
+            "Some errors have no prior; therefore there is no error before the measurement to "
             "compare with."
         )
     return found
 
 
-def design_record(
+def record(
     done: Designed,
     seen: tuple[Seen, Seen],
     study: Study,
@@ -52,14 +50,14 @@ def design_record(
     command: str = "",
     seconds: float = math.nan,
 ) -> dict[str, Any]:
-    """Everything a program wants to know, as plain values; see `DESIGN_SCHEMA`."""
+    """All results as plain values; see `DESIGN_SCHEMA`."""
     task = done.task
     space = task.space
     found: dict[str, Any] = {
         "schema": DESIGN_SCHEMA,
         "name": study.name,
-        "sentence": design_sentence(done),
-        "notes": design_notes(done),
+        "sentence": sentence(done),
+        "notes": notes(done),
         "goal": task.criterion.name,
         "criterion": {"words": task.criterion.words, "unit": task.criterion.unit},
         "nominal": _plan(done, done.before, done.nominal, seen[0], done.worse_before),
@@ -78,11 +76,7 @@ def design_record(
             for f, fits in zip(done.found, done.fits, strict=True)
         ],
         "group": space.group,
-        "settings": {"seed": seed, "study": study.as_dict},
-        "versions": versions(),
-        "seconds": seconds,
-        "input_files": dict(study.hashes),
-        "command": command,
+        **provenance_record(study, {"seed": seed}, command, seconds),
     }
     return plain(found)
 
@@ -109,16 +103,3 @@ def _value(done: Designed, value: Value) -> dict[str, Any]:
         "rms_raw_um": value.raw_um,
         "largest_U": {m.name: float(u) for m, u in zip(motions, value.largest, strict=True)},
     }
-
-
-def duration(seconds: float) -> str:
-    """A time as people say it: ``"2 h 05 min"``."""
-    minutes = round(seconds / 60.0)
-    if minutes < 1:
-        return f"{seconds:.0f} s"
-    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"
-
-
-def share(value: float) -> str:
-    """A share in percent, a dash where there is none."""
-    return percent(value) if math.isfinite(value) else number(None)

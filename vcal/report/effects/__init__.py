@@ -1,1 +1,1 @@
-"""Pages of the effects catalogue."""
+"""The pages of `vcal effects`: page, picture and writer."""

@@ -1,87 +1,82 @@
-"""One page for every effect of the catalogue: what it is, what it needs, how it shows."""
+"""Pages of the effects catalogue: definition, parameters, required columns, signature, use."""
 
 import inspect
-import json
 import math
 import shlex
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
 from ...effects.base import Effect, Setup
 from ...instruments.conditions import file_name
-from ...plots import png, signature, signatures
 from ...study.study import looked_for
-from ..html.folder import ReportFolder
 from ..html.picture import Picture
 from ..html.sheet import Section, Table, sheet
-from ..html.text import DASH, number, unit
-from ..loop.record import versions
+from ..html.text import DASH, number, sentence_of, unit
 
-_PLACE = ReportFolder(record="effects.json", schema="vcal-effects/")
 Example = tuple[Effect, Setup]
+"""An instance of an effect, on a plan that has everything it needs."""
 
 
-def effect_page(effect: type[Effect], example: Example | None) -> tuple[str, list[Picture]]:
-    """The page of an effect as HTML, and the picture of its signature where there is one.
-
-    `example` is an instance of it on a plan that has everything it needs.
-    """
+def page(effect: type[Effect], example: Example | None, drawn: Picture | None = None) -> str:
+    """The page of an effect as HTML, with the picture of its signature."""
     text = inspect.cleandoc(effect.__doc__ or "").split("\n\n")
     paragraphs = tuple(" ".join(part.replace("`", "").split()) for part in text)
-    sections = [Section("What it is", paragraphs)]
-    pictures: list[Picture] = []
+    sections = [Section("Definition", paragraphs)]
     if example is not None:
-        instance, setup = example
-        sections.append(_needs(instance, setup))
-        parts = signatures(instance, setup)
-        caption = (
-            "What one standard deviation of every parameter's prior does to the port by which it "
-            "moves the tool point most, on a bundled plan; parameters that are looked for stand at "
-            "the middle of their scan."
-        )
-        pictures = [Picture(effect.name, "", caption, png(signature(parts)))]
-        sections.append(Section("How it shows", pictures=tuple(pictures)))
-        sections.append(_use(instance, looked_for(effect)))
-    page = sheet(
+        sections.append(needs(*example))
+        if drawn is not None:
+            sections.append(Section("Signature", pictures=(drawn,)))
+        sections.append(use(example[0], looked_for(effect)))
+    return sheet(
         effect.name,
-        f"{effect.summary[:1].upper()}{effect.summary[1:]}.",
+        sentence_of(effect.summary),
         sections,
         kicker="vcal effects",
         facts=[("disturbs", f"the {effect.where}"), ("kind", effect.kind)],
     )
-    return page, pictures
 
 
-def _needs(instance: Effect, setup: Setup) -> Section:
+def catalogue(effects: Sequence[type[Effect]]) -> str:
+    """The list of effects as HTML, with links to their pages."""
+    rows = [(effect.name, effect.summary, effect.where, effect.kind) for effect in effects]
+    links = {name: f"{name}.html" for name, *_ in rows}
+    table = Table(("effect", "description", "disturbs", "kind"), rows, links=links)
+    return sheet(
+        "The catalogue of effects",
+        f"{len(effects)} effects; each has a page beside this one.",
+        [Section("Effects", tables=(table,))],
+        kicker="vcal effects",
+    )
+
+
+def needs(instance: Effect, setup: Setup) -> Section:
+    """Its parameters with their priors, and the columns it needs."""
     axes = setup.plan.axes
     rows = [
         (
             p.name,
             unit(p.unit) or DASH,
-            "looked for" if p.shape else number(p.sigma) if math.isfinite(p.sigma) else "flat",
+            "searched" if p.shape else number(p.sigma) if math.isfinite(p.sigma) else "flat",
         )
         for p in instance.parameters
     ]
-    needs = dict.fromkeys(file_name(n, axes) for n in instance.needs)
-    told = dict.fromkeys(file_name(n, axes) for n in instance.betrayed_by)
-    where = instance.placement or "no place of its own"
+    needed = dict.fromkeys(file_name(n, axes) for n in instance.needs)
+    told = dict.fromkeys(file_name(n, axes) for n in instance.indicators)
+    terms = [
+        ("required columns", ", ".join(needed) or "none"),
+        ("depends on", ", ".join(told) or "nothing that is recorded"),
+        ("placement in this example", instance.placement or "none of its own"),
+    ]
     return Section(
-        "Parameters, and what it needs",
+        "Parameters and required columns",
         tables=(
             Table(("parameter", "unit", "prior, standard deviation"), rows, "llr"),
-            Table(
-                ("", ""),
-                [
-                    ("needs in the data", ", ".join(needs) or "nothing that is recorded"),
-                    ("betrayed by", ", ".join(told) or "nothing that is recorded"),
-                    ("placed here on", where),
-                ],
-            ),
+            Table(("", ""), terms),
         ),
     )
 
 
-def _use(instance: Effect, searched: bool) -> Section:
+def use(instance: Effect, searched: bool) -> Section:
+    """How to declare it in a study, to simulate it, and to search for it."""
     place = f":{instance.placement}" if instance.placement else ""
     keys = ",".join(f"{p.label}={p.sigma:g}" for p in instance.amplitudes[:2])
     declared = [f'name = "{instance.name}"']
@@ -89,55 +84,15 @@ def _use(instance: Effect, searched: bool) -> Section:
     declared += [f"{p.label} = {p.sigma:g}" for p in instance.amplitudes[:2]]
     left_out = "is identified" if instance.kind == "systematic" else "keeps its prior"
     simulated = shlex.quote(f"{instance.name}{place}:{keys}")
+    search = "The loop does not search for it: it can be declared in a study."
+    if searched:
+        search = "Searched for alone: vcal loop SETUP.toml --out DIR --effects " + instance.name
     return Section(
-        "In use",
+        "Use",
         points=(
-            f"In a study, as part of the model: [[model.effect]] with {', '.join(declared)}; "
-            f"a parameter that is left out {left_out}.",
+            f"Declared in a study: [[model.effect]] with {', '.join(declared)}; a parameter "
+            f"without a value {left_out}.",
             f"Simulated: vcal simulate SETUP.toml --out DIR --with {simulated}",
-            f"Looked for alone: vcal loop SETUP.toml --out DIR --effects {instance.name}"
-            if searched
-            else "The loop does not look for it: it can be declared in a study.",
+            search,
         ),
     )
-
-
-def write_effects(
-    effects: Sequence[type[Effect]], examples: Mapping[str, Example | None], out: Path
-) -> Path:
-    """Pages of effects and a list of them in the folder `out`; returns the path of the list, or of
-    the page where there is one only.
-
-    Raises `StudyError` where `out` is a file, or a folder with other things or with changed pages
-    in it.
-    """
-
-    def make(work: Path) -> Sequence[str]:
-        files, listed = [], []
-        for effect in effects:
-            page, pictures = effect_page(effect, examples[effect.name])
-            (work / f"{effect.name}.html").write_text(page, encoding="utf-8")
-            files += [f"{effect.name}.html", *(p.file for p in pictures)]
-            for picture in pictures:
-                (work / picture.file).write_bytes(picture.data)
-            listed.append((effect.name, effect.summary, effect.where, effect.kind))
-        if len(effects) > 1:
-            table = Table(
-                ("effect", "what it is", "disturbs", "kind"),
-                listed,
-                links={name: f"{name}.html" for name, *_ in listed},
-            )
-            whole = sheet(
-                "The catalogue of effects",
-                f"{len(effects)} effects; each has a page beside this one.",
-                [Section("Effects", tables=(table,))],
-                kicker="vcal effects",
-            )
-            (work / "index.html").write_text(whole, encoding="utf-8")
-            files.append("index.html")
-        record = {"schema": _PLACE.schema + "1", "versions": versions(), "files": files}
-        (work / _PLACE.record).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-        return [*files, _PLACE.record]
-
-    _PLACE.fill(out, make)
-    return out / ("index.html" if len(effects) > 1 else f"{effects[0].name}.html")

@@ -1,1 +1,1 @@
-"""What every page shares: the sheet, its style, pictures, provenance, the folder written."""
+"""What all reports share: the page system, pictures, provenance and the folder."""

@@ -1,4 +1,4 @@
-"""The folder of a report: what may be written to, and files that arrive whole or not at all."""
+"""The folder of a report: checked before it is written, and written completely or not at all."""
 
 import contextlib
 import hashlib
@@ -17,32 +17,43 @@ from .picture import Picture
 
 _KEPT = ".earlier"
 _SUMS = "sha256"
-"""Key of a record under which the sums of all files are kept."""
+"""Key of a record for the SHA-256 sums of all files."""
 _NOT_EDITED = (".html", ".png")
 """Files that nobody edits: replaced even where a record of an older vcal has no sums."""
 
 
 @dataclass(frozen=True)
+class Contents:
+    """Everything that a report consists of."""
+
+    record: Mapping[str, Any]
+    """All results as values of JSON; `ReportFolder.write` adds the names of the files."""
+    texts: Mapping[str, str]
+    """Page and tables by the names of their files."""
+    pictures: Sequence[Picture] = ()
+    others: Sequence[str] = ()
+    """Names of files that are in the temporary folder already."""
+
+
+@dataclass(frozen=True)
 class ReportFolder:
-    """How the folder of one kind of report is known."""
+    """A kind of report, recognised by its record."""
 
     record: str
-    """Name of its record, which lists all its files (``files``) with their SHA-256 sums
-    (``sha256``) and names its ``schema``."""
+    """Name of the record, which lists all files (``files``) with their SHA-256 sums (``sha256``)
+    and states its ``schema``."""
     schema: str
-    """How the schema of such a record begins."""
+    """First part of the schema of such a record."""
     beside: str = ""
-    """Name of a folder that may lie beside the files; none where it is empty."""
+    """Name of a folder that may lie beside the files; empty: none."""
     sometimes: tuple[str, ...] = ()
-    """Names of files that not every such report holds, and that a user may have made there."""
+    """Names of files that only some of these reports hold; a user's file may have such a name."""
 
     def check(self, out: Path, files: Sequence[str] = ()) -> None:
-        """Refuse a place that such a report, with these files if they are known, must not be
-        written to.
+        """Check that such a report, with these files if they are known, may be written to `out`.
 
-        Raises `StudyError` for a file, for a folder that holds something but no earlier report of
-        this kind, and for one in which a file was changed since, or made where one would be
-        written.
+        Raises `StudyError` for a file, for a folder with other content than an earlier report of
+        this kind, and for one in which the user changed a file, or made one that would be replaced.
         """
         check_way(out)
         if not out.exists():
@@ -77,12 +88,23 @@ class ReportFolder:
                 "rename or move what is to be kept, or choose another folder",
             )
 
-    def fill(self, out: Path, make: Callable[[Path], Sequence[str]]) -> None:
-        """Have the files made in a temporary folder, which `make` is given, and move those that it
-        names to `out`.
+    def publish(
+        self, out: Path | str, make: Callable[[Path], Contents], page: str = "index.html"
+    ) -> Path:
+        """Write a report into `out`, completely or not at all; returns the path of its page.
 
-        Files of an earlier report are replaced, others are left alone. On failure or interruption
-        `out` stays as it was. Raises as `check` does.
+        `make` receives the temporary folder, in which all files are made before they replace those
+        of an earlier report. Raises as `check` does.
+        """
+        self.fill(Path(out), lambda work: self.write(work, make(work)))
+        return Path(out) / page
+
+    def fill(self, out: Path, make: Callable[[Path], Sequence[str]]) -> None:
+        """Have files made in a temporary folder, which `make` receives, and move those that it
+        returns to `out`.
+
+        Files of an earlier report are replaced, others stay. On failure or interruption `out`
+        stays as it was. Raises as `check` does.
         """
         self.check(out)
         with _workshop(out) as work:
@@ -91,24 +113,18 @@ class ReportFolder:
             self.check(out, files)  # once more: making the files may have taken long
             _install(work, out, files, self.files(out))
 
-    def write(
-        self,
-        work: Path,
-        texts: Mapping[str, str],
-        drawn: Sequence[Picture],
-        record: Mapping[str, Any],
-        others: Sequence[str] = (),
-    ) -> list[str]:
-        """Write texts by name, pictures and the record into the temporary folder, where the
-        `others` are already; returns the names of all, which the record lists.
+    def write(self, work: Path, contents: Contents) -> list[str]:
+        """Write the contents into the temporary folder; returns the names of all files, which the
+        record lists.
         """
         # The record comes last: a folder counts as a report by it.
-        files = [*others, *(picture.file for picture in drawn), *texts, self.record]
-        for picture in drawn:
+        drawn = [picture.file for picture in contents.pictures]
+        files = [*contents.others, *drawn, *contents.texts, self.record]
+        for picture in contents.pictures:
             (work / picture.file).write_bytes(picture.data)
-        for name, text in texts.items():
+        for name, text in contents.texts.items():
             (work / name).write_text(text, encoding="utf-8")
-        content = {**record, "files": files}
+        content = {**contents.record, "files": files}
         strict = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
         (work / self.record).write_text(strict + "\n", encoding="utf-8")
         return files
@@ -120,7 +136,7 @@ class ReportFolder:
             names = [str(name) for name in content.get("files", [])]
         except TypeError:
             return []
-        # Names only: a record that was tampered with must not reach outside the folder.
+        # Names only: a manipulated record must not reach outside the folder.
         others = [n for n in names if Path(n).name == n and n != self.record]
         return [self.record, *others] if content else []
 
@@ -133,15 +149,15 @@ class ReportFolder:
             return {}
 
     def _seal(self, work: Path, files: Sequence[str]) -> None:
-        """Put the sums of all files into the record, its own without them."""
+        """Add the sums of all files to the record; its own sum is that without them."""
         content = self._content(work)
         sums = {name: _sum((work / name).read_bytes()) for name in files if name != self.record}
         content[_SUMS] = sums | {self.record: _sum(_text(content).encode())}
         (work / self.record).write_text(_text(content), encoding="utf-8")
 
     def _changed(self, out: Path, files: Sequence[str]) -> tuple[list[str], bool]:
-        """What would be replaced and is not as the earlier report left it, and whether that is
-        known: without sums it is what may have been edited.
+        """Files to be replaced that differ from those of the earlier report, and whether that is
+        known: without sums, all files that may have been edited.
         """
         content, earlier = self._content(out), self.files(out)
         sums = content.pop(_SUMS, None)
@@ -165,8 +181,8 @@ def _text(content: Mapping[str, Any]) -> str:
 
 @contextlib.contextmanager
 def _workshop(out: Path) -> Iterator[Path]:
-    """A temporary folder on the file system of `out`, gone afterwards; so are parents of `out`
-    that had to be made, if they are still empty.
+    """A temporary folder on the file system of `out`; removed afterwards, as are parents of `out`
+    that had to be made and are still empty.
     """
     made = [p for p in out.absolute().parents if not p.exists()]
     home = out.absolute().parent
@@ -185,8 +201,8 @@ def _workshop(out: Path) -> Iterator[Path]:
 
 
 def _install(work: Path, out: Path, files: Sequence[str], earlier: Sequence[str]) -> None:
-    """Move the files from `work` to `out`, those of an earlier report out of the way; undo all of
-    it if anything comes in between.
+    """Move the files from `work` to `out`, those of an earlier report aside; undo everything on
+    an error or interruption.
     """
     fresh = not out.exists()
     out.mkdir(exist_ok=True)

@@ -1,23 +1,41 @@
-"""Where the numbers of a page come from."""
+"""Provenance of a report, for its page and its record, and the conventions that pages share."""
 
 import datetime
 import json
 import math
+import platform
 from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from ... import __version__
 from ...study import Study
-from ..loop.record import plain, versions
 from . import text
 from .sheet import Section, Table
 
+NAMES = (
+    "Right-handed frames. Error = actual − nominal; a compensation subtracts it. Names of ISO "
+    "230-1: E, then the component (X, Y, Z translations; A, B, C rotations about them), then the "
+    "axis that moves; location errors such as EC0Y. Signs refer to the axis's own frame."
+)
+EXPANDED = "u is a standard uncertainty, U = k u the expanded uncertainty with k = 2."
+_PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
 
-def provenance(
-    study: Study, settings: Mapping[str, str], command: str, seconds: float, files: str
+
+def provenance_section(
+    study: Study,
+    settings: Mapping[str, str],
+    files: Mapping[str, str],
+    command: str,
+    seconds: float,
 ) -> Section:
-    """Input files with their hashes, what was asked for, and the study as it was understood.
+    """Input files with their hashes, command, settings, versions and the study as it was read.
 
-    `settings` are further rows, `command` and `seconds` are left out where they are empty or nan,
-    and `files` says what lies beside the page.
+    `settings` are further rows, `files` describe the files beside the page by their names;
+    `command` and `seconds` are left out where they are empty or nan.
     """
     rows = [
         *([("command", command)] if command else []),
@@ -26,21 +44,58 @@ def provenance(
         *([("time", f"{text.number(seconds)} s")] if math.isfinite(seconds) else []),
         ("written", datetime.datetime.now().strftime("%Y-%m-%d %H:%M")),
     ]
-    content = json.dumps(plain(study.as_dict), ensure_ascii=False)
+    content = json.dumps(plain(study.as_dict), indent=1, ensure_ascii=False)
+    header, links = ("file beside this page", "content"), {name: name for name in files}
+    beside = Table(header, [*files.items()], links=links)
     return Section(
         "Provenance",
         tables=(
-            Table(("input file", "SHA-256"), sorted(study.hashes.items())),
+            Table(("input file", "SHA-256"), sorted(study.hashes.items()), "lc"),
             Table(("", ""), rows),
-            Table(("",), [(content,)], fold="The study file as it was understood"),
+            Table(("",), [(content,)], "c", fold="The study file as read, defaults included"),
+            *([beside] if files else []),
         ),
-        note=f"Beside this page: result.json (everything for programs), {files}.",
     )
 
 
-NAMES = (
-    "Right-handed frames. Error = actual − nominal; a compensation subtracts it. Names of ISO "
-    "230-1: E, then the component (X, Y, Z translations; A, B, C rotations about them), then the "
-    "axis that moves; location errors such as EC0Y. Signs as parameters of the axis's own frame."
-)
-EXPANDED = "u is a standard uncertainty, U = k u with k = 2."
+def provenance_record(
+    study: Study, settings: Mapping[str, Any], command: str, seconds: float
+) -> dict[str, Any]:
+    """The same for programs: settings, versions, run time in s, input files and command."""
+    return {
+        "settings": {**settings, "study": study.as_dict},
+        "versions": versions(),
+        "seconds": seconds,
+        "input_files": dict(study.hashes),
+        "command": command,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of vcal, of Python and of the packages that compute."""
+    found = {"vcal": __version__, "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def plain(value: Any) -> Any:
+    """The value in the types of JSON: numpy to Python, numbers that are not finite to None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, str):
+        return value
+    return str(value) if isinstance(value, Path) else repr(value)

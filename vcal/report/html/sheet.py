@@ -1,4 +1,4 @@
-"""A page of any content in the look of the reports: self-contained HTML."""
+"""The page system of all reports: self-contained HTML from plain texts, tables and pictures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -8,18 +8,12 @@ from .picture import Picture
 from .template import render
 
 Tone = Literal["good", "plain", "caution", "bad"]
-_CLASSES = {
-    "good": "nothing_missing",
-    "plain": "named",
-    "caution": "ambiguous",
-    "bad": "unexplained",
-}
-_SIDES = {"l": "", "r": "n"}
+_SIDES = {"l": "", "r": "n", "c": "code"}
 
 
 @dataclass(frozen=True)
 class Badge:
-    """A word in a frame before the summary."""
+    """A framed word: before the summary of a page, or after the heading of a section."""
 
     word: str
     tone: Tone = "plain"
@@ -27,7 +21,7 @@ class Badge:
 
 @dataclass(frozen=True)
 class Tile:
-    """One figure that a reader looks for first: what it is, its value, a remark."""
+    """A key figure at the top of a page: its name, its value and a remark."""
 
     name: str
     value: str
@@ -39,24 +33,29 @@ class Table:
     """Rows of text under a header."""
 
     header: tuple[str, ...]
-    """Empty texts throughout for a table without one."""
+    """All texts empty for a table without a header."""
     rows: Sequence[Sequence[str]]
     align: str = ""
-    """One letter per column: ``l`` or ``r`` (numbers); all ``l`` where it is empty."""
+    """One letter per column: ``l`` (left), ``r`` (right, for numbers) or ``c`` (code, line breaks
+    kept); empty: ``l`` throughout."""
     note: str = ""
-    """Small print below it."""
+    """Small print below the table."""
     fold: str = ""
-    """What to call it where it is folded away until it is asked for; empty: it is open."""
+    """Label of a table that is folded until the reader opens it; empty: an open table."""
     strong: frozenset[int] = frozenset()
-    """Places of the rows that are set in bold."""
+    """Indices of the rows in bold."""
     links: Mapping[str, str] = field(default_factory=dict)
     """Addresses of cells, by their text."""
+    caption: str = ""
+    """A paragraph above the table."""
+    marked: frozenset[tuple[int, int]] = frozenset()
+    """Row and column of the cells that are highlighted."""
 
     def __post_init__(self):
         if self.align and len(self.align) != len(self.header) or set(self.align) - set(_SIDES):
             raise ValueError(
-                f"align: found {self.align!r}, expected {len(self.header)} letters l or r, one per "
-                "column"
+                f"align: found {self.align!r}, expected {len(self.header)} letters l, r or c, one "
+                "per column"
             )
         for row in self.rows:
             if len(row) != len(self.header):
@@ -67,24 +66,41 @@ class Table:
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """The style of every column."""
+        """Style class of every column."""
         return tuple(_SIDES[side] for side in self.align or "l" * len(self.header))
+
+    def style(self, row: int, column: int) -> str:
+        """Style classes of one cell."""
+        hit = "hit" if (row, column) in self.marked else ""
+        return " ".join(filter(None, (self.classes[column], hit)))
 
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what is below it: paragraphs, points, tables, pictures, small print."""
+    """A heading, then in this order: paragraphs, points, tables, pictures, small print."""
 
     title: str
     paragraphs: tuple[str, ...] = ()
     points: tuple[str, ...] = ()
-    """Paragraphs of a list."""
+    """Items of a list."""
     tables: tuple[Table, ...] = ()
     pictures: tuple[Picture, ...] = ()
     note: str = ""
     """Small print at the end."""
     minor: bool = False
-    """Whether it belongs to the section before: a smaller heading, not named at the top."""
+    """Whether it is a subsection: a smaller heading, and no link at the top of the page."""
+    badge: Badge | None = None
+    """A framed word after the heading of a subsection."""
+
+
+@dataclass(frozen=True)
+class Fragment:
+    """Some sections of a page, which a notebook shows as HTML."""
+
+    sections: tuple[Section, ...]
+
+    def _repr_html_(self) -> str:
+        return render("sections.html.j2", sections=self.sections)
 
 
 def sheet(
@@ -101,7 +117,7 @@ def sheet(
     """A page as one self-contained HTML text, pictures included; all texts are plain, not HTML.
 
     `summary` is the sentence at the top, after the `badge`; `kicker` the line above the title;
-    `facts` are terms with what they are; `warnings` stand in a frame before the `tiles`.
+    `facts` are terms with their descriptions; framed `warnings` stand before the `tiles`.
     """
     return render(
         "sheet.html.j2",
@@ -109,7 +125,6 @@ def sheet(
         summary=summary,
         kicker=kicker,
         badge=badge,
-        badge_class=_CLASSES[badge.tone] if badge else "",
         facts=facts,
         warnings=warnings,
         tiles=tiles,

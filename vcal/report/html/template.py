@@ -1,4 +1,4 @@
-"""Filling in the templates beside this file."""
+"""Rendering of the templates beside this file."""
 
 from pathlib import Path
 from typing import Any
@@ -7,9 +7,9 @@ import jinja2
 
 
 def render(template: str, **values: Any) -> str:
-    """A template of this folder, by its name, filled in; every value is escaped for HTML.
+    """Render a template of this folder, by its name; every value is escaped for HTML.
 
-    Raises `jinja2.UndefinedError` for a value that the template asks for and that is not given.
+    Raises `jinja2.UndefinedError` for a value that the template uses and that is not given.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),

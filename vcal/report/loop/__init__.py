@@ -1,1 +1,1 @@
-"""The report of a closed loop: page, pictures, record, tables, and the file for an own effect."""
+"""The report of `vcal loop`: page, pictures, record and writer, and a file for an own effect."""

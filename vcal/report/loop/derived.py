@@ -1,4 +1,4 @@
-"""What follows from a closure: amplitudes and phases, and columns of the file."""
+"""Quantities derived from a closure: amplitudes and phases, and columns of the data file."""
 
 import math
 
@@ -17,11 +17,11 @@ from ..html.text import number
 Listed = list[tuple[str, float, str, float]]
 """(name, value, unit, standard uncertainty) of the parameters of an effect."""
 FEW = 6
-"""Most parameters of a declared effect that are told one by one where there is little room."""
+"""Most parameters of a declared effect that are listed one by one."""
 
 
 def parameters(closure: Closure, found: FoundEffect) -> Listed:
-    """Those of an effect that was found, sine and cosine also as the amplitude A and phase phi of
+    """Parameters of an identified effect; sine and cosine also as amplitude A and phase phi of
     A sin(u + phi).
     """
     listed = [(n, float(v), unit, float(u)) for n, v, unit, u in found.parameters]
@@ -29,8 +29,9 @@ def parameters(closure: Closure, found: FoundEffect) -> Listed:
 
 
 def declared(closure: Closure) -> list[tuple[Effect, Listed]]:
-    """The effects that were declared, other than error motions and nuisances, with their parameters
-    as the final fit has them: without them the machine is another one than that of its errors.
+    """The declared systematic effects except error motions, with the parameters of the final fit.
+
+    The identified error motions apply only together with these effects.
     """
     fit, found = closure.after, []
     for effect in closure.before.model.effects:
@@ -43,8 +44,8 @@ def declared(closure: Closure) -> list[tuple[Effect, Listed]]:
 
 
 def in_short(effect: Effect, listed: Listed) -> str:
-    """Many parameters of a declared effect in one line: how far the fit has moved them at most, in
-    standard deviations of what was declared.
+    """Summary of many parameters of a declared effect: the largest change by the fit, in standard
+    deviations of the prior.
     """
     priors = {p.name: p for p in (*effect.amplitudes, *effect.shapes)}
     moved = {
@@ -92,8 +93,8 @@ def _root(variance: np.ndarray | float) -> float:
 
 
 def shares_by_column(what: Unexplained, plan: Plan) -> dict[str, float]:
-    """What something unexplained depends on, by the columns of the file, most telling first."""
-    # Two names inside may stand for one column: joint angles and what was commanded, say.
+    """Columns on which an unexplained residual depends, with their shares, largest first."""
+    # Two internal names may stand for one column, such as joint angles and commanded angles.
     shares: dict[str, float] = {}
     for name, share in zip(what.depends_on, what.shares, strict=True):
         shares.setdefault(column_of(name, plan)[0], share)
@@ -101,7 +102,7 @@ def shares_by_column(what: Unexplained, plan: Plan) -> dict[str, float]:
 
 
 def intervals_in_file(what: Unexplained, fit: Fit) -> list[tuple[str, float, float]]:
-    """Where something unexplained is: column, lowest and highest value as in the file."""
+    """Intervals of an unexplained residual: column, lowest and highest value as in the file."""
     plan, found = fit.measurement.plan, []
     for interval in what.where:
         low, high = (
@@ -113,16 +114,15 @@ def intervals_in_file(what: Unexplained, fit: Fit) -> list[tuple[str, float, flo
 
 
 def missing_columns(item: Untestable, plan: Plan) -> list[str]:
-    """Columns, as they are called in files, for want of which an effect could not be tested; none
-    where that was not the reason.
-    """
+    """Columns of the file that an effect lacks to be tested; empty where it lacks none."""
     return [_column(name, lacking, plan) for name, lacking in item.missing]
 
 
 def untested_beside(closure: Closure, found: FoundEffect) -> dict[str, list[str]]:
-    """What could not be tested on the axis of an effect that was found, by the columns that it
-    lacks: play of an axis whose direction of travel nobody recorded has to look like something
-    else.
+    """Effects that could not be tested on the axis of an identified one, by their missing columns.
+
+    Without its column such an effect may appear as another one: backlash of an axis whose direction
+    of travel is not recorded, for instance.
     """
     plan = closure.after.measurement.plan
     places = {*found.placement.split("|"), found.effect.placement} & {*plan.axes}
@@ -141,11 +141,11 @@ def untested_in_words(beside: dict[str, list[str]]) -> str:
 
 def _column(name: str, lacking: tuple[str, ...], plan: Plan) -> str:
     column = column_of(name, plan)[0]
-    if plan.sets and not lacking:  # all have one, each of its own
+    if plan.sets and not lacking:  # every data set has its own
         return f"{column} shared by the data sets"
     if lacking != plan.sets:
         return f"{column} (not in {', '.join(lacking)})"
-    # A time that begins anew with every run is there, and is another one.
+    # A time that restarts with every run is not one through all runs.
     if f"{name}_run" in plan.covariates:
         return f"{column} through all runs"
     other = next((c for c in plan.covariates if c.casefold() == column.casefold()), None)

@@ -1,4 +1,4 @@
-"""A file with an effect of the user's own, to start from where none that was tried fits."""
+"""A file with an effect of the user's own to start from, where no tested effect fits."""
 
 import json
 
@@ -23,7 +23,7 @@ Give it a name and a reason, correct `response`, and name this file in the study
     [model]
     effects_file = "own_effect.py"
 
-`vcal loop` then tries it beside the catalogue.
+`vcal loop` then tests it beside the catalogue.
 """
 
 import jax.numpy as jnp
@@ -32,19 +32,19 @@ import vcal
 
 
 class OwnEffect(vcal.Effect):
-    """What it is, its formula, and where that comes from."""
+    """Definition, formula, and source."""
 
     name = "own_effect"
-    summary = "one line on what it is"
+    summary = "description in one line"
 
     @property
     def parameters(self):
-        # Name, unit, standard deviation of what is believed before the measurement.
+        # Name, unit, standard deviation of the prior.
         return ({parameters},)
 
     @property
     def needs(self):
-        # Axes and columns without which it cannot be evaluated.
+        # Axes and columns that it depends on.
         return ({needs},)
 
     def response(self, plan, shape):
@@ -58,12 +58,12 @@ class OwnEffect(vcal.Effect):
 
 
 def own_effect(closure: Closure) -> str | None:
-    """The text of the file; None where nothing is left unexplained or no covariate orders it.
+    """The text of the file; None where nothing is unexplained or no covariate orders the residual.
 
-    An empirical description that has Python for itself becomes what it is, where it was found, with
-    its sizes free; another one, and a dependence on covariates, a slope and a curvature of each of
-    the first two, along every direction that it has, and their product where it is that which the
-    residual depends on. What only some of the rows have is no start for an effect of all.
+    An empirical description that can be written as Python code is written as it was found, with
+    free sizes. Otherwise the effect has a slope and a curvature of the first two covariates along
+    every direction of the residual, and their product where the residual depends on it. Covariates
+    that only some rows have are left out.
     """
     what = closure.unexplained
     if what is None or not what.depends_on:
@@ -108,7 +108,7 @@ def own_effect(closure: Closure) -> str | None:
 
 
 def _lever(fit: Fit) -> float:
-    """Mean lever arm of readings of angles, m."""
+    """Mean lever arm of angle readings, m."""
     given = fit.measurement
     return float(fit.model.instrument.lengths(given.plan, given.readings).mean()) or 1.0
 
@@ -150,10 +150,10 @@ def _read(name: str, plan: Plan) -> str:
 
 
 def _quoted(name: str) -> str:
-    """A name of a user's column as Python text: JSON escapes what Python does, in the same way."""
+    """A column name as Python text: JSON and Python escape alike."""
     return json.dumps(name, ensure_ascii=False)
 
 
 def _in_docstring(words: str) -> str:
-    """Words of any kind where they end no docstring of three quotes, and escape nothing in it."""
+    """Text that neither ends a docstring nor escapes anything in it."""
     return words.replace("\\", "\\\\").replace('"', '\\"')

@@ -1,4 +1,4 @@
-"""The pictures of a report, each with a caption that says what to see in it."""
+"""The pictures of a closed loop with their captions."""
 
 from collections.abc import Iterator, Sequence
 
@@ -12,11 +12,11 @@ from ...loop.outcome.closure import Closure
 from ..html.picture import Picture
 from ..html.text import number, percent
 
-_DOTS = "Small dots: readings; large: means of groups with two standard errors."
+_DOTS = "Small dots: readings; large dots: group means with two standard errors."
 
 
 def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[Picture]:
-    """All pictures of a closure, in the order of the page."""
+    """All pictures in the order of the page."""
     yield from _effects(closure)
     if closure.unexplained is not None:
         figure = plots.unexplained(closure.after, closure.unexplained)
@@ -26,16 +26,16 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
         figure = plots.error_motions(tables)
         caption = (
             "Identified error motions (error = actual − nominal, ISO 230-1 names). Blue band or "
-            "bar: expanded uncertainty U (k = 2); grey: what was declared before the measurement "
-            "(± 2 standard deviations, cut off at the frame). "
+            "bar: expanded uncertainty U (k = 2); grey: declared prior (± 2 standard deviations, "
+            "cut off at the frame). "
         )
         if any(one.others for one in closure.alternatives):
             caption += (
-                "Blue holds what rivals, or a description of what is unexplained, would foretell "
-                "instead: how much the data said is in the table."
+                "Blue includes what alternatives, or a description of the unexplained residual, "
+                "predict: the information from the data is in the table."
             )
         else:
-            caption += "Where blue is as wide as grey, the data said nothing."
+            caption += "Where blue is as wide as grey, the data give no information."
         yield Picture("error_motions", "geometry", caption, plots.png(figure))
     if closure.screenings:
         figure = plots.search(closure.screenings, float(closure.settings["alpha"]))
@@ -44,9 +44,9 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
         closure.before, closure.after, _enlarged(closure.before, closure.after)
     )
     caption = (
-        "Residuals of all fitted readings over the standard deviations they should have, against "
-        "those of normal noise. On the line: noise as declared; steeper: larger than declared; "
-        "bent at the ends: stray readings or something that is missing."
+        "Normal probability plot of the studentised residuals of all fitted readings. On the line: "
+        "noise as declared; steeper: larger than declared; curved at the ends: outliers or a "
+        "missing effect."
     )
     yield Picture("noise", "noise", caption, plots.png(figure))
 
@@ -54,27 +54,27 @@ def pictures(closure: Closure, tables: Sequence[ErrorMotionTable]) -> Iterator[P
 def _search(closure: Closure) -> str:
     caption = (
         "Significance of the best candidate of every kind of effect, corrected for the whole "
-        "search, in each round. Dashed: the limit alpha. Blue: the kind that was added in that "
-        "round; orange: significant in it, and not added. What an added effect had mimicked falls "
-        "below the limit beside it; why the rest was not added is told below."
+        "search, in each round. Dashed: the limit alpha. Blue: the kind added in that round; "
+        "orange: significant in that round and not added. Effects that only resemble an added one "
+        "fall below the limit in the next round; the reasons for all others are listed below."
     )
     screened = {kind.kind for screening in closure.screenings for kind in screening.kinds}
     if drawn := sorted(screened & {cls.name for cls in EMPIRICAL}):
-        caption += f" For comparison, no effects and never added: {', '.join(drawn)}."
+        caption += f" For comparison, no physical effects and never added: {', '.join(drawn)}."
     tried = [one.added for one in closure.screenings if one.added is not None]
     added = [found.effect for found in closure.effects]
     if dropped := [e.key for e in tried if not any(e.alike(one) for one in added)]:
         caption += f" Added and dropped again: {', '.join(dict.fromkeys(dropped))}."
-    if anew := [e.key for e in added if not any(e.alike(one) for one in tried)]:
+    if elsewhere := [e.key for e in added if not any(e.alike(one) for one in tried)]:
         caption += (
-            f" Found in the place of another, beside all others, in no round of its own: "
-            f"{', '.join(anew)}."
+            f" Identified in place of another one, beside all others, in no round of its own: "
+            f"{', '.join(elsewhere)}."
         )
     return caption
 
 
 def _enlarged(before: Fit, after: Fit) -> dict[str, float]:
-    """By how much the noise of every data set is larger in the second fit (median)."""
+    """Factor (median) by which the noise of every data set is larger in the second fit."""
     both = before.counted & after.counted
     sizes = [np.einsum("nii->ni", fit.whitener) for fit in (before, after)]
     return {
@@ -94,20 +94,22 @@ def _effects(closure: Closure) -> Iterator[Picture]:
     for i, found, data_set, rows in shown:
         key = found.effect.key
         view = plots.effect_view(closure.after, found.effect, rows)
-        others = " (with the other effects that were found)" if len(closure.effects) > 1 else ""
+        others = " (with the other identified effects)" if len(closure.effects) > 1 else ""
         caption = (
             f"Residual of the tool point {view.along}, without {key} on the left{others} and with "
-            f"it on the right. {_DOTS} On the left the means follow the pattern; on the right they "
-            "lie on zero where the effect explains it. "
+            f"it on the right. {_DOTS} The means follow the pattern on the left; on the right they "
+            "are zero where the effect explains it. "
         )
         if view.kind == "visible":
             caption += (
-                f"Abscissa: what {key} changes in the residual once station, poses and all other "
-                "parameters have taken up their share of it; no single column orders it as well."
+                f"Abscissa: change of the residual by {key} with station, poses and all other "
+                "parameters refitted; no single column orders it as well."
             )
         else:
-            caption += f"Line: what station, poses and all other parameters leave of {key}."
-        # Of ten or more the names of the files are in the order in which they were found, too.
+            caption += (
+                f"Line: part of {key} that station, poses and all other parameters do not absorb."
+            )
+        # Zero-padded, so that files of ten or more effects sort in the order of identification.
         name = f"effect_{i:0{len(str(len(closure.effects)))}}_{key}"
         if data_set:
             name, caption = f"{name}_in_{data_set}", f"Data set {data_set}. {caption}"
@@ -121,17 +123,17 @@ def _unexplained(closure: Closure) -> str:
     if best is not None and plots.changing_sizes(closure.after, best) is not None:
         assert isinstance(best.effect, Changing)
         return (
-            f"What parts of the readings say of {best.effect.effect.key}, with two standard "
-            "uncertainties. Black: what all of them say together; blue: its size by the empirical "
-            "description, which describes and does not explain."
+            f"Size of {best.effect.effect.key} from parts of the readings, with two standard "
+            "uncertainties. Black: from all of them together; blue: by the empirical description, "
+            "which describes the residual and does not explain it."
         )
     caption = f"Residual of the tool point that no effect explains. {_DOTS}"
     if what.where:
-        caption += " Shaded: the interval in which it sits."
+        caption += " Shaded: the interval in which it occurs."
     if what.empirical is not None:
         caption += (
-            f" Right: what an empirical description ({what.words}) leaves of it, which describes "
-            "and does not explain."
+            f" Right: remainder after an empirical description ({what.words}), which describes the "
+            "residual and does not explain it."
         )
     return caption
 
@@ -142,9 +144,9 @@ def _errors(closure: Closure) -> Iterator[Picture]:
         errors = plots.check_errors(fits, closure.check)
         figure = plots.check_points(errors, closure.check)
         caption = (
-            "Volumetric error that remains at the independent check points, after the best rigid "
-            "alignment: nominal machine, declared model, and with what was found. One logarithmic "
-            "colour scale throughout; seen from above (top) and from the front (bottom)."
+            "Residual volumetric error at the independent check points, after the best rigid "
+            "alignment: nominal machine, declared model, and with the identified effects. One "
+            "logarithmic colour scale; views from above (top) and from the front (bottom)."
         )
         yield Picture("check_points", "volumetric", caption, plots.png(figure))
     values = plots.error_field(closure.before, closure.after, closure.check, closure.alternatives)
@@ -152,20 +154,19 @@ def _errors(closure: Closure) -> Iterator[Picture]:
         figure = plots.field(values)
         caption = (
             "Identified volumetric error in three mid-planes of the travel, after rigid alignment "
-            "(colour: length of the error vector; arrows: its part in the plane), and its standard "
-            "uncertainty. Only what depends on the axis positions alone: effects of direction, "
-            "temperature or time come on top."
+            "(colour: length of the error vector; arrows: its component in the plane), and its "
+            "standard uncertainty. Effects of direction, temperature or time are not included."
         )
         largest = np.linalg.norm(values.change, axis=-1).max()
         if largest > 1e-3:
-            caption += f" Bottom: what closing the loop changed, at most {number(largest)} µm."
+            caption += f" Bottom: change by closing the loop, at most {number(largest)} µm."
         yield Picture("error_field", "volumetric", caption, plots.png(figure))
     folds, apart = closure.after.model.instrument.folds(closure.after.measurement.plan)
     if np.any(apart):
         figure = plots.error_over_time({"before": closure.before, "after": closure.after})
         share = percent((folds >= 0).mean())
         caption = (
-            f"3-D error of every observation in the order of time. The last {share} were held out "
-            "of every fit: faint dots were fitted, full ones predicted."
+            f"Three-dimensional error of every observation in the order of time. The last {share} "
+            "were held out of every fit: faint dots are fitted, full ones predicted."
         )
         yield Picture("held_out", "volumetric", caption, plots.png(figure))

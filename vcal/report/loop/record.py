@@ -1,16 +1,10 @@
-"""The machine-readable record of closing the loop: the content of ``report.json``."""
+"""The record of a closed loop for programs: the content of ``report.json``."""
 
 import math
-import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ... import __version__
 from ...geometry.acceptance import GeometricTest
 from ...identification.fit import Fit
 from ...loop.outcome.closure import Closure, Errors, FoundEffect
@@ -20,6 +14,7 @@ from ...loop.weighing.cross_validation import Rms
 from ...machine.plan import Plan
 from ...plots import column_of
 from ...study.study import DataSet, Study
+from ..html.provenance import plain, provenance_record
 from .derived import (
     Listed,
     declared,
@@ -31,7 +26,6 @@ from .derived import (
 )
 
 SCHEMA = "vcal-report/1"
-_PACKAGES = ("jax", "jaxlib", "optimistix", "numpy")
 
 
 def record(
@@ -42,18 +36,24 @@ def record(
     command: str = "",
     seconds: float = math.nan,
 ) -> dict[str, Any]:
-    """Everything a program wants to know of a closure, as plain values; see `SCHEMA`. Of a study
-    with several data sets also the share of each, as `data_sets`. `tests` of its geometry are put
-    in as `geometry`.
+    """All results of a closure as plain values; see `SCHEMA`.
 
-    An effect whose `placement` is a class of several, ``"X|Y"``, has the parameters that it has at
-    its `fitted_placement`. What is `unexplained` has a `size_um` and a `share_of_variance`; of what
-    they are is in `size_is` and `share_is`: of the empirical description, its largest displacement
-    and its share of the chi-square beyond the noise, else an rms, and a share of the variance of
-    the residual. Columns and their values are those of the data file; numbers that do not
-    exist are None, so that the record is strict JSON.
+    `tests` of the geometry are the content of `geometry`. A study with several data sets also has
+    `data_sets`, the share of each.
+
+    An effect whose `placement` is a class of several, ``"X|Y"``, has the parameters of its
+    `fitted_placement`. `unexplained` has a `size_um` and a `share_of_variance`, which `size_is` and
+    `share_is` define: for an empirical description, its largest displacement and its share of the
+    chi-square beyond the noise; otherwise an rms, and a share of the variance of the residual.
+    Columns and their values are those of the data file. Numbers that do not exist are None, so
+    that the record is strict JSON.
     """
     plan = closure.after.measurement.plan
+    settings = {
+        **closure.settings,
+        "effects": closure.searched,
+        "effects_asked_for": closure.settings.get("effects", []),
+    }
     found: dict[str, Any] = {
         "schema": SCHEMA,
         "name": study.name,
@@ -74,8 +74,8 @@ def record(
             for part in closure.noise_components
         ],
         "suspected_readings": [
-            {**_place(stray.row, plan), "distance": stray.distance, "p_value": stray.p_value}
-            for stray in closure.suspected
+            {**_place(one.row, plan), "distance": one.distance, "p_value": one.p_value}
+            for one in closure.suspected
         ],
         "blank_readings": [
             {"file": file, "rows": list(rows)}
@@ -96,25 +96,12 @@ def record(
         ],
         "vibration": None if closure.vibration is None else asdict(closure.vibration),
         "unseen": list(dict.fromkeys(closure.unseen)),
-        "settings": _settings(closure, study),
-        "versions": versions(),
-        "seconds": seconds,
-        "input_files": dict(study.hashes),
-        "command": command,
+        **provenance_record(study, settings, command, seconds),
         "notes": list(closure.notes),
         "interrupted": closure.interrupted,
     }
     several = [_data_set(closure, one) for one in study.sets if one.name]
     return plain(found | ({"data_sets": several} if several else {}))
-
-
-def _settings(closure: Closure, study: Study) -> dict[str, Any]:
-    return {
-        **closure.settings,
-        "effects": closure.searched,
-        "effects_asked_for": closure.settings.get("effects", []),
-        "study": study.as_dict,
-    }
 
 
 def _test(test: GeometricTest) -> dict[str, Any]:
@@ -135,7 +122,7 @@ def _reason(item: Untestable, plan: Plan) -> str:
 
 
 def _place(row: int, plan: Plan) -> dict[str, Any]:
-    """A row of the data by its number in its table, from 1, and its data set where it has one."""
+    """A row of the data by its number in its table, from 1, and its data set of several."""
     name, number = plan.place(row)
     return {"row": number + 1, **({"data_set": name} if name else {})}
 
@@ -184,7 +171,7 @@ def _errors(errors: Errors) -> dict[str, float | None]:
 
 
 def _data_set(closure: Closure, one: DataSet) -> dict[str, Any]:
-    """A data set of several, with its share of the errors."""
+    """One of several data sets, with its share of the errors."""
     return {
         "name": one.name,
         "file": one.file,
@@ -230,33 +217,3 @@ def _unexplained(what: Unexplained | None, fit: Fit) -> dict[str, Any] | None:
         "p_value": what.p_value,
         "reason": what.reason,
     }
-
-
-def versions() -> dict[str, str]:
-    """Versions of vcal, of Python and of the packages that compute."""
-    found = {"vcal": __version__, "python": platform.python_version()}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
-
-
-def plain(value: Any) -> Any:
-    """The value in the types of JSON: numpy to Python, numbers that are not finite to None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple | set | frozenset):
-        return [plain(item) for item in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    if value is None or isinstance(value, str):
-        return value
-    return str(value) if isinstance(value, Path) else repr(value)

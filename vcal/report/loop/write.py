@@ -1,7 +1,7 @@
-"""Writing the report of a closure into a folder, whole or not at all."""
+"""Writing the report of a closed loop."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 from ...geometry.acceptance import geometric_tests
@@ -9,25 +9,27 @@ from ...geometry.error_motions import error_motion_tables
 from ...loop.outcome.closure import Closure
 from ...study.messages import listed, refusal
 from ...study.study import Study
-from ..html.folder import ReportFolder
+from ..formats import FORMATS, Results
+from ..html.folder import Contents, ReportFolder
 from .own_effect import FILE, own_effect
 from .page import page
 from .pictures import pictures
 from .record import record
-from .tables import compensation_csv, effects_csv
 
-_PLACE = ReportFolder(record="report.json", schema="vcal-report/", sometimes=(FILE,))
+
+def _folder() -> ReportFolder:
+    return ReportFolder("report.json", "vcal-report/", sometimes=(FILE, *FORMATS))
 
 
 def check_folder(out: Path | str, reads: Iterable[Path] = ()) -> None:
-    """Refuse a place that a report must not be written to; `reads` are the files of the study.
+    """Check that a report may be written to `out`; `reads` are the files of the study.
 
-    Raises `StudyError` for a file, for a folder that holds something but no earlier report, and
-    for one in which the report would replace what was changed since, or what the study reads.
+    Raises `StudyError` as `ReportFolder.check` does, and where the report would replace a file
+    that the study reads.
     """
-    out = Path(out)
-    _PLACE.check(out)
-    replaced = {(out / name).resolve() for name in _PLACE.files(out)}
+    out, folder = Path(out), _folder()
+    folder.check(out)
+    replaced = {(out / name).resolve() for name in folder.files(out)}
     used = sorted(path.name for path in reads if path.resolve() in replaced)
     if used:
         raise refusal(
@@ -42,38 +44,31 @@ def check_folder(out: Path | str, reads: Iterable[Path] = ()) -> None:
 def write_report(
     closure: Closure, study: Study, out: Path | str, *, command: str = "", seconds: float = math.nan
 ) -> Path:
-    """Write the report of a closure into the folder `out`; returns the path of its page.
+    """Write the report of a closed loop into the folder `out`; returns the path of its page.
 
-    `index.html` is the page, self-contained; `report.json` the record for programs;
-    `compensation.csv` the error motions and `effects.csv` the effects, named and declared;
-    `own_effect.py`, where something is left unexplained, an effect of the user's own to start from;
-    beside them the pictures. Files of an earlier report are replaced, others are left alone. All is
-    made in a temporary folder and moved at the end: on failure or interruption `out` stays as it
-    was.
+    `index.html` is the self-contained page, `report.json` the record for programs; every one of
+    the `FORMATS` adds its file. Where something is left unexplained, `own_effect.py` is an effect
+    of the user's own to start from. Pictures lie beside them.
 
-    `command` and `seconds` (how long the loop took) are quoted. Raises `StudyError` where `out` is
-    a file, or a folder with other things or with changed files in it (`check_folder`).
+    Page and record quote `command` and `seconds`, the run time of the loop. Raises `StudyError` as
+    `check_folder` does.
     """
-    out = Path(out)
-    _PLACE.fill(out, lambda work: _make(closure, study, work, command, seconds))
-    return out / "index.html"
 
+    def make(work: Path) -> Contents:
+        fit, others = closure.after, closure.alternatives
+        tables = error_motion_tables(fit, alternatives=others)
+        size = 0 if closure.check is None else closure.check.plan.rows
+        tests = geometric_tests(fit, alternatives=others, size=size)
+        results = Results(closure, study, tables, tests)
+        written = {name: kind().text(results) for name, kind in FORMATS.items()}
+        about = {name: kind.summary for name, kind in FORMATS.items()}
+        written[FILE] = own_effect(closure)
+        about[FILE] = "an effect of your own to start from"
+        texts = {name: text for name, text in written.items() if text is not None}
+        files = {"report.json": "all results, for programs"} | {n: about[n] for n in texts}
+        drawn = list(pictures(closure, tables))
+        run = {"command": command, "seconds": seconds}
+        shown = page(closure, study, tables, drawn, tests, files=files, **run)
+        return Contents(record(closure, study, tests, **run), {"index.html": shown, **texts}, drawn)
 
-def _make(
-    closure: Closure, study: Study, work: Path, command: str, seconds: float
-) -> Sequence[str]:
-    """All files of the report in the folder `work`; returns their names."""
-    tables = error_motion_tables(closure.after, alternatives=closure.alternatives)
-    size = 0 if closure.check is None else closure.check.plan.rows
-    tests = geometric_tests(closure.after, alternatives=closure.alternatives, size=size)
-    drawn = list(pictures(closure, tables))
-    told = {"command": command, "seconds": seconds}
-    texts = {
-        "index.html": page(closure, study, tables, drawn, tests, **told),
-        "compensation.csv": compensation_csv(tables),
-        "effects.csv": effects_csv(closure),
-    }
-    template = own_effect(closure)
-    if template is not None:
-        texts[FILE] = template
-    return _PLACE.write(work, texts, drawn, record(closure, study, tests, **told))
+    return _folder().publish(out, make)

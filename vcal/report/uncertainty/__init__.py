@@ -1,1 +1,1 @@
-"""The report of the uncertainty that a plan will give."""
+"""The report of `vcal uncertainty`: page, pictures, record and writer."""

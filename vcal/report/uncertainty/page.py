@@ -1,4 +1,4 @@
-"""The page of a virtual calibration."""
+"""The page of a virtual calibration: the uncertainty that a plan will achieve."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,45 +8,44 @@ from ...study.study import Study
 from ...uncertainty.comparison import Comparison
 from ...uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
 from ..html import text
-from ..html.picture import Picture
-from ..html.provenance import EXPANDED, NAMES, provenance
+from ..html.picture import Picture, by_section
+from ..html.provenance import EXPANDED, NAMES, plain, provenance_section
 from ..html.sheet import Badge, Section, Table, Tile, sheet
-from ..loop.record import plain
 from .record import notes, sentence
 
 _ORIGINS = {
     "noise": "noise of the instrument",
-    "fitted": "fitted: what the data leave of its prior",
-    "not fitted": "in reality, but not fitted",
+    "fitted": "identified: remainder of its prior",
+    "not fitted": "present but not identified",
 }
 _NOTHING = 1e-9
-"""urad or um/m: rounding."""
+"""Rounding, urad or um/m."""
 _CONVENTIONS = (
     NAMES,
     "Volumetric error: length of the three-dimensional error of the tool point, after the best "
     "rigid alignment over all points, because an unknown station or pose leaves six rigid degrees "
-    "of freedom invisible. rms: root mean square over the points of one machine.",
-    "Points are judged under the conditions (temperatures, times) of rows of the plan picked at "
-    "random, and from random directions of travel.",
+    "of freedom unobservable. rms: root mean square over the points of one machine.",
+    "Points are evaluated under the conditions (temperatures, times) of random rows of the plan, "
+    "and with random directions of travel.",
     f"{EXPANDED} Intervals are probabilistically symmetric.",
     "Distributions are propagated through a simulated measurement and its evaluation, machine by "
     "machine, not through a measurement function of estimates as in JCGM 101. The spread of "
-    "(identified − true) is what the procedure will achieve on machines like those declared; it "
-    "is not the uncertainty of one measurement that has been made.",
+    "(identified − true) is what the procedure achieves on machines like those declared; it is not "
+    "the uncertainty of one measurement that has been made.",
 )
 
 
-def virtual_page(
+def page(
     result: VirtualCalibration,
     study: Study,
-    settings: Mapping[str, Any],
     drawn: Sequence[Picture],
     *,
+    settings: Mapping[str, Any],
     command: str = "",
     seconds: float = math.nan,
 ) -> str:
     """The page as one self-contained HTML text, pictures included."""
-    shown = {picture.section: picture for picture in drawn}
+    shown = by_section(drawn)
     sections = [
         _volumetric(result, shown),
         _sources(result, shown),
@@ -56,19 +55,19 @@ def virtual_page(
         _unseen(result),
         _draws(result),
         Section("Frames, signs, units", points=_CONVENTIONS),
-        provenance(
+        provenance_section(
             study,
             {"settings": ", ".join(f"{k} = {v}" for k, v in plain(settings).items())},
+            {"result.json": "all results, for programs"},
             command,
             seconds,
-            "and the pictures",
         ),
     ]
     return sheet(
         study.name,
         sentence(result),
         sections,
-        kicker="vcal – which uncertainty a plan will give",
+        kicker="vcal – uncertainty that a plan will achieve",
         badge=_badge(result),
         facts=_facts(result, study, settings),
         warnings=notes(result),
@@ -95,8 +94,8 @@ def _facts(
         ("Machine", study.chain.text),
         study.observers,
         ("Plan", study.observations),
-        ("Fitted", f"{len(result.entries)} parameters"),
-        ("In reality, not fitted", ", ".join(settings["with"]) or "nothing else"),
+        ("Identified", f"{len(result.entries)} parameters"),
+        ("Present but not identified", ", ".join(settings["with"]) or "nothing else"),
         ("Machines drawn", _count(result.ensemble.draws)),
     ]
 
@@ -120,7 +119,7 @@ def _tiles(result: VirtualCalibration) -> list[Tile]:
     return tiles
 
 
-def _volumetric(result: VirtualCalibration, shown: Mapping[str, Picture]) -> Section:
+def _volumetric(result: VirtualCalibration, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
     rows = []
     for statistic in STATISTICS:
         for when in WHEN:
@@ -128,26 +127,25 @@ def _volumetric(result: VirtualCalibration, shown: Mapping[str, Picture]) -> Sec
             rows.append((f"{statistic}, {when}", *(text.number(x) for x in v), "µm"))
     share = text.percent(result.coverage)
     header = (
-        "over the points of a machine",
+        "statistic over the points of a machine",
         "mean",
         "standard deviation",
         f"{share} from",
         "to",
         "",
     )
-    pictures = tuple(shown[name] for name in ("volumetric", "field") if name in shown)
-    smaller = f"The error got smaller on {text.percent(result.improved)} of the machines."
+    smaller = f"The error decreased on {text.percent(result.improved)} of the machines."
     if result.faultless:
         smaller = "No machine drawn has an error."
     return Section(
         "Volumetric error before and after",
-        (f"{smaller} Judged at {result.points.rows} points over the travel.",),
+        (f"{smaller} Evaluated at {result.points.rows} points over the travel.",),
         tables=(Table(header, rows, "lrrrrl"),),
-        pictures=pictures,
+        pictures=(*shown.get("volumetric", ()), *shown.get("field", ())),
     )
 
 
-def _sources(result: VirtualCalibration, shown: Mapping[str, Picture]) -> Section:
+def _sources(result: VirtualCalibration, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
     rows = [
         (c.source, _ORIGINS[c.origin], text.number(c.rms), text.percent(c.share))
         for c in result.contributions
@@ -156,23 +154,23 @@ def _sources(result: VirtualCalibration, shown: Mapping[str, Picture]) -> Sectio
         total = result.rms_gum**2
         share = text.percent(result.known**2 / total)
         rows.append(("known values", _ORIGINS["not fitted"], text.number(result.known), share))
-    rows.append(("together", "", text.number(result.rms_gum), ""))
+    rows.append(("total", "", text.number(result.rms_gum), ""))
     return Section(
-        "Where it comes from",
+        "Sources of uncertainty",
         (
             "Share of every source in the mean square of the volumetric error after calibration, "
-            "by the GUM through the identification (implicit function theorem). By Monte Carlo the "
-            f"root mean square is {text.number(result.rms_monte_carlo)} µm.",
+            "by the GUM, with sensitivities of the identification from the implicit function "
+            f"theorem. By Monte Carlo the rms is {text.number(result.rms_monte_carlo)} µm.",
         ),
         tables=(
             Table(
-                ("source", "", "rms, µm", "share"),
+                ("source", "kind", "rms, µm", "share"),
                 rows,
                 "llrr",
                 strong=frozenset([len(rows) - 1]),
             ),
         ),
-        pictures=tuple(shown[name] for name in ("sources",) if name in shown),
+        pictures=shown.get("sources", ()),
     )
 
 
@@ -182,7 +180,7 @@ def _parameters(result: VirtualCalibration) -> Section:
     open_, folded = [], []
     for key, p in result.entries:
         row = _compared(c, places[f"{key}: {p.name} [{p.unit}]"], f"{key}: {p.name}", p.unit)
-        # An error motion is told by its course along the axis rather than by coefficients.
+        # Error motions are reported along the axis; their coefficients are folded.
         coefficient = key == "geometric" and "." in p.name
         (folded if coefficient else open_).append(row)
     share = text.percent(result.coverage)
@@ -195,14 +193,14 @@ def _parameters(result: VirtualCalibration) -> Section:
     tables += [Table(header, folded, "lrrrrrll", fold=fold)] if folded else []
     return Section(
         "Parameters: GUM and Monte Carlo",
-        ("Identified less true value over the machines drawn.",),
+        ("Identified minus true value over the machines drawn.",),
         tables=tuple(tables),
-        note="Clause 8 of JCGM 101: passed where both ends of the GUM's interval lie within δ of "
-        f"the Monte Carlo's; δ is half a unit of the {_digit(c)} significant digit of u.",
+        note="Clause 8 of JCGM 101: passed where both ends of the GUM interval lie within δ of "
+        f"those by Monte Carlo; δ is half a unit of the {_digit(c)} significant digit of u.",
     )
 
 
-def _motions(result: VirtualCalibration, shown: Mapping[str, Picture]) -> Section:
+def _motions(result: VirtualCalibration, shown: Mapping[str, tuple[Picture, ...]]) -> Section:
     rows = []
     for m in result.motions:
         if not (m.prior.any() or m.u.any()):
@@ -226,15 +224,15 @@ def _motions(result: VirtualCalibration, shown: Mapping[str, Picture]) -> Sectio
                 header,
                 rows,
                 "llrrrrrl",
-                fold="Every error motion where it is least certain, U for k = 2",
+                fold="Every error motion at its largest uncertainty, U for k = 2",
             ),
         ),
-        pictures=tuple(shown[name] for name in ("motions",) if name in shown),
+        pictures=shown.get("motions", ()),
     )
 
 
 def _lines(result: VirtualCalibration) -> list[Section]:
-    """None where nothing of them is declared."""
+    """Squareness and scale; no section where none is declared."""
     c, rows = result.lines, []
     for i, label in enumerate(c.labels):
         name, unit = label.rstrip("]").split(" [")
@@ -252,9 +250,9 @@ def _lines(result: VirtualCalibration) -> list[Section]:
             "Squareness and scale of the axes",
             (
                 "Least-squares lines through the tool point's paths, one axis after the other over "
-                "its travel, the others in the middle of theirs (ISO 230-1): what is left of the "
-                "angle between two of them and of the slope of positioning. These depend neither "
-                "on the frame nor on how slopes are shared out between parameters.",
+                "its travel, the others at mid-travel (ISO 230-1): residual error of the angle "
+                "between two of them and of the slope of positioning. The values depend neither "
+                "on the frame nor on how slopes are divided between parameters.",
             ),
             tables=(Table(header, rows, "lrrrrrll"),),
         )
@@ -262,30 +260,29 @@ def _lines(result: VirtualCalibration) -> list[Section]:
 
 
 def _unseen(result: VirtualCalibration) -> Section:
+    title = "Not observable with this plan"
     if not result.directions:
-        return Section("What the plan cannot see", ("No parameter has a prior to compare with.",))
-    told = (
-        f"Of {result.directions} independent directions in the parameters that have a prior, the "
-        f"plan determines {result.determined} to better than half their prior variance.",
+        return Section(title, ("No parameter has a prior to compare with.",))
+    determined = (
+        f"Of {result.directions} independent directions in the parameters with a prior, the plan "
+        f"determines {result.determined} to better than half their prior variance."
     )
     if not result.unseen:
-        return Section("What the plan cannot see", (*told, "It sees something of every one."))
-    tables = ()
-    if result.hardly:
-        rows = [(name,) for name in result.hardly]
-        fold = f"{len(rows)} parameters of which it says hardly anything (less than 5 %)"
-        tables = (Table(("",), rows, fold=fold),)
+        return Section(title, (determined, "Every direction is at least partly observable."))
+    fold = f"{len(result.hardly)} parameters that are poorly determined (less than 5 %)"
+    table = Table(("",), [(name,) for name in result.hardly], fold=fold)
     return Section(
-        "What the plan cannot see",
+        title,
         (
-            *told,
+            determined,
             "Combinations of parameters, in units of their priors, of which less than 1 % of the "
             "information comes from the measurement:",
         ),
         points=result.unseen,
-        tables=tables,
-        note="Many of them do not matter: what no point of the plan feels need not move the tool "
-        "point anywhere else either. The volumetric error above counts those that do.",
+        tables=(table,) if result.hardly else (),
+        note="Many of them have no effect: a combination without influence on any point of the "
+        "plan need not move the tool point anywhere else. The volumetric error above includes "
+        "those that do.",
     )
 
 
@@ -295,14 +292,14 @@ def _draws(result: VirtualCalibration) -> Section:
         ("machines drawn, measured and identified", _count(ensemble.draws)),
         ("solved by damped least squares instead of the shared curvature",
          text.percent(campaign.retried)),
-        ("failed, and left out of every statistic", _count(campaign.failed)),
+        ("failed, and excluded from every statistic", _count(campaign.failed)),
         ("exact gradients per identification", text.number(campaign.gradients)),
         ("quantiles", "exact" if ensemble.kept == "exact" else "from counts in fine bins"),
     ]  # fmt: skip
     if ensemble.adaptive is not None:
         done = "all results stable" if ensemble.adaptive.settled else "not all results stable"
         rows.append(("adaptive (JCGM 101, 7.9.4)", done))
-    return Section("How the draws went", tables=(Table(("", ""), rows, "lr"),))
+    return Section("Draws", tables=(Table(("", ""), rows, "lr"),))
 
 
 def _compared(c: Comparison, i: int, name: str, unit: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The pictures of a virtual calibration."""
+"""The pictures of a virtual calibration with their captions."""
 
 from collections.abc import Iterator
 
@@ -13,8 +13,8 @@ from ..html.picture import Picture
 from ..html.text import percent
 
 
-def virtual_pictures(result: VirtualCalibration) -> Iterator[Picture]:
-    """All pictures of a virtual calibration, in the order of the page."""
+def pictures(result: VirtualCalibration) -> Iterator[Picture]:
+    """All pictures in the order of the page."""
     share = percent(result.coverage)
     if not result.faultless:
         caption = (
@@ -24,25 +24,25 @@ def virtual_pictures(result: VirtualCalibration) -> Iterator[Picture]:
         yield Picture("volumetric", "volumetric", caption, png(volumetric_histograms(result)))
     if result.nodes and not result.faultless:
         caption = (
-            f"Volumetric error that {share} of the machines stay below, point by point in three "
-            "mid-planes of the travel, after rigid alignment: before (top) and after calibration "
-            "(bottom), each point under the conditions of a row of the plan picked at random. One "
-            "colour scale per row."
+            f"Upper bound of the volumetric error for {share} of the machines, point by point in "
+            "three mid-planes of the travel, after rigid alignment: before (top) and after "
+            "calibration (bottom), each point under the conditions of a random row of the plan. "
+            "One colour scale per row."
         )
         yield Picture("field", "field", caption, png(volumetric_bounds(result)))
     if result.contributions:
         caption = (
-            "What every source adds to the volumetric error after calibration, as a root mean "
-            "square over points and machines (GUM). They add as squares."
+            "Contribution of every source to the volumetric error after calibration, as a root "
+            "mean square over points and machines (GUM). The squares add up."
         )
         yield Picture("sources", "sources", caption, png(sources(result.contributions)))
     tables = [_table(motion) for motion in result.motions if motion.prior.any()]
     if tables:
         caption = (
-            "What is left of every error motion after compensation (true less identified): mean "
-            "and expanded uncertainty U (k = 2) by Monte Carlo in blue; grey: the motion before "
-            "any measurement (± 2 standard deviations, cut off at the frame). Where blue is as "
-            "wide as grey, the plan says nothing."
+            "Residual error motions after compensation (true minus identified): mean and expanded "
+            "uncertainty U (k = 2) by Monte Carlo in blue; grey: the motion before any "
+            "measurement (± 2 standard deviations, cut off at the frame). Where blue is as wide "
+            "as grey, the plan gives no information."
         )
         yield Picture("error_motions", "motions", caption, png(plots.error_motions(tables)))
 

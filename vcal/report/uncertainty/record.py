@@ -1,4 +1,4 @@
-"""The machine-readable record of a virtual calibration: the content of ``result.json``."""
+"""The record of a virtual calibration for programs: the content of ``result.json``."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,13 +9,14 @@ import numpy as np
 from ...study.study import Study
 from ...uncertainty.comparison import Comparison
 from ...uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
+from ..html.provenance import plain, provenance_record
 from ..html.text import number, percent
-from ..loop.record import plain, versions
 
-VIRTUAL_SCHEMA = "vcal-uncertainty/1"
+UNCERTAINTY_SCHEMA = "vcal-uncertainty/1"
 _EVERY = 0.99
-"""Share of the machines that counts as all of them."""
+"""Share of the machines from which on all are said to improve."""
 _OFTEN = 0.1
+"""Share of draws solved one by one from which on a note says so."""
 
 
 def sentence(result: VirtualCalibration) -> str:
@@ -23,85 +24,84 @@ def sentence(result: VirtualCalibration) -> str:
     if result.faultless:
         return (
             "No error of the machine is declared, so that there is nothing to improve. Declare "
-            "what it may have under [model.geometric], or as [[model.effect]]."
+            "its possible errors under [model.geometric], or as [[model.effect]]."
         )
     before, after = (result.volumetric("rms", when) for when in WHEN)
     span = "{} µm ({} to {} µm)".format
-    told = [span(number(v.mean), number(v.low), number(v.high, 3)) for v in (before, after)]
+    from_, to = (span(number(v.mean), number(v.low), number(v.high, 3)) for v in (before, after))
     share = percent(result.coverage)
     if result.improved > _EVERY:
         return (
-            f"This plan brings the rms volumetric error from {told[0]} down to {told[1]}: mean "
-            f"and interval of {share} of the machines."
+            f"This plan reduces the rms volumetric error from {from_} to {to}: mean and interval "
+            f"of {share} of the machines."
         )
     return (
-        f"With this plan the rms volumetric error goes from {told[0]} to {told[1]} (mean and "
-        f"interval of {share} of the machines); it gets smaller on {percent(result.improved)} of "
-        "them only."
+        f"With this plan the rms volumetric error changes from {from_} to {to} (mean and interval "
+        f"of {share} of the machines); it decreases on only {percent(result.improved)} of them."
     )
 
 
 def notes(result: VirtualCalibration) -> list[str]:
-    """What a reader has to know of how far these numbers can be trusted."""
+    """Limitations of the results."""
     ensemble = result.ensemble
     found = []
     if ensemble.interrupted:
         found.append(
-            f"Interrupted after {ensemble.draws} draws; what follows is what was known by then. "
-            "The same command goes on from there."
+            f"Interrupted after {ensemble.draws} draws; the results are those of these draws. The "
+            "same command continues from there."
         )
     if result.campaign.failed:
         found.append(
-            f"{result.campaign.failed} of {ensemble.draws} draws could not be identified, or gave "
-            "a result that is not a number; they are left out of every statistic."
+            f"For {result.campaign.failed} of {ensemble.draws} draws the identification failed or "
+            "gave a result that is not a number; they are excluded from every statistic."
         )
     if ensemble.adaptive is not None and not ensemble.adaptive.settled:
         unstable = int((~ensemble.adaptive.stable).sum())
         found.append(
-            f"{unstable} of {len(ensemble.labels)} results were not stable yet when the draws "
+            f"{unstable} of {len(ensemble.labels)} results were not yet stable when the draws "
             "ended (JCGM 101, 7.9.4)."
         )
     if not result.nodes:
         found.append(
-            "Errors are judged at the tool point of the declared chain. What unknown targets on "
-            "the tool take up, so that no reading shows it, counts in full."
+            "Errors are evaluated at the tool point of the declared chain. Errors that unknown "
+            "targets on the tool compensate in every reading count in full."
         )
     if result.campaign.retried > _OFTEN:
         found.append(
             f"{percent(result.campaign.retried)} of the draws were too far from the nominal "
-            "machine for the shared curvature and were solved one by one: sound, but slow."
+            "machine for the shared curvature and were solved one by one, which is slow."
         )
     undecided = result.parameters.verdicts.count("undecided")
     if undecided:
         found.append(
             f"Clause 8 is undecided for {undecided} of {len(result.parameters.labels)} parameters: "
-            "the Monte Carlo's own scatter could turn the verdict, or there are fewer than the "
-            f"{2 * ensemble.step} draws that tell it. More draws decide."
+            "the scatter of the Monte Carlo results could reverse the verdict, or there are fewer "
+            f"than the {2 * ensemble.step} draws that are needed to estimate it. More draws decide."
         )
     ratio = result.rms_gum / result.rms_monte_carlo if result.rms_monte_carlo else 1.0
     if not 0.9 < ratio < 1.1:
         found.append(
-            f"The GUM's rms volumetric error ({number(result.rms_gum)} µm) and the Monte Carlo's "
+            f"The rms volumetric error by the GUM ({number(result.rms_gum)} µm) and by Monte Carlo "
             f"({number(result.rms_monte_carlo)} µm) differ: the problem is not linear over its "
-            "priors, and the shares of the sources are a rough guide only."
+            "priors, and the shares of the sources are only approximate."
         )
     return found
 
 
-def virtual_record(
+def record(
     result: VirtualCalibration,
     study: Study,
-    settings: Mapping[str, Any],
     *,
+    settings: Mapping[str, Any],
     command: str = "",
     seconds: float = math.nan,
 ) -> dict[str, Any]:
-    """Everything a program wants to know of a virtual calibration, as plain values.
+    """All results of a virtual calibration as plain values; see `UNCERTAINTY_SCHEMA`.
 
     Numbers that do not exist are None, so that the record is strict JSON.
     """
     found: dict[str, Any] = {
-        "schema": VIRTUAL_SCHEMA,
+        "schema": UNCERTAINTY_SCHEMA,
         "name": study.name,
         "sentence": sentence(result),
         "coverage": result.coverage,
@@ -144,11 +144,7 @@ def virtual_record(
         "draws": _draws(result),
         "interrupted": result.ensemble.interrupted,
         "notes": notes(result),
-        "settings": {**settings, "study": study.as_dict},
-        "versions": versions(),
-        "seconds": seconds,
-        "input_files": dict(study.hashes),
-        "command": command,
+        **provenance_record(study, settings, command, seconds),
     }
     return plain(found)
 
@@ -186,7 +182,7 @@ def _draws(result: VirtualCalibration) -> dict[str, Any]:
 
 
 def _compared(c: Comparison, i: int) -> dict[str, Any]:
-    """Both ways of one output, and clause 8."""
+    """One output by the GUM and by Monte Carlo, and the verdict of clause 8."""
     return {
         "gum": _way(c, i, 0),
         "monte_carlo": _way(c, i, 1),

@@ -14,7 +14,7 @@ import numpy as np
 from ...design import ArrayPoses, gram_for, volumetric_gram
 from ...effects.artefact import ArtefactBending, ArtefactExpansion
 from ...effects.base import Effect
-from ...effects.sag import PayloadSag
+from ...effects.structure import PayloadSag
 from ...effects.thermal import ScaleGrowth, ThermalTilt
 from ...instruments.ball_array import BallArray
 from ...machine.plan import Plan

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ...effects.base import Setup
 from ...effects.geometric import ErrorMotion, GeometricErrors, LocationError
-from ...effects.random import Repeatability
+from ...effects.reversal import Repeatability
 from ...effects.thermal import REFERENCE_DEGC, ScaleGrowth
 from ...instruments.base import Instrument
 from ...instruments.frame import Station

@@ -70,9 +70,9 @@ def check_effect(trial: Trial, effect: Effect, setup: Setup, plan: Plan) -> None
     with trial.calling("needs", "a tuple of names"):
         needs = effect.needs
     _check_names("needs", needs, trial)
-    with trial.calling("betrayed_by", "a tuple of names"):
-        names = effect.betrayed_by
-    _check_names("betrayed_by", names, trial)
+    with trial.calling("indicators", "a tuple of names"):
+        indicators = effect.indicators
+    _check_names("indicators", indicators, trial)
     if not plan.has(*needs):
         return
     with trial.calling("scan", "a dict {shape: values}"):

@@ -97,11 +97,13 @@ def _refuse_change(trial: Trial, method: str) -> None:
 
 
 def _check_figures(trial: Trial, instrument: TableInstrument) -> None:
-    """Check the properties that have defaults: `warmer`, `artefact` and `members`."""
-    with trial.calling("warmer", "a number of K"):
-        warmer = instrument.warmer
-    if not isinstance(warmer, float | int) or not np.isfinite(warmer):
-        raise trial.refusal("warmer", shown(warmer), "a finite number of K")
+    """Check the properties with defaults: `temperature_offset_K`, `artefact` and `members`."""
+    with trial.calling("temperature_offset_K", "a number of K"):
+        temperature_offset_K = instrument.temperature_offset_K
+    if not isinstance(temperature_offset_K, float | int) or not np.isfinite(temperature_offset_K):
+        raise trial.refusal(
+            "temperature_offset_K", shown(temperature_offset_K), "a finite number of K"
+        )
     with trial.calling("artefact", "a vcal.effects.base.Artefact, or None"):
         artefact = instrument.artefact
     if not isinstance(artefact, Artefact | None):

@@ -229,7 +229,7 @@ def check_names(trial: Trial, instrument: TableInstrument) -> tuple[str, ...]:
     if not _texts(names) or not names or len(set(names)) < len(names):
         expected = 'a tuple of at least one name, each once, as in ("range",)'
         raise trial.refusal("readings", shown(names), expected)
-    expected = 'a tuple of names GROUP.COMPONENT, as in vcal.machine.ports.group("frame")'
+    expected = 'a tuple of names GROUP.COMPONENT, as in vcal.instruments.group("frame")'
     with trial.calling("ports", expected):
         ports = instrument.ports
     if not _texts(ports) or len(set(ports)) < len(ports):

@@ -1,4 +1,4 @@
-"""Effects of an R-test: its probes."""
+"""Effects of probes: a touch probe, and the probes of an R-test."""
 
 from collections.abc import Iterable, Mapping
 
@@ -11,6 +11,7 @@ from ..machine.plan import Plan
 from ..numerics.arrays import Array, namespace
 from .acceleration import paces_differ
 from .base import Effect, Response, Setup
+from .forms import AtInstrument
 from .registry import register
 
 _XYZ = "XYZ"
@@ -19,13 +20,46 @@ _USUAL = 1.4e-6 / 3e-3
 
 
 @register
+class ProbeLobing(AtInstrument):
+    """A probe whose pre-travel depends on the direction of approach: a0 + a3 cos(3 phi + phi0).
+
+    phi is the azimuth of the approach about the probe's axis, in the frame of the tool (column
+    ``approach_rad``); the error of the tool point lies along the approach. Kinematic probes on
+    three supports have three lobes; a0 is the error of the effective tip radius.
+    """
+
+    name = "probe_lobing"
+    summary = "pre-travel of a touch probe that depends on the direction of approach"
+    # A probe touches balls; without balls no reading has a direction of approach.
+    requires_port = "ball.X"
+    uses = ("approach_rad",)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(name, "um", sigma=2.0) for name in ("radius", "sine3", "cosine3"))
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        phi = plan.covariate("approach_rad")
+        xp = namespace(phi)
+        ways = {"tool.X": xp.cos(phi), "tool.Y": xp.sin(phi)}
+        sizes = {
+            "radius": xp.ones_like(phi),
+            "sine3": xp.sin(3.0 * phi),
+            "cosine3": xp.cos(3.0 * phi),
+        }
+        return {(port, name): way * size for port, way in ways.items()
+                for name, size in sizes.items()}  # fmt: skip
+
+
+@register
 class ProbeMatrix(Effect):
     """Errors of the probes' sensitivities and directions: a displacement p is read as (1 + S) p.
 
-    S has nine independent elements; their standard deviation u/range makes the standard uncertainty
-    of a coordinate u at the end of the range. One S for all runs: what circles of one acceleration
-    cannot tell from the machine's structure, those of several can. Scale errors of the axes and
-    their squareness are the same to all readings, and are told under this name.
+    S has nine independent elements; their standard deviation u/range gives the standard uncertainty
+    u of a coordinate at the end of the range. There is one S for all runs: circles of one
+    acceleration cannot separate it from the structure of the machine, those of several can. Scale
+    errors of the axes and their squareness have the same effect on all readings, and are reported
+    under this name.
     """
 
     name = "probe_matrix"
@@ -33,6 +67,7 @@ class ProbeMatrix(Effect):
         "sensitivities and directions of the probes of an R-test; or scales, squareness of axes"
     )
     where = "instrument"
+    shown_by = tuple(_XYZ)
     sigma: float = 0.0
     """u/range."""
 
@@ -40,10 +75,6 @@ class ProbeMatrix(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         size = self.sigma / 1e-6
         return tuple(Parameter(f"S_{i}{j}", "um/m", sigma=size) for i in _XYZ for j in _XYZ)
-
-    @property
-    def betrayed_by(self) -> tuple[str, ...]:
-        return tuple(_XYZ)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         x = plan.position
@@ -59,7 +90,7 @@ class ProbeMatrix(Effect):
 
 
 def middle_of_runs(plan: Plan) -> Float[Array, "n 3"]:
-    """Axis positions (m) in the middle of what each run travels, where the probes are at zero."""
+    """Axis positions (m) in the middle of the travel of each run, where the probes read zero."""
     x = plan.position
     runs, run = np.unique(np.asarray(plan.groups["run"]), return_inverse=True)
     if isinstance(x, jax.Array):

@@ -1,0 +1,17 @@
+"""Output formats of a closed loop's results: one file per format, found without a list of them."""
+
+import importlib
+import pkgutil
+
+from .base import FORMATS, Format, Results
+
+__all__ = ["FORMATS", "Format", "Results", "discover"]
+
+
+def discover() -> None:
+    """Import every file of this folder, which registers its formats."""
+    for leaf in pkgutil.iter_modules(__path__, f"{__name__}."):
+        importlib.import_module(leaf.name)
+
+
+discover()

@@ -1,0 +1,1 @@
+"""The report of `vcal design --next`: page, pictures, record and writer."""
