@@ -296,7 +296,7 @@ def test_an_artefact_longer_than_the_travel():
     long = ArrayPoses(3.0 * poses.balls, jnp.broadcast_to(upright, (M, 3, 3)), poses.origin)
     made = ArraySpace(long, TRAVEL, tool=TOOL)
     assert float(made.candidate(made.start).excess) > 1.5  # four poses, each 0.9 m too long
-    with pytest.raises(ValueError, match="expected at least 200 mm in rising order"):
+    with pytest.raises(ValueError, match="expected at least 200 mm in ascending order"):
         ArraySpace(poses, TRAVEL, spacing=0.2)
 
 

@@ -162,7 +162,7 @@ TABLES = {
     ),
     "decimal commas between commas": (
         replace(".", ",", "data.csv"),
-        ("data.csv, row 1 (line 2)", "want semicolons between the columns"),
+        ("data.csv, row 1 (line 2)", "need semicolons between the columns"),
     ),
     "missing position": (
         drop_column("x_mm"),
@@ -244,10 +244,10 @@ TABLES = {
         ),
         (
             "data.csv, columns of positions and conditions",
-            "found 48 rows that tell 5 of 6 parameters without a prior; station Y, "
-            "station A are part of what they do not",
+            "found 48 rows that identify 5 of 6 parameters without a prior; station Y, "
+            "station A are not identified",
             "positions that are not all on one straight line",
-            "measure some more elsewhere, or give a prior (a *_sigma) to what can have one",
+            "measure further positions, or give a prior (a *_sigma) to a parameter",
         ),
     ),
     "direction of an unknown axis": (
@@ -258,16 +258,16 @@ TABLES = {
         lines(lambda found: [*found, *found[1:]]),
         (
             "data.csv, row 49 (line 50)",
-            "found what is in row 1 (line 2) again, in every column, and 47 more rows",
+            "found the same as in row 1 (line 2), in every column, and 47 more rows",
             "every reading once",
-            "remove the rows; where the same was really measured again",
+            "remove the rows or, if the measurement was really repeated",
         ),
     ),
     "a row twice, written otherwise": (
         both(lines(lambda found: [*found, found[3]]), cell(3, "x_mm", "+100.0000")),
         (
             "data.csv, row 49 (line 50)",
-            "found what is in row 3 (line 4) again, in every column, expected",
+            "found the same as in row 3 (line 4), in every column, expected",
         ),
     ),
     "fractional index": (
@@ -357,15 +357,15 @@ TABLES = {
     ),
     "too few check points": (
         lines(lambda found: found[:3], "check.csv"),
-        ("columns tcp_x_mm, tcp_y_mm, tcp_z_mm", "found 2 check point(s), on a line", "at least 3"),
+        ("columns tcp_x_mm, tcp_y_mm, tcp_z_mm", "found 2 check point(s) on a line", "at least 3"),
     ),
     "check points on a line": (
         lines(on_a_line, "check.csv"),
         (
             "check.csv, columns tcp_x_mm, tcp_y_mm, tcp_z_mm",
-            "found 5 check point(s), on a line",
+            "found 5 check point(s) on a line",
             "at least 3 that are not",
-            "add points beside them",
+            "add points off that line",
         ),
     ),
     "named check that is not there": (
@@ -437,7 +437,7 @@ FAMILY = {
     ),
     "no wave number": (
         cell(4, "n1", "0", ERRORS),
-        ("row 4 (line 5), column n1", "0 beside b1 = 15", "a wave number above 0"),
+        ("row 4 (line 5), column n1", "0 with b1 = 15", "a wave number above 0"),
     ),
     "no column": (drop_column("c2", ERRORS), ("column c2", "no such column")),
     "no components": (drop_column("component", ERRORS), ("column component", "no such column")),
@@ -628,7 +628,7 @@ ARMS = {
         (
             "setup.toml, key machine.joint",
             "found rotary and linear joints in one machine",
-            "rotary joints alone, or a machine.chain with X, Y, Z and rotary axes",
+            "rotary joints only, or a machine.chain with X, Y, Z and rotary axes",
         ),
     ),
     "more parameters than readings": (
@@ -770,7 +770,7 @@ SETUP = {
         (
             "key machine.rotary.C",
             "found nothing",
-            "where the rotary axis C",
+            "the position of the rotary axis C",
             "add [machine.rotary.C]",
         ),
     ),
@@ -799,7 +799,7 @@ SETUP = {
         (
             "setup.toml, key machine.tool_offset_mm",
             "found [0.0, 0.0, -0.15], less than a thousandth of the travel",
-            "correct the unit, or write [0, 0, 0] where",
+            "correct the unit, or write [0, 0, 0] if",
         ),
     ),
     "tool in um": (
@@ -954,7 +954,7 @@ SETUP = {
     ),
     "effect of another instrument": (
         effect('name = "artefact_expansion"\nalpha_um_per_m_K = 3'),
-        ("model.effect.0.name (artefact_expansion)", "no place here", "on this instrument"),
+        ("model.effect.0.name (artefact_expansion)", "possible placement", "on this instrument"),
     ),
     "effect without its covariate": (
         both(
@@ -1034,7 +1034,7 @@ OWN = {
         "from vcal.effects import Effect\nfrom vcal.machine.parameters import Parameter\n"
         "class A(Effect):\n    name = 'mine'\n    parameters = (Parameter('size', 'um'),)\n"
         "    def response(self, plan, shape):\n        return {('EXQ', 'size'): 1.0}\n",
-        ("setup.toml, key model.effect.0 (mine)", "no port named 'EXQ'", "mend A"),
+        ("setup.toml, key model.effect.0 (mine)", "no port named 'EXQ'", "correct A"),
     ),
 }
 

@@ -146,7 +146,10 @@ def test_what_was_left_out_is_told(arm, capsys):
     said = "left out: 20 rows (3, 7, 11, 15, 19, ...) of data.csv, as a reading is blank"
     assert said in closure.notes
     assert record(closure, study)["blank_readings"] == [{"file": "data.csv", "rows": [*rows]}]
-    assert study.observations == "60 observations of 9 readings (20 more with a blank one left out)"
+    assert (
+        study.observations
+        == "60 observations of 9 readings (20 more with a blank reading left out)"
+    )
     show_study(study)
     shown = " ".join(capsys.readouterr().out.split())
     assert "data 60 rows of 9 readings" in shown
@@ -274,8 +277,8 @@ REFUSED = {
         r"data.csv, row 1 \(line 2\) to row 48 \(line 49\), column azimuth_rad: found an empty "
         r"cell in every row, expected a reading .*; fill them in, or remove all columns",
     ),
-    "every row": (in_turn, r"row 48 .*after 0 row\(s\) of which no reading is blank, expected at"),
-    "all but two": (but_two, r"row 48 .*after 2 row\(s\) of which no reading is blank"),
+    "every row": (in_turn, r"row 48 .*after 0 row\(s\) without a blank reading, expected at"),
+    "all but two": (but_two, r"row 48 .*after 2 row\(s\) without a blank reading"),
     "too few to tell the station": (
         but_three,
         r"row 3 \(the last one\): found 9 readings \(3 rows of 3\) for 6 parameters",

@@ -308,7 +308,7 @@ def test_models_must_belong_together(known):
         (farther, "machine.joints, expected"),
         (quieter, "instrument.angle_sigma, expected"),
     ):
-        with pytest.raises(ValueError, match=f"truth and fit: found others in {expected}"):
+        with pytest.raises(ValueError, match=f"truth and fit: found differences in {expected}"):
             virtual_pair(truth, fit, tracker.plan)
     with pytest.raises(ValueError, match="draws"):
         monte_carlo(tracker.model, tracker.model, tracker.plan, draws=1)

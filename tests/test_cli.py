@@ -197,7 +197,7 @@ def test_effects():
     page = run("effects", "jerk_crosstalk").output  # beside another effect only
     assert "matrix_XX_nm_s3_per_m (0.3)" in page and "v_x_m_s" in page
     page = run("effects", "tool_interface").output  # to be declared only
-    assert "X_um (0.1)" in page and "depends on: nothing that is recorded" in page
+    assert "X_um (0.1)" in page and "depends on: no recorded column" in page
     assert "pattern1_urad (500)" in run("effects", "joint_compliance").output
     assert "unknown effect 'backlsh' (did you mean 'backlash'?)" in refused("effects", "backlsh")
 
@@ -209,9 +209,9 @@ def test_check(small_tracker_study):
     assert "48 rows of 3 readings" in shown
     assert "geometric (93 parameters), station (6 parameters)" in shown
     assert "candidates of" in shown and "backlash" in shown
-    assert "not testable payload_sag: wants payload_kg" in shown
-    assert shown.endswith("not testable spindle_growth: wants speed_rpm")
-    assert "constant dir_x: what depends on its change" in shown
+    assert "not testable payload_sag: needs payload_kg" in shown
+    assert shown.endswith("not testable spindle_growth: needs speed_rpm")
+    assert "constant dir_x: effects of its variation" in shown
 
 
 def test_check_names_what_did_not_vary(small_tracker_study):
@@ -219,7 +219,7 @@ def test_check_names_what_did_not_vary(small_tracker_study):
     table = {**read_table(data, []), "payload_kg": np.full(48, 7.0)}
     vcal.study.write_table(data, table | {"T_y_degC": np.full(48, 21.0)})
     shown = " ".join(run("check", small_tracker_study).output.split())
-    assert "constant dir_x, T_y_degC, payload_kg: what depends on their change is not seen" in shown
+    assert "constant dir_x, T_y_degC, payload_kg: effects of their variation are not seen" in shown
 
 
 @pytest.mark.parametrize("kept", [24, 0])
@@ -245,17 +245,17 @@ def test_check_names_what_goes_together(small_tracker_study):
     rng = np.random.default_rng(0)
     apart = {n: rng.uniform(20.0, 25.0, 48) for n in table if n.startswith("T_")}
     vcal.study.write_table(data, table | apart | {"t_s": rng.permutation(48) * 60.0})
-    assert "together" not in run("check", small_tracker_study).output
+    assert "confounded" not in run("check", small_tracker_study).output
     climbing = 100.0 + table["z_mm"] + rng.uniform(0.0, 20.0, 48)
     wet = {"humidity_pct": 30.0 - 2.0 * apart["T_y_degC"], "steady_pct": np.full(48, 5.0)}
     vcal.study.write_table(data, table | apart | {"t_s": climbing} | wet)
     shown = " ".join(run("check", small_tracker_study).output.split())
     assert (
-        "together t_s is correlated with z_mm (1.00): a dependence on one cannot be distinguished "
-        "from one on the other; measure in random order"
+        "confounded t_s is correlated with z_mm (1.00): a dependence on one cannot be "
+        "distinguished from one on the other; measure in random order"
     ) in shown
-    assert "together T_y_degC is correlated with humidity_pct (1.00): " in shown
-    assert shown.count("together") == 2
+    assert "confounded T_y_degC is correlated with humidity_pct (1.00): " in shown
+    assert shown.count("confounded") == 2
 
 
 def test_check_says_of_which_axis_little_is_covered(small_tracker_study):
@@ -279,7 +279,7 @@ def test_check_sees_a_column_in_another_case(small_tracker_study):
     data = small_tracker_study / "data.csv"
     vcal.study.write_table(data, {**read_table(data, []), "Payload_kg": np.arange(48.0)})
     shown = " ".join(run("check", small_tracker_study).output.split())
-    assert "payload_sag: wants payload_kg (rename Payload_kg)" in shown
+    assert "payload_sag: needs payload_kg (rename Payload_kg)" in shown
 
 
 def test_check_with_overrides(small_arm_study):
@@ -304,8 +304,8 @@ def test_init_writes_a_study_that_can_be_used(tmp_path, instrument):
     before = sorted(folder.iterdir())
     assert "found a folder that is not empty" in refused("init", folder)
     # True of these data, not of others that are simulated from the study, which copy its comments.
-    assert "nothing is missing from it" in printed
-    assert "nothing is missing" not in (folder / "setup.toml").read_text(encoding="utf-8")
+    assert "without any other effect" in printed
+    assert "without any other effect" not in (folder / "setup.toml").read_text(encoding="utf-8")
     assert sorted(folder.iterdir()) == before
 
 
@@ -314,7 +314,7 @@ def test_init_of_an_instrument_there_is_not(tmp_path):
     assert "found 'laser' (did you mean 'laser_frame'?), expected one of ball_array" in message
     assert not (tmp_path / "x").exists()
     told = " ".join(run("init", "--help").stdout.replace("│", " ").split())
-    assert f"One of {', '.join(sorted(STARTS))}." in told
+    assert f"one of {', '.join(sorted(STARTS))}." in told
 
 
 def test_every_key_is_explained():
@@ -433,7 +433,7 @@ def test_simulate_fills_a_plan_of_an_arm(tmp_path, small_arm_study):
     plan = {name: v for name, v in table.items() if name == "pose" or name.startswith("q")}
     vcal.study.write_table(small_arm_study / "data.csv", plan)
     message = refused("loop", small_arm_study, "--out", tmp_path / "out")
-    assert "data.csv, header: found no column of readings" in message
+    assert "data.csv, header: found a plan without columns of readings" in message
     run("simulate", small_arm_study, "--out", tmp_path / "made", "--with", "backlash:J1")
     study = load_study(tmp_path / "made")
     assert study.measurement.readings.shape == (16, 9)
@@ -455,8 +455,8 @@ def test_simulate_fills_a_plan_of_an_arm(tmp_path, small_arm_study):
         ("thermal_tilt:Y", "found 3 effects that these keys fit, expected one, by its component"),
         ("thermal_tilt:Y:k_EAY_urad_per_K=1,k_EBY_urad_per_K=2", "write one --with for each"),
         ("range_scale:Y:component=3", "key component: found 3, expected text"),
-        ("joint_compliance:X", "an effect that has no place here"),
-        ("artefact_expansion", "an effect that has no place here"),
+        ("joint_compliance:X", "an effect without a possible placement"),
+        ("artefact_expansion", "an effect without a possible placement"),
     ],
 )
 def test_mistakes_in_with(tmp_path, small_tracker_study, text, message):
@@ -471,7 +471,7 @@ def test_mistakes_in_with(tmp_path, small_tracker_study, text, message):
 def test_an_effect_that_is_there_already(tmp_path, small_tracker_study):
     out, twice = tmp_path / "made", ("--with", "backlash:Y", "--with", "backlash:Y:size_um=3")
     told = refused("simulate", small_tracker_study, "--out", out, *twice)
-    assert "--with backlash:Y:size_um=3, effect backlash Y: found what the study has" in told
+    assert "--with backlash:Y:size_um=3, effect backlash Y: found an effect that the study" in told
     setup = small_tracker_study / "setup.toml"
     declared = '\n[[model.effect]]\nname = "backlash"\nplacement = "Y"\nsize_um = 3\n'
     setup.write_text(setup.read_text(encoding="utf-8") + declared, encoding="utf-8")
@@ -482,11 +482,11 @@ def test_an_effect_that_is_there_already(tmp_path, small_tracker_study):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("lateral_reversal", "component to be said: EYX or EZX"),
-        ("gear_harmonic", "order to be said: 1 or 2 or 3 or 4"),
-        ("cross_axis", "other to be said: Y or Z"),
+        ("lateral_reversal", "component, required: EYX or EZX"),
+        ("gear_harmonic", "order, required: 1 or 2 or 3 or 4"),
+        ("cross_axis", "other, required: Y or Z"),
         # Its reach differs as well, and follows from that.
-        ("gear_wind_up", "component to be said: arm or tool\n  parameters"),
+        ("gear_wind_up", "component, required: arm or tool\n  parameters"),
     ],
 )
 def test_an_effect_tells_what_it_has_to_be_told(name, said):
@@ -597,8 +597,8 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     vcal.cli.show.show_closure(closure)
     shown = " ".join(capsys.readouterr().out.split())
     assert "backlash Y: size_um = 12.0 ± 1.2 um (k = 2), p = 0.002, named" in shown
-    assert "not to be told from: angular_reversal Y" in shown
-    assert "it may be instead: warm_up X (43 %)" in shown and "jump" not in shown
+    assert "equivalent on these data: angular_reversal Y" in shown
+    assert "alternatives: warm_up X (43 %)" in shown and "jump" not in shown
     assert "backlash X: size = 12.98 ± 0.42 um (k = 2), declared" in shown and "drift" not in shown
     assert "no more effects may be added" in shown
     assert "rms error, µm, ± one standard uncertainty after" in shown
@@ -646,7 +646,7 @@ def test_interrupted_with_something_to_tell(tmp_path, small_tracker_study, monke
     out = tmp_path / "out"
     shown = run("loop", small_tracker_study, "--out", out, code=130)
     assert shown.stdout == f"a sentence\nReport: {out / 'index.html'}\n"
-    assert "the report holds what was known by then" in shown.stderr
+    assert "the report holds the results so far" in shown.stderr
     assert (out / "index.html").read_text().startswith("what is known after True: vcal loop ")
 
 

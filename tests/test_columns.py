@@ -138,7 +138,7 @@ def test_what_can_be_read_can_be_simulated(small_tracker_study, tmp_path, names)
 # --- what is refused -----------------------------------------------------------------------------
 
 TWICE = "found two columns of one quantity, expected one, "
-RESERVED = "found the name that vcal itself has for what stands in "
+RESERVED = "found the internal name of the quantity in column "
 REFUSED = {
     "directions": ({"dir_X": np.ones(48)}, f"columns dir_x and dir_X: {TWICE}dir_x; remove one"),
     "temperatures": (
@@ -175,7 +175,7 @@ def test_two_columns_of_one_quantity(small_tracker_study, case):
 
 def test_check_points_have_the_same_names(small_tracker_study):
     renamed(small_tracker_study, {"t_s": "t"}, "check.csv")
-    with pytest.raises(StudyError, match="check.csv, header, column t: found the name that"):
+    with pytest.raises(StudyError, match="check.csv, header, column t: found the internal name"):
         load_study(small_tracker_study)
 
 
@@ -183,11 +183,13 @@ def test_check_points_have_the_same_names(small_tracker_study):
 def test_moves_of_joints_are_computed(small_arm_study, name):
     with pytest.raises(StudyError) as caught:
         load_study(with_columns(small_arm_study, **{name: np.ones(16)}))
-    assert f"header, column {name}: found a column of the moves of a joint" in str(caught.value)
+    assert f"header, column {name}: found a column of joint moves" in str(caught.value)
 
 
 def test_the_order_of_poses_has_one_column(small_arm_study):
-    with pytest.raises(StudyError, match="column order: found the name that .* stands in pose,"):
+    with pytest.raises(
+        StudyError, match="column order: found the internal name .* in column pose,"
+    ):
         load_study(with_columns(small_arm_study, order=np.arange(16.0)[::-1]))
 
 
@@ -253,7 +255,7 @@ def test_readings_of_another_name_make_no_plan(tmp_path, case):
         load_study(folder)
     message = str(caught.value)
     assert message.startswith(f"data.csv, header, column {column}: found no column of readings")
-    assert f"named like {meant}, expected" in message
+    assert f"a name similar to {meant}, expected" in message
 
 
 @pytest.mark.parametrize("kind", ["r_test", "static_r_test"])
@@ -263,7 +265,9 @@ def test_readings_of_other_settings_make_no_plan(tmp_path, kind):
     with pytest.raises(StudyError) as caught:
         load_study(folder, probes)
     message = str(caught.value)
-    assert message.startswith("data.csv, header, columns x_ext_mm, y_ext_mm, z_ext_mm: found what")
+    assert message.startswith(
+        "data.csv, header, columns x_ext_mm, y_ext_mm, z_ext_mm: found readings of"
+    )
     assert "expected p1_mm, p2_mm, p3_mm; or no readings, in a plan; correct the set" in message
     bare = start_with(tmp_path / "plan", kind, dict.fromkeys(SPHERE, ""))
     assert load_study(bare, probes).measurement is None

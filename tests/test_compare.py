@@ -10,9 +10,9 @@ from scipy import stats
 
 from vcal.distributions import Inputs, Normal, StudentT, Uniform
 from vcal.uncertainty.adaptive import Precision
-from vcal.uncertainty.compare import attained_coverage, compare
+from vcal.uncertainty.comparison import attained_coverage, compare
 from vcal.uncertainty.functions import propagate_distributions
-from vcal.uncertainty.propagate import propagate
+from vcal.uncertainty.propagation import propagate
 from vcal.uncertainty.table import comparison_table
 
 ROOT3 = math.sqrt(3.0)

@@ -76,8 +76,8 @@ def test_what_corrects_an_effect_that_is_not_declared(one_run, tmp_path):
     with pytest.raises(StudyError) as caught:
         load_study(with_text(one_run, tmp_path, named(*reversed(MATRIX))))
     message = str(caught.value)
-    assert "key model.effect.0.name (snap_crosstalk): found an effect that has no place" in message
-    assert "declare that effect first" in message
+    assert "key model.effect.0.name (snap_crosstalk): found an effect without a possible" in message
+    assert "declare the corrected effect first" in message
 
 
 @pytest.mark.parametrize("folder", ["one_run", "two_runs"])
@@ -155,7 +155,8 @@ def test_a_message_leads_to_one_effect(instrument):
                     # A column that the bundled study lacks is another matter, and so is what the
                     # instrument brings along.
                     if told is not None:
-                        assert "no such column, but" in told or "has already" in told, told
+                        known = "an effect that the study or another --with declares"
+                        assert "no such column, but" in told or known in told, told
                         break
                     followed += 1
                 else:

@@ -208,7 +208,7 @@ def test_minimax_of_known_problems():
         slopes=lambda z: np.array([[2.0 * (z[0] - 1.0)], [2.0 * (z[0] + 1.0)]]),
     )
     assert by_hand.largest == pytest.approx(2.0, abs=1e-5)
-    with pytest.raises(ValueError, match="breaks a bound"):
+    with pytest.raises(ValueError, match="violates a bound"):
         minimax(two, np.array([3.0]), np.array([-2.0]), np.array([2.0]))
     with pytest.raises(ValueError, match="not finite"):
         minimax(lambda z: two(z) / 0.0, np.array([0.5]), np.array([-2.0]), np.array([2.0]))

@@ -14,7 +14,7 @@ from vcal import Model
 from vcal.cli.start_studies import write_start
 from vcal.design import covariance, expected_rms, volumetric_gram
 from vcal.design.judged import grid_points
-from vcal.design.optimise import Compiled, optimise
+from vcal.design.optimiser import Compiled, optimise
 from vcal.design.spaces import SPACES
 from vcal.report.html.folder import ReportFolder
 
@@ -394,7 +394,7 @@ def test_mistakes_of_a_tracker(few_points, tmp_path):
     assert "in x, expected the first below" in message(
         *TRUE_STATION, *low, "--set", "design.station_high_mm=[-200,1,1]"
     )
-    assert "reaches into the work space" in message(
+    assert "reach into the work space" in message(
         *TRUE_STATION, *low, "--set", "design.station_high_mm=[200,300,300]"
     )
     assert "unknown key 'across_mm'" in message("--set", "design.across_mm=[1,1]")
@@ -436,7 +436,7 @@ def test_bending_of_an_artefact_whose_balls_move(few_poses, tmp_path):
     text = '\n[[model.effect]]\nname = "artefact_bending"\nsag_um_sigma = 5\n'
     folder = declare(few_poses, tmp_path, text)
     message = design(folder, tmp_path / "out", *FREE, code=2).stderr
-    assert "'artefact_bending', which hangs on the line of the artefact" in message
+    assert "'artefact_bending', which depends on the line of the artefact" in message
 
 
 def test_a_folder_with_other_things(few_poses, tmp_path):

@@ -14,7 +14,7 @@ from vcal import Model
 from vcal.design import covariance, expected_rms, volumetric_gram
 from vcal.design.judged import grid_points
 from vcal.design.next_measurement import CANDIDATES, plan_next
-from vcal.design.optimise import Compiled
+from vcal.design.optimiser import Compiled
 from vcal.design.separation import ALPHA, Rival, Separation
 from vcal.loop.outcome.closure import FoundEffect
 from vcal.report.next_measurement.page import _conditions as conditions

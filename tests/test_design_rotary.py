@@ -10,7 +10,7 @@ from conftest import TRACKER, write_csv
 from designing import design, run, strict, task_of
 from test_rotary import AXES, SETUP, point
 from vcal.design import covariance
-from vcal.design.optimise import Compiled
+from vcal.design.optimiser import Compiled
 from vcal.design.spaces.laser_tracker import work_space
 from vcal.machine.chain import chain_from_string
 

@@ -14,7 +14,7 @@ from test_rotary import AXES, point, positions
 from test_static_r_test import HEAD, INSTRUMENT, seen, still
 from vcal.design import covariance
 from vcal.design.next_measurement import plan_next
-from vcal.design.optimise import Compiled, optimise
+from vcal.design.optimiser import Compiled, optimise
 from vcal.instruments.follow import carried_apart, followed
 from vcal.machine.chain import chain_from_string
 from vcal.uncertainty import ErrorMotionErrors, ParameterErrors, linearised

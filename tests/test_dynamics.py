@@ -10,7 +10,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from vcal.dynamics.assemble import assemble
 from vcal.dynamics.bodies import GROUND, Body, Drive, Machine, Scale, Spring, ToolPoint
 from vcal.dynamics.closed_loop import (
     _exponential,
@@ -22,12 +21,13 @@ from vcal.dynamics.closed_loop import (
     settles,
     steady,
 )
-from vcal.dynamics.compliance import compliance
 from vcal.dynamics.control import Controller
 from vcal.dynamics.gains import propose
-from vcal.dynamics.modes import check_supported, modes
-from vcal.dynamics.response import response
+from vcal.dynamics.harmonic_response import response
+from vcal.dynamics.modal_analysis import check_supported, modes
+from vcal.dynamics.quasi_static import compliance
 from vcal.dynamics.setpoints import Limits, SetCircle, positioning
+from vcal.dynamics.structure import assemble
 from vcal.machine.chain import chain_from_string
 
 NONE = jnp.zeros(3)

@@ -21,7 +21,7 @@ from vcal.distributions import (
     Uniform,
 )
 from vcal.uncertainty.budget import coverage_factor
-from vcal.uncertainty.propagate import propagate
+from vcal.uncertainty.propagation import propagate
 from vcal.uncertainty.table import budget_table
 
 # GUM H.2: five simultaneous observations of voltage (V), current (A) and phase (rad).
@@ -635,4 +635,4 @@ def test_budget_as_a_table():
 
 def test_table_tells_the_notes():
     text = budget_table(propagate(mismatch, mismatched(0.0, 0.0)))
-    assert text.splitlines()[-1].startswith("- no input moves y at first order")
+    assert text.splitlines()[-1].startswith("- y has no first-order sensitivity to any input")

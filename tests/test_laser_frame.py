@@ -344,9 +344,9 @@ def test_mistakes_in_the_data(tmp_path, column, value, said):
     ("wanted", "said"),
     [
         ("{ EYX = 4, EXX = 1, EBY = 4, EC0Y = 0 }", None),
-        ("{ EYX = 4, EXX = 3 }", "153 points that tell apart 10 of 12 parameters; EXX is part"),
-        ("{ EYX = 12, EC0Y = 0 }", "EYX, EC0Y are part of what they do not, expected points"),
-        ("{ ECZ = 1, EYX = 4 }", "measure more or other places, or ask for less"),
+        ("{ EYX = 4, EXX = 3 }", "153 points that identify 10 of 12 parameters; EXX is not"),
+        ("{ EYX = 12, EC0Y = 0 }", "EYX, EC0Y are not identified, expected points"),
+        ("{ ECZ = 1, EYX = 4 }", "measure more or other positions, or remove errors or degrees"),
         (
             "{ EXYY = 2 }",
             "data.must_see.EXYY: found the unknown error 'EXYY' (did you mean 'EYY'?)",

@@ -26,7 +26,7 @@ from vcal.dynamics import (
 )
 from vcal.dynamics.circles import answers
 from vcal.dynamics.gains import propose
-from vcal.dynamics.response import harmonics, response
+from vcal.dynamics.harmonic_response import harmonics, response
 from vcal.dynamics.unknowns import CentreShift, DampingFactor, Delay, DriveFactor, SpringFactor
 from vcal.errors import StudyError
 from vcal.numerics.compiled import filter_jit_outermost, jit_outermost
@@ -97,20 +97,20 @@ BAD = {
               "spring.1.stiffness_N_per_um.1: found 1e+30, expected a number of at most 1e+06"),
     "heavy": ("mass_kg = 450", "mass_kg = 1e300", "body.1.mass_kg: found 1e+300"),
     "light": ("mass_kg = 450", "mass_kg = 1e-12", "1e-12, expected a number of at least 0.001"),
-    "light motor": ("motor_mass_kg = 220", "motor_mass_kg = 1e-9", "found 1e-09 beside a screw"),
+    "light motor": ("motor_mass_kg = 220", "motor_mass_kg = 1e-9", "found 1e-09 for a drive"),
     "far": ("[0, 0, -250]", "[0, 0, 1e200]", "body.1.centre_mm.2: found 1e+200, expected a number"),
     "far tool": ("[0, -50, -20]", "[-1e300, -50, -20]",
                  "tool_point.point_mm.0: found -1e+300, expected a number of at least -100000"),
     "inertia": ("[20, 35, 50]", "[1, 1, 1000]", "body.1.inertia_kg_m2: found [1.0, 1.0, 1000.0], "
-                "expected none above the sum of the two others"),
+                "expected no moment above the sum of the two others"),
     "percent": ("[controller]", "[controller]\nfeed_forward = 100", "feed_forward: found 100, "
                 "expected a number of at most 1"),
     "backwards": ("[controller]", "[controller]\nfeed_forward = -1", "feed_forward: found -1, "),
     "undamped": ("damping = 0.05", "damping = 0", "declare the damping of the springs, which have"),
     "body": ('between = ["Z", "Y"]', 'between = ["Z", "YY"]', "'YY' (did you mean"),
     "no on": ('name = "Y"\nmass', 'name = "column"\nmass',
-              "key body.2.name: found 'column' without the key on, expected a name out of bed, X, "
-              "Y, Z, or on = one of them"),
+              "key body.2.name: found 'column' without the key on, expected one of the names bed, "
+              "X, Y, Z, or the key on"),
     "on": ('name = "Y"\nmass', 'name = "Y"\non = "V"\nmass', "key body.2.on: found 'V', expected"),
     "rows": ("[tool_point]", "[[tool_point]]",
              "expected one table, below [tool_point]; write it in single brackets"),
@@ -120,7 +120,7 @@ BAD = {
               "'w X Y Z t', expected 'w', the table's axes, 'b', the tool's axes, 't', such as "
               "'w X b Y Z t'; correct the chain"),
     "axis": ('axis = "Y"', 'axis = "X"', "key drive.1.axis: found 'X' again"),
-    "motor": ("motor_mass_kg = 220\n", "", "key drive.0.motor_mass_kg: found none beside a screw"),
+    "motor": ("motor_mass_kg = 220\n", "", "key drive.0.motor_mass_kg: found none for a drive"),
     "delay": ("delay_ms = 0.2", "delay_ms = 0.6", "less than two sample times"),
     "held": ("[0, 500, 600]", "[500, 500, 600]", "springs that hold axis X along its travel, with"),
     "swapped": ("[tool_point]", '[tool_point]\ntool = "X"\nwork = "Z"',
@@ -167,7 +167,7 @@ def test_a_drive_pushes_the_body_of_its_name(tmp_path):
     text = TEXT.replace('name = "X"', 'name = "table"\non = "X"').replace('["X", ', '["table", ')
     path = tmp_path / "machine.toml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(StudyError, match="key drive.0.axis: found 'X', which is the name of none"):
+    with pytest.raises(StudyError, match="key drive.0.axis: found 'X', which is no name of a body"):
         load_machine(path)
 
 

@@ -131,7 +131,7 @@ def test_a_class_that_cannot_be_used(small_tracker_study, case):
     with pytest.raises(StudyError) as caught:
         load_study(with_own(small_tracker_study, OWN.replace(old, new)))
     message = str(caught.value)
-    assert message.startswith("own.py, class QuillSag, ") and message.endswith("mend the class")
+    assert message.startswith("own.py, class QuillSag, ") and message.endswith("correct the class")
     assert expected in message
 
 
@@ -152,7 +152,7 @@ def test_what_is_made_of_a_shape(small_tracker_study, case):
         load_study(folder)
     message = str(caught.value)
     assert message.startswith(f"own.py, class QuillSag, response: {expected}")
-    assert message.endswith("mend the class") and "\n" not in message
+    assert message.endswith("correct the class") and "\n" not in message
 
 
 def test_a_class_that_can(small_tracker_study):

@@ -214,7 +214,7 @@ def test_commands(small, tmp_path):
     assert (out / "code" / "bar.py").read_text(encoding="utf-8") == BAR
     assert load_study(out).measurement is not None
     told = run("design", small, "--out", tmp_path / "design", *moved, code=2).stderr
-    assert "'double_ball_bar', of which the plans have no space to search" in told
+    assert "'double_ball_bar', for which no design space exists" in told
     shutil.move(small / "code" / "bar.py", small.parent / "bar.py")
     outside = ("--set", "instrument.kind_file=../bar.py")
     told = run("simulate", small, "--out", tmp_path / "no", *outside, code=2).stderr
@@ -236,7 +236,7 @@ def test_what_fails_later_is_told_in_one_line(small, tmp_path):
     told = run("simulate", small, "--out", tmp_path / "out", code=2).stderr
     assert re.fullmatch(
         r"vcal: ball_bar.py, to_table: found AssertionError \(line \d+\), expected code that runs; "
-        "mend the class\n",
+        "correct the class\n",
         told,
     )
     assert not (tmp_path / "out").exists()
@@ -359,7 +359,11 @@ OF_FILE = {
 WRONG = {
     "a kind there is": (HEAD, 'kind = "r_test"\n', "kind: found 'r_test', which is taken, expec"),
     "a kind with a blank": (HEAD, 'kind = "ball bar"\n', "kind: found 'ball bar', expected letter"),
-    "not all methods": ("def noise", "def nois", "body: found no noise, expected all that"),
+    "not all methods": (
+        "def noise",
+        "def nois",
+        "body: found no noise, expected all abstract methods",
+    ),
     "settings": ("Settings = BallBarSettings", "Settings = 3", "Settings: found 3, expected a cl"),
     "dimension": ("dimension = 1", "dimension = 0", "dimension: found 0, expected a whole number"),
     "labels": ("dimension = 1", 'dimension = 1; labels = "a"', "labels: found 'a', expected a t"),
@@ -487,7 +491,7 @@ WRONG = {
     "reduce": (
         LAST,
         LAST + "\n    def reduce(self, values, plan):\n        return values[1:]\n",
-        "reduce: found shape (23, 1), expected as many readings as it was given",
+        "reduce: found shape (23, 1), expected as many readings as its argument has",
     ),
     "folds alone": (LAST, "        return fold\n", "folds: found ndarray, expected a pair"),
     "folds of runs": (
@@ -503,12 +507,12 @@ WRONG = {
     "one fold": (
         LAST,
         "        return 0 * fold, False\n",
-        "folds: found no rows beside one of the",
+        "folds: found no rows outside one of the",
     ),
     "nothing to fit": (
         LAST,
         "        return fold, True\n",
-        "folds: found no rows beside one of the",
+        "folds: found no rows outside one of the",
     ),
     "no fold": (LAST, "        return 0 * fold - 1, True\n", "folds: found -1 for every row"),
     "apart per fold": (
@@ -569,7 +573,7 @@ WRONG = {
     "readings that are covariates": (
         'linear_plan(chain, table, readings=("deviation_um",))',
         "linear_plan(chain, table)",
-        "plan: found deviation_um among the covariates, expected none that is read, as by linear_",
+        "plan: found deviation_um among the covariates, expected no reading, as by linear_",
     ),
     "writes into the plan": (
         'return self.centres[np.searchsorted(self.runs, np.asarray(plan.groups["run"]))]',
@@ -594,12 +598,12 @@ WRONG = {
     "chance": (
         OBSERVE,
         "return [tool.x + np.random.default_rng().normal()]",
-        "observe: found something else when it was called again, expected the same",
+        "observe: found another result when it was called again, expected the same",
     ),
     "folds by chance": (
         LAST,
         "        return np.random.default_rng().permutation(plan.rows), False\n",
-        "folds: found something else when it was called again, expected the same",
+        "folds: found another result when it was called again, expected the same",
     ),
     "a list of lengths": (
         "np.ones((plan.rows, 1))",
@@ -629,7 +633,7 @@ WRONG = {
     "members": (
         LAST,
         LAST + "\n    members = {1: 2}\n",
-        "members: found some, expected none: what a study joins are its data sets",
+        "members: found some, expected none, as a study joins its data sets itself",
     ),
     "reduce to squares": (
         LAST,
@@ -639,7 +643,7 @@ WRONG = {
     "what is held out alone tells something": (
         LAST,
         "        return np.where(run == 1, 0, -1), True\n",
-        "folds: found all rows that tell bar_centre 1.X, bar_centre 1.Y kept out of every fit",
+        "folds: found all rows that identify bar_centre 1.X, bar_centre 1.Y held out of every fit",
     ),
     "does not write the readings": (
         ', "deviation_um": readings[:, 0] * 1e6}',
@@ -693,7 +697,7 @@ def test_a_class_that_cannot_be_used(small, case):
         load_study(small, SETS.get(case, []))
     message = str(caught.value)
     assert message.startswith("ball_bar.py, class DoubleBallBar, ") and "\n" not in message
-    assert message.endswith("; mend the class")
+    assert message.endswith("; correct the class")
     assert expected in message
 
 
@@ -707,7 +711,8 @@ OF_EFFECTS = {
     "scatter without a size": (
         '("error", "um", sigma=self.u_um),)',
         '("error", "um"),)\n\n    kind = "random"',
-        "BarLength, parameters: found error of a random effect without sigma, expected how much",
+        "BarLength, parameters: found error of a random effect without sigma, expected its "
+        "standard deviation",
     ),
     "what was not recorded": (
         'return ("run",)',
@@ -755,7 +760,7 @@ def test_nothing_to_be_found(small):
     setup = (small / "setup.toml").read_text(encoding="utf-8")
     geometric = setup[setup.index("[model.geometric]") : setup.index("[data]")]
     (small / "setup.toml").write_text(setup.replace(geometric, ""), encoding="utf-8")
-    with pytest.raises(StudyError, match="found no parameter: neither errors of the machine, nor"):
+    with pytest.raises(StudyError, match="found no parameter, neither of the machine, nor"):
         load_study(small)
 
 
@@ -771,10 +776,10 @@ def test_a_validator_that_refuses(small, says):
     (small / "ball_bar.py").write_text(text, encoding="utf-8")
     with pytest.raises(StudyError) as caught:
         load_study(small)
-    said = "no bar" if "bar" in says else "it says no more"
+    said = " (no bar)" if "bar" in says else ""
     assert str(caught.value) == (
-        "setup.toml, key instrument.length_mm: found 150, expected what its validator allows: "
-        f"{said}; correct the value"
+        "setup.toml, key instrument.length_mm: found 150, expected a value that its validator "
+        f"accepts{said}; correct the value"
     )
 
 
@@ -794,7 +799,7 @@ def test_a_validator_that_fails(small):
 @pytest.mark.parametrize(
     ("value", "expected"),
     [
-        ("3", "key instrument.kind_file: found 3, expected a Python file beside the study file"),
+        ("3", "key instrument.kind_file: found 3, expected the name of a Python file"),
         ("no.py", "no.py, file: found no such file in "),
         ("setup.toml", "setup.toml: not a Python file, expected a name that ends in .py"),
     ],

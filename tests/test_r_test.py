@@ -10,7 +10,7 @@ import vcal
 from oracle import PLANES, measure_circles
 from vcal import Measurement, close_loop, load_study, predict
 from vcal.dynamics import measured_phasors
-from vcal.dynamics.evaluate import evaluate, even_ellipse
+from vcal.dynamics.ellipse_evaluation import evaluate, even_ellipse
 from vcal.effects.base import Fitted
 from vcal.effects.registry import load_effects
 from vcal.effects.reversal import ReversalSpike

@@ -711,7 +711,7 @@ MISTAKES = {
     "missing file": (lambda f: (f / "balls.csv").unlink(), "balls.csv, file: found no such file"),
     "both": (
         swap("[model.geometric]", '[instrument]\nkind = "r_test"\n[model.geometric]'),
-        "setup.toml, key instrument: found an [instrument] beside [[data]]",
+        "setup.toml, key instrument: found an [instrument] together with [[data]]",
     ),
     "axis missing": (without_column, "balls.csv, column y_mm: found no such column"),
     "unknown key": (

@@ -22,7 +22,7 @@ OWN_EFFECT = '''
 import jax.numpy as jnp
 
 from vcal.effects.base import Effect
-from vcal.parameters import Parameter
+from vcal.machine.parameters import Parameter
 
 
 class Wobble(Effect):

@@ -345,7 +345,7 @@ def test_only_a_report_of_its_own_kind_is_replaced(tmp_path):
         (("--draws", "1e4"), "found '1e4'"),
         (("--draws", str(2**32 + 1)), "or 'adaptive'; correct it"),
         (("--with", "backlsh:Y"), "unknown effect 'backlsh' (did you mean 'backlash'?)"),
-        (("--with", "backlash:Z"), "effect backlash Z: found what the study has already"),
+        (("--with", "backlash:Z"), "effect backlash Z: found an effect that the study or"),
         (("--with", "backlash:Q"), "--with backlash:Q"),
         (("--noise-factor", "-1"), "--noise-factor, value: found -1"),
         (("--set", "instrument.kind=tracker"), "(did you mean 'laser_tracker'?)"),
@@ -410,7 +410,7 @@ import signal
 import time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the tests run unattended
 import vcal.uncertainty.campaign as campaign
-import vcal.uncertainty.stream as stream
+import vcal.uncertainty.streaming as stream
 from vcal.cli import main
 stream._CHUNK_S = stream._SAVING = 0.0
 evaluate = campaign._Evaluate.__call__
@@ -459,7 +459,7 @@ def test_interrupted_killed_and_resumed(study, report, tmp_path):
     code, stdout, stderr = Process(study, out, 0.4).stop_after_a_checkpoint(signal.SIGINT)
     assert (code, stderr) == (
         130,
-        "vcal: interrupted: the report holds what was known by then; the same command goes on\n",
+        "vcal: interrupted: the report holds the results so far; the same command resumes\n",
     )
     first = strict(out / "result.json")
     assert first["interrupted"] and 1000 <= first["draws"]["done"] < 9500

@@ -1,15 +1,15 @@
 """Virtual calibration of machine tools: simulate, identify, and close the loop with measured data.
 
-A machine, an instrument and everything that can disturb them form one differentiable function from
-what was commanded, and under which conditions, to what the instrument read. The verbs of this
-package are uses of that one function.
+A machine, an instrument and the effects that disturb them form one differentiable function from
+commanded positions and conditions to readings of the instrument. The verbs of this package are uses
+of that function.
 """
 
-from .startup import importing
+from .startup import importing as _importing
 
-# Most of the time that a command takes to start.
-with importing():
-    import jax
+# These imports take most of the time that a command needs to start.
+with _importing():
+    import jax as _jax
 
     from .effects import CATALOGUE, Effect, register
     from .errors import StudyError
@@ -28,7 +28,7 @@ __version__ = "0.1.0"
 
 def enable_float64() -> None:
     """Switch JAX to float64, which every computation of vcal requires."""
-    jax.config.update("jax_enable_x64", True)
+    _jax.config.update("jax_enable_x64", True)
 
 
 __all__ = [
@@ -51,3 +51,8 @@ __all__ = [
     "predict",
     "register",
 ]
+
+
+def __dir__() -> list[str]:
+    """The public names only: imported subpackages are reached by importing them."""
+    return sorted([*__all__, "__version__"])

@@ -1,5 +1,10 @@
-"""The command line: `vcal loop`, `demo`, `init`, `simulate`, `check` and `effects`."""
+"""The command line ``vcal``: one command per verb, from its arguments to its report.
 
-from .app import app, main
+Every command reads a study, calls one verb and writes one folder. Uses every room below; nothing
+but ``python -m vcal`` stands on it. `commands` declares the arguments and the help, `session` holds
+what all commands share, and `show` what they print.
+"""
+
+from .commands import app, main
 
 __all__ = ["app", "main"]

@@ -1,4 +1,4 @@
-"""What `vcal design` does: from its arguments to the report."""
+"""The command `vcal design`: from its arguments to the report."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..design.next_measurement import plan_next
-from ..design.optimise import optimise, seen
+from ..design.optimiser import Task, optimise, seen
 from ..design.separation import Separation
 from ..errors import StudyError
 from ..report.design import record as design_record
@@ -15,15 +15,15 @@ from ..report.next_measurement.record import carried_over, sentence
 from ..report.next_measurement.write import write_next
 from ..study import Study, load_study
 from ..study.design.rivals import Wanted, parse_rivals, rivals_of
-from ..study.design.task import check_designed, design_task
+from ..study.design.task import StudyDesign, check_designed
 from .loop import close_study
 
 _MORE = {"pose": 1, "point": 10}
-"""Groups of the next measurement, where the study does not say."""
+"""Default size of the next measurement, by the group that a space places."""
 
 
 class Done(NamedTuple):
-    """How it ended."""
+    """The written report and the sentences to print."""
 
     page: Path
     sentences: list[str]
@@ -40,21 +40,21 @@ def run_design(
     command: str,
     progress: Callable[[str], None],
 ) -> Done:
-    """Read a study, make its plan better, or find what to measure next, and write it into `out`.
+    """Improve the plan of a study, or design its next measurement, and write the report to `out`.
 
-    Raises `StudyError` for what cannot be used, before anything is written.
+    Raises `StudyError` for a mistake in the input, before anything is written.
     """
     began = time.perf_counter()
     check_design_folder(out)
     if separate and not following:
         raise StudyError(
-            "--separate: found it without --next, expected both, as it is a further measurement "
-            "that tells effects apart; add --next"
+            "--separate: found it without --next, expected both, as a further measurement is what "
+            "separates effects; add --next, or leave out --separate"
         )
     study = load_study(setup, overrides)
     if following:
         return _next(study, out, separate, seed, command, began, progress)
-    task = design_task(study)
+    task = StudyDesign.of(study).task()
     settings = study.single.design
     done = optimise(
         task, seed=seed, starts=settings.starts, steps=settings.steps, progress=progress
@@ -85,12 +85,7 @@ def _next(
     progress: Callable[[str], None],
 ) -> Done:
     settings = study.single.design
-    task = design_task(study)
-    wanted, why = _wanted(study, separate, progress)
-    separation = None
-    if wanted is not None:
-        task = design_task(study, wanted.declared, wanted.others)
-        separation = Separation.of(task.families[0].model, *wanted.rivals)
+    task, separation, why = _question(study, separate, progress)
     done = plan_next(
         task,
         settings.more or _MORE[task.space.group],
@@ -103,34 +98,47 @@ def _next(
     progress("writing the report")
     seconds = time.perf_counter() - began
     page = write_next(done, study, out, why=why, seed=seed, command=command, seconds=seconds)
-    told = [why, sentence(done), carried_over(done, study)]
-    return Done(page, [line for line in told if line])
+    sentences = [why, sentence(done), carried_over(done, study)]
+    return Done(page, [line for line in sentences if line])
 
 
-def _wanted(
+def _question(
     study: Study, separate: Sequence[str], progress: Callable[[str], None]
-) -> tuple[Wanted | None, str]:
-    """The effects to tell apart, if any, and why these or none."""
-    task = design_task(study)
+) -> tuple[Task, Separation | None, str]:
+    """The design task of the next measurement, the effects to separate, if any, and the reason.
+
+    Without rivals it is the task of the study. With rivals, these leave the declared model, and the
+    other effects that the loop found join it.
+    """
+    design = StudyDesign.of(study)
     if separate:
-        return parse_rivals(separate, study), "The two effects were named by --separate."
+        wanted = parse_rivals(separate, study)
+        return *_separating(design.task(wanted.declared), wanted), (
+            "The two effects were named by --separate."
+        )
+    task = design.task()
     if study.measurement is None or not task.space.taken:
-        return None, "There are no readings yet: what counts is the criterion of [design]."
+        return task, None, "There are no readings yet: the criterion of [design] decides."
     closure = close_study(study, study.measurement, progress)
     if closure.interrupted:
         raise KeyboardInterrupt
     wanted = rivals_of(closure, study, task)
     if wanted is not None:
         first, second = (rival.effect.key for rival in wanted.rivals)
-        return wanted, (
-            f"The loop was run on the data and left open whether it is {first} or {second}."
+        if wanted.declared or wanted.others:
+            task = design.task(wanted.declared, wanted.others)
+        return *_separating(task, wanted), (
+            f"The loop was run on the data and could not decide between {first} and {second}."
         )
-    told = {
+    outcome = {
         "nothing_missing": "found nothing missing",
-        "named": "named what is missing without doubt",
-        "unexplained": "found something that no known effect explains",
-        "ambiguous": "left open what is missing, between effects that have no size to plan with",
+        "named": "identified the missing effect with certainty",
+        "unexplained": "found a significant deviation that no known effect explains",
+        "ambiguous": "could not decide between effects that have no size to plan with",
     }[closure.verdict or "nothing_missing"]
-    return None, (
-        f"The loop was run on the data and {told}: what counts is the criterion of [design]."
-    )
+    why = f"The loop was run on the data and {outcome}: the criterion of [design] decides."
+    return task, None, why
+
+
+def _separating(task: Task, wanted: Wanted) -> tuple[Task, Separation]:
+    return task, Separation.of(task.families[0].model, *wanted.rivals)

@@ -1,4 +1,4 @@
-"""Closing the loop as a study file asks for it."""
+"""The command `vcal loop`: closing the loop with the settings of a study file."""
 
 from collections.abc import Callable
 
@@ -15,8 +15,8 @@ from ..study.messages import listed, refusal
 def close_study(study: Study, measurement: Measurement, progress: Callable[[str], None]) -> Closure:
     """Close the loop on a measurement with the study's model, check points and settings.
 
-    Raises `StudyError` where the data can say nothing about the effects that were asked for, and
-    where the readings do not determine what has to be found with every fit.
+    Raises `StudyError` where the data allow none of the requested effects to be tested, and where
+    the equations of a fit have no solution.
     """
     try:
         return close_loop(
@@ -33,8 +33,8 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
             study.path.name,
             "key loop.effects",
             f"none that could be tested ({'; '.join(error.reasons) or 'no place for them'})",
-            "at least one for which the data have what it needs",
-            "record it, or name other effects",
+            "at least one for which the data have the columns that it needs",
+            "record the missing columns, or name other effects",
         ) from error
     except np.linalg.LinAlgError as error:
         raise refusal(
@@ -43,6 +43,6 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
             f"equations that have no solution ({error})",
             "readings that follow the positions, and declared noise, errors and effects of the "
             "size that they have, all in the units of their names",
-            "compare the first rows with what was measured, and the declared sizes with the "
-            "machine; numbers many powers of ten apart are such a case",
+            "compare the first rows with the measurement protocol, and the declared sizes with the "
+            "machine; values that are wrong by many powers of ten are a common cause",
         ) from error

@@ -1,4 +1,4 @@
-"""What all commands share: precision, compilation cache, progress, and how mistakes are told."""
+"""What all commands share: precision, compilation cache, progress display and error messages."""
 
 import functools
 import os
@@ -17,7 +17,7 @@ import typer
 
 from .. import enable_float64
 from ..errors import StudyError
-from ..study.plugins.trial import told
+from ..study.plugins.trial import own_code_error
 
 MISTAKE = 2
 """Exit code where the input cannot be used."""
@@ -25,14 +25,14 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells expect it: 128 + SIGINT."""
 _CALLBACK = "_xla_gc_callback"
 _WORTH_KEEPING_S = 0.1
-"""Programs that compile faster than this are not kept: reading them back would take as long."""
+"""Programs that compile in less time are not cached: reading them back would take as long."""
 
 
 def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
-    """A command that tells a `StudyError` in one message with exit code 2, without a traceback.
+    """A command that reports a `StudyError` as one message with exit code 2, without a traceback.
 
-    So are files that cannot be read or written, and what fails in a file of the user's own. Ctrl-C,
-    where the command does not deal with it itself, gives exit code 130.
+    The same holds for files that cannot be read or written, and for errors raised in a user's own
+    file. Ctrl-C gives exit code 130 where the command does not handle it itself.
     """
 
     @functools.wraps(command)
@@ -51,9 +51,9 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
             tell("interrupted; nothing was written")
             raise typer.Exit(INTERRUPTED) from None
         except BaseException as error:
-            # Effects and instruments of a user's own were tried once, which not all survive; nor
-            # may one of them end the program.
-            if (text := told(error)) is None:
+            # A user's own effect or instrument was called once on loading, which does not exclude
+            # a later failure. Such a class may not end the program with a traceback either.
+            if (text := own_code_error(error)) is None:
                 raise
             tell(text)
             raise typer.Exit(MISTAKE) from None
@@ -67,10 +67,10 @@ def tell(message: str) -> None:
 
 
 def listen() -> None:
-    """Have Ctrl-C raise `KeyboardInterrupt`, and not where it would be lost.
+    """Let Ctrl-C raise `KeyboardInterrupt` where it is not lost.
 
-    What is raised in a callback of the garbage collector is printed and forgotten, and JAX has one
-    that runs often; the interruption then comes again a moment later.
+    Python prints and drops an exception raised in a callback of the garbage collector, and JAX has
+    such a callback that runs often. An interruption inside it is sent again a moment later.
     """
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -81,13 +81,13 @@ def listen() -> None:
             return
         raise KeyboardInterrupt
 
-    # Whoever started the process without Ctrl-C, such as nohup, meant it.
+    # A process that was started with SIGINT ignored, for example by nohup, keeps ignoring it.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
 
 
 def _again(number: int) -> None:
-    """Send a signal to the main thread, so that it wakes up for it."""
+    """Send a signal to the main thread, also where it is waiting."""
     main = threading.main_thread().ident
     if hasattr(signal, "pthread_kill") and main is not None:
         signal.pthread_kill(main, number)
@@ -98,8 +98,8 @@ def _again(number: int) -> None:
 def leave(code: int) -> NoReturn:
     """End the process at once.
 
-    For interruptions: the compiler's threads may still be at work, and crash where the interpreter
-    is taken down below them.
+    For interruptions: threads of the compiler may still be running, and crash when the interpreter
+    shuts down.
     """
     sys.stdout.flush()
     sys.stderr.flush()
@@ -107,22 +107,22 @@ def leave(code: int) -> NoReturn:
 
 
 def start() -> None:
-    """Make JAX ready for the commands that compute."""
+    """Set JAX to float64 with a compilation cache, for the commands that compute."""
     enable_float64()
     enable_cache()
 
 
 def cache_folder() -> Path | None:
-    """Where compiled programs are kept from one run to the next; None if they are not to be kept.
+    """The folder in which compiled programs are kept between runs; None without a cache.
 
-    ``vcal`` in ``XDG_CACHE_HOME``, or in what the platform has for that purpose. The environment
-    variable ``VCAL_NO_CACHE`` switches it off.
+    It is ``vcal`` in ``XDG_CACHE_HOME``, or in the cache folder of the platform. The environment
+    variable ``VCAL_NO_CACHE`` switches the cache off.
     """
     if os.environ.get("VCAL_NO_CACHE"):
         return None
     try:
         home = Path.home()
-    except RuntimeError:  # a user without a home
+    except RuntimeError:  # a user without a home directory
         return None
     if root := os.environ.get("XDG_CACHE_HOME"):
         base = Path(root)
@@ -136,9 +136,9 @@ def cache_folder() -> Path | None:
 
 
 def enable_cache() -> None:
-    """Keep compiled programs in the user's cache folder, unless JAX was told of another one.
+    """Keep compiled programs in the user's cache folder, unless JAX is configured with another one.
 
-    Without a word where that folder cannot be written: it is only there to save time.
+    A folder that cannot be written is ignored silently, as the cache only saves time.
     """
     folder = cache_folder()
     if folder is None or jax.config.jax_compilation_cache_dir is not None:  # pyright: ignore[reportAttributeAccessIssue]
@@ -149,7 +149,7 @@ def enable_cache() -> None:
         return
     if not os.access(folder, os.W_OK | os.X_OK):
         return
-    # A file that was cut off, or is being written by another process, is compiled anew.
+    # A truncated file, or one that another process is writing, is compiled again.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation")
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _WORTH_KEEPING_S)
@@ -158,9 +158,9 @@ def enable_cache() -> None:
 
 @contextmanager
 def working(text: str) -> Iterator[Callable[[str], None]]:
-    """Show on a terminal that something is going on, and what: a function to call with the step.
+    """Show the current step on a terminal; yields the function to call with the next step.
 
-    Quiet where stderr is not a terminal. Nothing of it remains on the screen.
+    Silent where stderr is not a terminal. The display is removed at the end.
     """
     if not sys.stderr.isatty():
         yield lambda step: None

@@ -1,4 +1,4 @@
-"""What commands print: compact text on stdout, the details are in the files they write."""
+"""What commands print: a compact summary on stdout; the details are in the written files."""
 
 import inspect
 import math
@@ -27,14 +27,14 @@ from ..study.messages import shown
 from ..study.study import DataSet, looked_for
 
 _MOST = 6
-_FEW_RIVALS, _TOLD = 3, 0.05
-"""Rivals of a name that are told, and the least probability of one."""
+_FEW_RIVALS, _LEAST_PROBABILITY = 3, 0.05
+"""Largest number of rivals that are printed, and the least probability of one."""
 _LITTLE = 0.3
-"""Share of a travel of which it is said that the measurement covers no more."""
+"""Share of a travel below which the coverage of an axis is reported."""
 
 
 def show_closure(closure: Closure) -> None:
-    """Print the verdict, what was found, and the errors before and after."""
+    """Print the verdict, the effects found, and the errors before and after."""
     console = _console()
     console.print(Text(closure.sentence, style="bold"))
     for found in closure.effects:
@@ -48,21 +48,20 @@ def show_closure(closure: Closure) -> None:
             soft_wrap=True,
         )
         if found.equivalent:
-            console.print(Text(f"    not to be told from: {', '.join(found.equivalent)}"))
+            console.print(Text(f"    equivalent on these data: {', '.join(found.equivalent)}"))
         if instead := [
             f"{name} {place}".strip() + f" ({100 * p:.0f} %)"
             for name, place, p in found.alternatives[:_FEW_RIVALS]
-            if p >= _TOLD
+            if p >= _LEAST_PROBABILITY
         ]:
-            console.print(Text(f"    it may be instead: {', '.join(instead)}"))
+            console.print(Text(f"    alternatives: {', '.join(instead)}"))
         if found.separation:
-            console.print(Text(f"    to be certain: {found.separation}"))
+            console.print(Text(f"    to decide: {found.separation}"))
     for effect, listed in declared(closure):
         if any(u > 0.0 for *_, u in listed):
             many = len(listed) > FEW
-            told = in_short(effect, listed) if many else f"{_values(listed)}, declared"
-            line = f"  {effect.key}: {told}"
-            console.print(Text(line), soft_wrap=True)
+            values = in_short(effect, listed) if many else f"{_values(listed)}, declared"
+            console.print(Text(f"  {effect.key}: {values}"), soft_wrap=True)
     if closure.unexplained is not None:
         console.print(Text(f"  {closure.unexplained.reason}"))
     console.print(_errors_table(closure.errors))
@@ -70,7 +69,7 @@ def show_closure(closure: Closure) -> None:
         plan = closure.after.measurement.plan
         rows = ", ".join(plan.row_name(s.row) for s in closure.suspected[:_MOST])
         more = ", ..." if len(closure.suspected) > _MOST else ""
-        console.print(Text(f"Suspected readings, left out: rows {rows}{more}."))
+        console.print(Text(f"Outliers, left out of the fit: rows {rows}{more}."))
     for note in closure.notes:
         console.print(Text(f"Note: {note}."))
 
@@ -114,7 +113,7 @@ def _rms(rms: Rms | None) -> str:
 
 
 def show_study(study: Study) -> None:
-    """Print what a study holds, and what the loop could do with it."""
+    """Print the contents of a study, and which effects the loop can test on it."""
     plan, chain = study.plan, study.chain
     readings = len(study.instrument.readings)
     travels = ", ".join(_travel(j) for j in chain.joints if np.isfinite(j.travel).all())
@@ -138,7 +137,8 @@ def show_study(study: Study) -> None:
     for effect, why in wanted.items():
         alike.setdefault(tuple(dict.fromkeys(why)), []).append(effect)
     for why, effects in alike.items():
-        rows.append(("not testable", f"{', '.join(effects)}: wants {', '.join(_short(why))}"))
+        verb = "need" if effects[1:] else "needs"
+        rows.append(("not testable", f"{', '.join(effects)}: {verb} {', '.join(_short(why))}"))
     console = _console()
     console.print(Text(f"{study.name}: {study.path} can be used.", style="bold"), soft_wrap=True)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 2))
@@ -148,7 +148,7 @@ def show_study(study: Study) -> None:
 
 
 def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
-    """Instrument and table of a data set, which is named where there are several."""
+    """Instrument and table of a data set, with its name where a study has several."""
     rows, of = one.plan.rows, f" of {one.name}" if one.name else ""
     header = read_header(study.folder / one.file)
     return [
@@ -169,14 +169,14 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
 
 
 def _blank(one: DataSet, of: str) -> list[tuple[str, str]]:
-    """Rows of which a reading is blank."""
+    """Rows with a blank reading."""
     if not (rows := one.table.blank_rows):
         return []
     return [(f"left out{of}", f"{rows_in_words(rows)}: a reading is blank")]
 
 
 def _ignored(one: DataSet, header: Sequence[str], of: str) -> list[tuple[str, str]]:
-    """Columns that count as left out."""
+    """Columns that are ignored, as most of their cells are not numbers."""
     columns = [column for column in header if column and column not in one.table]
     if not columns:
         return []
@@ -184,14 +184,14 @@ def _ignored(one: DataSet, header: Sequence[str], of: str) -> list[tuple[str, st
 
 
 def _constant(plan: Plan, header: Collection[str], of: str) -> list[tuple[str, str]]:
-    """Recorded columns that effects could depend on, but that are the same in every row."""
+    """Recorded columns that effects could depend on, but that are constant."""
     still = (name for name in (*plan.axes, *plan.covariates) if np.ptp(plan.values(name)) == 0)
     there = {file_name(inside_name(c, plan.axes), plan.axes): c for c in header}
     columns = [there[c] for c in (file_name(name, plan.axes) for name in still) if c in there]
     if not columns:
         return []
     whose = "their" if columns[1:] else "its"
-    return [(f"constant{of}", f"{', '.join(columns)}: what depends on {whose} change is not seen")]
+    return [(f"constant{of}", f"{', '.join(columns)}: effects of {whose} variation are not seen")]
 
 
 def _travel(joint: Joint) -> str:
@@ -201,8 +201,10 @@ def _travel(joint: Joint) -> str:
 
 
 def _covered(one: DataSet, of: str) -> list[tuple[str, str]]:
-    """Axes of which the measurement covers a small part: most of their errors are not seen, or the
-    travel is that of another machine, or in another unit.
+    """Axes of which the measurement covers a small part of the travel.
+
+    Most of their errors are not observed, or the travel is that of another machine or in another
+    unit.
     """
     found = []
     for joint in one.chain.joints:
@@ -211,20 +213,22 @@ def _covered(one: DataSet, of: str) -> list[tuple[str, str]]:
         share = np.ptp(one.plan.values(joint.name)) / np.ptp(joint.travel)
         if 0.0 < share < _LITTLE and not one.instrument.positioned:
             found.append(f"{100 * share:.2g} % of {joint.name}")
-    told = f"{', '.join(found)}: errors of the rest of the travel are not seen"
-    return [(f"covered{of}", told)] if found else []
+    covered = f"{', '.join(found)}: errors of the rest of the travel are not seen"
+    return [(f"covered{of}", covered)] if found else []
 
 
 def _together(one: DataSet, header: Collection[str], of: str) -> list[tuple[str, str]]:
-    """Conditions that follow a position or each other: effects of them are hard to tell apart."""
-    if one.instrument.positioned:  # its circles are what they are
+    """Conditions that correlate with a position or with each other, so that effects of them are
+    hard to separate.
+    """
+    if one.instrument.positioned:  # its circles are fixed by the instrument
         return []
     axes = one.plan.axes
     inside = {column: inside_name(column, axes) for column in header}
-    # What an axis does follows from where it is.
+    # The motion of an axis follows from its positions.
     names = [n for c, n in inside.items() if n == "t" or n == c or n.startswith("T_")]
-    told = confounding(one.plan, [n for n in names if n in one.plan.covariates])
-    return [(f"together{of}", line) for line in told]
+    lines = confounding(one.plan, [n for n in names if n in one.plan.covariates])
+    return [(f"confounded{of}", line) for line in lines]
 
 
 def _size(effect: Effect) -> str:
@@ -245,39 +249,39 @@ def show_catalogue(catalogue: Iterable[type[Effect]]) -> None:
     """Print the effects with their summaries."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("effect")
-    table.add_column("what it is")
+    table.add_column("description")
     for effect in catalogue:
-        only = "" if looked_for(effect) else " (to be declared only)"
+        only = "" if looked_for(effect) else " (only if declared)"
         table.add_row(Text(effect.name), Text(effect.summary + only))
     _console().print(table)
 
 
 def show_effect(effect: type[Effect], example: tuple[Effect, Setup] | None) -> None:
-    """Print what an effect is, and the keys and columns of an example of it."""
+    """Print the description of an effect, and the keys and columns of an example."""
     console = _console()
     console.print(Text(f"{effect.name}: {effect.summary}", style="bold"), soft_wrap=True)
     console.print(Text(f"\n{inspect.cleandoc(effect.__doc__ or '')}\n"), soft_wrap=True)
     console.print(Text(f"Disturbs the {effect.where}; {effect.kind}."))
     if not looked_for(effect):
-        console.print(Text("The loop does not look for it: it can be declared in a study."))
+        console.print(Text("The loop does not search for it; a study can declare it."))
     if example is None:
         return
     instance, setup = example
     priors = (
-        f"{p.label} (looked for)" if p.shape else f"{p.label} ({p.sigma:g})"
+        f"{p.label} (searched)" if p.shape else f"{p.label} ({p.sigma:g})"
         for p in instance.parameters
     )
     columns = dict.fromkeys(file_name(need, setup.plan.axes) for need in instance.needs)
     place = f"placement {instance.placement}" if instance.placement else "no placement"
-    said = "".join(
-        f"  {key} to be said: {' or '.join(_plain(value) for value in values)}\n"
+    chosen = "".join(
+        f"  {key}, required: {' or '.join(_plain(value) for value in values)}\n"
         for key, values in choices(instance, setup).items()
     )
     console.print(
         Text(
-            f"For example, with {place}:\n{said}"
+            f"For example, with {place}:\n{chosen}"
             f"  parameters (standard deviation of the prior): {', '.join(priors)}\n"
-            f"  depends on: {', '.join(columns) or 'nothing that is recorded'}"
+            f"  depends on: {', '.join(columns) or 'no recorded column'}"
         ),
         soft_wrap=True,
     )

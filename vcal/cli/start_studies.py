@@ -1,4 +1,4 @@
-"""The studies to start from that come with the package, and what they tell of an effect."""
+"""The bundled start studies: copies for `vcal init`, and examples of effects on them."""
 
 import dataclasses
 import functools
@@ -21,9 +21,9 @@ from ..study.messages import listed
 
 
 def write_start(instrument: str, out: Path) -> list[str]:
-    """Copy the study to start from for an instrument to `out`; names of the files written.
+    """Copy the start study of an instrument to `out`; returns the names of the files written.
 
-    Raises `StudyError` for an instrument without one, and where `out` is there and not empty.
+    Raises `StudyError` for an instrument without a start study, and for a folder that is not empty.
     """
     known = starts()
     if instrument not in known:
@@ -41,14 +41,14 @@ def write_start(instrument: str, out: Path) -> list[str]:
 
 
 def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
-    """An instance of an effect on a bundled study where it has a place and the columns that it
-    needs, if need be with such columns added, or beside other effects; None if there is no such
-    place.
+    """An instance of an effect on a bundled study that has a place and the columns for it.
 
-    Raises `RuntimeError` where JAX runs in float32.
+    Where no study has all columns, the missing ones are added; an effect that acts on another
+    effect is placed together with the others of the catalogue. None without any such place. Raises
+    `RuntimeError` where JAX runs in float32.
     """
     setups = [_setup(instrument) for instrument in starts()]
-    # Positions that are read back have effects of their own.
+    # Joint positions that are read back have effects of their own.
     setups.append(_setup("reflectors", (("instrument.joints", "read"),)))
     wanting: list[tuple[Effect, Setup]] = []
     for setup in setups:
@@ -71,8 +71,8 @@ def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:
 
 
 def _instances(effect: type[Effect], setup: Setup) -> list[Effect]:
-    """Those with a place there; of a class without candidates the one there is, where its ports
-    are.
+    """The candidates of a class in a setup; its single instance for a class without candidates,
+    where the setup has its ports.
     """
     if effect.candidates.__func__ is not Effect.candidates.__func__:  # type: ignore[attr-defined]
         return list(effect.candidates(setup))
@@ -88,7 +88,7 @@ def _setup(instrument: str, changed: tuple[tuple[str, str], ...] = ()) -> Setup:
 
 
 def _with_columns(plan: Plan, needs: Sequence[str]) -> Plan:
-    """The plan with what it lacks: usual values, so that an effect has something to act on."""
+    """The plan with the missing columns added, with usual values for an effect to act on."""
     share = np.arange(plan.rows) / plan.rows
     usual = {
         "speed_rpm": 6000.0 * ((share > 0.1) & (share < 0.6)),

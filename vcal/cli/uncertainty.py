@@ -1,4 +1,4 @@
-"""What `vcal uncertainty` does: from its arguments to the report."""
+"""The command `vcal uncertainty`: from its arguments to the report."""
 
 import contextlib
 import shutil
@@ -17,13 +17,13 @@ from ..study.simulated import check_noise_factor, parse_every_with
 from ..uncertainty.virtual import check_keys, virtual_calibration
 
 _FEWEST = 11
-"""Fewer draws have no interval of 95 %."""
+"""Fewest draws from which a 95 % coverage interval can be formed."""
 _MOST = 2**32
 """Draws have indices of 32 bits."""
 
 
 class Done(NamedTuple):
-    """How it ended."""
+    """The written report, its main sentence, and whether the run was interrupted."""
 
     page: Path
     sentence: str
@@ -42,11 +42,11 @@ def run_virtual(
     overrides: Sequence[str],
     command: str,
 ) -> Done:
-    """Read a study, judge its plan and write the report into `out`.
+    """Predict the uncertainty of a study's plan and write the report to `out`.
 
-    An unfinished campaign is kept in a folder ``draws`` in `out`, which goes when the report is
-    complete. Raises `StudyError` for what cannot be used, before anything is written, and for an
-    unfinished campaign with other settings.
+    The state of an unfinished campaign is kept in the folder ``draws`` of `out`, which is removed
+    when the report is complete. Raises `StudyError` for a mistake in the input, before anything is
+    written, and for an unfinished campaign with other settings.
     """
     began = time.perf_counter()
     number = parse_draws(draws)
@@ -86,7 +86,7 @@ def run_virtual(
 
 
 def parse_draws(text: str) -> int | Literal["adaptive"]:
-    """The number of draws that a user asks for; raises `StudyError` for anything else."""
+    """The requested number of draws; raises `StudyError` for any other text."""
     if text == "adaptive":
         return "adaptive"
     try:
@@ -105,7 +105,11 @@ def parse_draws(text: str) -> int | Literal["adaptive"]:
 
 
 def _check_shapes(study: Study) -> None:
-    """What is fitted is judged at the nominal machine, where an effect of no size has no shape."""
+    """Raise `StudyError` for a free shape of an effect without a size.
+
+    The plan is linearised at the nominal machine, where an effect of zero size has no derivative by
+    its shape.
+    """
     for effect in study.model.effects:
         sizes = effect.amplitudes
         declared = {name for name, *_ in effect.given}
@@ -114,15 +118,15 @@ def _check_shapes(study: Study) -> None:
                 raise refusal(
                     study.path.name,
                     f"[[model.effect]] {effect.key}, key {p.label}",
-                    f"no value, and no {' or '.join(size.label for size in sizes)} from which a "
-                    f"measurement would tell {p.name}",
-                    "one of them, as the uncertainty is that near the declared values",
+                    f"no value, and no {' or '.join(size.label for size in sizes)} at which a "
+                    f"measurement would determine {p.name}",
+                    "one of them, as the uncertainty is computed at the declared values",
                     f"give {p.label}, or a size with its sigma",
                 )
 
 
 def _truth(study: Study, effects: Sequence[str]) -> Model:
-    """The declared model with the effects that are there but not fitted."""
+    """The declared model with the effects of ``--with``, which are simulated but not fitted."""
     model = study.model
     found = parse_every_with(effects, study.catalogue, model.setup(study.plan), study.files)
     for i, (text, effect) in enumerate(zip(effects, found, strict=True)):
@@ -138,7 +142,7 @@ def _truth(study: Study, effects: Sequence[str]) -> Model:
 
 @contextlib.contextmanager
 def _campaign(out: Path) -> Iterator[Path]:
-    """The folder of the campaign in `out`; gone afterwards, with `out`, where nothing was kept."""
+    """The folder of the campaign in `out`; removed after a failure, with `out`, if it is empty."""
     missing = [p for p in (out, *out.absolute().parents) if not p.exists()]
     folder = out / DRAWS
     try:
@@ -152,10 +156,10 @@ def _campaign(out: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def drawing() -> Iterator[tuple[Callable[[str], None], Callable[[int, int], None]]]:
-    """Show on a terminal how far the draws are: functions to call with the step, and with the
-    draws that are done and are to be done.
+    """Show the progress of the draws on a terminal; yields two functions.
 
-    Quiet where stderr is not a terminal. Nothing of it remains on the screen.
+    The first takes the name of the current step, the second the number of finished draws and of all
+    draws. Silent where stderr is not a terminal. The display is removed at the end.
     """
     if not sys.stderr.isatty():
         yield lambda step: None, lambda done, total: None

@@ -1,12 +1,16 @@
-"""Studies that come with vcal: the demo, and one per instrument to start from (README.md)."""
+"""Bundled studies: the demo, and one start study per instrument (README.md), with simulated data.
+
+`plans` holds the plans behind the data. Uses `study` and what lies below; `report`, `reproduce` and
+`cli` may stand on it.
+"""
 
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-"""The demo's study: a laser tracker run with an undeclared thermal effect."""
+"""Folder of the demo: a laser-tracker measurement with an undeclared thermal effect."""
 STARTS = FOLDER / "start"
 
 
 def starts() -> list[str]:
-    """Instruments for which there is a study to start from."""
+    """Kinds of instruments with a start study."""
     return sorted(entry.name for entry in STARTS.iterdir() if entry.is_dir())

@@ -1,6 +1,6 @@
 """The plans behind the bundled studies; ``python -m vcal.demo.plans FOLDER`` writes them as CSV.
 
-They are input for `vcal simulate`, which turned them into the data beside this file (README.md).
+They are the input of `vcal simulate`, which made the data in this folder (README.md).
 """
 
 import sys
@@ -17,7 +17,7 @@ Columns = dict[str, np.ndarray]
 
 
 def layers(counts: tuple[int, int, int], travel: np.ndarray, margin: float) -> np.ndarray:
-    """Positions (n, 3) of a grid in mm, layer by layer, every line the other way round."""
+    """Positions (n, 3) of a grid in mm, layer by layer, every other line reversed."""
     x, y, z = (
         np.linspace(margin, length - margin, count)
         for length, count in zip(travel, counts, strict=True)
@@ -31,10 +31,10 @@ def layers(counts: tuple[int, int, int], travel: np.ndarray, margin: float) -> n
 
 
 def conditions(position: np.ndarray, t: np.ndarray, pause: tuple[float, float]) -> Columns:
-    """Columns of positions (mm) visited at the times `t` (s): directions, times, temperatures.
+    """Columns of directions, times and temperatures for positions (mm) visited at times `t` (s).
 
     Axes warm up while they move, each with its own gain and time constant, and cool in the `pause`
-    (from, to); the air swings slowly.
+    (start and end, s). The air temperature oscillates slowly.
     """
     move = np.sign(np.diff(position, axis=0, prepend=position[:1] - 1.0))
     seconds = np.arange(t[-1] + 1.0)
@@ -54,7 +54,7 @@ def conditions(position: np.ndarray, t: np.ndarray, pause: tuple[float, float]) 
 
 
 def tracker(travel: tuple[float, float, float], counts: tuple[int, int, int], seed: int) -> Columns:
-    """A grid there and back with a little scatter, ten seconds per point, a pause in between."""
+    """A grid with a little scatter, forward and return with a pause, ten seconds per point."""
     rng = np.random.default_rng(seed)
     there = layers(counts, np.array(travel), 25.0)
     position = np.concatenate([there, there[::-1]])
@@ -66,9 +66,9 @@ def tracker(travel: tuple[float, float, float], counts: tuple[int, int, int], se
 
 
 def balls(seed: int) -> tuple[Columns, Columns]:
-    """Twelve set-ups of a beam with eight balls on a table of 1000 x 600 x 500 mm: plan, artefact.
+    """Plan and artefact: twelve set-ups of a beam with eight balls in 1000 x 600 x 500 mm.
 
-    Set-ups are (centre in mm, rotation about x, y and z in degrees).
+    A set-up is given by its centre in mm and rotations about x, y and z in degrees.
     """
     rng = np.random.default_rng(seed)
     along = np.linspace(-240.0, 240.0, 8)
@@ -107,9 +107,10 @@ def arm(seed: int) -> Columns:
 
 
 def frame(travel: tuple[float, float, float], runs: int, seed: int) -> Columns:
-    """Runs along the five beams of a laser frame, five seconds per point, every twenty minutes.
+    """Runs along the five beams of a laser frame, five seconds per point, one per twenty minutes.
 
-    The head warms up from run to run and cools in the last one; so does the air above the table.
+    The head warms up from run to run and cools in the last one, and so does the air above the
+    table.
     """
     rng = np.random.default_rng(seed)
     ends = {axis: (0.0, length * 1e-3) for axis, length in zip("XYZ", travel, strict=True)}
@@ -128,9 +129,9 @@ def frame(travel: tuple[float, float, float], runs: int, seed: int) -> Columns:
 
 
 def circles(radius: float, accelerations: tuple[float, ...], samples: int, seed: int) -> Columns:
-    """One turn per run of an R-test: three planes, both senses; radius in mm, m/s^2.
+    """One turn per run of an R-test in three planes and both senses; `radius` in mm, m/s^2.
 
-    The amplitude of a closed loop falls by a few per cent as the circles get faster.
+    The amplitude of the closed loop decreases by a few per cent for faster circles.
     """
     rng = np.random.default_rng(seed)
     runs = [(p, s, a) for p in ("XY", "YZ", "ZX") for s in (1, -1) for a in accelerations]
@@ -152,8 +153,9 @@ def circles(radius: float, accelerations: tuple[float, ...], samples: int, seed:
 
 
 def turned_spheres(seed: int) -> Columns:
-    """A static R-test on a trunnion table: two spheres, followed while C goes round there and back
-    at four angles of A; eight seconds per position.
+    """A static R-test on a trunnion table with two positions of the sphere.
+
+    C turns forward and back at four angles of A; eight seconds per position.
     """
     rng = np.random.default_rng(seed)
     spheres = np.array([[160.0, 0.0, -60.0], [-90.0, 130.0, 20.0]])
@@ -167,7 +169,7 @@ def turned_spheres(seed: int) -> Columns:
     places = {"A": (0.0, 0.0, -0.12), "C": (0.0, 0.0, -0.2)}
     chain = chain_from_string("w C A b Y X Z t", None, (0.0, 0.0, -0.15), places)
     angles = np.column_stack([np.zeros((len(rows), 3)), np.deg2rad(a), np.deg2rad(c)])
-    # The tool point is that at rest, and what the linear axes travel as the workpiece sees it.
+    # The tool point at rest plus the travel of the linear axes in the workpiece frame.
     away = 1e-3 * spheres[run] - chain.tool_point(angles)
     position = np.einsum("nij,ni->nj", chain.turn(angles), away) * 1e3
     way = lambda angle: np.where(np.diff(angle, prepend=angle[:1] - 1) < 0, -1, 1)  # noqa: E731
@@ -179,7 +181,7 @@ def turned_spheres(seed: int) -> Columns:
 
 
 def main(folder: Path) -> None:
-    """Write all plans below a folder that is laid out like this one."""
+    """Write all plans to a folder with the layout of this one."""
     plan, artefact = balls(2)
     tables = {
         "data.csv": tracker((800.0, 500.0, 450.0), (8, 5, 4), 20),

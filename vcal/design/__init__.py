@@ -1,4 +1,11 @@
-"""Measurements designed before they are made: what they will leave uncertain, and its gradient."""
+"""Design of measurements: the posterior uncertainty of a plan, its gradient, and better plans.
+
+`spaces` holds the plans that may be searched, a file per instrument; `criteria` the numbers to
+minimise; `optimise` searches a plan, `plan_next` a further measurement; `exchange`, `weigh` and
+`minimax` solve the selection problems behind published designs. Uses `identification`, `geometry`
+and what lies below; knows nothing of `loop` and `uncertainty`. `study`, `report`, `reproduce` and
+`cli` stand on it.
+"""
 
 from ..geometry.volumetric import (
     Displacements,
@@ -20,12 +27,12 @@ from ..identification.posterior import (
 from ..identification.rank import Rank, flat_rank, rank_of
 from .average import Average, weigh_average
 from .criteria import CRITERIA, Criterion, Judged
-from .exchange import Choice, exchange
-from .minimax import Minimax, minimax
+from .minimax_design import Minimax, minimax
+from .multistart import Found, search
 from .next_measurement import NextMeasurement, plan_next
-from .optimise import Designed, Task, optimise
+from .optimiser import Designed, Task, optimise
 from .plan_space import DesignSettings, PlanSpace, Subject
-from .search import Found, search
+from .point_exchange import Choice, exchange
 from .separation import Rival, Separation
 from .spaces import SPACES
 from .spaces.array_bounds import ArraySpace, Candidate, spread

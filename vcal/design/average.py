@@ -1,15 +1,15 @@
-"""The weights of candidates that make an average criterion least, and what no choice goes below.
+"""Weights of candidate measurements that minimise an average criterion, with a lower bound.
 
     f(w) = tr(G C(w)),    C(w)^-1 = L + sum_n w_n F_n,    0 <= w <= most,    sum w c = total
 
-with F_n the information of one measurement at candidate n and c_n what it costs. f is convex, so
-that every w gives a lower bound of all choices v, of whole numbers too:
+with F_n the information of one measurement at candidate n and c_n its cost. f is convex, so that
+every w gives a lower bound for all choices v, including whole numbers:
 
     f(v) >= f(w) + f'(w) (v - w) >= f(w) + sum_n s_n w_n - max over v of sum_n s_n v_n,
 
-s_n = -df/dw_n = tr(F_n C G C). The bound therefore holds before the weights have converged. They
-follow multiplicative updates by the root of s (Silvey, Titterington and Torsney 1978), held at
-their upper limit where they pass it.
+s_n = -df/dw_n = tr(F_n C G C). The bound therefore holds before the weights have converged. The
+weights follow multiplicative updates by the square root of s (Silvey, Titterington and Torsney
+1978), limited to their upper bound.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
-from .exchange import covariance_of
+from .point_exchange import covariance_of
 
 
 class Average(NamedTuple):
@@ -28,10 +28,10 @@ class Average(NamedTuple):
     value: float
     """sqrt(tr(G C)) of these weights."""
     bound: float
-    """What sqrt(tr(G C)) of no choice goes below; equal to `value` when converged."""
+    """Lower bound of sqrt(tr(G C)) for every choice; equal to `value` at convergence."""
 
 
-# Many small matrices: more threads of BLAS only wait for each other.
+# With many small matrices, further BLAS threads only wait for each other.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def weigh_average(
     information: Float[np.ndarray, "n k k"],
@@ -44,19 +44,19 @@ def weigh_average(
     steps: int = 1000,
     gap: float = 1e-3,
 ) -> Average:
-    """Share `total` measurements, or, with `costs`, measurements that cost so much, out among
-    candidates, none of which is measured more than `most` times.
+    """Distribute `total` measurements among candidates, each at most `most` times.
 
-    Ends after `steps`, or where value and bound differ by less than the share `gap`. Raises
-    `ValueError` where `most` of every candidate is less than `total`, and where all candidates and
-    the prior together leave a parameter undetermined.
+    With `costs`, `total` is their total cost. `information` (n, k, k) holds the information of one
+    measurement at each candidate. Ends after `steps` iterations, or where value and bound differ by
+    less than the share `gap`. Raises `ValueError` where `most` of every candidate is less than
+    `total`, and where all candidates and the prior together leave a parameter undetermined.
     """
     price = np.ones(len(information)) if costs is None else np.asarray(costs, float)
     limit = most * price
     if limit.sum() < total * (1.0 - 1e-12):
         raise ValueError(
             f"total: found {total:g}, expected at most {limit.sum():g}, which is {most:g} of every "
-            "candidate; add candidates, or ask for less"
+            "candidate; add candidates, or lower the total"
         )
     F = np.asarray(information, float) / price[:, None, None]
     flat = F.reshape(len(F), -1)
@@ -83,8 +83,9 @@ def weigh_average(
 def _held(
     wish: np.ndarray, limit: np.ndarray, total: float, *, first: bool = False
 ) -> Float[np.ndarray, " n"]:
-    """Shares of `total` in proportion to `wish`, none above its limit; with `first`, all of it to
-    those of the largest wish.
+    """Shares of `total` in proportion to `wish`, none above its limit.
+
+    With `first`, the candidates with the largest wishes get their limits in turn.
     """
     if first:
         order = np.argsort(-wish, kind="stable")

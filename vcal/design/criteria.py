@@ -1,4 +1,4 @@
-"""What a plan is judged by: one positive number that is to be small, of a covariance."""
+"""Criteria of a plan: a positive number to minimise, as a function of a posterior covariance."""
 
 import abc
 from collections.abc import Callable, Sequence
@@ -16,41 +16,39 @@ from ..registry import Catalogue
 
 MICRO = 1e-6
 _POWER = 24.0
-"""Of the norm that stands for the largest of many uncertainties while the search goes on: at most
-30 % above it for 600 of them that are all alike, a few percent in practice."""
+"""Order of the norm that replaces the maximum of many uncertainties in a search. It exceeds the
+maximum by at most 30 % for 600 equal ones, and by a few percent in practice."""
 
 
 class ErrorMotion(NamedTuple):
-    """One error motion or location error, or what several of them amount to (a squareness of two
-    paths), as linear functions of the amplitudes.
+    """One error motion or location error, or a combination of several (a squareness of two paths),
+    as linear functions of the amplitudes.
     """
 
     name: str
     unit: str
     """``"um"``, ``"urad"`` or ``"um/m"``."""
     position: Float[np.ndarray, " n"]
-    """Along its axis, m or rad; empty for a single number, such as a squareness."""
+    """Positions along its axis, m or rad; empty for a single number, such as a squareness."""
     functionals: Float[np.ndarray, "n k"]
     """Value at every position (one for a single number), SI."""
     amplitudes: tuple[int, ...]
-    """Places of its own coefficients among those of the declared family; of what several errors
-    amount to none.
-    """
+    """Indices of its coefficients among those of the declared family; empty for a combination."""
 
 
 class Judged(NamedTuple):
-    """A declared family of errors, and what its amplitudes amount to."""
+    """A declared family of errors, and the errors that follow from its amplitudes."""
 
     model: Model
-    """Chain, instrument and the effects that are judged: no nuisances of the instrument."""
+    """Chain, instrument and the judged effects, without nuisances of the instrument."""
     gram: Gram
     motions: tuple[ErrorMotion, ...]
     chosen: tuple[int, ...]
-    """Places of the motions that count for the criterion."""
+    """Indices of the motions that count for the criterion."""
 
     @property
     def precision(self) -> Float[np.ndarray, " k"]:
-        """Of the amplitudes before any measurement: one, or zero for a flat prior."""
+        """Prior precision of the amplitudes in solver units: one, or zero for a flat prior."""
         return np.array([float(e.parameter.informed) for e in self.model.entries])
 
     def largest(self, covariance: Float[Array, "k k"]) -> Float[Array, " q"]:
@@ -62,22 +60,22 @@ class Criterion(abc.ABC):
     """Base class of all criteria; subclasses are final."""
 
     name: ClassVar[str]
-    """In study files."""
+    """Name in study files."""
     words: ClassVar[str]
-    """What it is called on a page."""
+    """Name in reports."""
     unit: ClassVar[str]
 
     @abc.abstractmethod
     def of(self, judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, ""]:
-        """The criterion itself."""
+        """The criterion of a covariance."""
 
     def smooth(self, judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, ""]:
-        """What a search makes small in its place: the same unless that has kinks."""
+        """The objective of a search: the criterion, or a smooth substitute where it has kinks."""
         return self.of(judged, covariance)
 
     @abc.abstractmethod
     def together(self, values: Float[Array, " f"]) -> Float[Array, ""]:
-        """Average over several families."""
+        """Average of the criterion over several families."""
 
 
 CRITERIA: Catalogue[type[Criterion]] = Catalogue("goal")
@@ -103,7 +101,7 @@ class Volume(Criterion):
 class Largest(Criterion):
     """Largest expanded uncertainty of the chosen errors; a microradian counts as a micrometre.
 
-    A search sees the norm (sum_i U_i^p)^(1/p), p = 24, which has no kinks.
+    A search minimises the norm (sum_i U_i^p)^(1/p), p = 24, which has no kinks.
     """
 
     name = "largest"
@@ -124,12 +122,12 @@ class Largest(Criterion):
 
 @CRITERIA.register
 class Determinant(Criterion):
-    """Geometric mean of the standard deviations left of the chosen errors' amplitudes, in units of
-    their priors: det(C)^(1/(2 n)), so that D-optimal plans have a number people can read.
+    """Geometric mean of the posterior standard deviations of the chosen errors' amplitudes, in
+    units of their priors: det(C)^(1/(2 n)), a readable number for D-optimal plans.
     """
 
     name = "determinant"
-    words = "geometric mean of what is left of the chosen errors' standard deviations"
+    words = "geometric mean of the remaining standard deviations of the chosen errors"
     unit = "of the prior"
 
     def of(self, judged: Judged, covariance: Float[Array, "k k"]) -> Float[Array, ""]:
@@ -149,7 +147,7 @@ def averaged(
     families: Sequence[Judged],
     covariances: Sequence[Float[Array, "k k"]],
 ) -> Float[Array, ""]:
-    """A criterion over several families."""
+    """The average of a criterion, or of its smooth substitute, over several families."""
     each = [function(j, C) for j, C in zip(families, covariances, strict=True)]
     return criterion.together(jnp.stack(each))
 

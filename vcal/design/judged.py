@@ -1,4 +1,4 @@
-"""A declared family of errors made ready to judge plans by."""
+"""Preparation of a declared family of errors for the evaluation of plans."""
 
 from collections.abc import Sequence
 
@@ -16,21 +16,23 @@ from ..model.simulate import conditions_at, scattered, travels
 from .criteria import ErrorMotion, Judged
 
 NODES = 21
-"""Positions along every axis at which the uncertainty of its error motions is asked for."""
+"""Number of positions along every axis at which the uncertainty of error motions is evaluated."""
 _SCATTERED = 600
-"""Points at which an arm, or a machine with rotary axes, is judged: a grid over all joints is too
-large.
+"""Number of random points for an arm or a machine with rotary axes, as a grid over all joints is
+too large.
 """
 
 _ROUNDING = 1e-15
-"""rad: less than this is no slope that a parameter makes."""
+"""Slope, rad, below which a parameter has no effect on it."""
 
 
 def judge(
     model: Model, plan: Plan, grid: tuple[int, int, int], names: Sequence[str] | None = None
 ) -> Judged:
-    """A model without nuisances as plans are judged by it; `names` are the errors that count, all
-    of the declared family by default. `plan` gives the conditions of the points.
+    """The judged family of a model without nuisances.
+
+    `names` are the errors that count for the criterion; all of the declared family by default.
+    `plan` provides the conditions of the points of the `grid`.
     """
     own = error_motions(model, plan)
     motions = (*own, *straight_lines(model, plan))
@@ -42,8 +44,9 @@ def judge(
 
 
 def grid_points(chain: Chain, plan: Plan, grid: tuple[int, int, int]) -> Plan:
-    """A grid over the travel of X, Y and Z, with other axes points at random, under the conditions
-    of rows of the plan picked at random.
+    """A grid over the travel of X, Y and Z, under the conditions of random rows of the plan.
+
+    Machines with other axes get random positions.
     """
     if set(chain.axes) != set("XYZ"):
         return scattered(chain, plan, jax.random.key(0), _SCATTERED)
@@ -56,8 +59,8 @@ def grid_points(chain: Chain, plan: Plan, grid: tuple[int, int, int]) -> Plan:
 
 
 def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
-    """Every error motion and location error that the effects of the machine leave open, at
-    positions along its axis with the others in the middle of their travel.
+    """Every error motion and location error with free parameters, at positions along its axis, with
+    the other axes in the middle of their travel.
     """
     chain, layout = model.chain, model.layout
     travel = travels(chain, plan)
@@ -66,7 +69,7 @@ def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
     position = np.tile(travel.mean(1), (len(lines), NODES, 1))
     for a, line in enumerate(lines):
         position[a, :, a] = line
-    # All axes in one plan: every other size of a plan would be compiled for itself.
+    # All axes are in one plan, as every size of a plan needs a compilation of its own.
     terms = model.terms(conditions_at(plan, position.reshape(-1, len(lines))))
     values, port, parameter = (
         np.asarray(part) for part in (terms.values, terms.port, terms.parameter)
@@ -95,10 +98,11 @@ def error_motions(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
 
 
 def straight_lines(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
-    """Squareness between linear axes and the slope of their positioning errors, of least-squares
-    lines through the tool point's paths (`StraightLines`), where the model leaves them open: what
-    tests of the geometry state (ISO 230-1:2012, 3.4 and 3.6), whatever parameters it is shared out
-    to.
+    """Squareness errors between linear axes and slopes of their positioning errors.
+
+    They are those of least-squares lines through the paths of the tool point (`StraightLines`), as
+    geometric tests state them (ISO 230-1:2012, 3.4 and 3.6), independent of the parametrisation.
+    Only those on which a free parameter acts are returned.
     """
     chain = model.chain
     if chain.arm:
@@ -123,7 +127,7 @@ def straight_lines(model: Model, plan: Plan) -> tuple[ErrorMotion, ...]:
 
 
 def prior_covariance(judged: Judged) -> jnp.ndarray | None:
-    """Before any measurement; None where an error of the machine has no prior."""
+    """Prior covariance of the amplitudes; None where an error of the machine has no prior."""
     open_ = judged.precision == 0.0
     moves = np.diagonal(judged.gram.raw) > 0.0
     return None if (open_ & moves).any() else jnp.diag(jnp.where(jnp.asarray(open_), 0.0, 1.0))

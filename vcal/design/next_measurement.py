@@ -1,4 +1,4 @@
-"""What to measure next, on top of what was measured: the verb behind ``vcal design --next``."""
+"""Design of the next measurement, given the present data: the verb of ``vcal design --next``."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,28 +12,36 @@ from jaxtyping import Float
 from ..errors import StudyError
 from ..numerics.arrays import Array
 from ..numerics.compiled import jit_outermost
-from .optimise import Compiled, Task, Value, check_finite, prior_value, require_traceable, traceable
+from .multistart import search
+from .optimiser import (
+    Compiled,
+    Task,
+    Value,
+    check_finite,
+    prior_value,
+    require_traceable,
+    traceable,
+)
 from .plan_space import PlanSpace, joint_information
-from .search import search
 from .separation import Lambda, Separating, Separation
 
 CANDIDATES = 96
-"""Further measurements tried at random; the best of them are where the search starts."""
+"""Number of random further measurements; the search starts from the best of them."""
 _FITS_M = 1e-9
 _TOLERANCE = 1e-6
 
 
 class Candidate(NamedTuple):
-    """A further measurement that was looked at."""
+    """A further measurement that was evaluated."""
 
     placed: Any
     start: float
-    """What the search makes small, where it began."""
+    """Objective of the search at its start."""
     value: Value
-    """Of the data so far and this."""
+    """Uncertainty after the present data and this measurement."""
     lambdas: Lambda | None
     searched: bool
-    """Whether it was moved by gradient; else it is one of those drawn."""
+    """Whether a gradient search improved it; otherwise it is one of the random ones."""
 
 
 @dataclass(frozen=True)
@@ -41,23 +49,23 @@ class NextMeasurement:
     """The next measurement."""
 
     task: Task
-    """Its space is that of the further groups."""
+    """The design task, with the space of the further groups."""
     present: PlanSpace
     before: Value
-    """Of the data so far."""
+    """Uncertainty after the present data."""
     prior: Value | None
     candidates: tuple[Candidate, ...]
-    """Best first."""
+    """Evaluated measurements, best first."""
     separation: Separation | None
     separated: Lambda | None
-    """By the data so far."""
+    """Noncentralities of the rivals with the present data."""
     differentiable: bool
     drawn: int
-    """How many were drawn at random."""
+    """Number of random measurements."""
 
     @property
     def best(self) -> Candidate:
-        """What to measure."""
+        """The measurement to make."""
         return self.candidates[0]
 
 
@@ -65,15 +73,16 @@ def plan_next(
     task: Task, count: int, *, separation: Separation | None = None, seed: int = 0,
     starts: int = 8, steps: int = 200, progress: Callable[[str], None] = lambda text: None,
 ) -> NextMeasurement:  # fmt: skip
-    """Search for `count` further groups that make the criterion small, or tell two rivals apart.
+    """Search for `count` further groups that minimise the criterion, or that separate two rivals.
 
-    What is measured already (the plan of the task as it is) is held fixed; the station or the balls
-    are known jointly. Raises `StudyError` where nothing that fits the travel was found.
+    The present measurement, that is, the plan of the task, is held fixed; the station or the balls
+    are estimated jointly from both. Raises `StudyError` where no measurement within the travel was
+    found.
     """
     present = task.space
     varied = [] if separation is None else separation.varied(recorded(task))
     space = present.following(count, varied)
-    progress("judging the data so far")
+    progress("evaluating the present data")
     held = [joint_information(present, present.nominal, j.model) for j in task.families]
     further = task._replace(space=space)
     compiled = Compiled(further, held)
@@ -96,18 +105,18 @@ def plan_next(
         ends = [(f.z, f.start) for f in found]
     else:
         ends = [(drawn[i], float(values[i])) for i in order[:starts]]
-    progress("judging the best")
-    told = None
+    progress("evaluating the best")
+    lambdas_of = None
     if separating is not None:
-        told = jit_outermost(separating.lambdas) if differentiable else separating.lambdas
+        lambdas_of = jit_outermost(separating.lambdas) if differentiable else separating.lambdas
     candidates = []
     for z, start in ends:
         placed = space.settled(space.placed(jnp.asarray(z)))
         if float(space.excess(placed)) > _FITS_M:
             continue
         lambdas = None
-        if told is not None:
-            lambdas = Lambda(*np.asarray(told(placed, 1.0)).tolist())
+        if lambdas_of is not None:
+            lambdas = Lambda(*np.asarray(lambdas_of(placed, 1.0)).tolist())
         value = compiled.value(placed)
         candidates.append(Candidate(placed, start, value, lambdas, differentiable))
     if not candidates:
@@ -120,8 +129,8 @@ def plan_next(
     before = compiled.value(anything, 0.0)
     check_finite(candidates[0].value, task)
     separated = None
-    if told is not None:
-        separated = Lambda(*np.asarray(told(anything, 0.0)).tolist())
+    if lambdas_of is not None:
+        separated = Lambda(*np.asarray(lambdas_of(anything, 0.0)).tolist())
     return NextMeasurement(
         task=further,
         present=present,
@@ -136,7 +145,7 @@ def plan_next(
 
 
 def recorded(task: Task) -> dict[str, np.ndarray]:
-    """Covariates of the plan as it is, by name."""
+    """Covariates of the present plan, by name."""
     plan = task.space.plan(task.space.nominal)
     return {name: np.asarray(values) for name, values in plan.covariates.items()}
 

@@ -1,4 +1,4 @@
-"""What may be chosen about a measurement with one kind of instrument, as numbers within bounds."""
+"""Spaces of plans: the choices of a measurement with one instrument, as numbers within bounds."""
 
 import abc
 from collections.abc import Mapping, Sequence
@@ -24,43 +24,44 @@ _Count = Annotated[int, Field(ge=2, le=200)]
 
 
 class DesignSettings(BaseModel):
-    """What every ``[design]`` table holds; each kind of instrument adds its own keys."""
+    """``[design]``: the common keys; each kind of instrument adds its own."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     goal: Goal = "volume"
-    """What is made small: the expected rms volumetric error, the largest uncertainty of some
-    errors, or the determinant of their covariance.
+    """Criterion to minimise: the expected rms volumetric error (``volume``), the largest
+    uncertainty of some errors (``largest``), or the determinant of the covariance of their
+    amplitudes (``determinant``).
     """
     errors: tuple[str, ...] | None = None
-    """Error motions and squarenesses that count for ``largest`` and ``determinant``; all of those
-    that are declared by default.
+    """Error motions and squareness errors that count for ``largest`` and ``determinant``; all
+    declared ones by default.
     """
     grid: tuple[_Count, _Count, _Count] = (12, 8, 8)
-    """Points along X, Y and Z at which the volumetric error is judged; machines with other axes are
-    judged at random positions.
+    """Points along X, Y and Z for the volumetric error; machines with other axes use random
+    positions.
     """
     starts: int = Field(default=8, ge=1, le=10_000)
-    """Starts of the search: the plan as it is, and others scattered around it."""
+    """Starts of the search: the present plan, and random plans around it."""
     steps: int = Field(default=200, ge=1, le=1_000_000)
-    """Steps after which the search from one start ends in any case."""
+    """Largest number of steps of the search from one start."""
     families: tuple[str, ...] = ()
-    """Study files whose ``[model.geometric]`` counts as well: what is made small is an average."""
+    """Study files whose ``[model.geometric]`` counts as well; the criterion is then an average."""
     must_see: dict[str, int] = {}
-    """What the designed plan has to tell apart without a prior, as in ``[data]``."""
+    """Errors that the designed plan has to identify without a prior, as in ``[data]``."""
     more: int | None = Field(default=None, ge=1, le=10_000)
-    """Poses, or points, of the next measurement (``--next``)."""
+    """Number of poses or points of the next measurement (``--next``)."""
     seconds_per_metre: float = Field(default=0.0, ge=0)
     """Time of travel between successive points."""
 
 
 class Subject(NamedTuple):
-    """A measurement as it stands: where a space begins."""
+    """A present measurement, around which a space is built."""
 
     chain: Chain
     instrument: TableInstrument
     plan: Plan
     file: str
-    """What messages call the study file."""
+    """Name of the study file in messages."""
 
     def refusal(self, key: str, found: str, expected: str, do: str) -> StudyError:
         """The error to raise for a key of ``[design]``."""
@@ -70,20 +71,20 @@ class Subject(NamedTuple):
 
 
 class Varied(NamedTuple):
-    """A condition that a further measurement may choose, within what the data have seen."""
+    """A condition that a further measurement may choose, within the range of the data."""
 
     name: str
     low: float
     high: float
     step: bool = False
-    """Whether only the two ends exist, as of a direction of travel."""
+    """Whether only the two ends are possible, as for a direction of travel."""
 
 
 class PlanSpace(abc.ABC):
     """Base class of all spaces; subclasses are final and frozen.
 
-    A point z of a space stands for a measurement that is *placed*: positions, conditions, and what
-    of the instrument may vary, a pytree that only the space itself looks into. Its rows come in
+    A vector z of a space represents a *placed* measurement: positions, conditions and the variable
+    part of the instrument, as a pytree that only the space itself interprets. The rows come in
     *groups* that are measured together or not at all.
     """
 
@@ -92,31 +93,32 @@ class PlanSpace(abc.ABC):
     Settings: ClassVar[type[DesignSettings]]
     """Keys of the ``[design]`` table, validated."""
     group: ClassVar[str]
-    """What one group is called: ``"pose"``, ``"point"``."""
+    """Name of one group: ``"pose"``, ``"point"``."""
     rotary: ClassVar[bool] = False
-    """Whether it places the axes A, B and C of a machine tool too."""
+    """Whether it also places the axes A, B and C of a machine tool."""
     lacking: ClassVar[str] = "room for all of them; start from a plan that lies further inside"
-    """What was expected, and what to do, where nothing fits the travel."""
+    """The expectation and the remedy of the message where no plan fits the travel."""
 
-    # --- where it begins ------------------------------------------------------------------------
+    # --- construction ---------------------------------------------------------------------------
     @classmethod
     @abc.abstractmethod
     def of(cls, subject: Subject, model: Model, settings: Any) -> Self:
-        """The space around a study's plan; `model` holds the effects that are judged.
+        """The space around the plan of a study; `model` holds the judged effects.
 
-        Raises `StudyError` for bounds that nothing satisfies.
+        Raises `StudyError` for bounds that no plan satisfies.
         """
 
     @abc.abstractmethod
     def following(self, count: int, varied: Sequence[Varied]) -> Self:
-        """The space of `count` further groups with the instrument as it is; conditions that are
-        not `varied` are those of the last row.
+        """The space of `count` further groups with the present instrument.
+
+        Conditions that are not `varied` have the values of the last row.
         """
 
     @property
     @abc.abstractmethod
     def taken(self) -> bool:
-        """Whether the plan shows that it was measured, where readings do not tell."""
+        """Whether the plan was measured, for instruments whose tables always hold readings."""
 
     # --- numbers within bounds ------------------------------------------------------------------
     @property
@@ -132,80 +134,82 @@ class PlanSpace(abc.ABC):
     @property
     @abc.abstractmethod
     def start(self) -> Float[np.ndarray, " d"]:
-        """The plan as it is, moved to where the bounds allow it."""
+        """The present plan, moved within the bounds."""
 
     @abc.abstractmethod
     def scattered(self, key: Array) -> Float[np.ndarray, " d"]:
-        """A start near the plan as it is; anywhere for a space of further groups."""
+        """A random start near the present plan; anywhere for a space of further groups."""
 
-    # --- what a point stands for ----------------------------------------------------------------
+    # --- the placed measurement -----------------------------------------------------------------
     @property
     @abc.abstractmethod
     def nominal(self) -> Any:
-        """The plan as it is, placed."""
+        """The present plan as a placed measurement."""
 
     @abc.abstractmethod
     def placed(self, z: Float[Array, " d"]) -> Any:
-        """What some numbers stand for; may be traced."""
+        """The placed measurement of a vector z; may be traced."""
 
     @abc.abstractmethod
     def excess(self, placed: Any) -> Float[Array, ""]:
-        """By how much it stands out of the travel, m; zero where it fits by construction."""
+        """Distance by which it exceeds the travel, m; zero where it fits by construction."""
 
     def penalty(self, placed: Any) -> Float[Array, ""] | float:
-        """By which factor a search counts a plan that leaves little room; smooth, at least one."""
+        """Factor on the criterion of a plan that is close to the limits; smooth, at least one."""
         del placed
         return 1.0
 
     @abc.abstractmethod
     def settled(self, placed: Any) -> Any:
-        """The same with conditions that have only two values at one of them."""
+        """The same measurement, with every two-valued condition at one of its values."""
 
-    # --- what it tells --------------------------------------------------------------------------
+    # --- information ----------------------------------------------------------------------------
     @property
     @abc.abstractmethod
     def groups(self) -> tuple[int, ...]:
-        """Number of every group."""
+        """Numbers of the groups."""
 
     @abc.abstractmethod
     def information(
         self, placed: Any, model: Model, weights: Float[Array, " g"]
     ) -> Float[Array, "k+s k+s"]:
-        """J' C^-1 J by the amplitudes of `model` in solver units and then by what the groups share
-        (a station, the errors of balls); what only one group has is left over. Every group counts
-        as often as its weight says. Adds up over measurements of one instrument.
+        """J' C^-1 J by the amplitudes of `model` in solver units, then by the unknowns that the
+        groups share (a station, the errors of balls).
+
+        Unknowns of a single group are eliminated. Every group counts as often as its weight.
+        Information is additive over measurements with one instrument.
         """
 
     @property
     @abc.abstractmethod
     def shared(self) -> Float[np.ndarray, "s s"]:
-        """Precision of what the groups share, before any measurement."""
+        """Prior precision of the unknowns that the groups share."""
 
-    # --- edges ----------------------------------------------------------------------------------
+    # --- output ---------------------------------------------------------------------------------
     @abc.abstractmethod
     def instrument(self, placed: Any) -> TableInstrument:
-        """The instrument that measures it."""
+        """The instrument of the placed measurement."""
 
     @abc.abstractmethod
     def plan(self, placed: Any) -> Plan:
-        """The plan to be written, with every covariate."""
+        """The plan to write, with every covariate."""
 
     @abc.abstractmethod
     def seconds(self, placed: Any) -> float:
-        """How long it takes to measure."""
+        """Duration of the measurement, s."""
 
     def artefact(self, placed: Any) -> Mapping[str, np.ndarray] | None:
-        """Table of the artefact in file units, where there is one."""
+        """Table of the artefact in file units; None without an artefact."""
         del placed
         return None
 
     def station(self, placed: Any) -> Float[np.ndarray, "3"] | None:
-        """Where the instrument stands, m, where it stands somewhere."""
+        """Position of the instrument, m; None where it has none."""
         del placed
         return None
 
     def changed(self, placed: Any) -> Mapping[str, Any]:
-        """Keys of ``[instrument]`` that have other values now."""
+        """Keys of ``[instrument]`` with changed values."""
         del placed
         return {}
 
@@ -217,28 +221,28 @@ register = SPACES.register
 
 
 def starts_of(space: PlanSpace, seed: int, count: int) -> list[np.ndarray]:
-    """The plan as it is and `count` - 1 starts scattered around it."""
+    """The present plan and `count` - 1 random starts around it."""
     keys = jax.random.split(jax.random.key(seed), max(count - 1, 1))
     return [space.start, *(space.scattered(k) for k in keys[: count - 1])]
 
 
 NOT_TRACED = (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError)
-"""What is raised where the response of an effect leaves JAX."""
+"""Exceptions raised where the response of an effect leaves JAX."""
 
 
 def joint_information(space: PlanSpace, placed: Any, model: Model) -> Float[np.ndarray, "n n"]:
-    """What a plan tells, all groups counting once; slower for effects that leave JAX."""
+    """The information of a plan with every group once; slower for effects that leave JAX."""
 
-    def told(placed: Any) -> Float[Array, "n n"]:
+    def information(placed: Any) -> Float[Array, "n n"]:
         return space.information(placed, model, jax.numpy.ones(len(space.groups)))
 
     try:
-        jax.eval_shape(told, placed)
+        jax.eval_shape(information, placed)
     except NOT_TRACED:
-        return np.asarray(told(placed))
-    return np.asarray(jit_outermost(told)(placed))
+        return np.asarray(information(placed))
+    return np.asarray(jit_outermost(information)(placed))
 
 
 def path_m(position: Float[np.ndarray, "n axes"]) -> float:
-    """Length of the way through successive positions, m."""
+    """Length of the path through successive positions, m."""
     return float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())

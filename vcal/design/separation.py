@@ -1,14 +1,14 @@
-"""Which of two effects it is: how well a measurement could tell.
+"""Separation of two effects: how well a measurement can distinguish them.
 
 Effect A is real with the amplitudes a, and B is fitted in its place, together with the declared
-model. What then cannot be explained is the non-centrality of the test for A,
+model. The remaining lack of fit is the noncentrality of the score test for A,
 
     lambda(A | B) = a' G a,    G = C' C - C' J (J' J + L)^-1 J' C,
 
-C the whitened columns of A, J those of the declared model, of B and of what the groups share, L
-their prior precision: what the loop's own test sees. Where a is known by its mean m and covariance
-S only, its expectation is m' G m + tr(G S). Which of the two is real is not known, so that the
-smaller of lambda(A | B) and lambda(B | A) counts.
+with C the whitened columns of A, J those of the declared model, of B and of the unknowns that the
+groups share, and L their prior precision. This is the test that the loop applies. Where only the
+mean m and the covariance S of a are known, its expectation is m' G m + tr(G S). Which of the two is
+real is unknown, so that the smaller of lambda(A | B) and lambda(B | A) counts.
 """
 
 import dataclasses
@@ -27,33 +27,33 @@ from ..numerics.arrays import Array
 from .plan_space import PlanSpace, Varied
 
 ALPHA = 0.01
-"""Share of measurements without A in which the test may fire."""
+"""False-alarm probability of the test."""
 _NOTHING = 1e-12
 
 
 class Rival(NamedTuple):
-    """An effect with what is known of its size."""
+    """An effect with the prior knowledge of its size."""
 
     effect: Effect
-    """With the catalogue's priors of its amplitudes."""
+    """The effect, with the priors of the catalogue for its amplitudes."""
     moment: Float[np.ndarray, "a a"]
     """m m' + S of its amplitudes, in solver units."""
     sized: bool
-    """Whether its size is given or estimated; else it is that of its prior."""
+    """Whether its size is given or estimated; otherwise it is that of its prior."""
 
     @classmethod
     def of(cls, effect: Effect) -> "Rival":
-        """From an effect with declared values: known amplitudes have that size, others that of
-        their priors.
+        """The rival of an effect with declared values.
 
-        Raises `StudyError` where a shape parameter, such as a pitch, has no value.
+        Amplitudes with a value have that size, others the size of their priors. Raises `StudyError`
+        for a shape parameter, such as a pitch, without a value, and for a size of zero.
         """
         given = {name for name, *_ in effect.given}
         loose = [p.name for p in effect.shapes if p.name not in given]
         if loose:
             raise StudyError(
                 f"effect {effect.key!r}: found the free shape parameter {loose[0]!r}, expected a "
-                "value, as an expected lack of fit is that of one shape; give it, such as "
+                "value, as the expected lack of fit refers to one shape; give it, such as "
                 f"{effect.name}:{effect.placement}:{effect.shapes[0].label}=..."
             )
         shapes = {p.name for p in effect.shapes}
@@ -66,28 +66,26 @@ class Rival(NamedTuple):
         moment = np.outer(mean, mean) + np.diag(spread)
         if not moment.any():
             raise StudyError(
-                f"effect {effect.key!r}: found a size of zero, expected one that could be seen; "
-                "give another, or none for that of its prior"
+                f"effect {effect.key!r}: found a size of zero, expected a nonzero one; give "
+                "another, or none to use the size of its prior"
             )
         return cls(plain, moment, bool(given - shapes))
 
 
 class Lambda(NamedTuple):
-    """Expected lack of fit when the first effect is real and the second is fitted, and the other
-    way round.
-    """
+    """Expected lack of fit with the first effect real and the second fitted, and vice versa."""
 
     first: float
     second: float
 
     @property
     def smaller(self) -> float:
-        """What counts."""
+        """The smaller of the two, which counts."""
         return min(self.first, self.second)
 
 
 class Separation(NamedTuple):
-    """Two rivals on top of a declared model."""
+    """Two rivals in addition to a declared model."""
 
     model: Model
     """Declared effects, then those of the first rival, then those of the second."""
@@ -95,7 +93,7 @@ class Separation(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, first: Rival, second: Rival) -> "Separation":
-        """Raises `StudyError` where both are the same."""
+        """The separation of two rivals; raises `StudyError` where both are the same effect."""
         if first.effect.alike(second.effect):
             raise StudyError(
                 f"--separate: found {first.effect.key!r} twice, expected two effects; name another"
@@ -103,8 +101,9 @@ class Separation(NamedTuple):
         return cls(model.with_effects(first.effect, second.effect), (first, second))
 
     def varied(self, known: dict[str, np.ndarray]) -> list[Varied]:
-        """Conditions that either of them depends on, within what the data have seen; time is left
-        out, as it cannot be chosen.
+        """Conditions on which either of them depends, within the range of the data.
+
+        Time is left out, as it cannot be chosen.
         """
         found = []
         needs = dict.fromkeys((*self.rivals[0].effect.needs, *self.rivals[1].effect.needs))
@@ -120,7 +119,7 @@ class Separation(NamedTuple):
     def lambdas(
         self, joint: Float[Array, "n n"], shared: Float[np.ndarray, "s s"]
     ) -> Float[Array, "2"]:
-        """lambda(A | B) and lambda(B | A) of what is known jointly (`PlanSpace.information`)."""
+        """lambda(A | B) and lambda(B | A) from joint information (`PlanSpace.information`)."""
         k = len(self.model.entries)
         prior = np.diag([float(e.parameter.informed) for e in self.model.entries])
         precision = np.zeros((k + len(shared), k + len(shared)))
@@ -138,7 +137,7 @@ class Separation(NamedTuple):
         return jnp.stack(found)
 
     def powers(self, found: Lambda) -> tuple[float, float]:
-        """Power of either test at `ALPHA`."""
+        """Power of both tests at `ALPHA`."""
         values = []
         for rival, size in zip(self.rivals, found, strict=True):
             count = len(rival.effect.amplitudes)
@@ -147,19 +146,19 @@ class Separation(NamedTuple):
 
 
 class Separating:
-    """Two rivals as a search sees them, on top of what is measured already."""
+    """The objective of a search that separates two rivals, given the present data."""
 
     def __init__(self, separation: Separation, space: PlanSpace, held: Float[np.ndarray, "n n"]):
         self.separation, self.space, self.held = separation, space, held
 
     def lambdas(self, placed: Any, weight: float = 1.0) -> Float[Array, "2"]:
-        """Of the data so far and further groups."""
+        """Noncentralities with the present data and further groups."""
         weights = jnp.full(len(self.space.groups), weight)
         joint = self.space.information(placed, self.separation.model, weights)
         return self.separation.lambdas(joint + self.held, self.space.shared)
 
     def smooth(self, z: Float[Array, " d"]) -> Float[Array, ""]:
-        """1 / lambda(A | B) + 1 / lambda(B | A), which the smaller one rules; to be small."""
+        """1 / lambda(A | B) + 1 / lambda(B | A), dominated by the smaller; to be minimised."""
         placed = self.space.placed(z)
         value = (1.0 / jnp.maximum(self.lambdas(placed), _NOTHING)).sum()
         return value * self.space.penalty(placed)

@@ -1,12 +1,12 @@
-"""How often to measure where: the weights of candidate points that make the largest U smallest.
+"""Weights of candidate measurements that minimise the largest uncertainty.
 
     min over w of max_i d_i' C(w) d_i,      C(w)^-1 = L + sum_n w_n F_n,   w >= 0,  sum w = total
 
-with F_n the information of one measurement at candidate n. This is convex: its value is a bound for
-every whole number of measurements at these candidates, and its weights say how to share them out.
-Solved by multiplicative updates: of the weights by the derivative of the present mixture of the
-criteria, and of the mixture towards the criteria that are largest (Silvey, Titterington and Torsney
-1978 for a single criterion).
+with F_n the information of one measurement at candidate n. The problem is convex: its value is a
+lower bound for every whole number of measurements at these candidates, and its weights give their
+distribution. It is solved by multiplicative updates of the weights, by the derivative of the
+present mixture of the criteria, and of the mixture, towards the largest criteria (Silvey,
+Titterington and Torsney 1978 for a single criterion).
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .exchange import covariance_of
+from .point_exchange import covariance_of
 
 _POWER = 4.0
 
@@ -28,7 +28,7 @@ class Weights(NamedTuple):
 
     @property
     def largest(self) -> float:
-        """What was minimised."""
+        """The largest value, which was minimised."""
         return float(self.values.max())
 
 
@@ -40,7 +40,7 @@ def weigh(
     *,
     steps: int = 300,
 ) -> Weights:
-    """Share `total` measurements out among candidates.
+    """Distribute `total` measurements among candidates.
 
     Raises `ValueError` where all candidates and the prior together leave a parameter undetermined.
     """
@@ -56,7 +56,7 @@ def weigh(
             best = Weights(w, values)
         mixture = mixture * (values / values.max()) ** _POWER
         mixture /= mixture.sum()
-        # Of the sum of mixture times values; the square root damps.
+        # The derivative of the sum of mixture times values; the square root damps the update.
         slope = reached.T @ (reached * (mixture / np.maximum(values, 1e-300))[:, None])
         w = w * np.sqrt(np.maximum(np.einsum("nkl,kl->n", information, slope), 0.0))
         w *= total / w.sum()
@@ -65,16 +65,15 @@ def weigh(
 
 
 def apportion(shares: Float[np.ndarray, " n"], total: int, least: int = 0) -> np.ndarray:
-    """Whole numbers near `shares` that add up to `total`, none below `least`: the largest remainder
-    gets the next one.
+    """Whole numbers near `shares` that add up to `total`, none below `least`, by largest remainder.
 
-    Raises `ValueError` where `least` of each are more than `total`, for shares that are negative or
-    no numbers, and where all are zero.
+    Raises `ValueError` where `least` of each exceed `total`, for shares that are negative or not
+    finite, and where all are zero.
     """
     if least * len(shares) > total:
         raise ValueError(
-            f"found {total} to share out among {len(shares)}, expected at least "
-            f"{least * len(shares)}, {least} for each; give more, or ask for fewer"
+            f"found {total} for {len(shares)} shares, expected at least {least * len(shares)}, "
+            f"{least} for each; raise the total, or lower the least number"
         )
     shares = np.asarray(shares, float)
     if not (np.isfinite(shares).all() and (shares >= 0.0).all() and shares.sum() > 0.0):

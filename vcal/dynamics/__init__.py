@@ -1,25 +1,26 @@
-"""Machines that move: bodies on springs under their controllers, and what acceleration does.
+"""Dynamics of machines: rigid bodies on springs under their controllers.
 
-`vcal.study.dynamic_machine.load_machine` reads a description; `assemble` gives its matrices,
-`modes` its frequencies, `compliance` how it bends while it is accelerated, `controlled` the machine
-under its controllers, `run` and `run_circle` what comes of set points, `identify_machine` what the
-circles of an R-test say of its stiffness, damping, centres of gravity and delay, and `campaign` how
-well they do so for many machines.
+`vcal.study.dynamic_machine.load_machine` reads a description of a machine. `assemble` gives its
+matrices, `modes` its natural frequencies, `compliance` its deflection under acceleration and
+`controlled` the machine under its controllers. `run` and `run_circle` simulate set points.
+`identify_machine` identifies stiffness, damping, centres of gravity and delay from the circles of
+an R-test, and `campaign` does so for many simulated machines. Uses `identification` and what lies
+below; knows nothing of `geometry`. `study`, `reproduce` and the rooms between may stand on it.
 """
 
-from .assemble import Structure, assemble
 from .bodies import Body, Drive, Machine, Scale, Spring, ToolPoint
-from .campaign import Campaign, Noise, campaign
 from .circles import Phasors, measured_phasors, predicted, set_phasors
 from .closed_loop import ClosedLoop, Response, check_stable, controlled, run, run_circle, steady
-from .compliance import compliance
 from .control import Controller
-from .evaluate import Evaluated, evaluate
+from .ellipse_evaluation import Evaluated, evaluate
 from .gains import propose
+from .harmonic_response import response
 from .identify import Identified, identify_machine, task
-from .modes import Modes, check_supported, modes
-from .response import response
+from .modal_analysis import Modes, check_supported, modes
+from .monte_carlo import Campaign, Noise, campaign
+from .quasi_static import compliance
 from .setpoints import Limits, Profile, SetCircle, circle_set, positioning
+from .structure import Structure, assemble
 from .unknowns import CentreShift, DampingFactor, Delay, DriveFactor, SpringFactor, Unknown, applied
 
 __all__ = [

@@ -1,6 +1,6 @@
-"""What a machine is made of, for its dynamics: bodies, springs, drives, scales, a tool point.
+"""The components of a dynamic machine: bodies, springs, drives, scales and the tool point.
 
-Everything stands where it is at the axis positions zero, in the machine's frame, and rides with a
+All positions are given in the machine frame with all axes at zero. Every component is carried by a
 link of the kinematic chain: ``"bed"``, or the slide of an axis.
 """
 
@@ -12,7 +12,7 @@ from ..machine.chain import Chain
 from ..numerics.arrays import Array
 
 GROUND = "ground"
-"""What a foundation stands on."""
+"""Name of the ground, on which a foundation stands."""
 BED = "bed"
 
 Scalar = float | Float[Array, ""]
@@ -24,11 +24,11 @@ class Body(eqx.Module):
 
     name: str = eqx.field(static=True)
     link: str = eqx.field(static=True)
-    """What it rides with: ``"bed"``, or an axis."""
+    """The link that carries it: ``"bed"``, or an axis."""
     mass: Scalar
-    """kg."""
+    """Mass, kg."""
     inertia: Float[Array, "3 3"]
-    """About its centre of gravity, along the machine's axes, kg m^2."""
+    """Inertia tensor about its centre of gravity, along the axes of the machine frame, kg m^2."""
     centre: Vector3
     """Centre of gravity, m."""
 
@@ -37,26 +37,26 @@ class Spring(eqx.Module):
     """A spring and a damper at one point between two bodies, such as a guideway carriage."""
 
     name: str = eqx.field(static=True)
-    """Several may share a name, and are then one group for an identification."""
+    """Springs with the same name are one group in an identification."""
     body: str = eqx.field(static=True)
     base: str = eqx.field(static=True)
     """The other body, or ``"ground"``."""
     link: str = eqx.field(static=True)
-    """What the point rides with."""
+    """The link that carries the point."""
     point: Vector3
     stiffness: Vector3
-    """Along X, Y, Z, N/m."""
+    """Stiffness along X, Y, Z, N/m."""
     turning: Vector3
-    """About X, Y, Z, N m/rad."""
+    """Rotational stiffness about X, Y, Z, N m/rad."""
     damping: Vector3
-    """Viscous, along X, Y, Z, N s/m, beside that of the machine's `loss`."""
+    """Viscous damping along X, Y, Z, N s/m, in addition to the machine's `loss`."""
 
 
 class Drive(eqx.Module):
-    """What moves an axis: its force acts between slide and base at the point of attack.
+    """The drive of an axis: a force between slide and base at the point of application.
 
     A ball screw is a spring between the nut and a mass that the motor drives; a linear motor
-    pushes the slide itself.
+    acts on the slide directly.
     """
 
     axis: str = eqx.field(static=True)
@@ -64,9 +64,9 @@ class Drive(eqx.Module):
     base: str = eqx.field(static=True)
     link: str = eqx.field(static=True)
     point: Vector3
-    """Where the force attacks, m."""
+    """Point of application of the force, m."""
     stiffness: Scalar | None
-    """Of screw, nut and bearings along the axis, N/m; None for a linear motor."""
+    """Axial stiffness of screw, nut and bearings, N/m; None for a linear motor."""
     motor_mass: Scalar
     """Inertia of motor and screw as a mass along the axis, J (2 pi / pitch)^2, kg; 0 for none."""
 
@@ -77,21 +77,21 @@ class Friction(eqx.Module):
     axis: str = eqx.field(static=True)
     link: str = eqx.field(static=True)
     point: Vector3
-    """Where it acts, m."""
+    """Point of application, m."""
     coulomb: Scalar
-    """Force of sliding, N."""
+    """Coulomb (sliding) friction force, N."""
     stiction: Scalar
-    """Force at which sliding sets in, N; no less than `coulomb`."""
+    """Static friction force, N; at least `coulomb`."""
     stribeck: Scalar
-    """Velocity over which the one goes over into the other, m/s."""
+    """Stribeck velocity, m/s, of the transition from static to sliding friction."""
     presliding: Scalar
-    """How far contacts bend before they slide, m: bristle stiffness = coulomb / presliding."""
+    """Presliding deflection of the contacts, m: bristle stiffness = coulomb / presliding."""
     viscous: Scalar
-    """N s/m."""
+    """Viscous friction, N s/m."""
 
 
 class Scale(eqx.Module):
-    """Where an axis is measured: the slide against its base at one point."""
+    """The position measurement of an axis: the slide relative to its base at one point."""
 
     axis: str = eqx.field(static=True)
     body: str = eqx.field(static=True)
@@ -99,7 +99,7 @@ class Scale(eqx.Module):
     link: str = eqx.field(static=True)
     point: Vector3
     on_motor: bool = eqx.field(static=True, default=False)
-    """Whether it is the motor's encoder instead."""
+    """Whether the encoder of the motor is used instead."""
 
 
 class ToolPoint(eqx.Module):
@@ -125,7 +125,7 @@ class Machine(eqx.Module):
     loss: Scalar
     """Damping of every spring over its stiffness, 2 zeta / omega, s."""
     friction: tuple[Friction, ...] = ()
-    """What `run` and `run_circle`, which are linear, leave out and `run_with_friction` has."""
+    """Friction, which only `run_with_friction` includes; `run` and `run_circle` are linear."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -152,7 +152,7 @@ class Machine(eqx.Module):
         return joint.sign * jnp.asarray(joint.direction)
 
     def moved(self, link: str, positions: Float[Array, " axes"]) -> Array:
-        """By how much a link has travelled at given axis positions (m, in the order of `axes`)."""
+        """Displacement of a link at given axis positions (m, in the order of `axes`)."""
         place = {axis: i for i, axis in enumerate(self.axes)}
         travelled = jnp.zeros(3)
         for axis in self.carrying(link):

@@ -1,9 +1,9 @@
-"""Circles as the numbers that determine them: one complex amplitude per reading.
+"""Circles as phasors: one complex amplitude per reading.
 
-A linear machine on a circle answers with the circle's frequency, so that amplitude and phase of the
-fundamental hold all that a run says. They are estimated by least squares from the samples; with
-white noise sigma and n samples over whole turns, the real and the imaginary part have the standard
-uncertainty sigma sqrt(2 / n) each.
+A linear machine on a circle responds at the frequency of the circle, so that amplitude and phase of
+the fundamental contain all information of a run. They are estimated by least squares from the
+samples. For white noise sigma and n samples over whole turns, the real and the imaginary part have
+the standard uncertainty sigma sqrt(2 / n) each.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from .setpoints import SetCircle
 _ALIKE = 1e-3
 """Relative difference up to which two speeds count as one."""
 _LEAD, _LAG = 20.0, 150.0
-"""Degrees by which a scale may be ahead of its set point, and behind it."""
+"""Largest lead and lag of a scale relative to its set point, degrees."""
 
 
 class Phasors(eqx.Module):
@@ -31,27 +31,27 @@ class Phasors(eqx.Module):
 
     axes: tuple[str, ...] = eqx.field(static=True)
     omega: Float[Array, " r"]
-    """rad/s."""
+    """Angular velocity, rad/s."""
     asked: Complex[Array, "r axes"]
     """Set points, m."""
     internal: Complex[Array, "r axes"]
-    """Scales, m."""
+    """Readings of the scales, m."""
     error: Complex[Array, "r 3"]
-    """External less internal reading, m."""
+    """External minus internal reading, m."""
     internal_u: Float[Array, "r axes"]
-    """Standard uncertainty of real and imaginary part of `internal`, m; infinite where nothing is
-    known of a scale, such as that of an axis at rest.
+    """Standard uncertainty of real and imaginary part of `internal`, m; infinite for a scale
+    without information, such as that of an axis at rest.
     """
     external_u: Float[Array, "r 3"]
-    """The same of what the probes show and of nothing that `internal` tells, m: their noise is in
-    the error, and so is that of the scales.
+    """Standard uncertainty of real and imaginary part of the probes' reading, m. The error contains
+    this noise and that of the scales.
     """
 
 
 def answers(
     loop: ClosedLoop, omega: Float[Array, " w"]
 ) -> tuple[Complex[Array, "w axes axes"], Complex[Array, "w 3 axes"]]:
-    """Internal reading and error per set position exp(i omega t) of every axis, once settled."""
+    """Steady-state internal reading and error per set position exp(i omega t) of every axis."""
     states = jax.vmap(lambda w: steady(loop, w))(omega)
     return loop.scale @ states, loop.structural @ states
 
@@ -59,7 +59,7 @@ def answers(
 def predicted(
     loop: ClosedLoop, omega: Float[Array, " r"], asked: Complex[Array, "r axes"]
 ) -> tuple[Complex[Array, "r axes"], Complex[Array, "r 3"]]:
-    """Internal reading and error of circles that go on for ever."""
+    """Steady-state internal reading and error of circles."""
     internal, error = answers(loop, omega)
     return jnp.einsum("rxa,ra->rx", internal, asked), jnp.einsum("rxa,ra->rx", error, asked)
 
@@ -75,17 +75,17 @@ def set_phasors(
 
 
 def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
-    """Those of an R-test that reads coordinates.
+    """The phasors of an R-test with readings of coordinates.
 
-    Set points are circles of the commanded radius that begin with the time of a run, as a trace of
-    the controller does. Raises `ValueError` for readings of probes, for scales of undeclared noise,
-    and where the scales do not follow such circles.
+    Set points are circles of the commanded radius that start at time zero of a run, as in a trace
+    of the controller. Raises `ValueError` for readings of single probes, for scales of undeclared
+    noise, and where the scales do not follow such circles.
     """
     instrument.check_coordinates()
     if instrument.internal_sigma == 0.0:
         raise ValueError(
-            "[instrument]: found no internal_sigma_um, expected the noise of the scales, by which "
-            "their readings count; declare it"
+            "[instrument]: found no internal_sigma_um, expected the noise of the scales, which "
+            "weights their readings; declare it"
         )
     plan = measurement.plan
     run, t = np.asarray(plan.groups["run"]), np.asarray(plan.covariate("t_run"))
@@ -95,8 +95,8 @@ def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
     level = {k: float(np.asarray(plan.covariate("a_set_m_s2"))[run == k][0]) for k in circles}
     for number, circle in circles.items():
         mine = run == number
-        # Circles of one level are asked for at one speed: the mean of what they show, as a phase at
-        # the start of a single run is twice as uncertain where its own speed is to be found.
+        # Circles of one acceleration have one set speed. The mean of their estimates is used, as
+        # the initial phase of a run is twice as uncertain if its own speed is estimated with it.
         alike = [
             c.omega
             for k, c in circles.items()
@@ -122,10 +122,10 @@ def measured_phasors(measurement: Measurement, instrument: RTest) -> Phasors:
         found["n"].append(mine.sum())
     arrays = {name: np.array(values) for name, values in found.items()}
     each = np.sqrt(2.0 / arrays.pop("n"))
-    # What the scale of an axis at rest read is not part of a plan.
+    # The reading of the scale of an axis at rest is not part of a plan.
     resting = arrays["internal"] == 0.0
     known = np.where(resting, np.inf, instrument.internal_sigma)
-    # Its noise is in the error, all the same.
+    # Its noise is part of the error nevertheless.
     at_rest = np.zeros(arrays["error"].shape)
     places = ["XYZ".index(axis) for axis in plan.axes]
     at_rest[:, places] = np.where(resting, instrument.internal_sigma, 0.0)
@@ -144,8 +144,9 @@ def _check_follows(
     internal: Complex[np.ndarray, " axes"],
     asked: Complex[np.ndarray, " axes"],
 ) -> None:
-    """Raise `ValueError` where a scale leads its set point, or is further behind than half a turn
-    less some: the circle then has another sense, or begins elsewhere.
+    """Raise `ValueError` where a scale leads its set point, or lags by almost half a turn.
+
+    The circle then has the opposite sense, or another starting point.
     """
     for axis, part in zip(np.array(axes)[moving], (internal / np.where(asked, asked, 1.0))[moving],
                           strict=True):  # fmt: skip
@@ -154,6 +155,6 @@ def _check_follows(
             raise ValueError(
                 f"run {run}: found the scale of {axis} {lag:.0f} degrees behind its set point, "
                 "expected a circle x_1 = r cos, x_2 = sense r sin, with the first axis of XY, YZ "
-                "or ZX at its largest where the time of the run begins; correct the column sense, "
-                "or count t_s from there"
+                "or ZX at its largest at the start of the run; correct the column sense, or count "
+                "t_s from there"
             )

@@ -4,9 +4,9 @@ Between two samples the plant is linear and the forces are constant, so that
 
     x(t + h) = e^(A h) x(t) + G(h) F,    G(h) = int_0^h e^(A s) ds B
 
-holds without error. A force acts a delay after its sample: with the delay d T + f T, 0 <= f < 1, a
-sample interval sees the force d + 1 samples old for f T, and then the force d samples old. Plant,
-integrators and the forces that are still to come make one linear system,
+holds exactly. A force acts one delay after its sample: with the delay d T + f T, 0 <= f < 1, the
+force of d + 1 samples ago acts for f T in a sample interval, and then the force of d samples ago.
+Plant, integrators and pending forces form one linear system,
 
     X[k+1] = Phi X[k] + Gamma r[k],    y[k] = C X[k],    r = (z_s, v_s).
 """
@@ -21,18 +21,18 @@ from jax.core import Tracer
 from jaxtyping import Bool, Complex, Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure
 from .control import Controller
+from .structure import Structure
 
 PENDING = 3
-"""Forces that may still be to come: the delay is shorter than that many samples less one."""
+"""Number of pending forces, which limits the delay to this number of samples minus one."""
 _SQUARINGS = 7
 _SAMPLED = 1e-9
-"""By how much what is left of a mode after one sample time may be wrong."""
+"""Tolerance of the remaining amplitude of a mode after one sample time."""
 _DOUBLINGS = 24
-"""Squarings of Phi after which what settles has settled: hours of samples."""
+"""Number of squarings of Phi in the stability check, which covers hours of samples."""
 _PACE = 1e3
-"""rad/s. Velocities count in units of it, so that the numbers of a state are alike."""
+"""rad/s. Velocities are scaled by it, so that the numbers of a state have similar sizes."""
 
 
 class ClosedLoop(eqx.Module):
@@ -47,17 +47,17 @@ class ClosedLoop(eqx.Module):
     scale: Float[Array, "axes m"]
     """Rows of C: position read by every scale, m."""
     velocity: Float[Array, "axes m"]
-    """The same as velocity, m/s."""
+    """Rows of C for the velocity at every scale, m/s."""
     acceleration: Float[Array, "axes m"]
-    """The same as acceleration, just after the sample, m/s^2."""
+    """Rows of C for the acceleration at every scale just after the sample, m/s^2."""
     through: Float[Array, "axes 2*axes"]
-    """What set points add to that at once, where a force acts without delay."""
+    """Direct feed-through of the set points to the acceleration, for forces without delay."""
     tool: Float[Array, "3 m"]
-    """Tool point against the workpiece, m."""
+    """Rows of C for the tool point relative to the workpiece, m."""
 
     @property
     def structural(self) -> Float[Array, "3 m"]:
-        """Tool point against where the scales say it is: the error of the structure."""
+        """Tool point relative to the position given by the scales: the error of the structure."""
         return (
             jnp.asarray(self.tool)
             .at[jnp.array(["XYZ".index(a) for a in self.axes])]
@@ -66,7 +66,7 @@ class ClosedLoop(eqx.Module):
 
 
 class Response(eqx.Module):
-    """What came of set points, at the samples."""
+    """The response to set points at the samples."""
 
     t: Float[Array, " n"]
     scale: Float[Array, "n axes"]
@@ -77,7 +77,7 @@ class Response(eqx.Module):
     tool: Float[Array, "n 3"]
     """Tool point, m."""
     error: Float[Array, "n 3"]
-    """Tool point against where the scales say it is, m."""
+    """Tool point relative to the position given by the scales, m."""
 
 
 def controlled(structure: Structure, controller: Controller) -> ClosedLoop:
@@ -93,7 +93,7 @@ def controlled(structure: Structure, controller: Controller) -> ClosedLoop:
     part = controller.delay - whole * T
     first, late = _step(flow, push, part)
     rest, soon = _step(flow, push, T - part)
-    # Column block j multiplies the force of j samples ago.
+    # Column block j belongs to the force of j samples ago.
     age = jnp.arange(PENDING)
     now, before = (age == whole) * 1.0, (age == whole + 1) * 1.0
     forces = jnp.concatenate(
@@ -150,7 +150,8 @@ def _step(flow: Array, push: Array, h: Array | float) -> tuple[Array, Array]:
 def _exponential(X: Array) -> Array:
     """e^X for a 1-norm of up to 2^(_SQUARINGS - 1), by its Taylor series to the sixteenth power.
 
-    A fixed number of products, so that it and its derivatives compile to little, mapped or not.
+    The number of products is fixed, so that the function and its derivatives compile to small
+    programs, mapped or not.
     """
     X = X / 2.0**_SQUARINGS
     powers = [jnp.eye(X.shape[0]), X, X @ X]
@@ -166,8 +167,8 @@ def _exponential(X: Array) -> Array:
 
 
 def check_sampled(structure: Structure, sample_time: float) -> None:
-    """Raise `ValueError` where a mode is too fast, or decays too fast, for the series by which the
-    motion over one sample time is computed (`controlled`).
+    """Raise `ValueError` where a mode oscillates or decays too fast for the matrix exponential over
+    one sample time (`controlled`).
     """
     n = structure.size
     inverse = np.linalg.inv(np.asarray(structure.mass))
@@ -185,18 +186,18 @@ def check_sampled(structure: Structure, sample_time: float) -> None:
         worst = np.abs(poles[wrong]).max()
         raise ValueError(
             f"controller: found a mode of {worst / (2.0 * np.pi):.3g} Hz, far too stiff for the "
-            f"sample time of {sample_time:g} s, expected none whose motion over one sample is not "
-            "told; shorten the sample time, correct the stiffness, the damping and the masses, or "
-            "make one body of what such a spring holds together"
+            f"sample time of {sample_time:g} s, expected modes whose motion over one sample can be "
+            "computed; shorten the sample time, correct the stiffness, the damping and the masses, "
+            "or merge the bodies that such a spring connects"
         )
 
 
 def check_stable(loop: ClosedLoop, structure: Structure | None = None) -> None:
     """Raise `ValueError` where the loop is unstable.
 
-    The message tells how fast: what grows with exp(s t) doubles within log(2) / s. With the
-    structure it also tells where springs have no damping, which no gain makes up for, and where
-    the sample time is too long for the machine.
+    The message gives the doubling time log(2) / s of the growth exp(s t). With the structure, it
+    also reports springs without damping, for which no gain compensates, and a sample time that is
+    too long for the machine.
     """
     if structure is not None:
         check_sampled(structure, loop.sample_time)
@@ -217,7 +218,7 @@ def check_stable(loop: ClosedLoop, structure: Structure | None = None) -> None:
     fast = f"growing twofold within {math.log(2.0) / rate:.3g} s" if rate > 0.0 else "without decay"
     do = "lower position_gain or bandwidth, shorten the delay, or stiffen the machine"
     if structure is not None and structure.undamped:
-        # However low the gains, a delay or a scale beside the drive feeds some mode.
+        # Even at low gains, a delay or a scale off the drive excites an undamped mode.
         do = f"declare the damping of the springs, which have none; if that is not enough, {do}"
     raise ValueError(
         f"controller: found an unstable loop, {fast} at {hz:.3g} Hz, mostly in axis {axis}, "
@@ -230,16 +231,16 @@ def settles(loop: ClosedLoop) -> Bool[Array, ""]:
     power = loop.transition
     for _ in range(_DOUBLINGS):
         power = power @ power
-    # What grows without bound is no longer a number, and not below one.
+    # An overflow gives no number, which compares as not below one.
     return jnp.sqrt(jnp.sum(power**2)) < 1.0
 
 
 def run(
     loop: ClosedLoop, position: Float[Array, "n axes"], velocity: Float[Array, "n axes"]
 ) -> Response:
-    """Set points at the samples, from rest at zero.
+    """The response to set points at the samples, from rest at zero.
 
-    Raises `ValueError` where positions and velocities are not of one shape, a column per axis.
+    Raises `ValueError` where positions and velocities differ in shape or have no column per axis.
     """
     asked = set_points(loop.axes, position, velocity)
 
@@ -257,7 +258,7 @@ def set_points(
 ) -> Float[Array, "n 2*axes"]:
     """r = (z_s, v_s) of every sample.
 
-    Raises `ValueError` where they are not of one shape, a column per axis.
+    Raises `ValueError` where positions and velocities differ in shape or have no column per axis.
     """
     position, velocity = jnp.asarray(position), jnp.asarray(velocity)
     if position.shape != velocity.shape or position.shape[1:] != (len(axes),):
@@ -270,11 +271,10 @@ def set_points(
 
 
 def steady(loop: ClosedLoop, omega: Float[Array, ""] | float) -> Complex[Array, "m axes"]:
-    """States per set position exp(i omega t) of every axis, once everything has settled.
+    """Steady-state states per set position exp(i omega t) of every axis.
 
-    (z - Phi) X = Gamma (1, i omega), z = exp(i omega T). That there is such an answer says nothing
-    of whether anything settles: in an unstable loop nothing does. `check_stable` tells, or
-    `settles` within a program.
+    (z - Phi) X = Gamma (1, i omega), z = exp(i omega T). This solution also exists for an unstable
+    loop, which never reaches it; use `check_stable`, or `settles` within a program.
     """
     axes = len(loop.axes)
     z = jnp.exp(1j * omega * loop.sample_time)
@@ -285,10 +285,10 @@ def steady(loop: ClosedLoop, omega: Float[Array, ""] | float) -> Complex[Array, 
 def run_circle(
     loop: ClosedLoop, phasor: Complex[Array, " axes"], omega: float, t: Float[Array, " n"]
 ) -> Response:
-    """A circle that goes on for ever, at any times.
+    """The steady-state response to a circle at any times.
 
-    Raises `ValueError` where the phasor has not one number per axis, and as `check_stable` does
-    for an unstable loop; where the loop is traced, that is for the caller to check beforehand.
+    Raises `ValueError` for a phasor without one number per axis, and as `check_stable` does for an
+    unstable loop; the caller checks the stability of a traced loop.
     """
     phasor = jnp.asarray(phasor)
     if phasor.shape != (len(loop.axes),):

@@ -3,8 +3,8 @@
     v_c = Kv (z_s - z_m) + f v_s,    F = Kp (e + I),    e = v_c - v_m,    I' = e / Tn
 
 for every axis, with z the position, v the velocity, s set and m measured (Zirn, Weikert 2006). The
-position is that of the scale; the velocity is that of the motor where a screw is between them. The
-force acts one delay after the sample.
+position is that of the scale; the velocity is that of the motor for a drive with a screw. The force
+acts one delay after the sample.
 """
 
 import equinox as eqx
@@ -14,14 +14,14 @@ from jax.core import Tracer
 from jaxtyping import Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure
+from .structure import Structure
 
 
 class Controller(eqx.Module):
     """Gains of all axes, each an array (axes,).
 
-    Raises `ValueError` for a delay below zero, or of two sample times or more: forces of more than
-    two samples are not kept.
+    Raises `ValueError` for a delay below zero, and for one of two sample times or more, as only the
+    forces of two samples are stored.
     """
 
     position_gain: Float[Array, " axes"]
@@ -33,9 +33,9 @@ class Controller(eqx.Module):
     feed_forward: Float[Array, " axes"]
     """Share f of the set velocity that is added to the velocity command."""
     delay: Float[Array, ""]
-    """From a sample to its force, s; less than two sample times."""
+    """Delay from a sample to its force, s; less than two sample times."""
     sample_time: float = eqx.field(static=True)
-    """s."""
+    """Sample time, s."""
 
     def __check_init__(self):
         if isinstance(self.delay, Tracer):
@@ -44,7 +44,7 @@ class Controller(eqx.Module):
         if not (T > 0.0 and (delay >= 0.0).all() and (delay < 2.0 * T).all()):
             raise ValueError(
                 f"controller: found a delay of {1e3 * delay} ms at a sample time of {1e3 * T:g} "
-                "ms, expected none below zero, and less than two sample times; correct one of them"
+                "ms, expected at least zero and less than two sample times; correct one of them"
             )
 
     @classmethod
@@ -59,8 +59,8 @@ class Controller(eqx.Module):
         delay: float = 0.0,
         sample_time: float = 1e-3,
     ) -> "Controller":
-        """From the bandwidth w_v of the velocity loop, rad/s: Kp = m w_v with m the mass that the
-        drive moves.
+        """A controller from the bandwidth w_v of the velocity loop, rad/s: Kp = m w_v, with m the
+        mass that the drive moves.
         """
         count = len(structure.axes)
 

@@ -6,8 +6,8 @@ surfaces move at w against each other,
     z' = w - s |w| z / g(w),    g(w) = Fc + (Fs - Fc) exp(-(w / w_s)^2),    s = Fc / z_0,
     force = s z + s_1 z' + c w,
 
-and that give way where s z reaches g: friction before sliding is a spring, sliding sets in at Fs
-and goes on with Fc, and a reversal runs through the spring once more. That makes the peaks at the
+and that yield where s z reaches g. Friction before sliding is a spring, sliding starts at Fs and
+continues with Fc, and a reversal passes through the spring again. This causes the peaks at the
 quadrants of a circle, which no linear model has. Plant and bristles are integrated from one change
 of the forces to the next by diffrax; the controllers are those of `controlled`, sample by sample.
 """
@@ -20,25 +20,25 @@ import numpy as np
 from jaxtyping import Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure, assemble, between
 from .bodies import Machine
 from .closed_loop import PENDING, Response, set_points
 from .control import Controller
+from .structure import Structure, assemble, between
 
 _PACE = 1e3
-"""rad/s: velocities are integrated in units of it, so that one tolerance suits all states."""
+"""rad/s. Velocities are integrated in units of it, so that one tolerance suits all states."""
 _ABSOLUTE_M = 1e-13
 _STEPS = 4096
-"""Most steps between two changes of the forces."""
+"""Largest number of integrator steps between two changes of the forces."""
 _DAMPED = 0.7
 """Damping ratio of a slide on its bristles, which gives s_1."""
 
 
 class Rubbing(eqx.Module):
-    """Friction of several guideways as arrays, and where it acts."""
+    """Friction of several guideways as arrays, with its points of application."""
 
     rows: Float[Array, "f n"]
-    """Velocity of sliding per velocity of the coordinates."""
+    """Sliding velocity per velocity of the coordinates."""
     coulomb: Float[Array, " f"]
     stiction: Float[Array, " f"]
     stribeck: Float[Array, " f"]
@@ -49,18 +49,18 @@ class Rubbing(eqx.Module):
     viscous: Float[Array, " f"]
 
     def slide(self, w: Float[Array, " f"], z: Float[Array, " f"]) -> tuple[Array, Array]:
-        """Force against the motion (N) and z' (m/s) at a velocity and a deflection."""
+        """Friction force (N) and z' (m/s) at a sliding velocity w and a deflection z."""
         g = self.coulomb + (self.stiction - self.coulomb) * jnp.exp(-((w / self.stribeck) ** 2))
         rate = w - self.stiffness * jnp.abs(w) * z / g
         return self.stiffness * z + self.damping * rate + self.viscous * w, rate
 
 
 def rubbing(machine: Machine, structure: Structure) -> Rubbing:
-    """The friction of a machine. Raises `ValueError` where it has none."""
+    """The friction of a machine; raises `ValueError` for a machine without friction."""
     if not machine.friction:
         raise ValueError(
             "machine: found no friction, expected some; add [[friction]] to its description, or "
-            "use run, which is exact without"
+            "use run, which is exact without friction"
         )
     drives = {drive.axis: drive for drive in machine.drives}
     q = jnp.zeros(len(machine.axes))
@@ -92,12 +92,12 @@ def run_with_friction(
     *,
     tolerance: float = 1e-8,
 ) -> Response:
-    """Set points at the samples, from rest at zero: `run`, with friction.
+    """The response to set points at the samples, from rest at zero, with friction.
 
     `tolerance` is the relative error of a step of the integrator (Tsitouras 5(4)). Raises
-    `ValueError` where the machine has no friction, where positions and velocities are not of one
-    shape with a column per axis, and where an interval takes more than 4096
-    steps, as a loop that is unstable does.
+    `ValueError` for a machine without friction, where positions and velocities differ in shape or
+    have no column per axis, and where an interval takes more than 4096 steps, as for an unstable
+    loop.
     """
     structure = assemble(machine)
     rub = rubbing(machine, structure)
@@ -135,7 +135,7 @@ def _run(
     control = diffrax.PIDController(rtol=tolerance, atol=_ABSOLUTE_M)
 
     def integrate(y: Array, force: Array, h: Array) -> tuple[Array, Array]:
-        # In units of the interval, which may have no length.
+        # Time in units of the interval, which may have zero length.
         found = diffrax.diffeqsolve(
             diffrax.ODETerm(flow),
             diffrax.Tsit5(),

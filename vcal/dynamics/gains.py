@@ -5,14 +5,14 @@ import numpy as np
 from jaxtyping import Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure
 from .closed_loop import check_sampled, controlled
 from .control import Controller
+from .structure import Structure
 
 _MARGIN = 2.0
-"""By how much the velocity loop's gain could grow before it is unstable."""
+"""Gain margin of the velocity loop."""
 _BANDWIDTHS = np.geomspace(3000.0, 20.0, 61)
-"""rad/s, tried from the fastest."""
+"""Bandwidths, rad/s, tried in descending order."""
 
 
 def propose(
@@ -25,12 +25,12 @@ def propose(
     delay: float = 0.0,
     sample_time: float = 1e-3,
 ) -> Controller:
-    """A controller from the machine's physical parameters, where gains are not given.
+    """A controller whose missing gains follow from the physical parameters of the machine.
 
-    The bandwidth is the largest with which the velocity loops of all axes stay stable at twice
-    their gain, but no more than a fifth of the sampling rate; Tn = 4 / w_v, Kv = w_v / 4, which is
-    critical damping of the position loop of a rigid mass. Raises `ValueError` where no bandwidth
-    is slow enough, and where the machine moves too fast to be sampled at all.
+    The bandwidth is the largest one at which the velocity loops of all axes are stable at twice
+    their gain, and at most a fifth of the sampling rate. Tn = 4 / w_v and Kv = w_v / 4 give
+    critical damping of the position loop of a rigid mass. Raises `ValueError` where no bandwidth is
+    low enough, and where the sample time is too long for the machine.
     """
 
     def controller(w: Array, factor: float = 1.0) -> Controller:

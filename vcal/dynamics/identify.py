@@ -1,13 +1,13 @@
-"""Stiffness, damping, centres of gravity and delay from the circles of an R-test.
+"""Identification of stiffness, damping, centres of gravity and delay from circles of an R-test.
 
     minimise  sum over circles |(X_int - x_int(z)) / u_int|^2
               + |(X_err - x_err(z) - S X_int) / u_err|^2   + |z|^2 + |S / u_S|^2   over z and S
 
-x(z) are the amplitudes of the simulated machine under its controllers (`predicted`), by z the
-unknowns in standard deviations of what a catalogue says of them, S the matrix of the probes' own
-errors with the standard uncertainty u_S of its elements. S is linear and is eliminated: what it can
-take up of the differences counts as their covariance, V = 1 + u_S^2 X_int X_int' / u_err^2. The
-derivative goes through the assembly, the discretisation and the solution for the steady state.
+x(z) are the amplitudes of the simulated machine under its controllers (`predicted`), z the unknowns
+in prior standard deviations from their catalogue values, and S the matrix of the probes' own errors
+with the standard uncertainty u_S of its elements. S is linear and is eliminated: its contribution
+to the differences is part of their covariance, V = 1 + u_S^2 X_int X_int' / u_err^2. The derivative
+includes the assembly, the discretisation and the solution for the steady state.
 """
 
 from collections.abc import Sequence
@@ -23,36 +23,36 @@ from ..numerics.arrays import Array
 from ..numerics.compiled import filter_jit_outermost
 from ..numerics.least_squares import Status
 from ..numerics.trust_region import Found, within_prior
-from .assemble import Structure, assemble
 from .bodies import Machine
 from .circles import Phasors, answers
 from .closed_loop import check_stable, controlled
-from .compliance import compliance
 from .control import Controller
-from .response import harmonics, response
+from .harmonic_response import harmonics, response
+from .quasi_static import compliance
+from .structure import Structure, assemble
 from .unknowns import Unknown, applied
 
 Answers = tuple[Complex[Array, "w axes axes"], Complex[Array, "w 3 axes"]]
 _TOLERANCE = 1e-3
-"""Remaining step in standard uncertainties."""
+"""Convergence tolerance: remaining step in standard uncertainties."""
 _STEPS = 60
 _MIXED = 0.5
-"""Share of the prior variance above which a combination counts as not told by the circles."""
+"""Remaining share of the prior variance above which a combination counts as undetermined."""
 
 
 @dataclass(frozen=True)
 class Identified:
-    """What the circles say of a machine."""
+    """The result of the identification of a machine."""
 
     unknowns: tuple[Unknown, ...]
     z: Float[np.ndarray, " k"]
-    """In standard deviations of the prior."""
+    """Identified unknowns in prior standard deviations."""
     covariance: Float[np.ndarray, "k k"]
-    """Of z; the prior's is the identity."""
+    """Posterior covariance of z; the prior covariance is the identity."""
     machine: Machine
     controller: Controller
     declared: Controller
-    """What was known of it before."""
+    """The declared controller."""
     matrix: Float[np.ndarray, "3 axes"]
     """E of the identified machine, m per m/s^2."""
     matrix_u: Float[np.ndarray, "3 axes"]
@@ -60,12 +60,12 @@ class Identified:
     chi2: float
     """Sum of the squared whitened differences, without the prior."""
     readings: int
-    """How many numbers that are."""
+    """Number of these differences."""
     status: Status
 
     @property
     def values(self) -> Float[np.ndarray, " k"]:
-        """In the unit of every unknown."""
+        """Identified values in the unit of every unknown."""
         return self._at(self.z)
 
     def interval(self, k: float = 2.0) -> Float[np.ndarray, "k 2"]:
@@ -79,11 +79,11 @@ class Identified:
 
     @property
     def told(self) -> Float[np.ndarray, " k"]:
-        """Share of the prior variance that the circles took away."""
+        """Information share: the part of the prior variance that the circles removed."""
         return 1.0 - np.diag(self.covariance)
 
     def not_told(self) -> list[str]:
-        """Combinations of unknowns that the circles say little of, in words."""
+        """Combinations of unknowns about which the circles contain little information, in words."""
         sizes, ways = np.linalg.eigh(self.covariance)
         found = []
         for size, way in zip(sizes[::-1], ways.T[::-1], strict=True):
@@ -93,12 +93,12 @@ class Identified:
             first = np.sign(way[order[0]])
             parts = [f"{'+' if first * way[i] > 0 else '-'} {self.unknowns[i].name}" for i in order]
             words = " ".join(parts).removeprefix("+ ")
-            found.append(f"{words}: {100 * size:.0f} % of the prior variance is left")
+            found.append(f"{words}: {100 * size:.0f} % of the prior variance remains")
         return found
 
 
 class Task(eqx.Module):
-    """Everything that stays the same while z is looked for."""
+    """Everything that is constant during the search for z."""
 
     machine: Machine
     controller: Controller
@@ -107,9 +107,10 @@ class Task(eqx.Module):
     """Distinct angular velocities."""
     place: tuple[int, ...] = eqx.field(static=True)
     matrix_u: float = eqx.field(static=True)
-    """u_S."""
+    """Standard uncertainty u_S of an element of the probes' matrix."""
     harmonics: int | None = eqx.field(static=True, default=None)
-    """Those with which answers come from `response`: a fraction of the time. None: exact ones."""
+    """Number of harmonics for `response`, which takes a fraction of the time; None for the exact
+    solution."""
 
     def at(self, z: Float[Array, " k"]) -> tuple[Structure, Controller]:
         """Matrices and controllers at z."""
@@ -130,14 +131,14 @@ class Task(eqx.Module):
             jnp.einsum("rxa,ra->rx", per[place], seen.asked) for per in self.answers(z)
         )
         scales = seen.internal - internal
-        # The error is what the probes show less the scales, whose noise it has: with what is known
-        # of the scales added again, both scatter independently.
+        # The error is the reading of the probes minus that of the scales, whose noise it contains.
+        # Adding the residual of the scales again makes both independent.
         axes = np.array(["XYZ".index(axis) for axis in seen.axes])
         known = jnp.where(jnp.isfinite(seen.internal_u), scales, 0.0)
         shown = jnp.asarray(seen.error - error).at[:, axes].add(known)
         scales, probes = _real(scales / seen.internal_u), _real(shown / seen.external_u)
         if self.matrix_u > 0.0:
-            # V^(-1/2) leaves alone what S cannot do, and shrinks what it can.
+            # V^(-1/2) keeps differences that S cannot cause, and shrinks the others.
             def shrunk(probes: Array, u: Array) -> Array:
                 taken = self.matrix_u * _real(seen.internal / u[:, None])
                 values, ways = jnp.linalg.eigh(taken.T @ taken)
@@ -162,14 +163,16 @@ def task(
     matrix_u: float = 0.0,
     quick: bool = False,
 ) -> Task:
-    """`matrix_u` is the standard uncertainty of an element of the probes' matrix: for the standard
-    uncertainty u of a coordinate at the end of the range R, u / R. With `quick`, answers are
-    good to seven digits at the catalogue's values: for campaigns. Raises `ValueError` for an
-    unknown of what the machine has not.
+    """The identification task of a machine, its controller and its unknowns.
+
+    `matrix_u` is the standard uncertainty of an element of the probes' matrix: u / R for the
+    standard uncertainty u of a coordinate at the end of the range R. With `quick`, responses are
+    accurate to seven digits at the catalogue values, which suits campaigns. Raises `ValueError` for
+    an unknown of a component that the machine lacks.
     """
     for unknown in unknowns:
         unknown.check(machine)
-    # Circles of one acceleration differ in their angular velocity by the noise of its estimate.
+    # The angular velocities of circles of one acceleration differ by the noise of their estimates.
     omega, place = np.unique(np.round(np.asarray(seen.omega), 3), return_inverse=True)
     means = np.array([np.asarray(seen.omega)[place == i].mean() for i in range(len(omega))])
     known = jnp.asarray(means), tuple(place.tolist())
@@ -178,7 +181,7 @@ def task(
 
 
 def solve(given: Task, seen: Phasors) -> Found:
-    """The minimum for one measurement, from the catalogue on; may be mapped over many (`seen`)."""
+    """The minimum for one measurement, from the catalogue values; may be mapped over `seen`."""
     return within_prior(
         _residual,
         jnp.zeros(len(given.unknowns)),
@@ -197,18 +200,18 @@ _solve = filter_jit_outermost(solve)
 
 
 def identify_machine(given: Task, seen: Phasors) -> Identified:
-    """Unknowns and the matrix E that follows, with their covariance.
+    """The unknowns and the resulting matrix E, with their covariance.
 
-    The result says by its `status` whether the search converged. Raises `ValueError` where it
-    could not begin, and where the machine found has an unstable loop: amplitudes of a steady state
-    can be computed, but no circle was ever travelled so. The catalogue's own may be unstable: the
-    search leads away from it.
+    The `status` of the result reports the convergence. Raises `ValueError` where the search cannot
+    start, and where the identified machine has an unstable loop: a steady state can be computed,
+    but such a machine cannot travel circles. The machine of the catalogue values may be unstable,
+    as the search leads away from it.
     """
     found = _solve(given, seen)
     if found.status == Status.NON_FINITE:
         raise ValueError(
-            "found differences over their uncertainties that are no numbers at the catalogue's "
-            "values; expected a machine that circles, and uncertainties above zero"
+            "found weighted differences that are not finite at the catalogue values; expected a "
+            "machine that travels circles, and uncertainties above zero"
         )
     z, covariance = np.asarray(found.value), np.asarray(found.covariance)
     machine, controller = applied(given.unknowns, given.machine, given.controller, jnp.asarray(z))
@@ -216,7 +219,7 @@ def identify_machine(given: Task, seen: Phasors) -> Identified:
     try:
         check_stable(controlled(structure, controller), structure)
     except ValueError as error:
-        raise ValueError(f"what the circles tell of the machine, {error}") from error
+        raise ValueError(f"the identified machine, {error}") from error
 
     def matrix(z: Array) -> Array:
         return compliance(assemble(applied(given.unknowns, given.machine, controller, z)[0]))

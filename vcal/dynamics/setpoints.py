@@ -11,7 +11,7 @@ from ..instruments.r_test import PLANES
 
 @dataclass(frozen=True)
 class Limits:
-    """What an axis may be asked for."""
+    """Limits of the set motion of an axis."""
 
     velocity: float = math.inf
     """m/s."""
@@ -60,7 +60,7 @@ class SetCircle:
     def phasor(self, axes: tuple[str, ...]) -> Float[np.ndarray, " axes"]:
         """Complex R of every axis, x(t) = Re(R exp(i omega t)).
 
-        Raises `ValueError` for a plane that is none, or whose axes the machine has not.
+        Raises `ValueError` for an unknown plane, and for a plane of axes that the machine lacks.
         """
         if self.plane not in PLANES or not set(self.plane) <= set(axes):
             raise ValueError(
@@ -73,7 +73,7 @@ class SetCircle:
         return found
 
     def check(self, limits: Limits) -> None:
-        """Raise `ValueError` where an axis cannot do it."""
+        """Raise `ValueError` where the circle exceeds a limit of an axis."""
         reached = {
             "a feed": (self.feed, limits.velocity, "m/s"),
             "an acceleration": (self.acceleration, limits.acceleration, "m/s^2"),
@@ -94,7 +94,7 @@ def circle_set(
     accelerations: tuple[float, ...] = (0.5, 1.0, 2.0, 3.0, 4.5),
     planes: tuple[str, ...] = PLANES,
 ) -> list[SetCircle]:
-    """Circles of all planes and accelerations, both senses."""
+    """Circles of all planes and accelerations, in both senses."""
     return [
         SetCircle(plane, sense, radius, a)
         for plane in planes
@@ -105,12 +105,12 @@ def circle_set(
 
 @dataclass(frozen=True)
 class Profile:
-    """A move along one axis, of constant jerk between its knots."""
+    """A move along one axis with constant jerk between knots."""
 
     times: Float[np.ndarray, " k"]
     """Knots, s; the first is 0, the last the end of the move."""
     jerks: Float[np.ndarray, " k-1"]
-    """Between the knots, m/s^3."""
+    """Jerks between the knots, m/s^3."""
 
     @property
     def duration(self) -> float:
@@ -160,10 +160,10 @@ class Profile:
 def positioning(length: float, limits: Limits) -> Profile:
     """The fastest move over `length` (m, either sign) from rest to rest within all limits.
 
-    Seven parts of constant jerk, of which some have no duration: jerk J for t_j, acceleration
-    J t_j for t_a, and so on. Where neither velocity nor acceleration is reached the peak of the
-    acceleration is (S J^2 / 2)^(1/3). Raises `ValueError` for limits that are not above zero or not
-    finite, and for a length of zero or one that is not finite.
+    The move has seven parts of constant jerk, some of zero duration: jerk J for t_j, acceleration
+    J t_j for t_a, and so on. Where neither the velocity nor the acceleration limit is reached, the
+    peak acceleration is (S J^2 / 2)^(1/3). Raises `ValueError` for limits that are not above zero
+    or not finite, and for a length that is zero or not finite.
     """
     v, a, J = limits.velocity, limits.acceleration, limits.jerk
     if not all(0.0 < x < math.inf for x in (v, a, J, abs(length))):
@@ -173,7 +173,7 @@ def positioning(length: float, limits: Limits) -> Profile:
             "limits above zero, all of them finite; correct them"
         )
     S = abs(length)
-    # The velocity that length and limits leave, first as if the acceleration were reached.
+    # The velocity that length and limits allow, first assuming that the acceleration is reached.
     reached = -(a**2) / (2.0 * J) + math.sqrt((a**2 / (2.0 * J)) ** 2 + a * S)
     if min(v, reached) < a**2 / J:
         reached = (S * math.sqrt(J) / 2.0) ** (2.0 / 3.0)

@@ -1,6 +1,6 @@
-"""What may be unknown of a machine and its controllers, each with what a catalogue says of it.
+"""Unknown parameters of a machine and its controllers, each with its catalogue value and prior.
 
-A value of zero, in units of the prior standard deviation, is the catalogue's. Another kind of
+z is the deviation in prior standard deviations, so that zero is the catalogue value. A new kind of
 unknown is a class with `apply`.
 """
 
@@ -29,32 +29,33 @@ class Unknown(eqx.Module):
     @property
     @abc.abstractmethod
     def name(self) -> str:
-        """Such as ``"stiffness of carriage Z"``."""
+        """The name, such as ``"stiffness of carriage Z"``."""
 
     @property
     @abc.abstractmethod
     def unit(self) -> str:
-        """Of `value`."""
+        """The unit of `value`."""
 
     @abc.abstractmethod
     def value(self, z: Scalar, controller: Controller) -> Scalar:
-        """The quantity at z standard deviations of the prior from the catalogue's, in `unit`; of
-        what is declared of the controllers, it is the difference that `apply` makes.
+        """The quantity in `unit` at z prior standard deviations from its catalogue value.
+
+        For a parameter of the controllers, it is the difference from the declared value.
         """
 
     def check(self, machine: Machine) -> None:
-        """Raise `ValueError` where the machine has nothing of that name."""
+        """Raise `ValueError` where the machine has no such component."""
         del machine
 
     @abc.abstractmethod
     def apply(
         self, machine: Machine, controller: Controller, z: Scalar
     ) -> tuple[Machine, Controller]:
-        """Machine and controller with that value."""
+        """Machine and controller with the value at z."""
 
 
 class _Factor(Unknown):
-    """A quantity that is wrong by a factor: log-normal about the catalogue's."""
+    """A quantity that is wrong by a factor: log-normal about its catalogue value."""
 
     spread: float = eqx.field(static=True, default=math.log(2.0), kw_only=True)
     """Standard deviation of the natural logarithm; log 2 for "a factor of two"."""
@@ -69,7 +70,7 @@ class _Factor(Unknown):
 
 
 class SpringFactor(_Factor):
-    """Stiffness of all springs of one name over that of the catalogue."""
+    """Stiffness of all springs of one name, relative to the catalogue."""
 
     spring: str = eqx.field(static=True)
 
@@ -92,7 +93,7 @@ class SpringFactor(_Factor):
 
 
 class DriveFactor(_Factor):
-    """Stiffness of a screw over that of the catalogue."""
+    """Stiffness of a screw, relative to the catalogue."""
 
     axis: str = eqx.field(static=True)
 
@@ -115,7 +116,7 @@ class DriveFactor(_Factor):
 
 
 class DampingFactor(_Factor):
-    """Damping of all springs and screws over that of the catalogue, viscous or not."""
+    """Damping of all springs and screws, structural and viscous, relative to the catalogue."""
 
     @property
     def name(self) -> str:
@@ -132,7 +133,7 @@ class DampingFactor(_Factor):
 
 
 class CentreShift(Unknown):
-    """Place of a body's centre of gravity against the drawing, along one axis."""
+    """Position of a body's centre of gravity relative to the drawing, along one axis."""
 
     body: str = eqx.field(static=True)
     along: str = eqx.field(static=True)
@@ -164,10 +165,10 @@ class CentreShift(Unknown):
 
 
 class Delay(Unknown):
-    """Delay of the controllers, from a sample to its force, beside the declared one.
+    """Delay of the controllers from a sample to its force, relative to the declared one.
 
-    Where that is at an end of what is possible, none or two samples, a value of zero is a hundredth
-    of a sample within.
+    Where the declared delay is at a bound, zero or two samples, a value of zero is a hundredth of a
+    sample inside it.
     """
 
     sigma_ms: float = eqx.field(static=True, default=0.5)
@@ -188,8 +189,8 @@ class Delay(Unknown):
 
     def _applied(self, controller: Controller, z: Scalar) -> Scalar:
         later = controller.delay + 1e-3 * self.sigma_ms * z
-        # A force before its sample there is not; the latest is the last one that is kept. The
-        # ends are rounded off, or a search would be caught in their corners.
+        # No force acts before its sample, and the latest is the last stored one. The bounds are
+        # smooth, as a search would get stuck at their corners.
         T, latest = controller.sample_time, 1.999 * controller.sample_time
         soft = _ROUNDED * T
         later = soft * jax.nn.softplus(later / soft)
@@ -208,7 +209,7 @@ def _known(unknown: Unknown, name: str, known: Sequence[str], what: str) -> None
 def applied(
     unknowns: Sequence[Unknown], machine: Machine, controller: Controller, z: Float[Array, " k"]
 ) -> tuple[Machine, Controller]:
-    """Machine and controller with all of them."""
+    """Machine and controller with the values of all unknowns at z."""
     for i, unknown in enumerate(unknowns):
         machine, controller = unknown.apply(machine, controller, z[i])
     return machine, controller

@@ -1,13 +1,20 @@
 """Pictures of the results: functions that return a matplotlib figure."""
 
 from .changing import changing_sizes
-from .field import Field, check_errors, check_points, error_field, error_over_time, field
+from .effect_signature import Signature, signature, signatures
+from .loop_search import minus_log10_p, search
 from .motions import error_motions
 from .residuals import before_after, normal_plot, unexplained, unexplained_views
-from .search import minus_log10_p, search
-from .signature import Signature, signature, signatures
 from .style import png, pretty_unit
 from .views import View, column_of, effect_view, place_of, values_of
+from .volumetric_errors import (
+    Field,
+    check_errors,
+    check_points,
+    error_field,
+    error_over_time,
+    field,
+)
 
 __all__ = [
     "Field",

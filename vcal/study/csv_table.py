@@ -16,18 +16,18 @@ from .messages import listed, refusal, shown
 
 _PREAMBLE = re.compile(r'#.*|"?sep=."?', re.IGNORECASE)
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-"""What may separate cells, by name: the first of them that the header has."""
+"""Separators of cells with their names; the first one that occurs in the header is used."""
 _MOST_WHOLE, _MOST = 1e9, 1e15
-"""No index, and no quantity in a column that has no bounds of its own, is larger."""
+"""Largest size of an index, and of a quantity in a column without bounds of its own."""
 _DIGITS, _WHOLE_DIGITS = 10, 15
-"""Digits that numbers are written with at least, and that every decimal number keeps in float64."""
+"""Least number of digits to write, and the number that every decimal number keeps in float64."""
 _OF_A_STEP = 1e-7
 
 
 class Table(dict[str, np.ndarray]):
-    """Columns by name, which remembers where its rows came from.
+    """Columns by name, with the row and line numbers of the file for messages.
 
-    Data rows count from 1 below the header; the line number differs where lines are empty.
+    Data rows count from 1 below the header. Line numbers differ from them where lines are empty.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class Table(dict[str, np.ndarray]):
     ):
         super().__init__()
         self.name = name
-        """The file as the user knows it."""
+        """Name of the file in messages."""
         self.lines = tuple(lines)
         """Line of the file per data row."""
         self.numbers = tuple(numbers) or tuple(range(1, len(self.lines) + 1))
@@ -43,7 +43,7 @@ class Table(dict[str, np.ndarray]):
         self.read = frozenset(read)
         """Columns of readings, in which cells may be blank."""
         self.blank = np.zeros(len(self.lines), bool)
-        """Rows of which a reading is blank; in its place is that of a neighbour."""
+        """Rows with a blank reading; the cell holds the value of a neighbouring row."""
 
     @property
     def rows(self) -> int:
@@ -51,8 +51,8 @@ class Table(dict[str, np.ndarray]):
         return len(self.lines)
 
     @property
-    def told(self) -> "Table":
-        """The rows of which every reading is there."""
+    def complete(self) -> "Table":
+        """The rows without a blank reading."""
         if not self.blank.any():
             return self
         rows = np.flatnonzero(~self.blank)
@@ -63,11 +63,11 @@ class Table(dict[str, np.ndarray]):
 
     @property
     def blank_rows(self) -> tuple[int, ...]:
-        """Numbers of the rows of which a reading is blank."""
+        """Numbers of the rows with a blank reading."""
         return tuple(self.numbers[row] for row in np.flatnonzero(self.blank))
 
     def where(self, row: int) -> str:
-        """A row, which counts from 0, as the file has it."""
+        """Number and line in the file of a row, which counts from 0."""
         return f"row {self.numbers[row]} (line {self.lines[row]})"
 
     def refusal(self, row: int, column: str, found: str, expected: str, do: str) -> StudyError:
@@ -97,22 +97,24 @@ def read_table(
 ) -> Table:
     """Columns of a CSV file with a header line, as float64 in the units of the file.
 
-    Cells are separated by commas; where the header has none, by semicolons or tabs, and numbers may
-    then have a decimal comma (as spreadsheets write them in many countries), in all the table.
+    Cells are separated by commas. Where the header has no comma, they are separated by semicolons
+    or tabs, and numbers may have a decimal comma, as spreadsheets of many countries write them.
 
-    `columns` must be there and are checked against their declarations; `optional` gives the
-    declaration of a column that need not be there; `labels` are columns of text. Any further column
-    is kept if it is numeric, that is, if more than half of its cells are numbers (then all must
-    be), and is ignored otherwise; so is an optional one that may be `sparse`, and one without a
-    name. `base_name` is what messages call the file.
+    - `columns` are required and checked against their declarations.
+    - `optional` gives the declaration of a column that may be missing.
+    - `labels` are columns of text.
+    - A further column is kept if it is numeric, that is, if more than half of its cells are numbers
+      (then all must be numbers). It is ignored otherwise, as is an optional `sparse` column and a
+      column without a name.
+    - `base_name` is the name of the file in messages.
 
-    Of the columns of `readings` a cell may be blank, that is, empty or NaN: what was not read.
-    `Table.blank` has the rows of these, and the cell the number of the row before (of the next one
-    where there is none), so that whoever looks at the whole table finds a plausible one.
+    A cell in a column of `readings` may be blank, that is, empty or NaN, where nothing was read.
+    `Table.blank` marks these rows. The cell gets the number of the row before, or of the next row
+    at the beginning, so that a look at the whole table finds plausible numbers.
 
-    Raises `StudyError` for a file that is missing, empty or cut off, a column that is missing or
-    there twice, and a cell that is not a finite number, not whole where it must be, outside its
-    range, or an index that repeats; for readings that are all blank.
+    Raises `StudyError` for a file that is missing, empty or truncated, for a column that is missing
+    or repeated, for a cell that is not a finite number, not whole where it must be, or outside its
+    range, for a repeated index, and for readings that are all blank.
     """
     path = Path(path)
     header, lines, rows = _cells(path, base_name or path.name)
@@ -120,13 +122,13 @@ def read_table(
     asked = {column.name: column for column in columns}
     for name in (*labels, *asked):
         if name not in header:
-            # A column that is expected itself was hardly meant to be this one.
+            # A column that has a meaning of its own is not a misspelling of this one.
             free = [c for c in header if c not in asked and c not in labels and not optional(c)]
             raise _missing(table.name, name, header, free)
     if not rows:
         raise refusal(table.name, "row 1", "no row below the header", "data", "add the rows")
     for place, name in enumerate(header):
-        if not name:  # of separators at the ends of lines, or of numbers that nobody could tell
+        if not name:  # separators at the ends of lines, or numbers without a meaning
             continue
         cells = [row[place] for row in rows]
         if name in labels:
@@ -150,10 +152,11 @@ def read_table(
 
 
 def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of equal length as a CSV file, numbers with ten significant digits, or with as
-    many as tell its rows apart: times on a clock that began long ago have more.
+    """Write columns of equal length as a CSV file.
 
-    Raises `ValueError` where the lengths differ.
+    Numbers have ten significant digits, or as many as are needed to resolve the difference of
+    neighbouring rows, such as times on a clock that started long ago. Raises `ValueError` where the
+    lengths differ.
     """
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
@@ -165,26 +168,26 @@ def write_table(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def _written(values: np.ndarray) -> list[str]:
-    """The cells of a column: numbers to `_OF_A_STEP` of the usual difference of two rows."""
+    """The cells of a column: numbers to `_OF_A_STEP` of the median difference of two rows."""
     values = np.asarray(values)
     if values.dtype.kind not in "biuf":
         return [v if isinstance(v, str) else f"{v:.{_DIGITS}g}" for v in values]
     values = values.astype(float)
     finite = values[np.isfinite(values)]
     sizes, steps = np.abs(finite), np.abs(np.diff(finite))
-    # What rounding makes of a constant is no step.
+    # Differences at the level of rounding do not count as steps.
     steps = steps[steps > 4.0 * np.spacing(sizes.max(initial=0.0))]
     digits = _WHOLE_DIGITS
     if len(steps):
         digits = math.ceil(math.log10(sizes.max() / np.median(steps) / _OF_A_STEP))
     digits = max(digits, _DIGITS)
     if digits > _WHOLE_DIGITS:
-        return [repr(float(v)) for v in values]  # the shortest that gives this number again
+        return [repr(float(v)) for v in values]  # the shortest text that reads back exactly
     return [f"{v:.{digits}g}" for v in values]
 
 
 def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list[str]]]:
-    """Header, line number per data row, cells per data row; every row as long as the header."""
+    """Header, line number per data row and cells per data row, each row as long as the header."""
     if not path.is_file():
         raise refusal(
             name,
@@ -201,12 +204,16 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
         found = [(reader.line_num, row) for row in reader if any(c.strip() for c in row)]
     except (UnicodeDecodeError, csv.Error) as error:
         raise refusal(
-            name, "file", f"unreadable text ({error})", "a CSV table in UTF-8", "save it again so"
+            name,
+            "file",
+            f"unreadable text ({error})",
+            "a CSV table in UTF-8",
+            "save it in UTF-8",
         ) from error
     if not found:
         raise refusal(name, "file", "nothing in it", "a header line and rows", "write the table")
     (line, cells), *rows = found
-    # Beside decimal points, a comma would be one of thousands.
+    # In a file with decimal points, a comma would separate thousands.
     if mark != "," and not any("." in c and math.isfinite(_number(c)) for _, r in rows for c in r):
         rows = [(number, [_decimal_point(cell) for cell in row]) for number, row in rows]
     header = tuple(cell.strip() for cell in cells)
@@ -239,7 +246,7 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
                 f"{len(header)} as in the header, separated by {SEPARATORS[mark]}",
                 "complete the row or remove it"
                 + (
-                    "; numbers with decimal commas want semicolons between the columns"
+                    "; numbers with decimal commas need semicolons between the columns"
                     if mark == "," and len(row) > len(header)
                     else ""
                 ),
@@ -248,8 +255,8 @@ def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list
 
 
 def _without_preamble(text: str) -> str:
-    """The text with empty lines for what may stand before the header: ``sep=;``, as spreadsheets
-    write it, and ``# comments``.
+    """The text with empty lines in place of a preamble: ``sep=;``, as spreadsheets write it, and
+    ``# comments``.
     """
     lines = text.splitlines(keepends=True)
     for i, line in enumerate(lines):
@@ -260,13 +267,13 @@ def _without_preamble(text: str) -> str:
 
 
 def _separator(text: str) -> str:
-    """What separates the cells: a comma, or what the header has instead."""
+    """The separator of the cells: a comma, or another one of `SEPARATORS` in the header."""
     header = next((line for line in text.splitlines() if line.strip()), "")
     return next((mark for mark in SEPARATORS if mark in header), ",")
 
 
 def _decimal_point(cell: str) -> str:
-    """The cell with a point for a single decimal comma, where it is a number then."""
+    """The cell with a decimal point in place of a single decimal comma, where that is a number."""
     point = cell.replace(",", ".", 1)
     return cell if math.isnan(_number(point)) else point
 
@@ -286,7 +293,7 @@ def _number(cell: str) -> float:
 
 
 def _is_blank(cell: str) -> bool:
-    """Whether a cell says that nothing was read, as spreadsheets and programs write it."""
+    """Whether a cell is empty or NaN, as spreadsheets and programs mark a missing reading."""
     return cell.strip().lower() in ("", "nan")
 
 
@@ -304,10 +311,10 @@ def _checked(
     table: Table, column: Column, cells: Sequence[str], needed: bool, blank: np.ndarray
 ) -> np.ndarray:
     values = np.array([_number(cell) for cell in cells])
-    # A file of ten digits may round a value at the bound to just beyond it.
+    # A file with ten digits may round a value at the bound to a number just beyond it.
     slack = 1e-9 * max((abs(b) for b in (column.low, column.high) if math.isfinite(b)), default=0)
     expected = _range(column)
-    # The number of the row before stands for what is blank; of the next one at the beginning.
+    # A blank cell gets the number of the row before, or of the next one at the beginning.
     there = np.flatnonzero(~blank)
     before = np.searchsorted(there, np.arange(len(values)), side="right") - 1
     values = values[there[np.maximum(before, 0)]]
@@ -324,7 +331,7 @@ def _checked(
         row = int(np.argmax(bad & ~blank))
         found, do = cells[row].strip(), "correct the value"
         if not math.isfinite(values[row]):
-            # What was not recorded cannot be corrected: neither a reading nor a condition.
+            # A reading or condition that was not recorded cannot be corrected.
             remove = "remove the row" if needed else "remove the row, or the column"
             do = f"{'correct the value' if found else 'fill it in'}, or {remove}"
             found = repr(found) if found else "an empty cell"

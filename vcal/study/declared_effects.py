@@ -26,7 +26,7 @@ from .settings import EffectSettings
 _KIND = "distribution"
 _INSIDE = f"{__name__.partition('.')[0]}."
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-"""What can stand in ``--with NAME:PLACEMENT``, in a key and in the name of a page."""
+"""Names that can be used in ``--with NAME:PLACEMENT``, in a key and in the name of a page."""
 _UNIVARIATE = tuple(name for name, kind in DISTRIBUTIONS.items() if issubclass(kind, Univariate))
 """Distributions of one number, by name."""
 
@@ -34,9 +34,9 @@ Catalogue = Mapping[str, type[Effect]]
 
 
 def catalogue_with(folder: Folder, effects_file: str | None) -> dict[str, type[Effect]]:
-    """The built-in catalogue and the effects of the user's file, which is run for it.
+    """The built-in catalogue with the effects of a user's file, which is executed.
 
-    Raises `StudyError` if the file cannot be used, or names an effect that exists.
+    Raises `StudyError` for a file that cannot be used, and for a name that another effect has.
     """
     known = dict(CATALOGUE)
     if effects_file is None:
@@ -65,7 +65,7 @@ def catalogue_with(folder: Folder, effects_file: str | None) -> dict[str, type[E
 
 
 def _names_inside(kind: type[Effect]) -> Iterator[str]:
-    """Names of all effects that vcal itself has, those of instruments and descriptions included."""
+    """Names of all effects of vcal, including those of instruments and empirical descriptions."""
     for one in kind.__subclasses__():
         if one.__module__.startswith(_INSIDE):
             yield getattr(one, "name", "")
@@ -92,14 +92,14 @@ def declared_effects(
 ) -> tuple[Effect, ...]:
     """The effects of the ``[[model.effect]]`` rows, placed on the machine of `setup`.
 
-    A parameter with a value is known; with a ``*_sigma`` as well, or alone (mean zero), that is its
-    prior; one with a table, such as ``{distribution = "uniform", low = 8, high = 12}``, has that
-    distribution; a parameter that is not given keeps the catalogue's prior. `file` is what messages
-    call the study file, `data` what they call the table of every data set, by its name. Raises
+    A parameter with a value is known. A ``*_sigma`` gives it a normal prior, about its value or
+    about zero. A table, such as ``{distribution = "uniform", low = 8, high = 12}``, gives it that
+    distribution. A parameter that is not given keeps the prior of the catalogue. `file` is the name
+    of the study file in messages, and `data` maps the name of every data set to its table. Raises
     `StudyError`.
 
-    The rows are placed one after the other: an effect that is there only beside another
-    (`jerk_crosstalk` beside `acceleration_crosstalk`) stands below it.
+    The rows are placed in order: an effect that corrects another one (`jerk_crosstalk` and
+    `acceleration_crosstalk`) comes after it.
     """
     found: list[Effect] = []
     for i, row in enumerate(rows):
@@ -131,15 +131,13 @@ def declared_effects(
 
 
 def beside(setup: Setup, *effects: Effect) -> Setup:
-    """The same setup with further effects declared, beside which others may have a place."""
+    """The setup with further declared effects, which other effects may refer to."""
     parts = tuple(beside(part, *effects) for part in setup.parts)
     return dataclasses.replace(setup, declared=(*setup.declared, *effects), parts=parts)
 
 
 def _setup_of(row: EffectSettings, cls: type[Effect], setup: Setup, where: "_Where") -> Setup:
-    """Where a declared effect is to be placed: on the machine, or on the instrument of one of
-    several data sets.
-    """
+    """The setup for a declared effect: the machine, or the instrument of one of the data sets."""
     names = [part.data_set for part in setup.parts]
     if row.data_set is not None:
         if row.data_set not in names:
@@ -157,7 +155,7 @@ def _setup_of(row: EffectSettings, cls: type[Effect], setup: Setup, where: "_Whe
         raise where.refusal(
             "data_set",
             "nothing",
-            f"one of {listed(part.data_set for part in fitting)}, to whose instrument it belongs",
+            f"one of {listed(part.data_set for part in fitting)}, whose instrument has the effect",
             "add the name of the data set",
         )
     return fitting[0]
@@ -175,8 +173,8 @@ def _unplaced(cls: type[Effect], error: Exception, where: "_Where") -> StudyErro
     return where.refusal(
         "",
         f"{type(error).__name__}: {error}, while it was placed",
-        "a class that says where it can be",
-        f"mend `candidates` of {cls.__name__}",
+        "a class whose `candidates` yields its instances",
+        f"correct `candidates` of {cls.__name__}",
     )
 
 
@@ -202,7 +200,7 @@ def _declared(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Wher
         if key not in _fields(options[0]):
             continue
         values = _values(options, key)
-        if not values:  # a chain, a basis, levers: nothing that could be written in a row
+        if not values:  # a chain, a basis, levers: values that a row cannot express
             raise _unknown_parameter([key], options, row.component, where)
         value = extra.pop(key)
         if value not in values:
@@ -230,8 +228,8 @@ def _declared(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Wher
 
 
 def _simplest(fitting: list[tuple[Effect, dict]]) -> list[tuple[Effect, dict]]:
-    """The one that all others contain, with further parameters that the row does not name; all
-    where there is none.
+    """The effect whose parameters all others contain together with further ones that the row does
+    not name; all effects where there is no such effect.
     """
     names = [{p.name for p in effect.parameters} for effect, _ in fitting]
     least = min(range(len(names)), key=lambda i: len(names[i]))
@@ -251,10 +249,11 @@ def _placed(row: EffectSettings, cls: type[Effect], setup: Setup, where: _Where)
     if not options:
         raise where.refusal(
             "name",
-            "an effect that has no place here",
-            f"one that acts on the axes {listed(setup.chain.axes)} or on this instrument, after "
-            "the effect beside which it is, if it is a correction of one",
-            "remove it, declare that effect first, or correct the machine or the instrument",
+            "an effect without a possible placement on this machine and instrument",
+            f"one that acts on the axes {listed(setup.chain.axes)} or on this instrument, and a "
+            "correction of another effect after that effect",
+            "remove it, declare the corrected effect first, or correct the machine or the "
+            "instrument",
         )
     placements = list(dict.fromkeys(e.placement for e in options))
     if row.placement in placements:
@@ -294,13 +293,13 @@ def _texts(effect: Effect) -> list[str]:
 
 
 def _fields(effect: Effect) -> list[str]:
-    """The fields that a class has of its own."""
+    """The fields of a class beyond those of every effect."""
     names = [field.name for field in dataclasses.fields(effect)]
     return [name for name in names if name not in ("placement", "given", "priors")]
 
 
 def _values(options: Sequence[Effect], key: str) -> list[Any]:
-    """What a field is in these effects; nothing where it is more than a row can say."""
+    """The distinct values of a field in these effects; none where a row cannot express them."""
     values = [getattr(e, key) for e in options]
     values = [value.item() if isinstance(value, np.generic) else value for value in values]
     if not all(isinstance(value, str | int | float) for value in values):
@@ -309,20 +308,22 @@ def _values(options: Sequence[Effect], key: str) -> list[Any]:
 
 
 def choices(effect: Effect, setup: Setup) -> dict[str, list[Any]]:
-    """Keys that a row has to say beside the placement, with the values they may have: those in
-    which the effects of that class and placement differ, but for what another one tells.
+    """Keys that a row needs in addition to the placement, with their possible values.
+
+    The effects of this class and placement differ in these fields; a field that follows from the
+    fields before it is left out.
     """
     options = [e for e in type(effect).candidates(setup) if e.placement == effect.placement]
     found: dict[str, list[Any]] = {}
-    told: list[tuple[Any, ...]] = [() for _ in options]
+    known: list[tuple[Any, ...]] = [() for _ in options]
     for key in _fields(effect) if options else []:
         values = _values(options, key)
-        if len(values) < 2 or key == "unit":  # of which the component tells
+        if len(values) < 2 or key == "unit":  # a unit follows from the component
             continue
-        more = [(*one, getattr(e, key)) for one, e in zip(told, options, strict=True)]
-        if len(set(more)) == len(set(told)):
+        more = [(*one, getattr(e, key)) for one, e in zip(known, options, strict=True)]
+        if len(set(more)) == len(set(known)):
             continue
-        told = more
+        known = more
         named = "component" not in found and all(isinstance(value, str) for value in values)
         found["component" if named else key] = values
     return found
@@ -339,8 +340,8 @@ def _either(values: Sequence[Any]) -> str:
 
 
 def _several_fit(options: Sequence[Effect], component: str | None, where: _Where) -> StudyError:
-    """The error to raise where a row leaves open which of several effects it means: it asks for
-    the first key in which they differ.
+    """The error to raise where several effects fit a row; it asks for the first key in which they
+    differ.
     """
     found = f"{len(options)} effects that these keys fit"
     for key in _fields(options[0]):
@@ -437,7 +438,7 @@ def _given(
             raise where.refusal(
                 key,
                 f"{value:g}",
-                f"no sigma: {p.name} is known where it is given, and looked for where it is not",
+                f"no sigma: {p.name} is known if it is given, and identified if it is not",
                 "remove the key",
             )
         if p.shape and p.coordinate != "linear" and value <= 0.0:
@@ -503,7 +504,9 @@ def _priors(
 
 
 def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: Mapping[str, str]) -> None:
-    """An effect that is declared must be computable: its covariates recorded, its ports there."""
+    """Raise `StudyError` where a declared effect cannot be computed: without a recorded covariate,
+    for a missing port, or without finite deviations.
+    """
     plan = setup.plan
     missing = [name for name in effect.needs if not plan.has(name)]
     if missing:
@@ -520,7 +523,7 @@ def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: Mapping
             + ("" if shared else ", the same in all data sets"),
             "add the column or remove the effect"
             if shared
-            else "say when each began by its start_s, or remove the effect"
+            else "give the start of each data set as start_s, or remove the effect"
             if missing[0] == "t"
             else "remove the effect",
         )
@@ -535,7 +538,7 @@ def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: Mapping
             "",
             f"{type(error).__name__}: {error}, while its response was computed",
             "deviations of ports that this machine and instrument have",
-            f"mend {type(effect).__name__}, or remove the effect",
+            f"correct {type(effect).__name__}, or remove the effect",
         ) from error
     numbers = np.concatenate([terms.offset, terms.values], axis=1)
     if np.isfinite(list(shape.values())).all() and not np.isfinite(numbers).all():
@@ -544,6 +547,6 @@ def _check_covariates(effect: Effect, setup: Setup, where: _Where, data: Mapping
         raise where.refusal(
             "",
             f"no finite deviation in row {setup.plan.row_name(row)} with {values}",
-            "values that make one everywhere",
+            "values that give a finite deviation in every row",
             "correct the values",
         )

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import ValidationError
 
-from ..dynamics.assemble import Structure, assemble
 from ..dynamics.bodies import BED, GROUND, Body, Drive, Friction, Machine, Scale, Spring, ToolPoint
 from ..dynamics.closed_loop import check_stable, controlled
 from ..dynamics.control import Controller
 from ..dynamics.gains import propose
-from ..dynamics.modes import check_supported, modes
+from ..dynamics.modal_analysis import check_supported, modes
 from ..dynamics.setpoints import Limits
+from ..dynamics.structure import Structure, assemble
 from ..errors import StudyError
 from ..machine.chain import Chain, chain_from_string
 from ..registry import nearest
@@ -35,13 +35,13 @@ _EXACT = 1e-6
 _MOTOR_KG = 1e-3
 """Least mass of a motor."""
 _ROUNDED = 0.01
-"""By how much of the sum of the others a moment of inertia may exceed it, as it is rounded."""
+"""Relative excess of a moment of inertia over the sum of the others that rounding may cause."""
 _HELD = 1e-3
-"""Of the largest stiffness, from which springs hold an axis along its travel."""
+"""Share of the largest stiffness from which springs are considered to hold an axis."""
 
 
 class Described(NamedTuple):
-    """A machine and how it is driven."""
+    """A machine with its controllers and limits."""
 
     machine: Machine
     controller: Controller
@@ -49,10 +49,10 @@ class Described(NamedTuple):
 
 
 def load_machine(path: Path | str, overrides: Sequence[str] = ()) -> Described:
-    """Read a description, check it, and put the controllers in.
+    """Read and check the description of a machine's dynamics, and set up its controllers.
 
-    Raises `StudyError` for every mistake in the file, for a body that nothing holds, for an axis
-    that cannot travel or moves nothing, and for a loop that is unstable.
+    Raises `StudyError` for every mistake in the file, for a body that no spring or drive holds, for
+    an axis that cannot travel or moves nothing, and for an unstable control loop.
     """
     path = Path(path)
     raw, given = read_setup(path, overrides)
@@ -99,12 +99,12 @@ def _chain(text: str, file: str) -> Chain:
     try:
         return chain_from_string(text)
     except ValueError as error:
-        told, _, expected = str(error).rpartition("expected ")
+        found, _, expected = str(error).rpartition("expected ")
         raise refusal(
             file,
             "key chain",
-            f"an impossible {told.rstrip(';: ')}",
-            expected.partition(" (")[0],  # other joints are for studies
+            f"an impossible {found.rstrip(';: ')}",
+            expected.partition(" (")[0],  # only studies have other joints
             "correct the chain",
         ) from error
 
@@ -117,7 +117,7 @@ def _bodies(settings: Sequence[BodySettings], chain: Chain, file: str) -> tuple[
                 file,
                 f"key body.{i}.name",
                 f"{body.name!r}{nearest(body.name, known)} without the key on",
-                f"a name out of {listed(known)}, or on = one of them, which it rides with",
+                f"one of the names {listed(known)}, or the key on with the one that carries it",
                 "correct the name, or add the key",
             )
         link = body.on or body.name
@@ -131,7 +131,7 @@ def _bodies(settings: Sequence[BodySettings], chain: Chain, file: str) -> tuple[
 def _springs(
     settings: Sequence[SpringSettings], links: Mapping[str, str], chain: Chain, file: str
 ) -> tuple[Spring, ...]:
-    """One per point; `links` are those of the bodies, by name."""
+    """One spring per point; `links` maps the name of a body to its link."""
     made = []
     for i, spring in enumerate(settings):
         for name in spring.between:
@@ -165,7 +165,7 @@ def _springs(
 def _drives(
     settings: Sequence[DriveSettings], links: Mapping[str, str], chain: Chain, file: str
 ) -> tuple[tuple[Drive, ...], tuple[Scale, ...]]:
-    """Drives and what each is measured by; `links` are those of the bodies, by name."""
+    """The drives with their scales; `links` maps the name of a body to its link."""
     drives, scales = [], []
     for i, drive in enumerate(settings):
         _known(drive.axis, chain.axes, f"drive.{i}.axis", file)
@@ -173,9 +173,9 @@ def _drives(
             raise refusal(
                 file,
                 f"key drive.{i}.axis",
-                f"{drive.axis!r}, which is the name of none of {listed(links)}",
-                "a body of that name, which the drive pushes",
-                "name that body so",
+                f"{drive.axis!r}, which is no name of a body",
+                f"the name of the body that the drive moves, one of {listed(links)}",
+                "correct the axis, or rename the body",
             )
         base = drive.base or _towards_bed(chain, drive.axis, links, GROUND)
         _known(base, (*links, GROUND), f"drive.{i}.base", file)
@@ -189,7 +189,7 @@ def _drives(
 
 
 def _check_screw(drive: DriveSettings, key: str, file: str) -> None:
-    """Refuse an encoder of a motor that has no screw, and a screw without inertia."""
+    """Raise `StudyError` for a motor encoder without a screw, and for a screw without inertia."""
     if drive.screw_N_per_um is None:
         if drive.measured == "motor":
             raise refusal(
@@ -204,7 +204,7 @@ def _check_screw(drive: DriveSettings, key: str, file: str) -> None:
         raise refusal(
             file,
             f"key {key}.motor_mass_kg",
-            f"{'none' if left_out else f'{drive.motor_mass_kg:g}'} beside a screw",
+            f"{'none' if left_out else f'{drive.motor_mass_kg:g}'} for a drive with a screw",
             "the inertia of motor and screw as a mass, J (2 pi / pitch)^2"
             + ("" if left_out else f", of at least {_MOTOR_KG:g}"),
             "add it" if left_out else "correct the value",
@@ -222,20 +222,22 @@ def _tool_point(
 
 
 def _check_inertia(body: BodySettings, key: str, file: str) -> None:
-    """Refuse moments of inertia that no mass has, wherever it is: I_x <= I_y + I_z."""
+    """Raise `StudyError` for moments of inertia that no body has: I_x <= I_y + I_z is violated."""
     largest, whole = max(body.inertia_kg_m2), sum(body.inertia_kg_m2)
     if largest > (1.0 + _ROUNDED) * (whole - largest):
         raise refusal(
             file,
             f"key {key}",
             shown(body.inertia_kg_m2),
-            "none above the sum of the two others, as of any body",
+            "no moment above the sum of the two others, as for any body",
             "correct them",
         )
 
 
 def _check_travel(machine: Machine, structure: Structure, file: str) -> None:
-    """Refuse a machine whose axes the springs hold, or whose scales or tool point do not follow."""
+    """Raise `StudyError` where springs hold an axis, or where a scale or the tool point does not
+    follow it.
+    """
     travel, stiffness = np.asarray(structure.travel), np.asarray(structure.stiffness)
     holding = np.einsum("na,nm,ma->a", travel, stiffness, travel)
     most = float(np.diag(stiffness).max())
@@ -247,8 +249,8 @@ def _check_travel(machine: Machine, structure: Structure, file: str) -> None:
                 "table spring",
                 f"springs that hold axis {axis} along its travel, with {1e-6 * holding[i]:.4g} "
                 "N/um",
-                "that nothing but its drive does",
-                f"put 0 in their stiffness along {axis}",
+                "springs that leave it free, as only its drive holds it",
+                f"set their stiffness along {axis} to 0",
             )
         own = np.eye(len(structure.axes))[i]
         for found, expected, what, keys in (

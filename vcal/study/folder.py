@@ -1,4 +1,4 @@
-"""The files beside a study file, each with its fingerprint once it was read."""
+"""The files of a study folder, each with its hash once it was read; new folders written whole."""
 
 import hashlib
 import os
@@ -17,14 +17,15 @@ from .messages import refusal
 
 
 def check_way(out: Path) -> None:
-    """Raises `StudyError` where a folder `out` could not be made, before any work is done for it:
-    below a file, or where the user may not write.
+    """Raise `StudyError` where the folder `out` cannot be created, before any work is done for it.
+
+    Its path leads through a file, or the user has no permission to write there.
     """
     above = out.absolute()
     while not above.exists() and above != above.parent:
         above = above.parent
     if above == out.absolute() and not above.is_dir():
-        return  # what is there itself is for the caller to judge
+        return  # an existing file at `out` itself is checked by the caller
     if not above.is_dir():
         raise refusal(
             str(out),
@@ -37,23 +38,23 @@ def check_way(out: Path) -> None:
         raise refusal(
             str(out),
             "output folder",
-            f"that {above} cannot be written to",
+            f"no permission to write to {above}",
             "a place in which a folder can be made",
-            "choose another",
+            "choose another place, or change its permissions",
         )
 
 
 @dataclass(frozen=True)
 class Folder:
-    """Reads the tables of one study and keeps the hash of everything it read."""
+    """The folder of one study; it reads the tables and keeps the hash of every file read."""
 
     root: Path
     hashes: dict[str, str] = field(default_factory=dict)
-    """SHA-256 in hexadecimal by file name as the study names it."""
+    """SHA-256 in hexadecimal, by the file name in the study."""
     _modules: dict[str, ModuleType] = field(default_factory=dict)
 
     def path(self, name: str, expected: str = "a CSV table with a header line") -> Path:
-        """Path of a file that is about to be read; raises `StudyError` if there is none."""
+        """Path of a file to be read; raises `StudyError` where it does not exist."""
         path = self.root / name
         if not path.is_file():
             raise refusal(
@@ -67,14 +68,15 @@ class Folder:
         return path
 
     def has(self, name: str) -> bool:
-        """Whether a file is there."""
+        """Whether a file exists."""
         return (self.root / name).is_file()
 
     def module(self, name: str, what: str) -> ModuleType:
-        """A Python file of the user's own, with classes of `what`s.
+        """A Python file of the user's own with `what` classes, as a module.
 
-        It is run once for a study, however often the study names it. What it registers itself must
-        not be left to the next study, and is forgotten. Raises `StudyError` as `run_file` does.
+        The file is executed once per study, however often the study names it. Its registrations
+        are undone, so that they do not leak into the next study. Raises `StudyError` as `run_file`
+        does.
         """
         path = self.path(name, f"a Python file with {what} classes")
         if name not in self._modules:
@@ -83,7 +85,7 @@ class Folder:
         return self._modules[name]
 
     def header(self, name: str) -> tuple[str, ...]:
-        """Names of a table's columns."""
+        """Names of the columns of a table."""
         return read_header(self.path(name), name)
 
     def table(
@@ -94,15 +96,13 @@ class Folder:
         labels: Sequence[str] = (),
         readings: Collection[str] = (),
     ) -> Table:
-        """A checked table (`io.table.read_table`)."""
+        """A checked table; see `vcal.study.csv_table.read_table`."""
         more: Mapping = {} if optional is None else {"optional": optional}
         return read_table(self.path(name), columns, name, labels=labels, readings=readings, **more)
 
 
 def require_empty(out: Path) -> None:
-    """Raise `StudyError` if there is something at `out` that writing there would overwrite,
-    or nothing can be made there.
-    """
+    """Raise `StudyError` where `out` exists and is no empty folder, or cannot be created."""
     check_way(out)
     if out.is_dir() and not any(out.iterdir()):
         return
@@ -115,8 +115,9 @@ def require_empty(out: Path) -> None:
 
 @contextmanager
 def made_whole(out: Path) -> Iterator[Path]:
-    """A temporary folder that gets the name `out` when everything is in it, with the permissions of
-    any new folder; gone where something comes in between.
+    """A temporary folder that is renamed to `out` when it is complete.
+
+    It gets the permissions of any new folder. After an exception it is removed.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     work = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))

@@ -1,4 +1,4 @@
-"""Geometric errors from the family that a study declares."""
+"""Geometric errors of the machine from the family declared in ``[model.geometric]``."""
 
 import math
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ _SQUARENESS = {"EC0Y": "XY", "EB0Z": "XZ", "EA0Z": "YZ"}
 FAMILY_COLUMNS: tuple[Column, ...] = tuple(
     Column(name=name, low=0.0) for name in ("a0", "a1", "n1", "b1", "c1", "n2", "b2", "c2")
 )
-"""Numbers of a row of the Fourier family's table; half-widths and waves, so none is negative."""
+"""Columns of the Fourier family's table. They hold half-widths and wave numbers, none negative."""
 
 
 def error_motions(chain: Chain) -> tuple[str, ...]:
@@ -36,7 +36,7 @@ def error_motions(chain: Chain) -> tuple[str, ...]:
 
 
 def squareness_errors(chain: Chain) -> tuple[str, ...]:
-    """ISO 230-1 names of the squareness errors between the axes that the chain has."""
+    """ISO 230-1 names of the squareness errors between the linear axes of the chain."""
     return tuple(name for name, pair in _SQUARENESS.items() if set(pair) <= set(chain.axes))
 
 
@@ -50,11 +50,11 @@ def location_errors(chain: Chain) -> tuple[str, ...]:
 
 
 def geometric_errors(settings: Any, chain: Chain, folder: Folder, file: str) -> GeometricErrors:
-    """The effect that a validated ``[model.geometric]`` declares.
+    """The geometric errors declared by a validated ``[model.geometric]``.
 
-    `folder` holds the family's table; `file` is what messages call the study file. Raises
-    `StudyError` for a component that is missing, unknown or there twice, a negative amplitude, a
-    wave number of zero, and an axis whose travel is not declared.
+    `folder` holds the table of the family; `file` is the name of the study file in messages. Raises
+    `StudyError` for a component that is missing, unknown or repeated, for a negative amplitude, for
+    a wave number of zero, and for an axis without a declared travel.
     """
     if isinstance(settings, LinkSettings):
         return link_errors(
@@ -71,7 +71,7 @@ def _smooth(settings: SmoothSettings, chain: Chain) -> GeometricErrors:
     sizes = {True: settings.translation_um * _MICRO, False: settings.rotation_urad * _MICRO}
     motions = []
     for axis in chain.axes:
-        # The eigenfunctions cost most and are the same for all six motions of an axis.
+        # The eigenfunctions are the expensive part, and all six motions of an axis share them.
         joint = chain.joint(axis)
         unit = Matern(joint.travel.tolist(), 1.0, settings.smoothness, joint.around)
         for c in "XYZABC":
@@ -99,7 +99,7 @@ def _fourier(table: Table, chain: Chain) -> GeometricErrors:
             raise table.refusal(
                 row,
                 wave,
-                f"0 beside b{i} = {table[f'b{i}'][row]:g} and c{i} = {table[f'c{i}'][row]:g}",
+                f"0 with b{i} = {table[f'b{i}'][row]:g} and c{i} = {table[f'c{i}'][row]:g}",
                 "a wave number above 0",
                 f"give {wave}, or set b{i} and c{i} to 0",
             )
@@ -117,7 +117,7 @@ def _fourier(table: Table, chain: Chain) -> GeometricErrors:
     locations = []
     for name in location_errors(chain):
         half_width = float(table["a0"][row_of[name]]) * _MICRO
-        if half_width > 0:  # known to be where it should otherwise
+        if half_width > 0:  # zero declares an error-free location
             sigma = half_width / math.sqrt(3.0)
             locations.append(LocationError.of(chain, name, sigma, unit_uniform()))
     return GeometricErrors(motions=tuple(motions), locations=tuple(locations))
@@ -164,7 +164,7 @@ def _missing(table: Table, missing: Sequence[str], count: int) -> StudyError:
         "column component",
         f"{table.rows} rows without {listed(missing)}",
         f"all {count} error motions and location errors of the machine's axes",
-        "add the missing rows, with amplitudes of 0 for what is known to be perfect",
+        "add the missing rows, with amplitudes of 0 for errors that are known to be zero",
     )
 
 

@@ -1,4 +1,4 @@
-"""The tables of a machine's description for its dynamics."""
+"""The tables of the file that describes the dynamics of a machine."""
 
 from typing import Annotated, Literal
 
@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 Positive = Annotated[float, Field(gt=0)]
-# What machines have, with much to spare. Beyond it a number is of another unit, or matrices have
-# too few digits left to tell what holds a body.
+# Wide bounds for any machine. A number beyond them is in another unit, or leaves the matrices too
+# few digits for the check that every body is supported.
 Mass = Annotated[float, Field(ge=1e-3, le=1e6)]
 Inertia = Annotated[float, Field(ge=1e-4, le=1e9)]
 Length = Annotated[float, Field(ge=-1e5, le=1e5)]
@@ -26,12 +26,12 @@ class BodySettings(_Table):
 
     name: str
     on: str | None = None
-    """What it rides with, ``"bed"`` or an axis; its own name by default."""
+    """The link that carries it, ``"bed"`` or an axis; its own name by default."""
     mass_kg: Mass
     inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
-    """About its centre of gravity, about X, Y, Z; none more than the sum of the others."""
+    """Moments of inertia about X, Y and Z through the centre of gravity."""
     centre_mm: Triple
-    """Centre of gravity at the axis positions zero."""
+    """Centre of gravity with all axes at zero."""
 
 
 class SpringSettings(_Table):
@@ -41,14 +41,14 @@ class SpringSettings(_Table):
     between: tuple[str, str]
     """Two bodies, or a body and ``"ground"``."""
     on: str | None = None
-    """What the points ride with; the first body's link by default."""
+    """The link that carries the points; that of the first body by default."""
     points_mm: Annotated[tuple[Triple, ...], Field(min_length=1)]
     stiffness_N_per_um: tuple[Stiffness, Stiffness, Stiffness]  # noqa: N815
-    """Of one point, along X, Y, Z."""
+    """Stiffness of one point along X, Y, Z."""
     turning_Nm_per_mrad: tuple[Turning, Turning, Turning] = (0.0, 0.0, 0.0)  # noqa: N815
-    """Of one point, about X, Y, Z."""
+    """Rotational stiffness of one point about X, Y, Z."""
     damping_Ns_per_mm: tuple[Viscous, Viscous, Viscous] = (0.0, 0.0, 0.0)  # noqa: N815
-    """Viscous, of one point, beside the damping of all."""
+    """Viscous damping of one point, in addition to the structural damping of all springs."""
 
 
 class DriveSettings(_Table):
@@ -56,33 +56,35 @@ class DriveSettings(_Table):
 
     axis: str
     base: str | None = None
-    """Body that it pushes from; the one towards the bed by default."""
+    """Body that takes the reaction force; the next one towards the bed by default."""
     point_mm: Triple
-    """Where its force attacks."""
+    """Point of application of the drive force."""
     screw_N_per_um: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None  # noqa: N815
-    """Stiffness of screw, nut and bearings; a linear motor without it."""
+    """Axial stiffness of screw, nut and bearings; without it, the drive is a linear motor."""
     motor_mass_kg: Annotated[float, Field(ge=0, le=1e6)] = 0.0
-    """Inertia of motor and screw as a mass along the axis, J (2 pi / pitch)^2; no less than 1 g
-    beside a screw.
+    """Inertia of motor and screw as a mass along the axis, J (2 pi / pitch)^2; at least 1 g for a
+    drive with a screw.
     """
     scale_mm: Triple | None = None
-    """Where the scale is read; at the drive by default."""
+    """Reading point of the scale; the point of application of the drive by default."""
     measured: Literal["scale", "motor"] = "scale"
-    """By a linear scale, or by the motor's encoder."""
+    """Position feedback: a linear scale, or the encoder of the motor."""
 
 
 class FrictionSettings(_Table):
-    """``[[friction]]``: of the guideway of one axis."""
+    """``[[friction]]``: friction of the guideway of one axis."""
 
     axis: str
     point_mm: Triple | None = None
-    """Where it acts; where the drive attacks by default."""
+    """Point of application; that of the drive by default."""
     coulomb_N: Positive  # noqa: N815
+    """Coulomb friction force."""
     stiction_N: Positive | None = None  # noqa: N815
-    """No less than `coulomb_N`, which it is by default."""
+    """Static friction force, at least `coulomb_N`; equal to it by default."""
     stribeck_mm_per_s: Positive = 1.0
+    """Stribeck velocity."""
     presliding_um: Positive
-    """How far the contacts bend before they slide."""
+    """Presliding displacement, by which the contacts deflect before they slide."""
     viscous_Ns_per_mm: Annotated[float, Field(ge=0)] = 0.0  # noqa: N815
 
 
@@ -91,20 +93,20 @@ class ToolPointSettings(_Table):
 
     point_mm: Triple
     tool: str | None = None
-    """Body with the tool; the last one on the tool's side by default."""
+    """Body that holds the tool; the last one on the tool side by default."""
     work: str | None = None
-    """Body with the workpiece; the last one on its side by default."""
+    """Body that holds the workpiece; the last one on the workpiece side by default."""
 
 
 class ControllerSettings(_Table):
-    """``[controller]``: gains of all axes, or one per axis; what is left out is proposed."""
+    """``[controller]``: one gain for all axes, or one per axis. Missing gains are proposed."""
 
     position_gain_per_s: Positive | tuple[Positive, ...] | None = None
-    """Kv."""
+    """Gain Kv of the position loop."""
     bandwidth_rad_per_s: Positive | tuple[Positive, ...] | None = None
-    """w_v of the velocity loop; Kp = m w_v."""
+    """Bandwidth w_v of the velocity loop; Kp = m w_v."""
     integral_time_ms: Positive | tuple[Positive, ...] | None = None
-    """Tn."""
+    """Integral time Tn of the velocity loop."""
     feed_forward: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Share of the set velocity added to the velocity command."""
     delay_ms: Annotated[float, Field(ge=0)] = 0.0
@@ -112,7 +114,7 @@ class ControllerSettings(_Table):
 
 
 class LimitSettings(_Table):
-    """``[limits]``: of every axis."""
+    """``[limits]``: limits of the set motion of every axis."""
 
     velocity_m_per_min: Positive = np.inf
     acceleration_m_per_s2: Positive = np.inf
@@ -123,11 +125,11 @@ class MachineDescription(_Table):
     """The whole file."""
 
     chain: str
-    """ISO 10791-6, such as ``"w X b Y Z t"``."""
+    """Kinematic chain by ISO 10791-6, such as ``"w X b Y Z t"``."""
     damping: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Damping ratio of all springs at `damping_hz`."""
     damping_hz: Positive | None = None
-    """The first mode by default."""
+    """Frequency of the damping ratio; that of the first mode by default."""
     body: Annotated[tuple[BodySettings, ...], Field(min_length=1)]
     spring: tuple[SpringSettings, ...] = ()
     drive: Annotated[tuple[DriveSettings, ...], Field(min_length=1)]

@@ -1,4 +1,4 @@
-"""What a user reads when an input is wrong: where, what was found and expected, what to do."""
+"""Messages for mistakes in the input: the place, what was found, what was expected, what to do."""
 
 import json
 import re
@@ -12,7 +12,7 @@ from ..registry import closest, nearest
 
 _QUOTED = r"'([^']*)'"
 _MOST_LINES = 5
-"""Mistakes of one file that are listed; the rest is counted."""
+"""Mistakes of one file that are listed; further ones are counted."""
 
 _EXPECTED = {
     "bool_type": "true or false",
@@ -33,7 +33,7 @@ _TABLE = ("dict_type", "model_type", "model_attributes_type")
 
 
 def refusal(file: str, where: str, found: str, expected: str, do: str) -> StudyError:
-    """The error to raise for one mistake, in the one form that all messages have."""
+    """The error to raise for one mistake, in the form that all messages share."""
     return StudyError(f"{file}, {where}: found {found}, expected {expected}; {do}")
 
 
@@ -44,14 +44,14 @@ def shown(value: Any) -> str:
 
 
 def listed(names: Iterable[str], most: int = 30) -> str:
-    """Names in a row, the first `most` of them."""
+    """Names separated by commas, the first `most` of them."""
     names = list(names)
     more = f", ... ({len(names) - most} more)" if len(names) > most else ""
     return ", ".join(names[:most]) + more if names else "none"
 
 
 def at(raw: Any, key: Sequence[str | int]) -> Any:
-    """The value at a key path of a TOML tree, None where there is none."""
+    """The value at a key path of a TOML tree; None where the path does not exist."""
     for part in key:
         try:
             raw = raw[part]
@@ -67,13 +67,13 @@ def explain(
     model: type[BaseModel],
     overrides: Mapping[str, str],
 ) -> StudyError:
-    """One message for everything pydantic found in a study file, a line per mistake.
+    """One message for all mistakes that pydantic found in a study file, one line each.
 
-    `overrides` maps dotted keys to the text they were given as, so that a mistake on the command
-    line is not looked for in the file.
+    `overrides` maps dotted keys to the text on the command line, so that the message names the
+    override instead of the file.
     """
     errors = _of_one_kind(error.errors(include_url=False), raw)
-    # A misspelled key is both unknown and missing: tell it once, with the key that was meant.
+    # A misspelled key is both unknown and missing. It is reported once, with the intended key.
     meant = set()
     for e in errors:
         if e["type"] == "extra_forbidden":
@@ -83,7 +83,7 @@ def explain(
     for e in errors:
         loc = e["loc"]
         if any(len(o["loc"]) > len(loc) and o["loc"][: len(loc)] == loc for o in errors):
-            continue  # what is in a list or a table is wrong already
+            continue  # a mistake inside this list or table is reported already
         if e["type"] == "missing" and (loc in meant or loc[:-1] in seen):
             continue
         if e["type"] == "missing" and isinstance(loc[-1], int):
@@ -95,9 +95,10 @@ def explain(
 
 
 def _of_one_kind(errors: Sequence[Any], raw: Mapping[str, Any]) -> list[Any]:
-    """Of a value that may be of several kinds, a number or a list of them, the mistake of the kind
-    that it is of; where it is of none, all that it may be. pydantic tells one for every kind, with
-    the kind among the keys.
+    """The mistakes of a value that may be of several kinds, such as a number or a list of numbers.
+
+    pydantic reports one mistake for every kind, with the kind among the keys. Kept is the mistake
+    of the kind that the value has; for a value of no kind, one mistake that lists all kinds.
     """
     found: list[Any] = []
     fields: dict[tuple, dict[str | int, list[Any]]] = {}
@@ -118,7 +119,7 @@ def _of_one_kind(errors: Sequence[Any], raw: Mapping[str, Any]) -> list[Any]:
 
 
 def _nearest_kind(kinds: Mapping[str | int, list[Any]]) -> list[Any]:
-    """The mistakes of the one kind that a value is of, or what it may be."""
+    """The mistakes of the kind that a value has, or one that lists all kinds."""
     first = [errors[0] for errors in kinds.values()]
     of_it = [
         errors
@@ -134,7 +135,7 @@ def _nearest_kind(kinds: Mapping[str | int, list[Any]]) -> list[Any]:
 
 
 def _in_file(raw: Any, loc: Sequence[str | int]) -> tuple[str | int, ...]:
-    """A key path without what is not in the file."""
+    """A key path without the parts that are not in the file."""
     found = []
     for part in loc:
         if at(raw, (part,)) is not None:
@@ -144,7 +145,7 @@ def _in_file(raw: Any, loc: Sequence[str | int]) -> tuple[str | int, ...]:
 
 
 def source(file: str, key: str, overrides: Mapping[str, str]) -> str:
-    """The file, and the override that put a key there."""
+    """The file, with the override that set a key in it."""
     for name, text in overrides.items():
         if key == name or key.startswith(f"{name}."):
             return f"{file} (override {name}={text})"
@@ -160,9 +161,10 @@ def _line(
     name = str(loc[-1]) if loc else ""
     if kind in ("value_error", "assertion_error"):
         said = " ".join(str(context["error"]).split())
-        if "expected" not in said:  # by a validator of the user's own
-            said = f"found {found}, expected what its validator allows: {said or 'it says no more'}"
-            said += f"; {do}"
+        if "expected" not in said:  # raised by a validator of the user's own
+            said = f"found {found}, expected a value that its validator accepts" + (
+                f" ({said}); {do}" if said else f"; {do}"
+            )
         return f"{source(file, key, overrides)}, key {key}: {said}"
     if kind == "extra_forbidden":
         known = _known_keys(model, loc[:-1])
@@ -193,7 +195,7 @@ def _line(
     elif kind == "too_long":
         expected = f"{context['max_length']} values"
     elif kind in _ROWS and _is_row(at(raw, loc)) and _known_keys(model, loc):
-        # Brackets are all that differs between one table and rows of them.
+        # A single table and rows of tables differ in the brackets only.
         expected, do = f"rows, each below [[{_dotted(loc)}]]", "write it in double brackets"
     elif kind in _TABLE and _are_rows(at(raw, loc)):
         expected, do = f"one table, below [{_dotted(loc)}]", "write it in single brackets"
@@ -203,7 +205,7 @@ def _line(
 
 
 def _is_row(value: Any) -> bool:
-    """Whether it is one table; those with numbers for keys are of an override of no row."""
+    """Whether it is one table. Keys that are digits come from an override of a missing row."""
     return isinstance(value, dict) and not any(key.isdigit() for key in value)
 
 
@@ -212,17 +214,17 @@ def _are_rows(value: Any) -> bool:
 
 
 def _dotted(loc: Sequence[str | int]) -> str:
-    """A key path as a TOML header names it, without the numbers of rows."""
+    """A key path as a TOML header writes it, without row numbers."""
     return ".".join(str(part) for part in loc if not isinstance(part, int))
 
 
 def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
-    """Keys of the table at `loc`."""
+    """The keys of the table at `loc`."""
     named = False
     for i, part in enumerate(loc):
         if isinstance(part, int) or named:
             named = False
-            continue  # a row of an array of tables, or one of tables by name: found with them
+            continue  # a row of an array of tables, or one of several named tables
         field = model.model_fields.get(part)
         row = loc[i + 1] if i + 1 < len(loc) else None
         inner = _model_in(field.annotation, row) if field else None
@@ -233,7 +235,7 @@ def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
 
 
 def _model_in(annotation: Any, row: str | int | None = None) -> type[BaseModel] | None:
-    """The table in a type; of rows that differ, that of `row`."""
+    """The table in a type annotation; where the rows differ, the table of `row`."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     arguments = get_args(annotation)

@@ -1,4 +1,4 @@
-"""``[data] must_see``: errors that the points have to tell apart by themselves."""
+"""``[data] must_see``: errors that the data have to identify without a prior."""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,7 +18,7 @@ from .messages import listed, refusal
 _HIGHEST = 12
 _SIZE = 1e-5
 _LINES = dict(zip("XYZABC", ("XA", "YB", "ZC") * 2, strict=True))
-"""Axes along or about the line of a component, which have no location error of it."""
+"""Axes along or about the direction of a component, which have no such location error."""
 
 
 def check_identifiable(
@@ -29,8 +29,11 @@ def check_identifiable(
     file: str,
     key: str = "data.must_see",
 ) -> None:
-    """Raises `StudyError` where the points do not tell all of that apart, together with the poses
-    that the instrument leaves unknown. `key` is where the study file asks for it.
+    """Raise `StudyError` where the Jacobian of the wanted errors has no full column rank.
+
+    The unknown poses of the instrument are identified together with the errors. `wanted` maps an
+    error motion to its highest Legendre degree and a location error to 0; `key` is its place in the
+    study file.
     """
     if not wanted:
         return
@@ -49,7 +52,7 @@ def check_identifiable(
                     LocationError.of(chain, name, _SIZE) for name in wanted if not lowest[name]
                 ),
             ),
-            # What has a prior of its own, such as a calibrated ball, is known well enough.
+            # A quantity with a prior of its own, such as a calibrated ball, counts as known.
             *(effect for effect in instrument.effects(plan) if effect.kind == "nuisance"),
         ),
     )
@@ -60,16 +63,18 @@ def check_identifiable(
         raise refusal(
             file,
             f"key {key}",
-            f"{plan.rows} points that tell apart {found.rank} of {found.columns} parameters; "
-            f"{listed(mixed)} {'is' if len(mixed) == 1 else 'are'} part of what they do not",
-            "points that tell all of them apart",
-            "measure more or other places, or ask for less",
+            f"{plan.rows} points that identify {found.rank} of {found.columns} parameters; "
+            f"{listed(mixed)} {'is' if len(mixed) == 1 else 'are'} not identified",
+            "points that identify all of them",
+            "measure more or other positions, or remove errors or degrees from this key",
         )
 
 
 def check_wanted(wanted: Mapping[str, int], chain: Chain, file: str, key: str) -> dict[str, int]:
-    """Lowest degree of every error there is that is not the artefact's or the station's; zero for
-    location errors. Raises `StudyError` for an error or a degree that does not exist.
+    """The lowest degree of every error of the machine; 0 for location errors.
+
+    Degrees below it belong to the pose of the artefact or of the station. Raises `StudyError` for
+    an error or a degree that does not exist.
     """
     linear = [joint.name for joint in chain.joints if joint.kind == "prismatic"]
     turning = [joint.name for joint in chain.joints if joint.kind == "rotary"]
@@ -113,6 +118,6 @@ def _check_key(name: str, degree: int, lowest: Mapping[str, int], file: str, tab
 def _motion(plan: Plan, name: str, degrees: Sequence[int]) -> ErrorMotion:
     axis = name[2:]
     x = np.asarray(plan.x(axis))
-    # Polynomials of an axis that stood still all are constants: seen by nothing, as is right.
+    # On an axis that did not move, all polynomials are constants, which no reading identifies.
     ends = float(x.min()), max(float(x.max()), float(x.min()) + 1e-9)
     return ErrorMotion(name, axis, Legendre(ends, tuple(degrees), _SIZE))

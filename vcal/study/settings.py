@@ -1,4 +1,4 @@
-"""What a study file may say: the keys of setup.toml, their types and bounds."""
+"""The keys of a study file (setup.toml), with their types, units and bounds."""
 
 import json
 import math
@@ -18,25 +18,26 @@ from ..registry import nearest
 from .folder import Folder
 from .messages import at, explain, listed, refusal, shown, source
 from .plugins.instruments import own_instruments
-from .plugins.trial import told
+from .plugins.trial import own_code_error
 
 Triple = tuple[float, float, float]
 _Offset = Annotated[float, Field(ge=-1e4, le=1e4)]
 ToolOffset = tuple[_Offset, _Offset, _Offset]
-"""No tool is longer than ten metres: such a number is in another unit than mm."""
+"""Tool offset, mm. A larger number than ten metres is in another unit."""
 _Length = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Angle = Annotated[float, Field(ge=-720, le=720)]
 _Size = Annotated[float, Field(ge=1e-6, le=1e6)]
-"""um or urad: errors of a machine that are less, or more than a metre, are in another unit."""
+"""Size of an error, um or urad. A smaller number, or one of more than a metre, is in another unit.
+"""
 _LARGEST_WHOLE = 2**63 - 1
 _SMALLEST, _LARGEST = 1e-15, 1e15
-"""Sizes of numbers, other than zero, whose squares and products can be computed with."""
+"""Sizes of nonzero numbers whose squares and products stay finite and nonzero."""
 COMPUTABLE = f"zero, or a number from {_SMALLEST:g} to {_LARGEST:g} in size"
-"""What messages call a number that is `computable`."""
+"""Description in messages of a number that is `computable`."""
 
 
 class Table(BaseModel):
-    """A table of a study file: keys that are not declared are refused."""
+    """A table of a study file. Unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -50,17 +51,17 @@ class JointSettings(Table):
     d_mm: _Length = 0.0
     theta_deg: _Angle = 0.0
     low_deg: float | None = None
-    """Lowest angle of a revolute joint; not checked where it is not given."""
+    """Lowest angle of a revolute joint; unbounded by default."""
     high_deg: float | None = None
-    """Highest angle of a revolute joint."""
+    """Highest angle of a revolute joint; unbounded by default."""
     low_mm: float | None = None
-    """Lowest position of a prismatic joint."""
+    """Lowest position of a prismatic joint; unbounded by default."""
     high_mm: float | None = None
-    """Highest position of a prismatic joint."""
+    """Highest position of a prismatic joint; unbounded by default."""
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Lowest and highest joint variable, degree or millimetre; infinite where not given."""
+        """Lowest and highest joint variable, degree or millimetre; infinite where unbounded."""
         low, high = (
             (self.low_deg, self.high_deg)
             if self.type == "revolute"
@@ -87,13 +88,13 @@ class JointSettings(Table):
 
 
 class RotarySettings(Table):
-    """``[machine.rotary.C]``: where a rotary axis of a machine is, and how far it turns."""
+    """``[machine.rotary.C]``: position and travel of a rotary axis."""
 
     at_mm: tuple[_Length, _Length, _Length]
-    """A point on the axis while all axes are at zero, in the frame of the machine, in which the
-    tool point is then at `tool_offset_mm`."""
+    """A point on the axis with all axes at zero, in the machine frame, in which the tool point is
+    then at `tool_offset_mm`."""
     travel_deg: tuple[_Angle, _Angle] | None = None
-    """Lowest and highest angle; a whole turn or more, where its errors come round with it."""
+    """Lowest and highest angle. Over a whole turn or more, the error motions are periodic."""
 
     @model_validator(mode="after")
     def _turns(self) -> Self:
@@ -107,22 +108,24 @@ class RotarySettings(Table):
 
 
 class MachineSettings(Table):
-    """``[machine]``: a chain of linear and rotary axes, or an arm in joint rows."""
+    """``[machine]``: a chain of linear and rotary axes, or an arm described by joint rows."""
 
     chain: str | None = None
-    """ISO 10791-6 description, such as ``"w X b Y Z t"``."""
+    """Kinematic chain by ISO 10791-6, such as ``"w X b Y Z t"``: workpiece, axes, bed, axes, tool.
+    """
     tool_offset_mm: ToolOffset = (0.0, 0.0, 0.0)
-    """From the last axis's frame to the tool point."""
+    """Vector from the frame of the last axis to the tool point."""
     travel_mm: dict[str, tuple[float, float]] = {}
     """Lowest and highest position per linear axis."""
     rotary: dict[Literal["A", "B", "C"], RotarySettings] = {}
-    """The rotary axes of the chain."""
+    """Position and travel of every rotary axis of the chain."""
     joint: tuple[JointSettings, ...] = ()
+    """Joints of an arm from base to flange, in place of a chain."""
     up: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"] = "+Z"
-    """Which axis points against gravity: "+Y" where the spindle is horizontal, "-Z" for an arm that
+    """The axis that points against gravity: "+Y" for a horizontal spindle, "-Z" for an arm that
     hangs from the ceiling."""
     base: str | None = None
-    """A remark on where the arm's base stands; its pose is always identified."""
+    """A remark on the place of the arm's base, whose pose is always identified."""
 
     @model_validator(mode="after")
     def _one_machine(self) -> Self:
@@ -136,12 +139,12 @@ class MachineSettings(Table):
             )
         if self.joint and self.rotary:
             raise ValueError(
-                "found rotary beside joint rows, expected it beside a `chain`; describe the axes "
-                "in the rows, or remove it"
+                "found rotary together with joint rows, expected it with a `chain` only; describe "
+                "the axes in the rows, or remove it"
             )
         if self.joint and self.travel_mm:
             raise ValueError(
-                "found travel_mm beside joint rows, expected the bounds in the rows; "
+                "found travel_mm together with joint rows, expected the bounds in the rows; "
                 "give `low_deg` and `high_deg` (revolute) or `low_mm` and `high_mm` (prismatic) "
                 "per [[machine.joint]]"
             )
@@ -149,7 +152,7 @@ class MachineSettings(Table):
 
 
 class FourierSettings(Table):
-    """``[model.geometric]`` of a machine tool whose amplitudes stand in a table."""
+    """``[model.geometric]`` of a machine tool with Fourier amplitudes in a table."""
 
     family: Literal["fourier"]
     table: FileName
@@ -161,15 +164,17 @@ class SmoothSettings(Table):
 
     family: Literal["smooth"]
     translation_um: _Size
-    """One-sigma size of each error translation."""
+    """Prior standard deviation of each error translation."""
     rotation_urad: _Size
-    """One-sigma size of each error rotation."""
+    """Prior standard deviation of each error rotation."""
     squareness_urad: _Size
-    """One-sigma size of each squareness, also of rotary axes to what carries them."""
+    """Prior standard deviation of each squareness error, those of rotary axes included."""
     location_um: _Size | None = None
-    """One-sigma size of each error of where a rotary axis is; by default `translation_um`."""
+    """Prior standard deviation of each position error of a rotary axis; `translation_um` by
+    default."""
     smoothness: float = Field(default=0.5, ge=0.02, le=10)
-    """Correlation length over travel. Guideways bend over about half their length."""
+    """Correlation length of an error motion over the travel. Guideways typically bend over about
+    half their length."""
 
 
 class LinkSettings(Table):
@@ -177,13 +182,13 @@ class LinkSettings(Table):
 
     family: Literal["smooth"] = "smooth"
     link_translation_um: _Size
-    """One-sigma size of each of the three error translations of a link."""
+    """Prior standard deviation of each of the three error translations of a link."""
     link_rotation_urad: _Size
-    """One-sigma size of each of the three error rotations of a link."""
+    """Prior standard deviation of each of the three error rotations of a link."""
 
 
 class AnyFamilySettings(Table):
-    """The keys of all families, to say what is wrong where the family is not one of them."""
+    """The keys of all families, for the message where the family is unknown."""
 
     family: Literal["fourier", "smooth"]
     table: Any = None
@@ -195,39 +200,42 @@ class AnyFamilySettings(Table):
 
 
 class EffectSettings(BaseModel):
-    """A row of ``[[model.effect]]``; the further keys are parameters with their unit."""
+    """A row of ``[[model.effect]]``. Further keys are parameters with their unit."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
     __pydantic_extra__: dict[str, Any] = Field(init=False)
     name: str
-    """Identifier of the catalogue, or of an effect in `effects_file`."""
+    """Name of an effect in the catalogue or in `effects_file`."""
     data_set: str | None = None
-    """Data set whose instrument it belongs to, where there are several."""
+    """Data set whose instrument has the effect, in a study of several data sets."""
     placement: str = ""
-    """Axis or joint where it sits."""
+    """Axis or joint on which the effect acts."""
     component: str | None = None
-    """Port on which it acts, such as ``"EAY"``, where there are several."""
+    """Port on which the effect acts, such as ``"EAY"``, where several are possible."""
 
 
 class ModelSettings(Table):
-    """``[model]``: what is declared about errors."""
+    """``[model]``: the declared errors and effects."""
 
     geometric: Table | None = None
+    """Family of the geometric errors of the machine; none by default."""
     effect: tuple[EffectSettings, ...] = ()
+    """Declared effects."""
     effects_file: FileName | None = None
-    """Python file beside the study with the user's own effect classes."""
+    """Python file in the study folder with effect classes of the user's own."""
 
 
 class DataSettings(Table):
-    """``[data]``: names of the tables beside the study file."""
+    """``[data]``: names of the tables in the study folder."""
 
     data: FileName = "data.csv"
+    """Table of the measurement, or of its plan."""
     check: FileName | None = None
-    """Independent check points; by default ``check.csv`` where that exists."""
+    """Table of independent check points; by default ``check.csv`` where that exists."""
     must_see: dict[str, int] = {}
-    """What the points have to tell apart without any prior: by name, the highest Legendre degree of
-    an error motion (``EYX = 4``; a straightness counts from the second degree, as its slope is a
-    squareness), or zero for a squareness (``EC0Y = 0``).
+    """Errors that the data have to identify without any prior: the name of an error motion with its
+    highest Legendre degree (``EYX = 4``; a straightness counts from the second degree, as its slope
+    is a squareness), or a squareness with 0 (``EC0Y = 0``).
     """
 
 
@@ -235,21 +243,23 @@ class DataSetSettings(Table):
     """A row of ``[[data]]``: one of several data sets of the machine, with its instrument."""
 
     name: str
-    """What reports call it: letters, digits, ``-`` and ``_``."""
+    """Name in reports: letters, digits, ``-`` and ``_``."""
     file: FileName
-    """Its table beside the study file."""
+    """Its table in the study folder."""
     instrument: InstrumentSettings
+    """Its instrument, as in ``[instrument]``."""
     tool_offset_mm: ToolOffset | None = None
-    """From the last axis's frame to the tool point, where it is not that of the machine."""
+    """Vector from the frame of the last axis to the tool point; by default that of ``[machine]``.
+    """
     start_s: float = 0.0
-    """When its ``t_s`` was zero, on the clock of the study."""
+    """Time of its ``t_s = 0`` on the common clock of the study."""
     must_see: dict[str, int] = {}
-    """What its points have to tell apart by themselves, as in ``[data]``."""
+    """Errors that this data set alone has to identify, as in ``[data]``."""
 
 
 class StudySettings(Table):
-    """setup.toml as a whole; `instrument`, `design` and `model.geometric` are refined by what they
-    name.
+    """The whole study file. The tables `instrument`, `design` and `model.geometric` are validated
+    by the class that they name.
     """
 
     name: str = ""
@@ -262,32 +272,32 @@ class StudySettings(Table):
 
 
 class SeveralSettings(Table):
-    """setup.toml of several data sets, each row of `data` refined by its instrument."""
+    """The study file of several data sets; each row of `data` is validated by its instrument."""
 
     name: str = ""
     machine: MachineSettings
     data: tuple[DataSetSettings, ...]
     check: FileName | None = None
-    """Independent check points; by default ``check.csv`` where that exists."""
+    """Table of independent check points; by default ``check.csv`` where that exists."""
     model: ModelSettings = ModelSettings()
     loop: LoopSettings = LoopSettings()
 
 
 AnySettings = StudySettings | SeveralSettings
-"""What a study file may say as a whole."""
+"""A whole study file, of one data set or of several."""
 
 
 def computable(value: float) -> bool:
-    """Whether a number is of a size that a quantity in the unit of its name can have."""
+    """Whether the size of a number is plausible for a quantity in the unit of its key."""
     return value == 0 or _SMALLEST <= abs(value) <= _LARGEST
 
 
 def validate(
     raw: Mapping[str, Any], file: str, overrides: Mapping[str, str], folder: Folder
 ) -> AnySettings:
-    """The settings in a raw tree; raises `StudyError` that lists every mistake in it.
+    """The settings in a raw TOML tree; raises one `StudyError` that lists every mistake in it.
 
-    Files in `folder` that define a user's own instruments are run for it.
+    Files in `folder` that define instruments of the user's own are executed.
     """
     for key, value in _numbers(raw):
         if isinstance(value, int):
@@ -320,13 +330,13 @@ def validate(
     refined = _several if isinstance(raw.get("data"), list) else _refined
     model = refined(raw, file, overrides, folder)
     try:
-        # As JSON, in which a list is a tuple, so that validation can be strict about the rest:
-        # "3", 3.0 and true are not taken for 3.
+        # Validated as JSON, in which a list counts as a tuple, so that validation can be strict
+        # otherwise: "3", 3.0 and true are not accepted for 3.
         return model.model_validate_json(json.dumps(raw, default=str), strict=True)
     except ValidationError as error:
         raise explain(error, file, raw, model, overrides) from error
-    except Exception as error:  # of a validator in a user's own settings
-        if (text := told(error)) is None:
+    except Exception as error:  # raised by a validator in a user's own settings
+        if (text := own_code_error(error)) is None:
             raise
         raise StudyError(text) from error
 
@@ -334,7 +344,7 @@ def validate(
 def _refined(
     raw: Mapping[str, Any], file: str, overrides: Mapping[str, str], folder: Folder
 ) -> type[StudySettings]:
-    """The settings class with the named instrument's and family's own keys."""
+    """The settings class with the keys of the named instrument and of the named family."""
     kind = _kind(raw, ("instrument",), file, overrides, folder)
     instrument = kind.Settings if kind is not None else InstrumentSettings
     design = settings_of(kind.kind) if kind is not None else DesignSettings
@@ -352,17 +362,17 @@ def _refined(
 def _several(
     raw: Mapping[str, Any], file: str, overrides: Mapping[str, str], folder: Folder
 ) -> type[SeveralSettings]:
-    """The same for several data sets: every row has the keys of its own instrument.
+    """The settings class for several data sets, each row with the keys of its own instrument.
 
-    Raises `StudyError` for a second way to name an instrument, and for names of data sets that are
-    not to be told from each other or from an axis.
+    Raises `StudyError` for an ``[instrument]`` in addition to the rows, for no row, and for names
+    of data sets that are malformed or repeated.
     """
     if "instrument" in raw:
         raise refusal(
             source(file, "instrument", overrides),
             "key instrument",
-            "an [instrument] beside [[data]] rows",
-            "one or the other: a row has its own [data.instrument]",
+            "an [instrument] together with [[data]] rows",
+            "only one of the two, as a row has its own [data.instrument]",
             "move it below the row of its data, or write [data] for a single data set",
         )
     rows = raw["data"]
@@ -391,7 +401,7 @@ def _several(
 def _check_name(rows: Sequence[Any], i: int, file: str, overrides: Mapping[str, str]) -> None:
     name = at(rows, (i, "name"))
     if not isinstance(name, str):
-        return  # the validation says so
+        return  # reported by the validation
     place, key = source(file, f"data.{i}.name", overrides), f"key data.{i}.name"
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
         raise refusal(
@@ -419,7 +429,7 @@ def _kind(
     overrides: Mapping[str, str],
     folder: Folder,
 ) -> type[TableInstrument] | None:
-    """The class of the instrument in a table, None where there is none to be read."""
+    """The class of the instrument in a table; None where the table names none."""
     kind, own = at(raw, (*key, "kind")), at(raw, (*key, "kind_file"))
     table = ".".join(str(part) for part in key)
     if own is not None and not (isinstance(own, str) and own):
@@ -427,7 +437,7 @@ def _kind(
             source(file, f"{table}.kind_file", overrides),
             f"key {table}.kind_file",
             shown(own),
-            "a Python file beside the study file, in quotes",
+            "the name of a Python file in the study folder, in quotes",
             "correct the value",
         )
     if not isinstance(kind, str):
@@ -447,7 +457,7 @@ def _kind(
 
 
 def _machine(kinds: Sequence[type[TableInstrument] | None]) -> Any:
-    """The machine where the study has none: what its instruments, if they agree, go by."""
+    """The default of ``[machine]``: the usual machine of the instruments, if they agree on one."""
     usual = {None if kind is None else kind.machine for kind in kinds}
     chain = usual.pop() if len(usual) == 1 else None
     return ... if chain is None else MachineSettings(chain=chain)

@@ -1,4 +1,4 @@
-"""A study folder with made-up data: `simulate` at the edge to files."""
+"""Study folders with simulated data: the command `vcal simulate`."""
 
 import json
 import math
@@ -39,13 +39,13 @@ def parse_with(
     """An effect from ``NAME:PLACEMENT:KEY=VALUE,KEY=VALUE``, such as ``backlash:Y:size_um=12``.
 
     The keys are those of a ``[[model.effect]]`` row: parameters with their unit, ``component``,
-    ``data_set`` and ``*_sigma``. A parameter with a value is known; one without is left to its
-    prior. An effect that has no placement goes without: ``range_scale:scale_um_per_m=3``. `files`
-    are the tables of the data sets by their names (`Study.files`), as messages call them.
+    ``data_set`` and ``*_sigma``. A parameter with a value is known; one without a value has its
+    prior. An effect without a placement leaves it out: ``range_scale:scale_um_per_m=3``. `files`
+    maps the name of every data set to its table (`Study.files`), for messages.
 
-    Raises `StudyError` for a name, placement or key that is not known (with the nearest), a value
-    that is not a number, an effect that several components fit, one that needs a covariate which
-    the data do not hold, and one that is there already.
+    Raises `StudyError` for an unknown name, placement or key (with the nearest one), for a value
+    that is not a number, for a text that fits several components, for an effect whose covariate the
+    data lack, and for an effect that is declared already.
     """
     file = f"--with {text}"
     name, *parts = (part.strip() for part in text.split(":"))
@@ -74,7 +74,7 @@ def parse_with(
     try:
         (effect,) = declared_effects([settings], catalogue, setup, file, files)
     except StudyError as error:
-        # The messages are made for a row of the study file, which this is not.
+        # The messages are worded for a row of the study file.
         message = str(error).replace("key model.effect.0.", "key ")
         message = message.replace(f"(model.effect.0 of {file})", f"of {file}")
         message = message.replace("key model.effect.0 ", "effect ")
@@ -84,9 +84,9 @@ def parse_with(
         raise refusal(
             file,
             f"effect {effect.key}",
-            "what the study has already, or another --with says, at the same place",
+            "an effect that the study or another --with declares at the same placement",
             "every effect once",
-            "remove it, or change what is declared by --set",
+            "remove it, or change the declared effect with --set",
         )
     return effect
 
@@ -97,8 +97,8 @@ def parse_every_with(
     setup: Setup,
     files: Mapping[str, str] = MappingProxyType({"": "data.csv"}),
 ) -> list[Effect]:
-    """The effects of several texts, each placed beside those before it; raises `StudyError` as
-    `parse_with` does.
+    """The effects of several texts, each placed together with the ones before it; raises
+    `StudyError` as `parse_with` does.
     """
     found: list[Effect] = []
     for text in texts:
@@ -118,7 +118,7 @@ def _value(text: str) -> int | float | str:
 
 
 def check_noise_factor(factor: float) -> None:
-    """Raises `StudyError` for a factor of the noise that is negative, or no number of use."""
+    """Raise `StudyError` for a noise factor that is negative, too large or not a number."""
     if not 0.0 <= factor <= _MOST_NOISE:
         raise refusal(
             "--noise-factor",
@@ -138,16 +138,17 @@ def write_simulated(
     noise_factor: float = 1.0,
     overrides: Mapping[str, Any] | Sequence[str] = (),
 ) -> Simulated:
-    """Write a folder like that of `study`, with data of a machine drawn from its priors.
+    """Write a copy of the folder of `study` with simulated data of a machine drawn from its priors.
 
-    The study file and the tables it names are copied as they are; the data are replaced by what
-    every instrument would read, the check points of linear axes by the true tool points at random
-    positions over the travel, and ``truth.json`` says what was put in: `effects` beside the
-    declared model, which no other file tells. The result depends on `seed` alone. With `overrides`,
-    those the study was read with, the study file is written anew, without its comments.
+    The study file and its tables are copied. The readings are replaced by simulated ones, the check
+    points of linear axes by the true tool points at random positions over the travel.
+    ``truth.json`` holds all values of the simulated machine, those of the undeclared `effects`
+    included; no other file holds them. The result depends on `seed` alone. With `overrides`, with
+    which the study was read, the study file is written with these values and without its comments.
 
-    Raises `StudyError` where `out` is there and not empty, a table lies outside the folder of the
-    study, the factor is not a number of at least 0, or a position found lies outside the travel.
+    Raises `StudyError` where `out` exists and is not empty, where a table lies outside the folder
+    of the study, where the noise factor is not a number of at least 0, and where an identified
+    position lies outside the travel.
     """
     out = Path(out)
     require_empty(out)
@@ -200,47 +201,47 @@ def _simulated(
     except ValueError as error:
         if isinstance(error, StudyError):
             raise
-        # Priors as wide as nothing measures, or values of effects: their readings are no numbers.
+        # Priors or values of effects so large that the readings are not finite.
         raise refusal(
             study.path.name,
             "the simulated machine",
-            f"what no instrument reads ({error})",
-            "errors that leave finite readings",
-            "declare smaller ones, or give --with smaller values",
+            f"readings that are not finite ({error})",
+            "errors with finite readings",
+            "declare smaller errors, or give --with smaller values",
         ) from error
 
 
 def _setup(study: Study, overrides: Mapping[str, Any] | Sequence[str]) -> str:
-    """The study file with overrides put in: what the data were made with."""
+    """The study file with the overrides applied, as it was used for the simulation."""
     raw, _ = read_setup(study.path, overrides)
     head = (
-        f"# Written by `vcal simulate` from {study.path.name}, with what --set replaced in it.\n\n"
+        f"# Written by `vcal simulate` from {study.path.name}, with the values given by --set.\n\n"
     )
     return head + tomli_w.dumps(raw)
 
 
 def _data(study: Study, one: DataSet, result: Simulated) -> dict[str, np.ndarray]:
-    """The own columns of a data set, with the positions and readings of the simulation."""
+    """The columns of a data set, with the positions and readings of the simulation."""
     plan, readings = result.measurement.plan, result.measurement.readings
     if one.name:
         width = len(one.instrument.readings)
         plan, readings = plan.part(one.name), readings[plan.in_set(one.name), :width]
-    # The model is that of the study, whose instrument this is. A column keeps the name that it
-    # has in the file, T_X_degC say.
+    # A column keeps the name that it has in the file, such as T_X_degC.
     axes, own = study.chain.axes, one.table
     names = {inside_name(name, axes): name for name in own}
     made = {
         names.get(inside_name(name, axes), name): values
         for name, values in one.instrument.to_table(plan, readings).items()
     }
-    # Inside, time counts from `start_s` on.
+    # Internally, time counts from `start_s`; the table keeps its own clock.
     clock = {name: own[name] for name in ("t_s",) if name in own}
     return {**own, **{name: _in_place(own, name, values) for name, values in made.items()}, **clock}
 
 
 def _in_place(table: Table, column: str, values: np.ndarray) -> np.ndarray:
-    """A column that was made for the rows whose readings are there, in all rows of the table: what
-    was not read is not read now.
+    """A simulated column of the rows with readings, extended to all rows of the table.
+
+    A reading that is blank in the table stays blank.
     """
     if not table.blank.any():
         return values
@@ -254,11 +255,11 @@ def _in_place(table: Table, column: str, values: np.ndarray) -> np.ndarray:
 
 
 def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndarray] | None:
-    """Conditions at random positions, and the true tool point there.
+    """Check points: conditions at random positions, and the true tool point there.
 
-    None for an arm: where its tool point is, is for its instrument to find. None where every
-    instrument has columns of its own for positions: it measures at one place. Of several data sets,
-    under the conditions that all of them tell.
+    None for an arm, whose tool point only its instrument determines, and None where every
+    instrument has columns of its own for positions, as it measures at one place. For several data
+    sets, the conditions are those that all of them record.
     """
     chain, plan = study.chain, study.plan
     there = [one for one in study.sets if not one.instrument.positioned]
@@ -279,7 +280,7 @@ def _check(study: Study, result: Simulated, key: jax.Array) -> dict[str, np.ndar
 
 
 def _conditions(study: Study, one: DataSet) -> set[str]:
-    """Columns of a table that are no readings, by the names that vcal writes them with."""
+    """Columns of a table other than readings, by the names under which vcal writes them."""
     axes = study.chain.axes
     plain, full = (
         {c.name for c in one.instrument.columns(one.settings, axes, readings=readings)}
@@ -290,7 +291,7 @@ def _conditions(study: Study, one: DataSet) -> set[str]:
 
 
 def _check_travel(study: Study, result: Simulated) -> None:
-    """Positions that an instrument found itself must lie within the travel, or cannot be read."""
+    """Raise `StudyError` for an identified position outside the travel, as it could not be read."""
     position = np.asarray(result.measurement.plan.position)
     for i, joint in enumerate(study.chain.joints):
         low, high = joint.travel
@@ -311,7 +312,7 @@ def _check_travel(study: Study, result: Simulated) -> None:
 
 
 def _check_readable(study: Study, one: DataSet, table: Mapping[str, np.ndarray]) -> None:
-    """What was simulated must be such that it can be read again as data."""
+    """Raise `StudyError` for a simulated reading outside the range of its column."""
     for column in one.instrument.columns(one.settings, study.chain.axes, readings=True):
         values = np.asarray(table[column.name], float)
         bad = ~((values >= column.low) & (values <= column.high) | one.table.blank)
@@ -329,15 +330,15 @@ def _check_readable(study: Study, one: DataSet, table: Mapping[str, np.ndarray])
 def _truth(
     study: Study, result: Simulated, effects: Sequence[Effect], seed: int, noise_factor: float
 ) -> dict[str, Any]:
-    def told(effect: Effect) -> dict[str, Any]:
+    def described(effect: Effect) -> dict[str, Any]:
         values = {p.label: _rounded(value) for p, value in result.values(effect)}
         return {"effect": effect.name, "placement": effect.placement, **values}
 
     return {
         "seed": seed,
         "noise_factor": noise_factor,
-        "undeclared": [told(effect) for effect in effects],
-        "declared": [told(effect) for effect in (*study.model.effects, *study.model.random)],
+        "undeclared": [described(effect) for effect in effects],
+        "declared": [described(effect) for effect in (*study.model.effects, *study.model.random)],
     }
 
 

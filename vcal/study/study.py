@@ -1,4 +1,4 @@
-"""A study: everything in one folder, read, checked and built."""
+"""A study: the machine, instrument, model and data of one folder, read, checked and built."""
 
 import contextlib
 import math
@@ -47,61 +47,63 @@ from .tables import check_points, run_table
 from .toml_file import read_setup
 
 _SHORTEST_MM, _FARTHEST_MM = 0.1, 1e6
-"""A travel of less, or one that goes further, is in another unit."""
+"""Least travel and farthest position; a smaller or larger number is in another unit."""
 _LEAST_TOOL = 1e-3
-"""Of the shortest travel: a tool that is shorter, but there, is in another unit."""
+"""Least share of the shortest travel; a tool offset that is smaller but not zero is in another
+unit.
+"""
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """A table of a study, and the instrument that it comes from."""
+    """One table of a study with its instrument."""
 
     name: str
-    """Empty where the study has no other."""
+    """Name of the data set; empty in a study of one data set."""
     file: str
-    """The table, beside the study file."""
+    """The table in the study folder."""
     settings: InstrumentSettings
     """Its ``[instrument]``."""
     instrument: TableInstrument
-    """Started from the readings, where there are any."""
+    """The instrument, with starting values from the readings where there are any."""
     chain: Chain
     """The machine with the tool of this data set."""
     plan: Plan
     readings: np.ndarray | None
-    """(n, m), SI; None for a table without reading columns."""
+    """Readings (n, m), SI; None for a table without columns of readings."""
     table: Table
-    """All of it, with the rows of which a reading is blank, which are not in the plan."""
+    """The whole table, including the rows with a blank reading, which the plan leaves out."""
 
     @property
     def label(self) -> str:
-        """The instrument in words, after the name where there is one."""
+        """The kind of the instrument in words, after the name of the data set if it has one."""
         kind = self.settings.kind.replace("_", " ")
         return f"{self.name}: {kind}" if self.name else kind
 
 
 @dataclass(frozen=True)
 class Study:
-    """A machine, an instrument, what is declared about their errors, and what was measured."""
+    """A machine, its instruments, the declared model of their errors, and the measurement."""
 
     name: str
     path: Path
     """The study file."""
     settings: AnySettings
-    """What the study file says, overrides and defaults included."""
+    """The settings of the study file, with overrides and defaults."""
     chain: Chain
     sets: tuple[DataSet, ...]
-    """Its data sets: one, or those of the ``[[data]]`` rows."""
+    """The data set, or those of the ``[[data]]`` rows."""
     instrument: Instrument
-    """Started from the readings, where there are any; that of all data sets together."""
+    """The instrument of all data sets together, with starting values from the readings."""
     model: Model
-    """The declared model: geometric errors, the instrument's own, declared effects."""
+    """The declared model: geometric errors, effects of the instrument, declared effects."""
     plan: Plan
     measurement: Measurement | None
-    """None for a plan, that is, a table without reading columns."""
+    """The readings with their plan; None for a table without columns of readings."""
     check: CheckPoints | None
-    """Independent check points, where there are any."""
+    """Independent check points; None without any."""
     catalogue: Mapping[str, type[Effect]]
-    """Effects by name that the loop may try, the user's own included."""
+    """Effects by name that the loop may test, including those of the user's own file."""
     hashes: Mapping[str, str]
     """SHA-256 of every input file by name."""
 
@@ -109,7 +111,7 @@ class Study:
     def single(self) -> StudySettings:
         """The settings of a study of one data set.
 
-        Raises `StudyError` where there are several: what asks for this cannot deal with them.
+        Raises `StudyError` for several data sets, for callers that need a single one.
         """
         if isinstance(self.settings, StudySettings):
             return self.settings
@@ -117,44 +119,44 @@ class Study:
             self.path.name,
             "key data",
             f"{len(self.sets)} [[data]] rows ({listed(one.name for one in self.sets)})",
-            "a single data set, as `vcal design` takes no more",
+            "a single data set, as `vcal design` supports only one",
             "write a study of one of them, with its [instrument]",
         )
 
     @property
     def one(self) -> DataSet:
-        """The data set of a study that has one only; raises `StudyError` as `single` does."""
+        """The data set of a study of one data set; raises `StudyError` as `single` does."""
         _ = self.single
         return self.sets[0]
 
     @property
     def observers(self) -> tuple[str, str]:
-        """``"Instrument"`` or ``"Instruments"``, and which: in words."""
+        """``"Instrument"`` or ``"Instruments"``, and their kinds in words."""
         return "Instrument" + "s" * (len(self.sets) > 1), "; ".join(one.label for one in self.sets)
 
     @property
     def observations(self) -> str:
-        """How many, and of how many readings, in words."""
+        """Numbers of observations and of readings, in words."""
         return "; ".join(
             f"{one.plan.rows} observations of {len(one.instrument.readings)} readings"
-            + (f" ({count} more with a blank one left out)" if count else "")
+            + (f" ({count} more with a blank reading left out)" if count else "")
             for one in self.sets
             for count in [len(one.table.blank_rows)]
         )
 
     @property
     def files(self) -> dict[str, str]:
-        """The table of every data set by its name; under no name where there is one only."""
+        """The table of every data set by its name; by the empty name for a single data set."""
         return {one.name: one.file for one in self.sets}
 
     @property
     def check_file(self) -> str:
-        """The table of check points, whether it is there or not."""
+        """Name of the table of check points, which need not exist."""
         return _check_given(self.settings) or "check.csv"
 
     @property
     def folder(self) -> Path:
-        """Where the files of the study are."""
+        """The folder of the study file and of its tables."""
         return self.path.parent
 
     @property
@@ -164,7 +166,7 @@ class Study:
 
     @property
     def tried(self) -> list[type[Effect]]:
-        """The effects that the loop tries: those that its settings name, or all."""
+        """The effects that the loop tests: those named in its settings, or the whole catalogue."""
         if self.options.effects:
             return [self.catalogue[name] for name in self.options.effects]
         return list(self.catalogue.values())
@@ -176,11 +178,11 @@ class Study:
 
 
 def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = ()) -> Study:
-    """Read a study file, or the ``setup.toml`` of a folder, and everything it names.
+    """Read a study file, or the ``setup.toml`` of a folder, and all files that it names.
 
-    `overrides` replace keys before anything is checked: ``"instrument.joints=read"``, or a mapping
-    of keys to values. Raises `StudyError` for every mistake in the input, and `RuntimeError` where
-    JAX runs in float32.
+    `overrides` replace keys before the checks: texts such as ``"instrument.joints=read"``, or a
+    mapping of keys to values. Raises `StudyError` for every mistake in the input, and
+    `RuntimeError` where JAX runs in float32.
     """
     require_float64()
     path = Path(path)
@@ -215,9 +217,9 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         raise refusal(
             file,
             "tables instrument and model",
-            "no parameter: neither errors of the machine, nor an effect, nor one of the instrument",
-            "something that a measurement could tell",
-            "add [model.geometric]",
+            "no parameter, neither of the machine, nor of an effect, nor of the instrument",
+            "at least one parameter to identify",
+            "add [model.geometric] or an effect",
         )
     _check_size(model, plan, listed(files.values()), measurement is not None)
     _check_determined(model, plan, listed(files.values()))
@@ -348,8 +350,9 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
 
 
 def _check_offset(offset: Sequence[float], chain: Chain, file: str, key: str) -> None:
-    """A tool in metres is a thousandth of its length, and the levers with which it turns are next
-    to nothing: no reading need contradict it.
+    """Raise `StudyError` for a tool offset that is probably in metres.
+
+    Its levers are then a thousandth of the true ones, and no reading need contradict it.
     """
     travels = [np.ptp(j.travel) * 1e3 for j in chain.joints if not j.turns]
     reach = min((travel for travel in travels if math.isfinite(travel)), default=0.0)
@@ -359,13 +362,15 @@ def _check_offset(offset: Sequence[float], chain: Chain, file: str, key: str) ->
         file,
         f"key {key}",
         f"{[*offset]}, less than a thousandth of the travel",
-        "millimetres from the last axis's frame to the tool point",
-        "correct the unit, or write [0, 0, 0] where the tool point is in that frame",
+        "millimetres from the frame of the last axis to the tool point",
+        "correct the unit, or write [0, 0, 0] if the tool point is the origin of that frame",
     )
 
 
 def _check_rotary(machine: MachineSettings, file: str) -> None:
-    """Every rotary axis of the chain has a place, and every place is one of the chain's axes."""
+    """Raise `StudyError` unless every rotary axis of the chain has a table ``[machine.rotary.*]``,
+    and every such table an axis in the chain.
+    """
     in_chain = [axis for axis in re.findall(r"[A-Z]", machine.chain or "") if axis in "ABC"]
     for axis in in_chain:
         if axis not in machine.rotary:
@@ -373,7 +378,7 @@ def _check_rotary(machine: MachineSettings, file: str) -> None:
                 file,
                 f"key machine.rotary.{axis}",
                 "nothing",
-                f"where the rotary axis {axis} of the chain is, with all axes at zero",
+                f"the position of the rotary axis {axis} of the chain, with all axes at zero",
                 f"add [machine.rotary.{axis}] with at_mm = [x, y, z], a point on the axis, and "
                 "travel_deg = [lowest, highest]",
             )
@@ -421,8 +426,8 @@ def _data_sets(
             without[0].file,
             "header",
             "no column of readings",
-            f"the readings of a {without[0].settings.kind}, as the other data sets have theirs",
-            "add them, or leave this data set out",
+            f"the readings of a {without[0].settings.kind}, as the other data sets have readings",
+            "add them, or remove this data set",
         )
     return tuple(found)
 
@@ -430,7 +435,7 @@ def _data_sets(
 def _check_twice(
     one: DataSet, earlier: Sequence[DataSet], folder: Folder, file: str, key: str
 ) -> None:
-    """A table must not be read twice, whatever it is called; plans may be alike."""
+    """Raise `StudyError` where a table of readings is named twice, also under another name."""
     for other in earlier:
         same = (folder.root / one.file).samefile(folder.root / other.file)
         if (
@@ -457,10 +462,10 @@ def _data_set(
     file: str,
     key: str = "",
 ) -> DataSet:
-    """One data set; `key` is where the study file has it."""
+    """One data set; `key` is its place in the study file."""
     table, measured = run_table(table_name, settings, chain, folder, file, key)
     try:
-        with _naming_rows(settings, folder, table.told):
+        with _naming_rows(settings, folder, table.complete):
             instrument, plan, readings = _instrument(settings, chain, table, measured, folder)
     except KeyedError as error:
         own = key if error.key.startswith("instrument.") else ""
@@ -470,7 +475,7 @@ def _data_set(
 
 @contextlib.contextmanager
 def _naming_rows(settings: InstrumentSettings, folder: Folder, table: Table) -> Iterator[None]:
-    """Tell a row of this table that an instrument refuses by its number in the file."""
+    """Replace the row index of a `RowError` of an instrument by the row and line of the file."""
     try:
         yield
     except RowError as error:
@@ -483,17 +488,17 @@ def _naming_rows(settings: InstrumentSettings, folder: Folder, table: Table) -> 
 def _instrument(
     settings: InstrumentSettings, chain: Chain, whole: Table, measured: bool, folder: Folder
 ) -> tuple[TableInstrument, Plan, np.ndarray | None]:
-    """The instrument of a table, started from its readings, where there are any; plan and readings
-    of the rows of which none is blank.
+    """The instrument of a table, with starting values from its readings; the plan and the readings
+    of the rows without a blank reading.
     """
-    kind, table = instrument_class(settings, folder), whole.told
+    kind, table = instrument_class(settings, folder), whole.complete
     with calling(settings, kind, "build", f"an instance of {kind.__name__}"):
         instrument = kind.build(settings, chain, table, folder.table)
     check_built(settings, kind, instrument, "build")
-    # Where the axes were is not known in the others, if that is what was read.
+    # If positions are the readings, they are unknown in rows with a blank one.
     remembers = kind.remembers and bool(readings_of(settings, kind, chain.axes))
     if table is not whole and remembers:
-        expected = "a vcal.Plan, of the rows of which a reading is blank too"
+        expected = "a vcal.Plan, also of the rows with a blank reading"
         with _naming_rows(settings, folder, whole), calling(settings, kind, "plan", expected):
             plan = instrument.plan(chain, whole)
         check_plan(settings, kind, chain, whole, plan)
@@ -511,7 +516,7 @@ def _instrument(
             instrument = instrument.start(chain, plan, readings)
         check_built(settings, kind, instrument, "start")
     if settings.kind_file is not None:
-        # It is tried with a table of its own, of which nothing is missing.
+        # The trial needs a plan of the complete rows only.
         alone = _planned(settings, instrument, chain, table)
         check_instrument(settings, instrument, chain, table, alone, readings)
     if readings is not None:
@@ -547,7 +552,7 @@ def _together(sets: Sequence[DataSet], chain: Chain) -> tuple[Instrument, Plan, 
 
 
 def _check_seen(settings: AnySettings, sets: Sequence[DataSet], file: str) -> None:
-    """Every table must see by itself what it is asked to."""
+    """Raise `StudyError` where a table alone does not identify its ``must_see`` errors."""
     if isinstance(settings, StudySettings):
         wanted = {"data.must_see": settings.data.must_see}
     else:
@@ -559,7 +564,7 @@ def _check_seen(settings: AnySettings, sets: Sequence[DataSet], file: str) -> No
 def _checked(
     settings: AnySettings, chain: Chain, sets: Sequence[DataSet], folder: Folder
 ) -> CheckPoints | None:
-    """The check points, where there are any: those that are named, or a ``check.csv``."""
+    """The check points of the named table, or of ``check.csv`` where it exists; None otherwise."""
     given = _check_given(settings)
     name = given or "check.csv"
     if given is None and not folder.has(name):
@@ -568,13 +573,15 @@ def _checked(
 
 
 def _check_given(settings: AnySettings) -> str | None:
-    """The name of the check points that a study file gives."""
+    """The name of the table of check points in the study file, if it names one."""
     return settings.data.check if isinstance(settings, StudySettings) else settings.check
 
 
 def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
-    """What has no prior must be told by the readings, and by those that were taken even without one
-    of the rows: nothing else says how they scatter.
+    """Raise `StudyError` for fewer readings than parameters without a prior.
+
+    Measured readings must exceed these parameters even without any one row, as only the surplus
+    determines the scatter.
     """
     flat = [entry for entry in model.entries if not entry.parameter.informed]
     width = len(model.instrument.readings)
@@ -588,17 +595,19 @@ def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
         f"row {plan.row_name(plan.rows - 1)} (the last one)",
         f"{readings} readings ({plan.rows} rows of {width}) for {len(flat)} parameters without a "
         f"prior ({keys})",
-        f"more than {needed - 1} readings, so that without any one row they are still more than "
-        "the parameters"
+        f"more than {needed - 1} readings, so that they outnumber the parameters even without any "
+        "one row"
         if measured
         else f"at least {needed} readings",
-        "measure more rows, or give a prior (a *_sigma) to what is known",
+        "measure more rows, or give a prior (a *_sigma) to parameters that are known",
     )
 
 
 def _check_determined(model: Model, plan: Plan, data: str) -> None:
-    """What has no prior must be told by where and what was measured, however many readings there
-    are: those of points on one straight line say nothing of a turn about it.
+    """Raise `StudyError` where the Jacobian of the parameters without a prior has no full rank.
+
+    The number of readings does not help: points on one straight line contain no information about a
+    rotation about it.
     """
     found = flat_rank(model, plan)
     if found.rank == found.columns:
@@ -608,9 +617,9 @@ def _check_determined(model: Model, plan: Plan, data: str) -> None:
     raise refusal(
         data,
         "columns of positions and conditions",
-        f"{plan.rows} rows that tell {found.rank} of {found.columns} parameters without a prior; "
-        f"{listed(names)} {'is' if len(names) == 1 else 'are'} part of what they do not",
-        "rows that tell all of them: for an instrument whose pose is looked for, positions that "
-        "are not all on one straight line, or in one place",
-        "measure some more elsewhere, or give a prior (a *_sigma) to what can have one",
+        f"{plan.rows} rows that identify {found.rank} of {found.columns} parameters without a "
+        f"prior; {listed(names)} {'is' if len(names) == 1 else 'are'} not identified",
+        "rows that identify all of them: for an instrument with an unknown pose, positions that "
+        "are not all on one straight line or in one place",
+        "measure further positions, or give a prior (a *_sigma) to a parameter that can have one",
     )

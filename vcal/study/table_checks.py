@@ -1,4 +1,4 @@
-"""Columns of a table without readings that were meant to be readings: it would pass for a plan."""
+"""Plausibility checks of tables: misspelled readings, repeated rows, scatter against the noise."""
 
 import os
 import re
@@ -16,7 +16,7 @@ _UNITS = frozenset(
     "arcs micron microns".split()
 )
 _LONG = 5
-"""Letters that a name has at least where one of them may be wrong."""
+"""Least length of a name in which one letter may be wrong."""
 
 
 def check_unread(
@@ -26,32 +26,33 @@ def check_unread(
     readings: Collection[str],
     otherwise: Collection[str],
 ) -> None:
-    """Raises `StudyError` where one of the `further` columns of a table that has none of the
-    `readings` is named like one, or is one of those that the instrument reads `otherwise`, with
-    other settings.
+    """Raise `StudyError` for a table without `readings` whose `further` columns look like readings.
+
+    Such a table would be taken for a plan. A column looks like a reading if its name resembles one,
+    or if it is one that the instrument reads with other settings (`otherwise`).
     """
     names = listed(sorted(readings))
     if others := [column for column in further if column in otherwise]:
         raise refusal(
             name,
             f"header, column{'s' * (len(others) > 1)} {listed(others)}",
-            f"what a {kind} reads with other settings than those of its [instrument]",
+            f"readings of a {kind} with other settings than those of its [instrument]",
             f"{names}; or no readings, in a plan",
-            "correct the settings or the columns, or remove them from a plan",
+            "correct the settings or the columns, or remove the columns from a plan",
         )
     for column in further:
         if meant := _like(column, readings):
             raise refusal(
                 name,
                 f"header, column {column}",
-                f"no column of readings, but one that is named like {meant}",
-                f"{names}, in these units; or no column like them, in a plan",
-                "correct its name and unit, or give it another name where it is another quantity",
+                f"no column of readings, but a name similar to {meant}",
+                f"{names}, in these units; or no similar column, in a plan",
+                "correct its name and unit, or rename it if it is another quantity",
             )
 
 
 def _like(column: str, readings: Collection[str]) -> str | None:
-    """The reading that a column may be in another unit or spelling."""
+    """The reading that a column may stand for in another unit or spelling; None without one."""
     stems = {_stem(reading): reading for reading in sorted(readings)}
     own = _stem(column)
     if own in stems or len(own.replace("_", "")) < _LONG:
@@ -60,7 +61,7 @@ def _like(column: str, readings: Collection[str]) -> str | None:
 
 
 def _slip(one: str, other: str) -> bool:
-    """Whether a letter too many, too few or another, or two exchanged, make one of the other."""
+    """Whether two names differ by one inserted, omitted or wrong letter, or by two exchanged."""
     start = len(os.path.commonprefix([one, other]))
     one, other = one[start:], other[start:]
     end = len(os.path.commonprefix([one[::-1], other[::-1]]))
@@ -69,7 +70,7 @@ def _slip(one: str, other: str) -> bool:
 
 
 def _stem(column: str) -> str:
-    """A name without its unit, in small letters: ``range`` of ``Range [mm]``."""
+    """A name without its unit, in lower case: ``range`` for ``Range [mm]``."""
     parts = re.findall(r"[^\W_]+", column.casefold().replace("μ", "u"))  # also of the micro sign
     while len(parts) > 1 and parts[-1] in _UNITS:
         parts.pop()
@@ -77,12 +78,11 @@ def _stem(column: str) -> str:
 
 
 def check_repeated(table: Table, readings: Collection[str]) -> None:
-    """Raises `StudyError` for rows that say again, in every column, what an earlier one said: their
-    readings would count twice, and their scatter would seem smaller than it is.
+    """Raise `StudyError` for rows that equal an earlier row in every column.
 
-    What is measured again differs in its readings. With a coarse resolution some of it may agree
-    all the same, so that nothing is refused where most of what was measured again under the same
-    conditions differs.
+    Their readings would count twice, and their scatter would seem too small. Genuinely repeated
+    measurements differ in their readings. With a coarse resolution some of them may agree, so that
+    nothing is refused where most repetitions under the same conditions differ.
     """
     if not readings:
         return  # every row has an index of its own
@@ -97,15 +97,15 @@ def check_repeated(table: Table, readings: Collection[str]) -> None:
     raise refusal(
         table.name,
         table.where(row),
-        f"what is in {table.where(earlier)} again, in every column{more}",
-        "every reading once, as it counts twice otherwise",
-        "remove the rows; where the same was really measured again, tell it apart by a column such "
-        "as t_s or run",
+        f"the same as in {table.where(earlier)}, in every column{more}",
+        "every reading once, as it would count twice",
+        "remove the rows or, if the measurement was really repeated, add a column that "
+        "distinguishes them, such as t_s or run",
     )
 
 
 def _first(table: Table, names: Collection[str]) -> np.ndarray:
-    """Of every row, the first one that is the same in these columns."""
+    """For every row, the index of the first row with the same values in these columns."""
     columns = [np.unique(table[name], return_inverse=True)[1] for name in names]
     seen: dict[bytes, int] = {}
     rows = np.column_stack(columns) if columns else np.zeros((table.rows, 1))
@@ -113,12 +113,12 @@ def _first(table: Table, names: Collection[str]) -> np.ndarray:
 
 
 _LEAST, _ROUNDING = 0.03, 1e-9
-"""Of the declared noise: readings whose standard deviation is less are in another unit, as noise
-that is declared too large by a cautious hand is not. Less than rounding is none at all: readings of
-a perfect machine, of a simulation.
+"""Shares of the declared noise. Readings with a standard deviation below the first are in another
+unit; noise that is declared cautiously is not that much too large. A standard deviation below the
+second is none at all, as for a simulated perfect machine.
 """
 _FEWEST = 10
-"""Rows from which readings are judged."""
+"""Least number of rows for this check."""
 
 
 def check_scatter(
@@ -128,10 +128,9 @@ def check_scatter(
     plan: Plan,
     readings: np.ndarray,
 ) -> None:
-    """Raise `StudyError` where the readings (n, m) are the same numbers in every row, or differ
-    from row to row far less than their own noise lets them; `columns` are those of the readings.
+    """Raise `StudyError` where readings (n, m) are constant, or scatter far less than their noise.
 
-    Readings that do not differ at all, of some of the kinds, are not judged: one may be zero by
+    `columns` are those of the readings. A single constant reading is accepted, as it may be zero by
     definition.
     """
     if (np.ptp(readings, axis=0) == 0.0).all():
@@ -140,7 +139,7 @@ def check_scatter(
                 table.name,
                 "columns of the readings",
                 "the same numbers in every row",
-                f"the readings of a {instrument.kind}, which differ from place to place",
+                f"the readings of a {instrument.kind}, which differ between positions",
                 "export the readings again",
             )
         return
@@ -158,19 +157,19 @@ def check_scatter(
     names = [_column(name, columns) for name, *_ in still]
     name, std, declared = min(still, key=lambda one: one[1] / one[2])
     own = np.std(table[column]) if (column := _column(name, columns)) in table else 0.0
-    # In the unit of the column, whatever that is.
+    # In the unit of the column.
     factor, unit = (float(own) / std, f" in the unit of {column}") if own else (1.0, " in SI")
     raise refusal(
         table.name,
         f"column{'s' * (len(names) > 1)} {listed(names)}",
         f"readings with a standard deviation of {factor * std:.3g} over all rows, "
-        f"{std / declared:.2g} of the noise that is declared of one of them",
-        f"about {factor * declared:.3g} at least{unit}, as noise alone makes it",
+        f"{std / declared:.2g} of the declared noise of one reading",
+        f"at least about {factor * declared:.3g}{unit}, as noise alone causes it",
         "correct the unit of the readings, or the noise in [instrument]",
     )
 
 
 def _column(reading: str, columns: Collection[str]) -> str:
-    """The column of a reading, its name with the unit; its own where there is none."""
+    """The column of a reading, that is, its name with the unit; the name itself without one."""
     found = (c for c in sorted(columns) if c == reading or c.startswith(f"{reading}_"))
     return next(found, reading)

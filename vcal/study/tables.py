@@ -1,4 +1,4 @@
-"""The tables of a run and of check points: their columns, and whether they fit the machine."""
+"""The tables of a measurement and of check points: their columns, checked against the machine."""
 
 import math
 import re
@@ -21,21 +21,21 @@ from .table_checks import check_repeated, check_unread
 _FEWEST_ROWS = 3
 _TOOL_POINT = tuple(f"tcp_{c}_mm" for c in "xyz")
 _MOST_OFF = 0.02
-"""Of the size of the work space: no machine is that far off."""
+"""Share of the size of the work space; a larger deviation is no error of a machine."""
 _STILL_MM = 0.02
-"""Within which read-back positions of an axis that stands still scatter."""
+"""Scatter of the read-back positions of an axis that stands still."""
 _LEAST_SHARE = 0.002
-"""Of the travel, over which a measurement has to go."""
+"""Least share of the travel that a measurement covers."""
 _LEAST_WIDTH = 1e-3
-"""Of the length of check points, over which they have to go across it."""
+"""Least width of the check points as a share of their length."""
 _QUANTITY = re.compile(
     r"payload_kg|speed_rpm|approach_rad|T_gradient_\w+|v_\w+_m_s|a_\w+_m_s2|since_\w+_mm|"
     r"v_[a-c]_rad_s|a_[a-c]_rad_s2|since_[a-c]_deg"
 )
-"""Columns that effects ask for; where they are there, they are numbers."""
+"""Optional columns of conditions for effects; they hold numbers."""
 _JOINT_COLUMN = re.compile(r"q(\d+)_(?:cmd|read)_deg")
 _MOVES = re.compile(r"(dir|move)_(q|J)\d+(_deg)?")
-"""What follows from the commanded angles of an arm, and is computed from them."""
+"""Covariates that are computed from the commanded angles of an arm."""
 
 
 def run_table(
@@ -46,10 +46,11 @@ def run_table(
     file: str,
     key: str,
 ) -> tuple[Table, bool]:
-    """The checked table of a run, and whether it holds readings, of which some may be blank.
+    """The checked table of a measurement, and whether it holds readings.
 
-    Where what is read are the positions of the linear axes, these may be: a ball that was not found
-    has none. Raises `StudyError` for what the instrument, the machine or `Folder.table` refuses.
+    Some readings may be blank. For an instrument that reads the positions of the linear axes, these
+    may be blank, as for a ball that was not found. Raises `StudyError` where the table does not fit
+    the instrument or the machine, and as `Folder.table` does.
     """
     kind = instrument_class(settings, folder)
     header = folder.header(name)
@@ -63,28 +64,28 @@ def run_table(
         known = {*kind.labels, *(c.name for c in columns)}
         further = [c for c in header if c not in known and not _condition(c)]
         check_unread(name, kind.kind, further, reading_names, kind.read_otherwise)
-    # Of an instrument without columns of its own, what is read are the positions.
+    # An instrument without columns of its own reads the positions.
     linear = {file_column(axis, chain.axes)[0] for axis in chain.axes if axis in LINEAR}
     read = reading_names or {c.name for c in places} & linear
     table = folder.table(
         name, columns, _condition, labels=kind.labels, readings=read if measured else ()
     )
-    told = table.told
-    if told.rows < _FEWEST_ROWS:
+    complete = table.complete
+    if complete.rows < _FEWEST_ROWS:
         raise refusal(
             name,
             f"{table.where(table.rows - 1)}, column {columns[0].name}",
-            f"the end of the table after {told.rows} row(s)"
-            + ("" if told is table else " of which no reading is blank"),
+            f"the end of the table after {complete.rows} row(s)"
+            + ("" if complete is table else " without a blank reading"),
             f"at least {_FEWEST_ROWS} rows",
             "measure more points",
         )
     _check_spelling(table, [c.name for c in columns])
     _check_names(table, chain, (*kind.labels, *reading_names))
-    # Where the axes were is not known in the others, if that is what was read.
-    _check_conditions(table if reading_names else told, chain)
+    # If positions are the readings, they are unknown in rows with a blank one.
+    _check_conditions(table if reading_names else complete, chain)
     if measured:
-        check_repeated(told, reading_names or {c.name for c in places})
+        check_repeated(complete, reading_names or {c.name for c in places})
     return table, measured
 
 
@@ -95,7 +96,10 @@ def check_points(
     chain: Chain,
     folder: Folder,
 ) -> CheckPoints:
-    """The independent check points of a study, in a table of that name; raises `StudyError`."""
+    """The independent check points of a study, from the table `name`.
+
+    Raises `StudyError` for a table that does not fit the machine, and for points on a line.
+    """
     own = instrument.columns(settings, chain.axes, readings=False)
     tool = _is_tool(chain)
     columns = _positions(chain, own) if tool else list(own)
@@ -108,16 +112,16 @@ def check_points(
         raise refusal(
             name,
             f"columns {listed(_TOOL_POINT)}",
-            f"{table.rows} check point(s), on a line",
-            "at least 3 that are not: alignment alone takes out six numbers",
-            "add points beside them, or remove the file",
+            f"{table.rows} check point(s) on a line",
+            "at least 3 that are not on a line, as the alignment determines six parameters",
+            "add points off that line, or remove the file",
         )
     _check_spelling(table, [c.name for c in columns])
     _check_names(table, chain, _TOOL_POINT)
     _check_conditions(table, chain)
     if tool:
         _check_tool_points(table, chain)
-    # Check points belong to the machine: what an instrument derives for itself is not in them.
+    # Check points belong to the machine; they have no columns that an instrument derives.
     if tool:
         plan = linear_plan(chain, table, temperature_offset_K=instrument.temperature_offset_K)
     else:
@@ -126,12 +130,14 @@ def check_points(
 
 
 def _is_tool(chain: Chain) -> bool:
-    """Whether it is a machine tool, with positions in ``x_mm``, ``c_deg``, ..., and not an arm."""
+    """Whether the chain is that of a machine tool, with positions in ``x_mm``, ``c_deg``, ..., and
+    not of an arm.
+    """
     return set(chain.axes) <= {*LINEAR, *ROTARY}
 
 
 def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
-    """Position columns that the instrument's own columns leave to the machine."""
+    """Position columns of the machine that are not among the instrument's own columns."""
     names = {column.name for column in own}
     places = [file_column(axis, chain.axes)[0] for axis in chain.axes] if _is_tool(chain) else []
     return [Column(name=name, low=-1e6, high=1e6) for name in places if name not in names]
@@ -140,14 +146,17 @@ def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
 def _check_machine(
     kind: type[TableInstrument], chain: Chain, own: Sequence[Column], file: str, key: str
 ) -> None:
-    """An instrument that reads joint angles needs an arm, any other one the axes X, Y and Z."""
+    """Raise `StudyError` where the instrument does not fit the machine.
+
+    An instrument with joint angles needs an arm, any other one the axes X, Y and Z.
+    """
     if not _is_tool(chain) and len({joint.kind for joint in chain.joints}) > 1:
         raise refusal(
             file,
             "key machine.joint",
-            f"rotary and linear joints in one machine, {chain.text!r}, which no instrument "
-            "measures",
-            "rotary joints alone, or a machine.chain with X, Y, Z and rotary axes A, B, C",
+            f"rotary and linear joints in one machine, {chain.text!r}, for which no instrument "
+            "exists",
+            "rotary joints only, or a machine.chain with X, Y, Z and rotary axes A, B, C",
             "describe a machine tool by its chain and [machine.rotary.C]",
         )
     joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
@@ -170,7 +179,7 @@ def _check_machine(
 
 
 def _condition(name: str) -> Column | None:
-    """What is known of a column that need not be there."""
+    """The declaration of an optional column; None for a column without one."""
     if name.startswith("T_") and name.endswith("_degC"):
         return Column(name=name, low=-50.0, high=150.0, sparse=True)
     if name in GROUPS:
@@ -183,8 +192,8 @@ def _condition(name: str) -> Column | None:
 
 
 def _check_spelling(table: Table, asked: Sequence[str]) -> None:
-    """What the machine or the instrument asks for, or an index, must not stand there a second time
-    in other letters (``c_deg`` and ``C_deg``): it would pass for another quantity.
+    """Raise `StudyError` for a required column or an index that is repeated in other letters
+    (``c_deg`` and ``C_deg``), as it would be taken for another quantity.
     """
     meant = {name.casefold(): name for name in (*GROUPS, *asked) if name in table}
     for name in table:
@@ -204,14 +213,17 @@ def _twice(file: str, columns: Sequence[str], meant: str) -> StudyError:
 
 
 def _check_names(table: Table, chain: Chain, others: Sequence[str]) -> None:
-    """Every quantity has one column, under its name in files; `others` are no conditions."""
+    """Raise `StudyError` where a quantity has another name than its own, or two columns.
+
+    `others` are columns that are no conditions.
+    """
     for name in table:
         if _MOVES.fullmatch(name) and not _is_tool(chain):
             raise refusal(
                 table.name,
                 f"header, column {name}",
-                "a column of the moves of a joint, which are computed",
-                "the angles that are commanded (q1_cmd_deg, ...) in the order of pose",
+                "a column of joint moves, which vcal computes",
+                "the commanded angles (q1_cmd_deg, ...) in the order of pose",
                 "rename or remove the column",
             )
     wrong = misnamed([c for c in table if c not in others and c not in GROUPS], chain.axes)
@@ -223,14 +235,16 @@ def _check_names(table: Table, chain: Chain, others: Sequence[str]) -> None:
     raise refusal(
         table.name,
         f"header, column {''.join(columns)}",
-        f"the name that vcal itself has for what stands in {meant}",
+        f"the internal name of the quantity in column {meant}",
         f"{meant}, or another name for another quantity",
         "rename or remove the column",
     )
 
 
 def _check_conditions(table: Table, chain: Chain) -> None:
-    """Directions are +1 or -1 of an axis there is; positions lie within the travel."""
+    """Raise `StudyError` for a direction other than +1 or -1, of an unknown axis, and for positions
+    outside the travel or in another unit.
+    """
     for name, values in table.items():
         axis = name.removeprefix("dir_").upper()
         if name.startswith("dir_") and _is_tool(chain):
@@ -251,8 +265,9 @@ def _check_conditions(table: Table, chain: Chain) -> None:
 
 
 def _check_extent(table: Table, chain: Chain) -> None:
-    """Positions in another unit than mm fill a thousandth of the travel; those that follow a point
-    which a rotary axis turns may do so in mm.
+    """Raise `StudyError` for positions that cover so little of the travel that they are not in mm.
+
+    Positions that follow a point on a rotating axis may cover little of it.
     """
     turning = (file_column(axis, chain.axes)[0] for axis in chain.axes if axis in ROTARY)
     if any(np.ptp(table[name]) > 0.0 for name in turning if name in table):
@@ -281,7 +296,9 @@ def _check_extent(table: Table, chain: Chain) -> None:
 
 
 def _check_unit(table: Table, name: str, travel: np.ndarray) -> None:
-    """One axis alone in metres: within a thousandth of its travel, but it does move there."""
+    """Raise `StudyError` for a single axis in metres: it moves, but within a thousandth of its
+    travel.
+    """
     values, reach = table[name], np.abs(travel).max()
     moved, farthest = np.ptp(values), np.abs(values).max()
     if not math.isfinite(reach) or moved <= _STILL_MM:
@@ -299,8 +316,9 @@ def _check_unit(table: Table, name: str, travel: np.ndarray) -> None:
 
 
 def _check_tool_points(table: Table, chain: Chain) -> None:
-    """True tool points are where the axes were commanded to, but for the errors of the machine and
-    a rigid motion, which takes in where the tool is.
+    """Raise `StudyError` where true tool points do not follow the commanded positions.
+
+    They agree up to the errors of the machine and a rigid motion, which includes the tool offset.
     """
     columns = [file_column(axis, chain.axes) for axis in chain.axes]
     position = np.column_stack([table[name] / factor for name, factor in columns])
@@ -314,10 +332,10 @@ def _check_tool_points(table: Table, chain: Chain) -> None:
         raise refusal(
             table.name,
             f"{table.where(row)}, columns {listed(_TOOL_POINT)}",
-            f"a tool point that is {off[row]:.4g} mm off, after the rigid motion that fits all of "
-            "them best to the positions",
+            f"a tool point that is {off[row]:.4g} mm off after the best rigid alignment of all "
+            "points with the positions",
             f"one that follows the positions to {_MOST_OFF * size:.4g} mm, all in millimetres",
-            "correct unit, sign and order of these columns, or the row",
+            "correct the unit, sign and order of these columns, or the row",
         )
 
 
@@ -335,7 +353,7 @@ def _check_travel(table: Table, name: str, chain: Chain) -> None:
     if not 0 <= place < len(chain.joints):
         return
     low, high = chain.joints[place].travel / unit
-    # A file of ten digits may round a position at the end of the travel to just beyond it.
+    # A file with ten digits may round a position at the end of the travel to just beyond it.
     slack = 1e-9 * max((abs(b) for b in (low, high) if math.isfinite(b)), default=0.0)
     bad = (table[name] < low - slack) | (table[name] > high + slack)
     if bad.any():

@@ -1,4 +1,4 @@
-"""Reading a study file as TOML, with overrides of its keys put in."""
+"""Reading a study file as TOML, with overrides of its keys."""
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +12,7 @@ from .messages import refusal, shown
 def read_setup(
     path: Path, overrides: Mapping[str, Any] | Sequence[str] = ()
 ) -> tuple[dict[str, Any], dict[str, str]]:
-    """The raw tree of a study file with overrides put in, and the overrides as text by key.
+    """The raw tree of a study file with the overrides applied, and the overrides as text by key.
 
     An override is ``"instrument.joints=read"``, or a key and its value; rows of an array of tables
     count from 0 (``"model.effect.0.size_um=3"``). Raises `StudyError` for a file that is missing
@@ -31,10 +31,10 @@ def read_setup(
         raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:
         raise refusal(
-            path.name, "file", f"unreadable text ({error})", "TOML in UTF-8", "save it again so"
+            path.name, "file", f"unreadable text ({error})", "TOML in UTF-8", "save it in UTF-8"
         ) from error
     except (ValueError, RecursionError) as error:
-        # Of a number of thousands of digits and of nested brackets, the parser only says that.
+        # For numbers of thousands of digits and deeply nested brackets, the parser has no place.
         what, _, place = str(error).partition(" (at ")
         raise refusal(
             path.name,
@@ -61,7 +61,7 @@ def read_setup(
                     f"key {key}",
                     f"{other}={given[other]} as well",
                     "a whole table, or some of its keys",
-                    "leave one of them out, or put the key into the table",
+                    "remove one of them, or move the key into the table",
                 )
         given[key] = said
         _put(raw, key, _toml_value(key, value), said)
@@ -77,7 +77,7 @@ def _pairs(overrides: Mapping[str, Any] | Sequence[str]) -> Iterator[tuple[str, 
         if not equals or not key.strip():
             raise StudyError(
                 f"override {text!r}: found no key and value, expected key=value such as "
-                "instrument.joints=read; write it so"
+                "instrument.joints=read; add the missing part"
             )
         yield key.strip(), value.strip()
 

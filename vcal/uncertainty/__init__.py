@@ -1,16 +1,22 @@
-"""Uncertainty: by the GUM, by Monte Carlo, and how far the two agree."""
+"""Uncertainty by the GUM, by Monte Carlo, and the comparison of both (JCGM 100, 101 and 102).
+
+`propagate` and `propagate_distributions` take a measurement function; `monte_carlo` and
+`linearised` take a virtual calibration, that is, a simulated measurement with its identification;
+`compare` validates the first method by the second. Uses `identification`, `geometry` and what lies
+below; knows nothing of `loop` and `design`. `study`, `report`, `reproduce` and `cli` stand on it.
+"""
 
 from .adaptive import Adaptive, Precision, numerical_tolerance
 from .budget import Budget
 from .campaign import Campaign, monte_carlo, virtual_pair
-from .compare import Attained, Comparison, attained_coverage, compare
+from .comparison import Attained, Comparison, attained_coverage, compare
 from .ensemble import Ensemble, FieldResult
 from .functions import propagate_distributions
 from .linear import Linearised, linearised
 from .mismatch import Left, drawn_errors, expected_error, fitted_places
 from .outputs import Field, Output
 from .programs import Programs
-from .propagate import propagate
+from .propagation import propagate
 from .quantities import (
     ErrorMotionErrors,
     LineErrors,
@@ -20,7 +26,7 @@ from .quantities import (
     VolumetricErrors,
 )
 from .regions import Box, Ellipsoid, coverage_box, coverage_ellipsoid, normal_box, normal_ellipsoid
-from .stream import stream
+from .streaming import stream
 from .table import budget_table, comparison_table
 
 __all__ = [

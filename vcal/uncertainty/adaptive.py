@@ -1,9 +1,9 @@
-"""How precise a Monte Carlo campaign is, and when it is precise enough: JCGM 101, 7.9.
+"""The precision of a Monte Carlo campaign, and the stopping rule of an adaptive one: JCGM 101, 7.9.
 
 The draws are taken in consecutive sub-blocks of M = max(J, 10 000), J the smallest integer not
 below 100/(1 - p), rounded up to whole blocks. Estimate y, standard uncertainty u and both ends of
-the coverage interval of every sub-block scatter about their averages, which tells the standard
-deviation of an average over h sub-blocks: s^2 = sum (. - mean)^2 / (h (h - 1)).
+the coverage interval of every sub-block scatter about their averages. This scatter gives the
+standard deviation of an average over h sub-blocks: s^2 = sum (. - mean)^2 / (h (h - 1)).
 """
 
 import math
@@ -22,7 +22,7 @@ _STEP = 10_000
 class Precision(NamedTuple):
     """Standard deviations of Monte Carlo results, one per scalar output, in its unit.
 
-    Infinite where there are fewer than two sub-blocks to tell them from.
+    Infinite for fewer than two sub-blocks.
     """
 
     y: Float[np.ndarray, " k"]
@@ -33,12 +33,12 @@ class Precision(NamedTuple):
 
 @dataclass(frozen=True)
 class Adaptive:
-    """How an adaptive campaign ended (JCGM 101, 7.9.4)."""
+    """The end state of an adaptive campaign (JCGM 101, 7.9.4)."""
 
     settled: bool
-    """Whether every output is stable; otherwise the greatest number of draws was reached."""
+    """Whether every output is stable; otherwise the largest number of draws was reached."""
     digits: int
-    """Significant decimal digits of u that were asked for."""
+    """Required significant decimal digits of u."""
     steps: int
     """Sub-blocks of draws, h."""
     tolerance: Float[np.ndarray, " k"]
@@ -53,7 +53,7 @@ class Adaptive:
 
 
 class Steps:
-    """Results of consecutive sub-blocks of draws, of which running averages are kept."""
+    """Running averages of the results of consecutive sub-blocks of draws."""
 
     def __init__(self, size: int, step: int, coverage: float, kind: Kind):
         self.step, self.coverage = step, coverage
@@ -61,11 +61,11 @@ class Steps:
         self.steps = 0
         """Sub-blocks finished."""
         self.count = np.zeros(size, np.int64)
-        """Those of them in which the output has an interval: enough values that are finite."""
+        """Sub-blocks in which the output has an interval, that is, enough finite values."""
         self.mean = np.zeros((4, size))
         self.squares = np.zeros((4, size))
         self.waiting: list[np.ndarray] = []
-        """Draws of the sub-block under way."""
+        """Draws of the unfinished sub-block."""
 
     def add(self, values: Float[np.ndarray, "n k"]) -> None:
         """Add draws in order."""
@@ -73,7 +73,7 @@ class Steps:
             self._add(values[start : start + self.step])
 
     def precision(self, steps: int | None = None) -> Precision:
-        """Standard deviations of averages over so many sub-blocks (default: all of these)."""
+        """Standard deviations of averages over `steps` sub-blocks (default: all of these)."""
         enough = self.count > 1
         variance = self.squares / np.where(enough, self.count - 1, 1)
         over = self.count if steps is None else np.full_like(self.count, steps)
@@ -84,13 +84,13 @@ class Steps:
         """Verdict on the draws so far, whose standard uncertainty is `u`."""
         delta = np.array([numerical_tolerance(float(value), digits) for value in u])
         precision = self.precision()
-        # An output that is finite in no draw has no interval that more draws would tell.
+        # An output that is finite in no draw has no interval, whatever the number of draws.
         told = self.count > 0
         settled = self.steps > 1 and all(bool(np.all((2.0 * s <= delta)[told])) for s in precision)
         return Adaptive(settled, digits, self.steps, delta, precision)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All numbers that change, as `restore` takes them back."""
+        """The state as arrays, for `restore`."""
         size = len(self.count)
         return {
             "steps": np.array(self.steps),
@@ -101,13 +101,13 @@ class Steps:
         }
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Go on from what `arrays` gave."""
+        """Restore the state from `arrays`."""
         self.steps = int(arrays["steps"])
         self.count, self.mean = arrays["count"], arrays["mean"]
         self.squares, self.waiting = arrays["squares"], [arrays["waiting"]]
 
     def _add(self, values: Float[np.ndarray, "n k"]) -> None:
-        """Add draws that finish one sub-block at most."""
+        """Add draws that finish at most one sub-block."""
         missing = self.step - sum(map(len, self.waiting))
         self.waiting.append(values[:missing])
         if len(values) >= missing:
@@ -120,7 +120,7 @@ class Steps:
         for k, (column, good) in enumerate(zip(columns, finite, strict=True)):
             found = column[good]
             if len(found) - math.floor(self.coverage * len(found) + 0.5) < 1:
-                continue  # too few draws that did not fail: this sub-block says nothing here
+                continue  # too few finite values for an interval of this output
             low, high = coverage_interval(found, self.coverage, self.kind)
             result = np.array([found.mean(), found.std(ddof=1), low, high])
             self.count[k] += 1
@@ -131,7 +131,7 @@ class Steps:
 
 def step_size(p: float, block: int = 1) -> int:
     """Draws of a sub-block for coverage probability `p`, in whole blocks (JCGM 101, 7.9.4 b)."""
-    # 100/(1 - p) itself comes out a rounding error above the integer it should be.
+    # In float64, 100/(1 - p) may lie a rounding error above the exact integer.
     least = max(math.ceil(100.0 / (1.0 - p) * (1.0 - 1e-12)), _STEP)
     return math.ceil(least / block) * block
 

@@ -1,4 +1,4 @@
-"""Uncertainty of outputs by the GUM, and where it comes from: numbers."""
+"""The uncertainty budget of outputs by the GUM (JCGM 100, 102), as numbers."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,11 +12,11 @@ from .taylor import Taylor
 
 
 class Row(NamedTuple):
-    """One line of a budget; `None` where a column does not apply to it."""
+    """One line of a budget; `None` where a column does not apply."""
 
     name: str
     share: float
-    """Part of u^2(y); negative where a correlation or a higher term makes it smaller."""
+    """Share of u^2(y); negative where a correlation or a higher-order term reduces it."""
     value: float | None = None
     u: float | None = None
     distribution: str | None = None
@@ -28,7 +28,7 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Source:
-    """The inputs of a budget, element by element: k of them, in g groups that are correlated."""
+    """The k scalar inputs of a budget, with g groups of correlated ones."""
 
     labels: tuple[str, ...]
     """``"V"``, ``"phi[1]"``."""
@@ -37,7 +37,7 @@ class Source:
     covariance: Float[np.ndarray, "k k"] = field(repr=False)
     dof: Float[np.ndarray, " k"]
     groups: tuple[tuple[int, ...], ...]
-    """Positions of the inputs that are correlated with each other; not those that stand alone."""
+    """Indices of the inputs that are correlated with each other; uncorrelated inputs are absent."""
 
     @property
     def u(self) -> Float[np.ndarray, " k"]:
@@ -46,16 +46,16 @@ class Source:
 
     @property
     def independent(self) -> tuple[tuple[int, ...], ...]:
-        """All inputs, in groups that are independent of each other."""
+        """All inputs, in mutually independent groups."""
         grouped = {i for group in self.groups for i in group}
         return (*self.groups, *((i,) for i in range(len(self.labels)) if i not in grouped))
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Uncertainty of m outputs by the GUM: numbers only.
+    """Uncertainty of m outputs by the GUM.
 
-    `rows` gives one output's budget line by line; its shares add to one.
+    `rows` gives the budget of one output line by line. Its shares add to one.
     """
 
     labels: tuple[str, ...]
@@ -74,11 +74,11 @@ class Budget:
     """dy/dx at the estimates."""
     taylor: Taylor = field(repr=False)
     notes: tuple[str, ...] = ()
-    """What a reader should know of these numbers, in words."""
+    """Remarks on these numbers, for the reader."""
 
     @cached_property
     def covariance(self) -> Float[np.ndarray, "m m"]:
-        """Covariance of the outputs (JCGM 102, 6.2); made when it is asked for."""
+        """Covariance of the outputs (JCGM 102, 6.2), computed on request."""
         return self.taylor.covariance
 
     @cached_property
@@ -104,17 +104,17 @@ class Budget:
 
     @property
     def share(self) -> Float[np.ndarray, "m k"]:
-        """Part of u^2 of every input by itself; zero where u is."""
+        """Share of u^2 of every input without correlations; zero where u is zero."""
         return self._part(self.contribution**2)
 
     @property
     def share_correlated(self) -> Float[np.ndarray, "m g"]:
-        """Part of u^2 from the covariances within every group of correlated inputs."""
+        """Share of u^2 from the covariances within every group of correlated inputs."""
         return self._part(self.together)
 
     @property
     def share_higher(self) -> Float[np.ndarray, " m"]:
-        """Part of u^2 from the second-order terms; zero at first order."""
+        """Share of u^2 from the second-order terms; zero at first order."""
         return self._part((self.taylor.variance - self.taylor.linear)[:, None])[:, 0]
 
     @property
@@ -135,14 +135,14 @@ class Budget:
         return value - half, value + half
 
     def index(self, output: str) -> int:
-        """Position of an output; raises `ValueError` if none is called that."""
+        """Index of an output; raises `ValueError` for an unknown name."""
         if output not in self.labels:
             known = ", ".join(self.labels[:10]) + (", ..." if len(self.labels) > 10 else "")
             raise ValueError(f"output: found {output!r}, expected one of {known}")
         return self.labels.index(output)
 
     def rows(self, output: str) -> list[Row]:
-        """Budget of one output: every input, then what inputs and terms do together.
+        """Budget of one output: every input, then correlations and higher-order terms.
 
         Raises as `index` does.
         """
@@ -176,9 +176,9 @@ class Budget:
 def coverage_factor(nu: Float[np.ndarray, " m"], coverage: float) -> Float[np.ndarray, " m"]:
     """k = t_p(nu): half the width of an interval of Student's t (JCGM 100, G.3.2, G.6.4).
 
-    `nu` is truncated to the next lower integer (JCGM 100, G.4.1); what is below one stays.
+    `nu` is truncated to the next lower integer (JCGM 100, G.4.1); values below one are kept.
     """
-    # A single group of 4 degrees of freedom must not come out as 3 by a rounding error.
+    # A rounding error must not turn a single group of 4 degrees of freedom into 3.
     whole = np.where(nu < 1.0, nu, np.floor(nu * (1.0 + 1e-9)))
     q = 0.5 * (1.0 + coverage)
     known = np.isinf(whole)

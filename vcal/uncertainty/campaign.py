@@ -1,10 +1,10 @@
-"""Virtual calibration: a machine is drawn, measured, identified and judged, many times over.
+"""Virtual calibration by Monte Carlo: machines are drawn, measured, identified and evaluated.
 
 This propagates distributions *through a simulated measurement and its evaluation*, draw by draw,
 rather than through a measurement function of input estimates as in JCGM 101. The spread of
-(identified - true) over the draws is the uncertainty that the procedure will have, before anything
-was measured; it becomes the posterior uncertainty of one measurement only where the model is linear
-and the prior is the population of machines.
+(identified - true) over the draws is the uncertainty of the procedure before any measurement. It
+equals the posterior uncertainty of one measurement only for a linear model with a prior that is the
+population of machines.
 """
 
 import hashlib
@@ -34,15 +34,15 @@ from .intervals import Kind
 from .outputs import Field, Output
 from .programs import Programs
 from .quantities import Measure, Pair, ParameterErrors, Quantity, State
-from .stream import MOST, Progress, stream
+from .streaming import MOST, Progress, stream
 
 _STEPS = "identification: exact gradients"
 _RETRIED = "identification: retried"
 _BLOCK = 1000
 _PART = 125
-"""Draws that a thread of a processor is given at a time."""
+"""Draws that one thread of a CPU computes per call."""
 TOGETHER = 25
-"""Draws that a processor computes side by side: what they need stays in its cache."""
+"""Draws that a CPU computes together, so that their working set stays in its cache."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Campaign:
     """Results of a virtual calibration."""
 
     ensemble: Ensemble
-    """Every quantity, and how the identification went."""
+    """All quantities, and statistics of the identification."""
     pair: Pair
     quantities: tuple[str, ...]
     """Names of the scalar outputs that are quantities."""
@@ -58,20 +58,23 @@ class Campaign:
 
     @property
     def retried(self) -> float:
-        """Share of the draws that the shared curvature did not solve, so that their own or damped
-        least squares had to: all of them where `pair.batch.shared` says that it cannot.
+        """Share of the draws that the shared curvature did not solve.
+
+        These are solved with their own curvature or by damped least squares. The share is one where
+        `pair.batch.shared` excludes the shared curvature.
         """
         return float(self.ensemble.mean[self.ensemble.index(_RETRIED)])
 
     @property
     def gradients(self) -> float:
-        """Exact gradients per draw that the identification needed on average."""
+        """Average number of exact gradients per draw in the identification."""
         return float(self.ensemble.mean[self.ensemble.index(_STEPS)])
 
     @property
     def failed(self) -> int:
-        """Draws that could not be identified, or gave a quantity that is not finite: counted, and
-        left out of every statistic.
+        """Number of draws without an identification or with a quantity that is not finite.
+
+        They are left out of every statistic.
         """
         return max(self.ensemble.failed.values(), default=0)
 
@@ -84,7 +87,7 @@ def virtual_pair(
     shapes: Shapes | None = None,
     noise_factor: float = 1.0,
 ) -> Pair:
-    """Both models on a plan, ready for many draws.
+    """Both models on a plan, prepared for many draws.
 
     `shapes` are the nominal shape parameters (SI) of the fitted model; those of the truth are
     drawn, unless declared. Raises as `vcal.model.simulate.prepare` and
@@ -97,8 +100,8 @@ def virtual_pair(
     ]
     if apart:
         raise ValueError(
-            f"truth and fit: found others in {', '.join(apart)}, expected the same machine and "
-            "instrument; let them differ in their effects"
+            f"truth and fit: found differences in {', '.join(apart)}, expected the same machine "
+            "and instrument; let them differ in their effects only"
         )
     declared = {
         i: {p.name: p.mean * p.si for p in effect.shapes}
@@ -110,7 +113,7 @@ def virtual_pair(
 
 
 def _apart(what: str, one: Chain | Instrument, other: Chain | Instrument) -> list[str]:
-    """What differs between two of a sort, by name."""
+    """Names of the fields in which two objects differ."""
     if type(one) is not type(other):
         return [f"{what} ({type(one).__name__} and {type(other).__name__})"]
     names = [f.name for f in fields(one)]
@@ -138,23 +141,25 @@ def monte_carlo(
     progress: Progress = lambda done, total: None,
     programs: Programs | None = None,
 ) -> Campaign:
-    """Draw a machine and an instrument from `truth`, measure `plan`, identify `fit`; many times.
+    """Draw machines and instruments from `truth`, measure them on `plan`, and identify `fit`.
 
-    `truth` is what reality is and `fit` what is fitted: what only the truth has is an uncertainty
-    that was not identified. Every draw has its own key, from `seed` and its index, so that results
-    depend on the seed alone, not on `chunk`, the number of devices or a restart from `folder`.
-    Every identification converges to `tolerance` posterior standard deviations; a draw for which
-    the shared curvature does not is identified with its own - every draw, where the machines are
-    too far from each other to share it - and then by damped least squares; one that even that does
-    not solve is counted as failed. The readings of an implicit instrument are taken as residuals at
-    the planned positions.
+    `truth` is the simulated reality and `fit` the fitted model: an effect present only in the first
+    model adds uncertainty that is never corrected. Every draw has its own key, from `seed` and its
+    index, so that results depend on the seed alone, not on `chunk`, the number of devices or a
+    restart from `folder`.
 
-    With `programs`, campaigns whose models differ in numbers only are compiled once; without, all
-    that is the same in every draw is a constant to the compiler, and long campaigns run a little
-    faster.
+    Every identification converges to `tolerance` posterior standard deviations. A draw that does
+    not converge with the shared curvature is identified with its own curvature, and then by damped
+    least squares; machines that are too different to share a curvature all use their own. A draw
+    without a solution counts as failed. The readings of an implicit instrument are residuals at the
+    planned positions.
 
-    The other arguments are those of `vcal.uncertainty.stream`. Raises as `virtual_pair` and
-    `stream` do, and `TypeError` for what is no quantity.
+    With `programs`, campaigns whose models differ in numbers only are compiled once. Without it,
+    everything that is equal in all draws is a constant to the compiler, and long campaigns run a
+    little faster.
+
+    The other arguments are those of `vcal.uncertainty.streaming`. Raises as `virtual_pair` and
+    `stream` do, and `TypeError` for a quantity that is no `Quantity`.
     """
     for quantity in quantities:
         if not isinstance(quantity, Quantity):
@@ -189,7 +194,7 @@ def monte_carlo(
 
 
 def side_by_side(function: Any, together: int) -> Any:
-    """`function` of one draw over many, so many of them at once; all of them for zero."""
+    """Map a function of one draw over many draws, `together` at a time; all at once for zero."""
     if not together:
         return jax.vmap(function)
     return lambda index: jax.lax.map(function, index, batch_size=together)
@@ -212,8 +217,8 @@ class _Evaluate:
         processor = jax.default_backend() == "cpu"
         self.workers = (os.cpu_count() or 1) if processor else 1
         self.size = _PART if processor else _BLOCK
-        # Ways to identify, tried one after the other on the draws that are left, and how many draws
-        # each takes together: on a processor none waits for the slowest of its part.
+        # Methods of identification in order, each applied to the draws that are left, with the
+        # number of draws computed together. On a CPU, none waits for the slowest of its part.
         few = 1 if processor else _PART
         ways = [(identify_alone, few), (identify_damped, few)]
         if pair.batch.shared:
@@ -246,8 +251,8 @@ class _Evaluate:
     def _all(
         pool: ThreadPoolExecutor, function: Any, index: np.ndarray, size: int, device: Any
     ) -> dict[str, np.ndarray]:
-        """A compiled function of draws, `size` of them at a time."""
-        # The last part is filled up, so that it compiles nothing.
+        """A compiled function of draws, applied to `size` of them at a time."""
+        # The last part is padded to the same size, so that it needs no compilation.
         full = np.concatenate([index, np.repeat(index[-1:], -len(index) % size)])
 
         def run(part: np.ndarray) -> dict[str, Array]:
@@ -260,10 +265,10 @@ class _Evaluate:
         }
 
     def _compiled(self, way: Any, together: int, programs: Programs | None) -> Any:
-        """One of the ways for many draws at once: a function of their indices."""
+        """One method of identification for many draws at once, as a function of their indices."""
         function = partial(_one, way, self.tolerance)
         if programs is None:
-            # Closed over, so that what is the same in all draws is a constant to the compiler.
+            # Closed over, so that everything equal in all draws is a constant to the compiler.
             fixed = partial(function, self.content, self.key)
             return jit_outermost(side_by_side(fixed, together))
         name = way.__name__, self.tolerance, together
@@ -271,7 +276,7 @@ class _Evaluate:
         return partial(shared, self.key)
 
     def identity(self) -> dict[str, Any]:
-        """What the draws depend on."""
+        """Everything on which the draws depend, for the fingerprint of a checkpoint."""
         content = self.pair, self.measures
         numbers = hashlib.sha256(str(jax.tree.structure(content)).encode())
         for leaf in jax.tree.leaves(content):
@@ -288,7 +293,7 @@ class _Evaluate:
 
 
 def _one(way: Any, tolerance: float, content: Any, key: Array, index: Array) -> dict[str, Array]:
-    """One draw, identified in one of the ways."""
+    """One draw, identified by one method."""
     simulator, batch, measures = content
     made = draw(simulator, jax.random.fold_in(key, index))
     found = way(batch, made.readings, tolerance=tolerance)

@@ -1,11 +1,11 @@
-"""A campaign in a folder: what is known so far, written so that a killed run can go on from it.
+"""Checkpoints of a campaign in a folder, from which a killed run can resume.
 
-`campaign.state` holds the summary after the last finished chunk, `values-*.part` the values kept,
-one file per chunk. Each file appears whole or not at all: it is written under another name, forced
-to the disk and renamed. The state names the parts that belong to it, and is written after them.
+`campaign.state` holds the summary after the last finished chunk, `values-*.part` the kept values,
+one file per chunk. Each file is complete or absent: it is written under another name, flushed to
+the disk and renamed. The state names the parts that belong to it, and is written after them.
 
-A file is one line of JSON, which tells what it belongs to and the arrays it holds, after the
-SHA-256 of that line; then the arrays, whose SHA-256 is in the line.
+A file starts with one line: a SHA-256 and a JSON header, which identifies the campaign and lists
+the arrays. The arrays follow; their SHA-256 is in the header.
 """
 
 import hashlib
@@ -25,33 +25,33 @@ from ..errors import StudyError
 STATE = "campaign.state"
 _FORMAT = 1
 _PART = re.compile(r"values-\d+-\d+\.part(\.new)?")
-_REMEDY = "delete the folder to start anew, or choose another"
+_REMEDY = "delete the folder to start again, or choose another"
 
 
 @dataclass(frozen=True)
 class Held:
-    """What a folder holds of a campaign."""
+    """The state of a campaign in a folder."""
 
     arrays: dict[str, np.ndarray]
     kept: list[np.ndarray]
-    """Values of the first draws, part after part, (n, k) each."""
+    """Values of the first draws, one array (n, k) per part."""
 
 
 class Checkpoint:
-    """The folder of one campaign, which is known by its fingerprint: settings by name."""
+    """The folder of one campaign, identified by its fingerprint, that is, its settings by name."""
 
     def __init__(self, folder: Path, fingerprint: Mapping[str, Any]):
         self.folder = folder
         self.fingerprint = json.loads(json.dumps(fingerprint))
         self.parts: list[dict[str, Any]] = []
-        """Name and SHA-256 of the files of values that belong to the state."""
+        """Name and SHA-256 of every file of values that belongs to the state."""
         self._rows, self._blocks = 0, 0
 
     def load(self) -> Held | None:
-        """What the folder holds, or None if no chunk was finished.
+        """The state in the folder, or None without a finished chunk.
 
-        Files of a chunk that was not finished are removed. Raises `StudyError` for a file that is
-        missing, was cut or edited, or belongs to a campaign with other settings.
+        Files of an unfinished chunk are removed. Raises `StudyError` for a file that is missing,
+        truncated or edited, or that belongs to a campaign with other settings.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / STATE
@@ -63,9 +63,9 @@ class Checkpoint:
         return held
 
     def save(self, arrays: Mapping[str, np.ndarray], kept: Sequence[np.ndarray]) -> None:
-        """Write the summary after a chunk, and those of the values kept that are new.
+        """Write the summary after a chunk, and the values that are new since the last one.
 
-        `kept` begins with what `load` gave, in the same pieces.
+        `kept` starts with the arrays that `load` returned.
         """
         if len(kept) > self._blocks:
             fresh = np.concatenate(kept[self._blocks :])
@@ -100,7 +100,7 @@ def _write(
     arrays: Mapping[str, np.ndarray],
     parts: Sequence[Mapping[str, Any]],
 ) -> str:
-    """Write a file whole or not at all; the SHA-256 of its arrays."""
+    """Write a file atomically; returns the SHA-256 of its arrays."""
     contents = {name: np.ascontiguousarray(value).reshape(-1) for name, value in arrays.items()}
     digest = hashlib.sha256()
     for value in contents.values():
@@ -124,7 +124,7 @@ def _write(
     if os.name != "nt":  # there, folders cannot be opened
         folder = os.open(path.parent, os.O_RDONLY)
         try:
-            os.fsync(folder)  # the new name, too, is on the disk before anything refers to it
+            os.fsync(folder)  # flushes the new name, too, before anything refers to it
         finally:
             os.close(folder)
     return digest.hexdigest()
@@ -133,7 +133,7 @@ def _write(
 def _read(
     path: Path, fingerprint: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a file; raises `StudyError` unless it is whole and of this campaign."""
+    """Header and arrays of a file; raises `StudyError` for a damaged file or another campaign's."""
     with path.open("rb") as file:
         checksum, _, line = file.readline().rstrip(b"\n").partition(b" ")
         if checksum != hashlib.sha256(line).hexdigest().encode():

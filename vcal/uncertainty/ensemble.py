@@ -1,4 +1,4 @@
-"""Results of a Monte Carlo campaign: numbers, and what follows from them directly."""
+"""Results of a Monte Carlo campaign: moments, quantiles, coverage intervals and their precision."""
 
 import difflib
 from dataclasses import dataclass, field
@@ -15,63 +15,63 @@ from .summary import FieldSummary, Summary
 
 @dataclass(frozen=True)
 class FieldResult:
-    """A field, element by element."""
+    """Statistics of a field, element by element."""
 
     name: str
     draws: int
-    """Draws in which every element was finite; the others take no part."""
+    """Number of draws in which every element was finite; the others are left out."""
     failed: int
-    """Draws with an element that was not finite."""
+    """Number of draws with an element that was not finite."""
     mean: np.ndarray
     u: np.ndarray
     """Standard deviation; NaN for fewer than two draws."""
     minimum: np.ndarray
     maximum: np.ndarray
     quantiles: dict[float, np.ndarray]
-    """By probability."""
+    """Quantiles by probability."""
     bounds: dict[float, np.ndarray]
-    """How far each quantile may be from that of the draws themselves; zero where it is exact."""
+    """Bound of the error of each quantile against that of the draws; zero where it is exact."""
 
 
 @dataclass(frozen=True)
 class Ensemble:
     """Results of a Monte Carlo campaign with k scalar outputs and any number of fields.
 
-    A draw in which an output is not finite is counted in `failed` and takes part in nothing that
-    output enters.
+    A draw in which an output is not finite is counted in `failed` and left out of all statistics of
+    that output.
     """
 
     labels: tuple[str, ...]
     """Names of the scalar outputs: ``"V"``, ``"phi[1]"``."""
     draws: int
-    """Draws made, those that failed included."""
+    """Number of draws, including failed ones."""
     mean: Float[np.ndarray, " k"]
     covariance: Float[np.ndarray, "k k"] = field(repr=False)
     """Covariance of the scalar outputs (JCGM 102, 7.6)."""
     minimum: Float[np.ndarray, " k"] = field(repr=False)
     maximum: Float[np.ndarray, " k"] = field(repr=False)
     failed: dict[str, int]
-    """Draws that were not finite, for every scalar output and every field that had any."""
+    """Number of draws that were not finite, by scalar output or field with any."""
     fields: dict[str, FieldResult] = field(repr=False)
     kept: Literal["exact", "sketch"]
     """Whether quantiles come from the values of all draws or from counts in fine bins."""
     values: Float[np.ndarray, "m k"] = field(repr=False)
-    """Values of all draws, or of the first m where there are too many to keep."""
+    """Values of all draws, or of the first m of a campaign that is too large to keep all."""
     columns: tuple[Column, ...] = field(repr=False)
-    """Counts in fine bins, one per scalar output; none where quantiles are exact."""
+    """Counts in fine bins, one per scalar output; empty where quantiles are exact."""
     coverage: float
-    """Coverage probability for which the campaign followed its own precision."""
+    """Coverage probability for which the campaign monitored its precision."""
     kind: Kind
     step: int
     """Draws of a sub-block (JCGM 101, 7.9.4 b) for that probability."""
     scatter: Precision = field(repr=False)
     """Precision for `coverage` and `kind`."""
     adaptive: Adaptive | None
-    """How an adaptive campaign ended; None where the number of draws was given."""
+    """End state of an adaptive campaign; None for a given number of draws."""
     interrupted: bool
-    """Whether it was broken off, with fewer draws than were asked for."""
+    """Whether it was interrupted, with fewer draws than requested."""
     notes: tuple[str, ...] = ()
-    """What is to be said of the results."""
+    """Remarks on the results."""
 
     @property
     def u(self) -> Float[np.ndarray, " k"]:
@@ -85,7 +85,7 @@ class Ensemble:
         return self.covariance / np.outer(u, u)
 
     def index(self, output: str) -> int:
-        """Position of a scalar output; raises `ValueError` if there is none of that name."""
+        """Index of a scalar output; raises `ValueError` for an unknown name."""
         if output not in self.labels:
             close = difflib.get_close_matches(output, self.labels, n=1)
             hint = f" (did you mean {close[0]!r}?)" if close else ""
@@ -101,14 +101,14 @@ class Ensemble:
         """Coverage interval of a scalar output (JCGM 101, 7.7).
 
         `kind` is ``"symmetric"`` (probabilistically) or ``"shortest"``. Raises `ValueError` for
-        too few draws, an unknown output or kind, or a probability outside of (0, 1).
+        too few draws, an unknown output or kind, or a probability outside (0, 1).
         """
         return self._interval(output, p, kind)[0]
 
     def interval_bound(self, output: str, p: float = 0.95, kind: Kind = "symmetric") -> float:
-        """How far an end of `interval` may be from that of the values themselves.
+        """Bound of the error of the ends of `interval` against those of the values.
 
-        Zero where they were kept, otherwise the width of a bin there.
+        Zero where all values were kept, otherwise the width of a bin there.
         """
         return self._interval(output, p, kind)[1]
 
@@ -119,16 +119,16 @@ class Ensemble:
         return self._quantile(output, probability)[0]
 
     def quantile_bound(self, output: str, probability: float) -> float:
-        """How far `quantile` may be from that of the values themselves; zero where exact."""
+        """Bound of the error of `quantile` against that of the values; zero where exact."""
         return self._quantile(output, probability)[1]
 
     def precision(self, p: float = 0.95, kind: Kind = "symmetric") -> Precision:
         """Standard deviations of y, u and of the ends of the coverage interval, per scalar output.
 
-        From the scatter between consecutive sub-blocks of draws (JCGM 101, 7.9.4), divided by the
-        root of their number. For another probability or kind than the campaign followed, and where
-        not all values were kept, the scatter is that of the values kept. Infinite where there are
-        fewer than two sub-blocks.
+        They follow from the scatter between consecutive sub-blocks of draws (JCGM 101, 7.9.4),
+        divided by the square root of their number. For a probability or kind other than the
+        monitored one, and where not all values were kept, the scatter is that of the kept values.
+        Infinite for fewer than two sub-blocks.
         """
         check_coverage(p)
         if (p, kind) == (self.coverage, self.kind):
@@ -159,7 +159,7 @@ class Ensemble:
         return float(weights @ ordered[ranks - 1]), 0.0
 
     def _finite(self, at: int) -> Float[np.ndarray, " n"]:
-        """Values of a scalar output without those that failed."""
+        """The finite values of a scalar output."""
         values = self.values[:, at]
         return values[np.isfinite(values)]
 
@@ -167,7 +167,7 @@ class Ensemble:
 def ensemble_of(
     summary: Summary, adaptive: Adaptive | None = None, interrupted: bool = False
 ) -> Ensemble:
-    """The results known after the draws of a summary."""
+    """The results of the draws in a summary."""
     labels, moments = summary.declared.labels, summary.moments
     count = np.diag(moments.count)
     finite = count > 0

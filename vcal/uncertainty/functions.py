@@ -17,8 +17,8 @@ from ..numerics.arrays import Array
 from ..numerics.spatial import require_float64
 from .ensemble import Ensemble
 from .intervals import Kind
-from .propagate import Function, named, outputs_of
-from .stream import MOST, Progress, stream
+from .propagation import Function, named, outputs_of
+from .streaming import MOST, Progress, stream
 
 _BLOCK = 10_000
 
@@ -43,18 +43,18 @@ def propagate_distributions(
 
     `function` takes the values of the inputs by name and gives a number (an output called
     ``"y"``), an array, or a dictionary of these; it is written in JAX, for one draw. Draw r uses
-    the key ``fold_in(key(seed), r)`` and all local devices take part; the result depends on the
-    seed alone. The other arguments are those of `stream`; the campaign in a `folder` is known by
-    its seed, and by the compiled function and the numbers of the inputs.
+    the key ``fold_in(key(seed), r)``, and all local devices are used; the result depends on the
+    seed alone. The other arguments are those of `stream`. The campaign in a `folder` is identified
+    by its seed, the compiled function and the numbers of the inputs.
 
     Student's t has no standard deviation for nu <= 2 degrees of freedom (JCGM 101, 6.4.9.5), and no
-    expectation for nu <= 1. Where an output grows with such an input, nor has it: coverage
-    intervals exist all the same, but y and u of the draws tend to nothing as their number grows, an
-    adaptive campaign does not settle, and a note says so.
+    expectation for nu <= 1. The same holds for an output that grows with such an input. Its
+    coverage intervals exist, but y and u of the draws do not converge with their number, an
+    adaptive campaign does not end before its largest number of draws, and a note reports it.
 
     Raises `RuntimeError` where JAX runs in float32, `ValueError` for a function that is not written
-    in JAX or takes an input that there is not and for settings that make no sense, `TypeError` for
-    what are no `Inputs`, and `StudyError` for a folder of another campaign.
+    in JAX or takes an unknown input and for invalid settings, `TypeError` for inputs that are no
+    `Inputs`, and `StudyError` for a folder of another campaign.
     """
     require_float64()
     outputs = outputs_of(function, inputs)
@@ -87,7 +87,7 @@ def propagate_distributions(
 
 
 def _without_moments(inputs: Inputs) -> tuple[str, ...]:
-    """What is to be said of inputs that have no standard deviation."""
+    """The note on inputs without a standard deviation."""
     index = {name: float(d.tail_index) for name, d in inputs.distributions.items()}
     heavy = {name: nu for name, nu in index.items() if nu <= 2.0}
     if not heavy:
@@ -108,7 +108,7 @@ def _draw(
     first: UInt32[np.ndarray, ""],
     count: int,
 ) -> dict[str, Array]:
-    """Outputs of `count` draws from `first` on."""
+    """Outputs of `count` draws, the first with index `first`."""
 
     def one(index: Array) -> dict[str, Array]:
         return named(function(inputs.sample(jax.random.fold_in(key, index))))
@@ -117,7 +117,7 @@ def _draw(
 
 
 def _identity(function: Function, inputs: Inputs, key: PRNGKeyArray) -> dict[str, str]:
-    """Checksums of the compiled program and of the numbers that enter it."""
+    """Checksums of the compiled program and of the numbers of the inputs."""
     lowered = _draw.lower(function, inputs, key, np.asarray(0, np.uint32), _BLOCK)
     numbers = hashlib.sha256()
     for leaf in jax.tree.leaves(eqx.filter((function, inputs), eqx.is_array)):

@@ -1,4 +1,4 @@
-"""Coverage intervals of a scalar output from the order of its values: JCGM 101, 7.7."""
+"""Coverage intervals of a scalar output from its ranked values: JCGM 101, 7.7."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 Kind = Literal["symmetric", "shortest"]
 """Probabilistically symmetric (7.7.2, Note 2) or shortest (7.7.2, Note 3)."""
 Ranked = Callable[[Int[np.ndarray, " n"]], Float[np.ndarray, " n"]]
-"""Values of given ranks, counted from one in rising order."""
+"""Values of given ranks, counted from one in ascending order."""
 
 
 def coverage_interval(
@@ -40,10 +40,10 @@ def interval_ranks(
 
     q = p M where that is an integer, otherwise the integer part of p M + 1/2. Symmetric:
     r = (M - q)/2 or the integer part of (M - q + 1)/2; shortest: the r of 1 ... M - q for which
-    y_(r+q) - y_(r) is least, the first of several. Where `ranked` is linear between ranks, it is
-    enough to name those at which it bends, `knots`: the least width then has an end at one.
+    y_(r+q) - y_(r) is least, the first of several. Where `ranked` is piecewise linear, the ranks of
+    its `knots` suffice, as an interval of least width has an end at a knot.
 
-    Raises `ValueError` for a probability outside of (0, 1), an unknown kind, or too few draws.
+    Raises `ValueError` for a probability outside (0, 1), an unknown kind, or too few draws.
     """
     check_coverage(p)
     count = math.floor(p * draws + 0.5)
@@ -63,7 +63,7 @@ def interval_ranks(
 
 
 def check_coverage(p: float) -> None:
-    """Raises `ValueError` for a coverage probability that is not above 0 and below 1."""
+    """Raise `ValueError` for a coverage probability outside (0, 1)."""
     if not 0.0 < p < 1.0:
         raise ValueError(f"coverage probability: found {p}, expected a number above 0 and below 1")
 

@@ -1,14 +1,14 @@
-"""The GUM through an identification, by the implicit function theorem.
+"""GUM uncertainty of an identification, by the implicit function theorem.
 
-At the minimum theta of f(theta, y) the gradient stays zero when the readings change, so that
+At the minimum theta of f(theta, y), the gradient stays zero when the readings change, so that
 
     d theta = H^-1 J' W' W dy,      dy = J_true d theta_true + noise
 
 with H = J'J + L exact at the nominal machine, where the residuals vanish. A quantity q(theta_true,
 theta) then has the first-order uncertainty of JCGM 100, with every parameter of the truth and every
-reading as an input: the fitted ones count with what the data leave of their prior, the ones that
-are not fitted (a wrong expansion coefficient, a wrong artefact length) with what they do to the
-identified parameters.
+reading as an input. A fitted parameter contributes with its posterior uncertainty. A parameter that
+is not fitted (a wrong expansion coefficient, a wrong artefact length) contributes through the
+identified parameters that it biases.
 """
 
 import math
@@ -40,22 +40,24 @@ class Linearised:
     """First-order uncertainty of the quantities of a virtual calibration."""
 
     budget: Budget
-    """Scalar outputs. Inputs are effects and reading components, each with all its elements: an
-    input's sensitivity is the root sum of squares over them, for one standard deviation each.
+    """Budget of the scalar outputs. Inputs are effects and reading components, each with all its
+    elements. The sensitivity of an input is the root sum of squares over them, for one standard
+    deviation each.
     """
     fields: dict[str, tuple[np.ndarray, np.ndarray]]
     """Value and standard uncertainty of every field, element by element."""
     undefined: tuple[str, ...]
-    """Outputs without a derivative at the nominal machine, such as the length of an error whose
-    expectation is zero: for these there is no first-order uncertainty.
+    """Outputs without a derivative at the nominal machine, such as the length of an error with zero
+    expectation. They have no first-order uncertainty.
     """
 
 
 def linearised(pair: Pair, measures: Sequence[Measure], coverage: float = 0.95) -> Linearised:
     """First-order uncertainty of quantities, through the identification (JCGM 100, 5.1).
 
-    Distributions are taken as normal. Shape parameters that the truth draws enter at their nominal
-    values: at amplitudes of zero they have no sensitivity.
+    Distributions are treated as normal. Shape parameters of the truth are set to their nominal
+    values, as they have no sensitivity at amplitudes of zero. `coverage` is the coverage
+    probability of the budget.
     """
     declared = [o for m in measures for o in m.outputs]
     value, by_true, by_found = _derivatives(pair, measures)
@@ -112,7 +114,7 @@ def linearised(pair: Pair, measures: Sequence[Measure], coverage: float = 0.95) 
 
 
 def _kinds(pair: Pair, source: str) -> str:
-    """Names of the distributions of what a source draws."""
+    """Names of the distributions of the elements of a source."""
     drawn = [(e, p) for e in pair.truth.effects if e.key == source for p in e.amplitudes]
     if source.startswith(_SCATTER):
         every = [(e, p) for e in pair.truth.random for p in e.amplitudes]
@@ -131,16 +133,16 @@ def _times(by_true: np.ndarray, parameters: np.ndarray | None) -> np.ndarray | f
 def _derivatives(
     pair: Pair, measures: Sequence[Measure]
 ) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, "q k"], Float[np.ndarray, "q l"]]:
-    """All quantities at the nominal machine, and their derivatives by true and found parameters."""
+    """All quantities at the nominal machine, with derivatives by true and identified parameters."""
     drawn = {i: {} for i in {item.effect for item in pair.simulator.shapes}}
     for item in pair.simulator.shapes:
         drawn[item.effect][item.name] = item.middle
     true = jnp.zeros(len(pair.truth.entries))
-    # What the fit makes of the nominal truth, which known effects that are not fitted displace.
+    # The fit of the nominal truth, which known effects that are not fitted displace.
     s, batch = pair.simulator, pair.batch
     still = ideal_readings(s, true, jnp.zeros((s.plan.rows, sum(s.fresh.counts))), drawn)
     off = np.asarray(batch.instrument.difference(still, batch.nominal))
-    # Rounding must not pass for an expectation: the length of an error has no derivative at zero.
+    # Rounding must not count as an expectation: the length of an error has no derivative at zero.
     off = np.where(np.abs(off) > _ROUNDING * np.asarray(s.sigma), off, 0.0)
     found = batch.gain @ off.reshape(-1)
 
@@ -158,17 +160,17 @@ def _derivatives(
 
 
 class Elements(NamedTuple):
-    """What one standard deviation of each of the independent elements of a source does."""
+    """The effect of one standard deviation of each independent element of a source."""
 
     parameters: Float[np.ndarray, "k e"] | None
-    """To the true parameters, where the source is one of them."""
+    """Change of the true parameters; None for a source of noise."""
     readings: Float[np.ndarray, "nm e"] | Float[np.ndarray, "e m"]
-    """To all readings; or to those of one row each."""
+    """Change of all readings; with `rows`, of the readings of one row each."""
     rows: Int[np.ndarray, " e"] | None = None
-    """Which row: noise has as many elements as there are readings."""
+    """Row of each element, for noise, which has an element per reading."""
 
     def through(self, gain: Float[np.ndarray, "a nm"]) -> Float[np.ndarray, "a e"]:
-        """What each does to what is linear in the readings, such as the parameters found."""
+        """Change of a linear function of the readings, such as the identified parameters."""
         if self.rows is None:
             return gain @ self.readings
         by_row = gain.reshape(len(gain), -1, self.readings.shape[1])
@@ -176,10 +178,10 @@ class Elements(NamedTuple):
 
 
 def sources(pair: Pair) -> dict[str, Elements]:
-    """The elements of every source.
+    """The independent elements of every source, by its name.
 
-    Those of parameters with a joint distribution are the columns of a root of their correlations,
-    R = A A'.
+    For parameters with a joint distribution, they are the columns of a root A of their correlation
+    matrix, R = A A'.
     """
     model, simulator = pair.truth, pair.simulator
     plan, layout = simulator.plan, model.layout

@@ -1,11 +1,11 @@
-"""What is left after compensation where reality has more to it than what is fitted, by theory.
+"""Expected error after compensation where the truth has effects that are not fitted.
 
     found = K (J_t t + n),      e = t - found
 
 t are the amplitudes of the truth, J_t the derivative of the readings by them, n the noise, K the
-linear estimate of what is fitted and e the error that is left: of an amplitude that is not fitted,
-all of it. All t and n are independent, so that the mean square of the volumetric error, tr(G E E'),
-is a sum over the effects of the truth and the noise of the readings.
+linear estimate of the fitted amplitudes, and e the remaining error, which is the whole amplitude
+where it is not fitted. All t and n are independent, so that the mean square of the volumetric
+error, tr(G E E'), is a sum over the effects of the truth and the noise of the readings.
 """
 
 from collections.abc import Mapping
@@ -33,31 +33,31 @@ class Left:
     """Expected error after compensation, m."""
 
     aligned: Mapping[str, float]
-    """Root mean square after the best rigid alignment, by effect of the truth and noise of the
-    readings (`vcal.uncertainty.linear.sources`).
+    """Root mean square after the best rigid alignment, m, by effect of the truth and by noise of
+    the readings (`vcal.uncertainty.linear.sources`).
     """
     raw: Mapping[str, float]
 
     @property
     def rms(self) -> tuple[float, float]:
-        """Of everything together: aligned and raw."""
+        """Root mean square of all sources together, m: aligned and raw."""
         return _root_sum(self.aligned), _root_sum(self.raw)
 
 
 def fitted_places(pair: Pair) -> Int[np.ndarray, " k"]:
-    """Where the amplitudes of the truth are among those that are fitted; -1: they are not."""
+    """Index of every amplitude of the truth among the fitted ones; -1 where it is not fitted."""
     places = {(e.key, e.parameter.name): i for i, e in enumerate(pair.fit.entries)}
     return np.array([places.get((e.key, e.parameter.name), -1) for e in pair.truth.entries], int)
 
 
 def expected_error(truth: Model, fit: Model, plan: Plan, gram: Gram) -> Left:
-    """Expected volumetric error after `fit` was identified from `plan` and compensated, on a
-    machine and with an instrument from `truth`, whose errors amount to `gram` (`volumetric_gram`).
+    """Expected volumetric error after identification of `fit` from `plan` and compensation.
 
-    Both models have the same chain and instrument; the priors of what both know must have the same
-    standard deviations. Random effects of the truth count as further noise. Raises as
-    `vcal.uncertainty.virtual_pair` does, and `ValueError` for priors that differ and for an effect
-    of the machine that only the fit has: `gram` does not say what finding it does.
+    Machine and instrument are those of `truth`, and `gram` maps its amplitudes to the mean square
+    volumetric error (`volumetric_gram`). Both models have the same chain and instrument. Amplitudes
+    in both models need the same prior standard deviation. Random effects of the truth count as
+    noise. Raises as `vcal.uncertainty.virtual_pair` does, and `ValueError` for priors that differ
+    and for an effect of the machine that only `fit` has, as `gram` has no entry for it.
     """
     pair = virtual_pair(truth, fit, plan)
     gain = _gain(pair)
@@ -72,15 +72,15 @@ def expected_error(truth: Model, fit: Model, plan: Plan, gram: Gram) -> Left:
 def drawn_errors(
     truth: Model, fit: Model, plan: Plan, gram: Gram, *, draws: int, seed: int
 ) -> Float[np.ndarray, "draws 2"]:
-    """Volumetric error, aligned and raw, m, of machines drawn from `truth` one by one, with the
-    linear estimate: the machines and the noise of `monte_carlo` with that seed.
+    """Volumetric errors, aligned and raw, m, of single machines drawn from `truth`.
 
-    Raises as `expected_error` does, and `ValueError` for a truth with random effects.
+    Machines and noise are those of `monte_carlo` with the same seed; the estimate is the linear
+    one. Raises as `expected_error` does, and `ValueError` for a truth with random effects.
     """
     if truth.random:
         raise ValueError(
-            f"truth: found the random effect {truth.random[0].key!r}, expected none, as their "
-            "draws are not made here; use `monte_carlo`"
+            f"truth: found the random effect {truth.random[0].key!r}, expected none, as random "
+            "effects are not drawn here; use `monte_carlo`"
         )
     pair = virtual_pair(truth, fit, plan)
     gain, J = _gain(pair), np.asarray(jacobian(truth, plan))
@@ -99,7 +99,7 @@ def drawn_errors(
 def _drawn(
     amplitudes: Amplitudes, key: Array, index: Array, shape: tuple[int, ...]
 ) -> tuple[Float[Array, "draws k"], Float[Array, "draws n m"]]:
-    """Machines and noise as `vcal.model.simulate.draw` makes them."""
+    """Machines and noise as drawn by `vcal.model.simulate.draw`."""
 
     def one(i: Array) -> tuple[Array, Array]:
         machine, noise, _ = jax.random.split(jax.random.fold_in(key, i), 3)
@@ -109,7 +109,7 @@ def _drawn(
 
 
 def _gain(pair: Pair) -> Float[np.ndarray, "k r"]:
-    """The linear estimate of the truth's amplitudes from the readings; zero for what is not fitted.
+    """The linear estimate of the truth's amplitudes from the readings; zero where not fitted.
 
     Raises `ValueError` for priors that differ, and for effects that only the fit has.
     """
@@ -118,7 +118,7 @@ def _gain(pair: Pair) -> Float[np.ndarray, "k r"]:
         if effect.kind == "systematic" and effect.where == "machine" and effect.key not in true:
             raise ValueError(
                 f"fit: found {effect.key!r}, which the truth lacks, expected the effects of the "
-                "truth or fewer; give it to the truth, or compare by `monte_carlo`"
+                "truth or fewer; add it to the truth, or use `monte_carlo`"
             )
     known, fitted = fitted_places(pair), pair.fit.entries
     for entry, place in zip(pair.truth.entries, known, strict=True):
@@ -126,10 +126,10 @@ def _gain(pair: Pair) -> Float[np.ndarray, "k r"]:
         if place >= 0 and not np.isclose(p.step, fitted[place].parameter.step):
             raise ValueError(
                 f"{entry.key}, {p.name}: found different standard deviations in truth and fit, "
-                "expected the same prior where both know an amplitude"
+                "expected the same prior for an amplitude of both models"
             )
     gain = np.asarray(pair.batch.gain)
-    # The last row, which -1 reads, stands for what is not fitted.
+    # The last row, with index -1, stands for amplitudes that are not fitted.
     return np.concatenate([gain, np.zeros((1, gain.shape[1]))])[known]
 
 

@@ -1,7 +1,7 @@
-"""Mean, covariance and range of any number of draws, block after block.
+"""Mean, covariance and range of any number of draws, updated block by block.
 
-Blocks are merged by the update of Chan, Golub and LeVeque (1983), which keeps sums of deviations
-from the mean and so does not lose digits where the spread is small against the mean.
+Blocks are merged by the update of Chan, Golub and LeVeque (1983). It keeps sums of deviations from
+the mean, so that no digits are lost where the spread is small against the mean.
 """
 
 import numpy as np
@@ -11,23 +11,22 @@ from .quantile_counts import slices
 
 
 class Moments:
-    """Joint moments of k scalar outputs, in which a failed value takes no part.
+    """Joint moments of k scalar outputs, without failed values.
 
-    A value that is not finite is left out of everything its output enters: variances use the draws
-    in which the output is finite, covariances those in which both outputs are. As long as no draw
-    fails, or draws fail as a whole, that is the usual covariance matrix; where outputs fail in
-    different draws it need not be positive semi-definite.
+    Variances use the draws in which the output is finite, covariances the draws in which both
+    outputs are. Where no draw fails, or draws fail as a whole, the result is the usual covariance
+    matrix. Where outputs fail in different draws, it need not be positive semi-definite.
     """
 
     def __init__(self, size: int):
         self.count = np.zeros((size, size), np.int64)
         """Draws in which outputs i and j are both finite."""
         self.origin = np.full(size, np.nan)
-        """Mean of the first block, from which all values are counted: where the spread is small
-        against the value, that keeps its digits.
+        """Mean of the first block, the origin of all values, which preserves digits where the
+        spread is small against the value.
         """
         self.offset = np.zeros((size, size))
-        """[i, j]: mean of output i over those draws, less its origin."""
+        """[i, j]: mean of output i over those draws, minus its origin."""
         self.comoment = np.zeros((size, size))
         """Sum over those draws of the product of both deviations."""
         self.minimum = np.full(size, np.inf)
@@ -70,13 +69,13 @@ class Moments:
         return np.sqrt(np.diag(self.covariance))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All numbers, as `restored` takes them back."""
+        """The state as arrays, for `restored_moments`."""
         names = ("count", "origin", "offset", "comoment", "minimum", "maximum")
         return {name: getattr(self, name) for name in names}
 
 
 def restored_moments(arrays: dict[str, np.ndarray]) -> Moments:
-    """The moments these arrays were taken from."""
+    """The moments with the state in `arrays`."""
     found = Moments(len(arrays["minimum"]))
     for name, value in arrays.items():
         setattr(found, name, value)
@@ -115,13 +114,13 @@ class Spread:
         self.count = total
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All numbers, as `restored_spread` takes them back."""
+        """The state as arrays, for `restored_spread`."""
         names = ("mean", "squares", "minimum", "maximum")
         return {"count": np.array(self.count)} | {name: getattr(self, name) for name in names}
 
 
 def restored_spread(arrays: dict[str, np.ndarray]) -> Spread:
-    """The spread these arrays were taken from."""
+    """The spread with the state in `arrays`."""
     found = Spread(len(arrays["mean"]))
     found.count = int(arrays["count"])
     found.mean, found.squares = arrays["mean"], arrays["squares"]
@@ -132,7 +131,7 @@ def restored_spread(arrays: dict[str, np.ndarray]) -> Spread:
 def _block(
     values: Float[np.ndarray, "n k"], finite: Bool[np.ndarray, "n k"] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Count, mean and co-moment of every pair of outputs in a block; None: all are finite."""
+    """Count, mean and co-moment of every pair of outputs in a block; None if all are finite."""
     if finite is None:
         mean = values.mean(0)
         apart = values - mean
@@ -142,6 +141,8 @@ def _block(
     count = (weight.T @ weight).astype(np.int64)
     own = np.where(finite, values, 0.0).sum(0) / np.maximum(np.diag(count), 1)
     apart = np.where(finite, values - own, 0.0)
-    moved = apart.T @ weight / np.maximum(count, 1)  # from the own mean to that of the pair
+    moved = (
+        apart.T @ weight / np.maximum(count, 1)
+    )  # from the mean of the output to that of the pair
     comoment = apart.T @ apart - moved * moved.T * count
     return count, np.where(count > 0, own[:, None] + moved, 0.0), comoment

@@ -1,4 +1,4 @@
-"""What a Monte Carlo campaign gives per draw: scalar outputs, and fields."""
+"""Declarations of the results of one draw of a Monte Carlo campaign: scalar outputs and fields."""
 
 import itertools
 import math
@@ -13,16 +13,16 @@ from ..numerics.arrays import Array
 
 @dataclass(frozen=True)
 class Output:
-    """A scalar output, or an array of a few, each of whose elements is a scalar output.
+    """A scalar output, or a small array whose elements are scalar outputs.
 
-    Scalar outputs are described jointly: values draw by draw, covariance of all of them, coverage
+    Scalar outputs are described jointly: values of every draw, their covariance matrix, coverage
     intervals and regions.
     """
 
     name: str
     shape: tuple[int, ...] = ()
     names: tuple[str, ...] = ()
-    """Names of its scalars; without them, the output's name and the place in its array."""
+    """Names of its scalars; by default the name of the output and the index in its array."""
 
     def __post_init__(self) -> None:
         if self.names and len(self.names) != math.prod(self.shape):
@@ -46,8 +46,8 @@ class Output:
 class Field:
     """An array of any size per draw, described element by element.
 
-    Mean, variance and range of every element, and the quantiles asked for. No values are kept and
-    there is no covariance between elements.
+    Kept are mean, variance and range of every element, and the requested quantiles; neither single
+    values nor covariances between elements.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Field:
 
 
 def check_declared(outputs: Sequence[Output], fields: Sequence[Field]) -> None:
-    """Raises `ValueError` where nothing is declared or a name is declared twice."""
+    """Raise `ValueError` where nothing is declared or a name is declared twice."""
     names = [o.name for o in (*outputs, *fields)]
     if not names:
         raise ValueError("found no outputs and no fields, expected at least one")
@@ -87,7 +87,7 @@ def labels_of(outputs: Sequence[Output]) -> tuple[str, ...]:
 def check_names(
     values: Mapping[str, Array], outputs: Sequence[Output], fields: Sequence[Field]
 ) -> None:
-    """Raises `ValueError` unless the values are those of the declared outputs."""
+    """Raise `ValueError` unless the values are those of the declared outputs."""
     expected = {o.name for o in (*outputs, *fields)}
     if set(values) != expected:
         raise ValueError(
@@ -98,7 +98,7 @@ def check_names(
 def scalar_rows(
     values: Mapping[str, Array], outputs: Sequence[Output], count: int
 ) -> Float[np.ndarray, "count k"]:
-    """All scalar outputs of a block of draws, side by side in a matrix of their own.
+    """All scalar outputs of a block of draws as a matrix, one column each.
 
     Raises `ValueError` for an array of another shape or precision than declared.
     """
@@ -114,7 +114,7 @@ def scalar_rows(
 def field_rows(
     values: Mapping[str, Array], field: Field, count: int
 ) -> Float[np.ndarray, "count size"]:
-    """A field of a block of draws, one line per draw; raises as `scalar_rows` does."""
+    """A field of a block of draws, one row per draw; raises as `scalar_rows` does."""
     return _rows(field.name, field.shape, values, count)
 
 

@@ -1,8 +1,8 @@
-"""Compiled campaigns, for others whose models differ in numbers only.
+"""Compiled campaigns that are shared by models which differ in numbers only.
 
-Where everything but the draw is a constant, the compiler has most to work with, and compiles for
-seconds. A sweep over many designs has the same structure again and again: with the numbers as
-arguments it is compiled once per structure.
+A program in which everything but the draw is a constant runs fastest and compiles for seconds. A
+sweep over many designs repeats one structure. With the numbers as arguments, it is compiled once
+per structure.
 """
 
 import hashlib
@@ -19,14 +19,14 @@ from ..numerics.compiled import jit_outermost
 
 
 class Programs:
-    """Programs by the structure of what they take; those of equal structure are the same one."""
+    """Compiled programs by the structure of their content; equal structures share a program."""
 
     def __init__(self) -> None:
         self._kept: dict[Hashable, Callable[..., Any]] = {}
 
     @property
     def count(self) -> int:
-        """How many there are. Not a length, with which an empty one would be taken for none."""
+        """Number of programs. Not `__len__`, as an empty object would then be false."""
         return len(self._kept)
 
     def of(
@@ -38,9 +38,9 @@ class Programs:
     ) -> Callable[..., Any]:
         """`function(content, key, index)` compiled as a function of key and many indices.
 
-        `content` is any tree; its arrays are arguments of the program, all else - the effects in it
-        among that - has to be equal for two contents to share one. `name` stands for everything
-        that `function` depends on beside. `over(f)` makes a function of many indices of one of one.
+        `content` is any tree. Its arrays are arguments of the program. Everything else, including
+        the effects, has to be equal for two contents to share a program. `name` identifies all
+        other dependencies of `function`. `over(f)` turns a function of one index into one of many.
         """
         numbers, rest = eqx.partition(content, _is_number, is_leaf=_is_effect)
         numbers = jax.tree.map(jnp.asarray, numbers)
@@ -61,7 +61,7 @@ def _is_effect(leaf: Any) -> bool:
 
 
 def _is_number(leaf: Any) -> bool:
-    # An effect works with plain numbers: it is a constant, whatever arrays it holds.
+    # An effect computes with plain numbers, so that it is a constant even if it holds arrays.
     return not _is_effect(leaf) and isinstance(leaf, jax.Array | np.ndarray)
 
 

@@ -3,8 +3,9 @@
     z = (x - centre) / scale,    t = z / (1 + |z|),    bins of equal width in t over (-1, 1)
 
 The map covers the whole line, so that no value falls outside, and bins are narrowest about the
-centre: with a scale of two standard deviations and 2^16 bins a bin is 6e-5 standard deviations
-wide there and four times that at two standard deviations. Counts of draws add up in any order.
+centre: with a scale of two standard deviations and 2^16 bins, a bin is 6e-5 standard deviations
+wide there and four times that at two standard deviations. Counts are independent of the order of
+the draws.
 """
 
 from dataclasses import dataclass
@@ -17,15 +18,16 @@ from .intervals import Kind, interval_ranks
 Numbers = float | np.ndarray
 
 _CELLS = 2**25
-"""Counts kept altogether, 4 bytes each."""
+"""Total number of counts, 4 bytes each."""
 _FINEST, _COARSEST = 2**16, 2**6
 _ELEMENTS = 2**18
-"""Values handled at a time: bounds the memory for intermediate results, and stays in the cache."""
+"""Values processed at a time, which bounds the memory of intermediate results and fits the cache.
+"""
 
 
 @dataclass(frozen=True)
 class Sketch:
-    """Counts of the values of k quantities; frozen but for the counts, which `add` raises."""
+    """Counts of the values of k quantities in bins; immutable except for the counts."""
 
     centre: Float[np.ndarray, " k"]
     scale: Float[np.ndarray, " k"]
@@ -43,7 +45,7 @@ class Sketch:
             z = np.clip((x - self.centre[part]) / self.scale[part], -1e18, 1e18)
             finite = np.isfinite(x)
             t = np.where(finite, z / (1.0 + np.abs(z)), 0.0)
-            # Rounding may carry a value far out to t = 1.
+            # Rounding may map an extreme value to t = 1.
             bins = np.minimum(((t + 1.0) * (0.5 * self.bins)).astype(np.int64), self.bins - 1)
             cells = bins + np.arange(x.shape[1]) * self.bins
             np.add.at(self.counts[part].reshape(-1), cells[finite], np.uint32(1))
@@ -62,9 +64,9 @@ class Sketch:
         draws: int,
         probability: float,
     ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-        """A quantile of every quantity and the bounds of its errors, as `Column.quantile` has them.
+        """A quantile of every quantity with the bound of its error, as in `Column.quantile`.
 
-        `low` and `high` are the smallest and largest values of each; all have `draws` of them.
+        `low` and `high` are the smallest and largest values of each quantity, `draws` their number.
         """
         found = np.zeros((2, len(low)))
         for rank, weight in zip(*quantile_ranks(draws, probability), strict=True):
@@ -85,7 +87,7 @@ class Sketch:
 
 @dataclass(frozen=True)
 class Column:
-    """One quantity of a sketch: values by rank, spread evenly over their bin."""
+    """One quantity of a sketch: values by rank, distributed evenly over their bin."""
 
     edges: Float[np.ndarray, " bins+1"]
     total: Int[np.ndarray, " bins+1"]
@@ -93,7 +95,7 @@ class Column:
 
     @property
     def draws(self) -> int:
-        """Values counted."""
+        """Number of counted values."""
         return int(self.total[-1])
 
     def ranked(self, ranks: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -103,7 +105,7 @@ class Column:
         return np.where(ranks == 1, self.edges[0], np.where(last, self.edges[-1], inside))
 
     def bound(self, ranks: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """How far `ranked` may be from the value itself: to the farther edge of its bin."""
+        """Bound of the error of `ranked`: the distance to the farther edge of the bin."""
         known = (ranks == 1) | (ranks == self.draws)
         return np.where(known, 0.0, _within(*self._bins(ranks))[1])
 
@@ -115,9 +117,9 @@ class Column:
         return float(weights @ self.ranked(ranks)), float(weights @ self.bound(ranks))
 
     def interval(self, p: float, kind: Kind) -> tuple[tuple[float, float], float]:
-        """Coverage interval (JCGM 101, 7.7.2), and the larger bound of the error of its ends.
+        """Coverage interval (JCGM 101, 7.7.2), and the larger error bound of its ends.
 
-        The bound of a shortest interval holds for the ends of the ranks that were chosen.
+        For a shortest interval, the bound holds for the ends at the chosen ranks.
         """
         filled = np.flatnonzero(np.diff(self.total))
         knots = np.concatenate([self.total[filled] + 1, self.total[filled + 1]])
@@ -126,8 +128,8 @@ class Column:
         return (float(low), float(high)), float(self.bound(ranks).max())
 
     def _bins(self, ranks: Int[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lower and upper edge of the bin of each rank, and the place between them."""
-        # Rank r stands for the cumulative probability (r - 1/2)/M (JCGM 101, 7.5.1).
+        """Lower and upper edge of the bin of each rank, and the position between them."""
+        # Rank r has the cumulative probability (r - 1/2)/M (JCGM 101, 7.5.1).
         middle = ranks - 0.5
         at = np.searchsorted(self.total, middle) - 1
         share = (middle - self.total[at]) / (self.total[at + 1] - self.total[at])
@@ -135,11 +137,11 @@ class Column:
 
 
 def sketch_of(pilot: Float[np.ndarray, "n k"]) -> Sketch:
-    """An empty sketch laid out for values like those of a pilot.
+    """An empty sketch with bins for values like those of a pilot sample.
 
-    Centre: the median; scale: half the width of the central 95 %. Both are read off the order of
-    the values, so that a few wild ones do not widen the bins of all others. The fewer quantities
-    there are, the finer the bins: a power of two from 2^6 to 2^16.
+    The centre is the median, the scale half the width of the central 95 %. Both are order
+    statistics, so that a few extreme values do not widen the bins. The number of bins is a power of
+    two from 2^6 to 2^16; it is larger for fewer quantities.
     """
     size = pilot.shape[1]
     centre, scale = np.empty(size), np.empty(size)
@@ -165,7 +167,7 @@ def quantile_ranks(
 
 
 def slices(size: int, rows: int) -> list[slice]:
-    """Ranges of columns that are handled together, of arrays with `rows` rows."""
+    """Ranges of columns to process together, for arrays with `rows` rows."""
     step = max(1, _ELEMENTS // max(rows, 1))
     return [slice(start, min(start + step, size)) for start in range(0, size, step)]
 
@@ -180,7 +182,7 @@ def _layout(pilot: Float[np.ndarray, "n k"]) -> tuple[np.ndarray, np.ndarray]:
 
     low, centre, high = at(0.025), at(0.5), at(0.975)
     scale = 0.5 * (high - low)
-    # Values that are mostly the same have no such width; what is left tells how large they are.
+    # Values that are mostly equal have no such width; their size then sets the scale.
     for other in (0.5 * (at(1.0) - at(0.0)), np.abs(centre), np.ones_like(scale)):
         scale = np.where(scale > 0.0, scale, other)
     return np.where(count > 0, centre, 0.0), scale
@@ -194,8 +196,9 @@ def _edges(
     low: Numbers,
     high: Numbers,
 ) -> Float[np.ndarray, " n"]:
-    """Lower edges of bins, drawn in to the known range of the values; that of one more than the
-    last bin is the end of the last.
+    """Lower edges of bins, limited to the known range of the values.
+
+    The edge with the index after the last bin is the upper end of that bin.
     """
     t = 2.0 * number / bins - 1.0
     inner = np.abs(t) < 1.0
@@ -206,5 +209,5 @@ def _edges(
 def _within(
     low: Float[np.ndarray, " n"], high: Float[np.ndarray, " n"], share: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """A value inside a bin, and how far it may be from the true one: the farther edge."""
+    """A value inside a bin, and the bound of its error, the distance to the farther edge."""
     return low + (high - low) * share, (high - low) * np.maximum(share, 1.0 - share)

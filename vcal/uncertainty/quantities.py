@@ -1,4 +1,4 @@
-"""What a virtual calibration is judged by: quantities of a truth and of what was identified."""
+"""Quantities of a virtual calibration: functions of the true and of the identified parameters."""
 
 import abc
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ _MICRO = 1e-6
 
 
 class Pair(NamedTuple):
-    """A truth and the model that is fitted to its measurements, both ready for many draws."""
+    """A truth and the model fitted to its measurements, both prepared for many draws."""
 
     truth: Model
     fit: Model
@@ -33,7 +33,7 @@ class Pair(NamedTuple):
     batch: Batch
 
     def maps(self, plan: Plan) -> tuple[PortMap, PortMap]:
-        """Ports of the true and of the fitted machine on another plan; none of the instrument."""
+        """Port maps of the true and the fitted machine on another plan, without the instrument."""
         true = sorted({item.effect for item in self.simulator.shapes})
         found = sorted({*self.batch.fixed, *(i for i, *_ in self.batch.shapes)})
         return (
@@ -43,7 +43,7 @@ class Pair(NamedTuple):
 
 
 class State(NamedTuple):
-    """One draw as a quantity sees it."""
+    """One draw, as the argument of a quantity."""
 
     true: Float[Array, " k"]
     """True amplitudes in solver units."""
@@ -52,22 +52,22 @@ class State(NamedTuple):
     """Identified parameters in solver units."""
     found_shapes: Mapping[int, Mapping[str, Any]]
     readings: Float[Array, "n m"] | None = None
-    """What was measured, SI, for an evaluation beside the identification; None where a campaign is
-    linearised, which knows derivatives by the parameters alone.
+    """Readings, SI, for an evaluation in addition to the identification; None in a linearised
+    campaign, which has derivatives by the parameters only.
     """
 
 
 class Measure(eqx.Module):
-    """A quantity on a certain pair of models: a pure function of one draw."""
+    """A quantity of a given pair of models: a pure function of one draw."""
 
     @property
     @abc.abstractmethod
     def outputs(self) -> tuple[Output | Field, ...]:
-        """What it gives, by name."""
+        """Declarations of its outputs."""
 
     @abc.abstractmethod
     def __call__(self, state: State) -> dict[str, Array]:
-        """Its values, in um, urad or the parameters' own units."""
+        """Values by name, in um, urad or the units of the parameters."""
 
 
 class Quantity(abc.ABC):
@@ -75,14 +75,14 @@ class Quantity(abc.ABC):
 
     @abc.abstractmethod
     def measure(self, pair: Pair) -> Measure:
-        """The quantity on this pair of models."""
+        """The quantity for this pair of models."""
 
 
 # --- parameters ---
 
 
 class ParameterErrors(eqx.Module, Quantity):
-    """Identified less true value of every fitted amplitude; truth without it counts as zero."""
+    """Identified minus true value of every fitted amplitude; a missing true one counts as zero."""
 
     name: str = eqx.field(static=True, default="parameter")
 
@@ -119,7 +119,7 @@ class _ParameterErrors(Measure):
 
     def __call__(self, state: State) -> dict[str, Array]:
         found = state.found[: len(self.labels)]
-        # A place of -1 reads some parameter, which a step of zero then leaves out.
+        # An index of -1 reads an arbitrary parameter, which a scale of zero then removes.
         true = jnp.append(state.true, 0.0)[self.places] * self.steps
         return {self.name: self.offsets + self.scales * found - true}
 
@@ -128,10 +128,10 @@ class _ParameterErrors(Measure):
 
 
 class ErrorMotionErrors(eqx.Module, Quantity):
-    """What is left of every error motion after compensation: true less identified, per position.
+    """Remaining error motions after compensation: true minus identified, per position.
 
-    Along each axis in turn at `nodes` positions over its travel, with the other axes in the middle
-    of theirs; in um and urad, named as in ISO 230-1 (``"EXY at 0.25 m"``).
+    Positions are `nodes` points over the travel of each axis, with the other axes in the middle of
+    their travel. Values are in um and urad, with names as in ISO 230-1 (``"EXY at 0.25 m"``).
     """
 
     nodes: int = eqx.field(static=True, default=5)
@@ -185,12 +185,13 @@ def _at(values, row: int):
 
 
 class LineErrors(eqx.Module, Quantity):
-    """What is left, after compensation, of the squareness between linear axes and of the slopes of
-    their positioning errors: true less identified, urad and um/m.
+    """Remaining squareness errors and slopes of positioning errors after compensation: true minus
+    identified, urad and um/m.
 
-    Of the least-squares lines through the tool point's paths over the travel, the other axes in the
-    middle of theirs (`StraightLines`): ``"EC(0X)Y [urad]"``, ``"EXX slope [um/m]"``. Unlike
-    parameters, these depend neither on the frame nor on how slopes are shared out.
+    They are those of the least-squares lines through the paths of the tool point over the travel,
+    with the other axes in the middle of theirs (`StraightLines`): ``"EC(0X)Y [urad]"``,
+    ``"EXX slope [um/m]"``. Unlike parameters, they depend neither on the frame nor on the
+    distribution of slopes among parameters.
     """
 
     nodes: int = eqx.field(static=True, default=9)
@@ -233,11 +234,12 @@ class _LineErrors(Measure):
 class VolumetricErrors(eqx.Module, Quantity):
     """Volumetric error at check points before and after compensation, um.
 
-    d = true tool point less the one the fitted model predicts (before: less nominal). With `align`
-    the rigid motion that fits all points best is taken out, since an unknown station or artefact
-    pose cannot see it. Scalar outputs: mean, root mean square and largest |d| of a draw, before
-    and after. Fields: the components of d after compensation and |d| before and after, per point.
-    `points` is a plan with the covariates that the effects need.
+    d is the true tool point minus that of the fitted model (before: minus the nominal one). With
+    `align`, the best-fit rigid motion of all points is removed, as a measurement with an unknown
+    station or artefact pose contains no information about it. Scalar outputs are mean, root mean
+    square and largest |d| of a draw, before and after. Fields are the components of d after
+    compensation and |d| before and after, per point. `points` is a plan with the covariates that
+    the effects need.
     """
 
     points: Plan
@@ -262,7 +264,7 @@ class _VolumetricErrors(Measure):
     found: PortMap
     nominal: np.ndarray
     rigid: np.ndarray
-    """Orthonormal columns of rigid motions (3 n, r); none where they stay in."""
+    """Orthonormal columns of rigid motions (3 n, r); none without alignment."""
     quantiles: tuple[float, ...] = eqx.field(static=True)
 
     @property

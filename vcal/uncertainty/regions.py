@@ -1,4 +1,4 @@
-"""Coverage regions of several scalar outputs: JCGM 102, 7.7, and those of normal theory, 6.5."""
+"""Coverage regions of several scalar outputs: from draws, and for normal ones (JCGM 102)."""
 
 import math
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ class Ellipsoid:
     def axes(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
         """Half-lengths of the principal axes, longest first, and their directions as columns.
 
-        They have the units of the outputs, and a meaning where all outputs have the same.
+        They are meaningful for outputs that share a unit.
         """
         squares, directions = np.linalg.eigh(self.covariance)
         return self.factor * np.sqrt(squares[::-1]), directions[:, ::-1]
@@ -85,10 +85,9 @@ def coverage_ellipsoid(
 
     Centre and shape are mean and covariance of the draws; k_p is the distance
     d^2 = (y - centre)' V^-1 (y - centre) that a share p of the draws does not exceed, whatever
-    their distribution. Where not all values were kept, k_p is that of the draws kept.
+    their distribution. Where not all values were kept, k_p is that of the kept draws.
 
-    Raises `ValueError` for unknown outputs, too few draws, and outputs of which one follows from
-    the others.
+    Raises `ValueError` for unknown outputs, too few draws, and linearly dependent outputs.
     """
     labels, centre, covariance, draws = _joint(ensemble, outputs, p)
     factor = _share(_distance(draws - centre, covariance), p)
@@ -148,10 +147,10 @@ def normal_box(
 ) -> Box:
     """Rectangular coverage region of normal outputs (JCGM 102, 6.5.2 and 6.5.3).
 
-    Every side is a coverage interval for the probability q = p^(1/k). That is exact for outputs
-    that are not correlated, and on the safe side where they are (Sidak 1967, Journal of the
-    American Statistical Association 62, 626). With degrees of freedom `dof`, Student's t takes the
-    place of the normal distribution, which is on the safe side for all.
+    Every side is a coverage interval for the probability q = p^(1/k). This is exact for
+    uncorrelated outputs, and conservative for correlated ones (Sidak 1967, Journal of the American
+    Statistical Association 62, 626). With degrees of freedom `dof`, Student's t replaces the normal
+    distribution, which is conservative in any case.
     """
     check_coverage(p)
     tail = -0.5 * math.expm1(math.log(p) / len(estimate))  # (1 - q)/2
@@ -162,7 +161,7 @@ def normal_box(
 def _joint(
     ensemble: Ensemble, outputs: Sequence[str] | None, p: float
 ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
-    """Labels, mean, covariance and values of some outputs, in the draws where none failed."""
+    """Labels, mean, covariance and values of some outputs, for the draws without a failure."""
     check_coverage(p)
     labels = ensemble.labels if outputs is None else tuple(outputs)
     at = [ensemble.index(label) for label in labels]

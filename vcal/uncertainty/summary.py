@@ -1,7 +1,7 @@
-"""What is known of a Monte Carlo campaign after any number of draws, in memory that does not grow.
+"""The running summary of a Monte Carlo campaign, in memory that does not grow with the draws.
 
-Blocks are added in order, so that the numbers are the same however the draws were grouped, on
-which device they were computed and whether the campaign was broken off in between.
+Blocks are added in order, so that the numbers do not depend on the grouping of the draws, on the
+devices, or on interruptions of the campaign.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,14 +18,14 @@ from .outputs import Field, Output, check_names, field_rows, labels_of, scalar_r
 from .quantile_counts import Sketch, quantile_ranks, sketch_of
 
 _PILOT = 10_000
-"""Draws that lay out the bins of the scalar outputs."""
+"""Draws that define the bins of the scalar outputs."""
 _FIELD_PILOT = 256
 """The same for fields, whose values are not kept."""
 
 
 @dataclass(frozen=True)
 class Declared:
-    """What a campaign gives per draw and how that is summarised."""
+    """The results of a campaign per draw, and the settings of their summary."""
 
     outputs: tuple[Output, ...]
     fields: tuple[Field, ...]
@@ -34,7 +34,7 @@ class Declared:
     coverage: float
     kind: Kind
     keep: int
-    """Values of scalar outputs that are kept at most."""
+    """Largest number of kept values of scalar outputs."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -43,11 +43,11 @@ class Declared:
 
 
 class Summary:
-    """Everything known of the draws so far.
+    """The summary of the draws so far.
 
-    Values of scalar outputs are kept as long as there are at most `keep` of them altogether. When
-    the next block would pass that, all values kept so far enter a sketch, and from there on every
-    block does; which it is thus depends on the number of draws alone. The first draws stay.
+    Values of scalar outputs are kept as long as their total number is at most `keep`. When the next
+    block would exceed it, all kept values are counted in a sketch, and so is every further block.
+    The mode therefore depends on the number of draws alone. The values of the first draws stay.
     """
 
     def __init__(self, declared: Declared):
@@ -79,11 +79,11 @@ class Summary:
 
     @property
     def values(self) -> Float[np.ndarray, "m k"]:
-        """Values of the draws that are kept: of all, or of the first."""
+        """Values of the kept draws, all or the first ones."""
         return np.concatenate([np.empty((0, len(self.declared.labels))), *self.kept])
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All numbers but the values kept, as `restore` takes them back."""
+        """The state as arrays without the kept values, for `restore`."""
         found = {"draws": np.array(self.draws)}
         found |= _prefixed("moments", self.moments.arrays())
         found |= _prefixed("steps", self.steps.arrays())
@@ -94,7 +94,7 @@ class Summary:
         return found
 
     def restore(self, arrays: Mapping[str, np.ndarray], kept: Sequence[np.ndarray]) -> None:
-        """Go on from what `arrays` gave, and the values kept then."""
+        """Restore the state from `arrays` and the kept values."""
         self.draws = int(arrays["draws"])
         self.kept = list(kept)
         self.moments = restored_moments(_part(arrays, "moments"))
@@ -117,14 +117,14 @@ class Summary:
 
 
 class FieldSummary:
-    """Everything known of a field; a draw with an element that is not finite is left out."""
+    """The summary of a field; a draw with an element that is not finite is left out."""
 
     def __init__(self, field: Field):
         self.field = field
         self.failed = 0
         self.spread = Spread(field.size)
         self.pilot: list[np.ndarray] = []
-        """Values of the first draws, until there are enough to lay out the bins."""
+        """Values of the first draws, until there are enough to define the bins."""
         self.sketch: Sketch | None = None
 
     def add(self, values: Float[np.ndarray, "n size"]) -> None:
@@ -147,7 +147,7 @@ class FieldSummary:
             self.pilot = []
 
     def quantiles(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Per probability asked for: quantiles (size,), and bounds of their errors (size,)."""
+        """For every requested probability: quantiles (size,) and bounds of their errors (size,)."""
         count, size = self.spread.count, self.field.size
         if not count or not self.field.quantiles:
             return [(np.full(size, np.nan), np.full(size, np.nan)) for _ in self.field.quantiles]
@@ -161,7 +161,7 @@ class FieldSummary:
         return [self.sketch.quantiles(low, high, count, q) for q in self.field.quantiles]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All numbers, as `restore` takes them back."""
+        """The state as arrays, for `restore`."""
         pilot = np.concatenate([np.empty((0, self.field.size)), *self.pilot])
         found = {"failed": np.array(self.failed), "pilot": pilot}
         found |= _prefixed("spread", self.spread.arrays())
@@ -170,7 +170,7 @@ class FieldSummary:
         return found
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Go on from what `arrays` gave."""
+        """Restore the state from `arrays`."""
         self.failed, self.pilot = int(arrays["failed"]), [arrays["pilot"]]
         self.spread = restored_spread(_part(arrays, "spread"))
         sketch = _part(arrays, "sketch")

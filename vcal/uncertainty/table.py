@@ -4,25 +4,25 @@ import math
 from collections.abc import Sequence
 
 from .budget import Budget, Row
-from .compare import Comparison
+from .comparison import Comparison
 
 _NONE = "–"
 _MINUS = "−"
 _ROUNDING = 1e-9
-"""Contributions below this share of u are shown as zero: they are rounding errors of c."""
+"""Share of u below which a contribution is a rounding error of c and shown as zero."""
 
 
 def budget_table(budget: Budget, output: str | None = None) -> str:
     """The uncertainty budget of one output, and its result below (JCGM 100, 7.2.7 and H.1).
 
-    `output` may be left out where there is only one. Raises `ValueError` if there is none of that
-    name, or if there are several and none is named.
+    `output` is optional for a budget of one output. Raises `ValueError` for an unknown name, and
+    for several outputs without a name.
     """
     if output is None:
         if len(budget.labels) != 1:
             raise ValueError(
-                f"the budget has {len(budget.labels)} outputs, {budget.labels[0]!r} the first of "
-                "them; name the one to be shown"
+                f"the budget has {len(budget.labels)} outputs, {budget.labels[0]!r} is the first; "
+                "name the one to show"
             )
         output = budget.labels[0]
     i = budget.index(output)
@@ -97,7 +97,7 @@ def _rounded(value: float, u: float) -> tuple[str, str]:
 
 
 def _places(u: float) -> int | None:
-    """Decimal places that show two significant digits; none where it takes a power of ten."""
+    """Decimal places for two significant digits; None where a power of ten is needed."""
     if not math.isfinite(u) or u <= 0.0:
         return None
     exponent = int(f"{u:.1e}".partition("e")[2])

@@ -6,8 +6,9 @@ a, H, T the first, second and third derivatives with respect to z:
     E[y]   = f + 1/2 sum_i H_ii
     var(y) = sum_i a_i^2 + 1/2 sum_ij H_ij^2 + sum_i a_i sum_j T_ijj
 
-The series is that of JCGM 100, H.1.7 and the note to 5.1.2, in directions in which it also serves
-correlated inputs. It is complete to fourth order in the uncertainties where z is normal.
+The series is that of JCGM 100, H.1.7 and the note to 5.1.2, written for standardised uncorrelated
+directions, so that it covers correlated inputs. For normal z it is complete to fourth order in the
+uncertainties.
 """
 
 from collections.abc import Callable
@@ -23,15 +24,15 @@ from ..numerics.arrays import Array
 from ..numerics.compiled import filter_jit_outermost
 
 Vector = Callable[[Float[Array, " k"]], Float[Array, " m"]]
-"""All outputs in a row, of all inputs in a row."""
+"""A function from the vector of all inputs to the vector of all outputs."""
 
 
 @dataclass(frozen=True)
 class Taylor:
     """Derivatives of m outputs with respect to r standardised, uncorrelated inputs.
 
-    Inputs with a skewness s and an excess kurtosis e of their own, independent of all others, add
-    to cov(y, y'), with h_i = H_ii and t_i = T_iii,
+    An independent input with skewness s and excess kurtosis e adds to cov(y, y'), with h_i = H_ii
+    and t_i = T_iii,
 
         1/2 sum_i s_i (a_i h'_i + h_i a'_i) + 1/4 sum_i e_i h_i h'_i
         + 1/6 sum_i e_i (a_i t'_i + t_i a'_i)
@@ -39,7 +40,7 @@ class Taylor:
 
     a: Float[np.ndarray, "m r"] = field(repr=False)
     H: Float[np.ndarray, "m r r"] = field(repr=False)
-    """Without entries (m, 0, 0) where the series is cut after its first term."""
+    """Second derivatives; of shape (m, 0, 0) for a first-order series."""
     T: Float[np.ndarray, "m r"] = field(repr=False)
     """sum_j d3f / dz_i dz_j^2."""
     t: Float[np.ndarray, "m r"] = field(repr=False)
@@ -91,7 +92,7 @@ class Taylor:
 
 
 def first_order(a: Float[np.ndarray, "m r"]) -> Taylor:
-    """The series cut after its first term."""
+    """The first-order series."""
     m, r = a.shape
     none, nothing = np.zeros_like(a), np.zeros(r)
     return Taylor(a, np.zeros((m, 0, 0)), none, none, nothing, nothing)
@@ -134,7 +135,7 @@ def _second(function: Vector, x: Array, root: Array) -> tuple[Array, Array, Arra
         return along(lambda s: along(moved, s, direction), z, direction)
 
     zero, axes = jnp.zeros(root.shape[1]), jnp.eye(root.shape[1])
-    # The trace of the curvature first, then its derivative: r^2 passes where all of T takes r^3.
+    # Differentiating the trace of the curvature takes r^2 passes; all of T would take r^3.
     trace = lambda z: jax.vmap(partial(curvature, z))(axes).sum(0)  # noqa: E731
     own = jax.vmap(lambda axis: along(lambda s: curvature(s, axis), zero, axis))(axes)
     hessian = jax.jacfwd(jax.jacfwd(moved))(zero)

@@ -1,9 +1,9 @@
-"""What a measurement plan will achieve: a virtual calibration judged by GUM and Monte Carlo.
+"""The uncertainty that a plan will achieve: a virtual calibration by GUM and Monte Carlo.
 
-Machines are drawn from a truth, measured on the plan, identified and compensated; the Monte Carlo
-and the GUM through the same identification stand side by side. The sources behind the volumetric
-error that remains come from the GUM, where contributions add: with d(s) the root-mean-square
-displacement of the tool point from source s,
+Machines are drawn from a truth, measured on the plan, identified and compensated. Monte Carlo and
+the GUM are applied to the same identification and compared. The contributions to the remaining
+volumetric error come from the GUM, in which they add: with d(s) the root-mean-square displacement
+of the tool point from source s,
 
     rms^2 = sum over s of d(s)^2 + d(known)^2.
 """
@@ -29,7 +29,7 @@ from ..model.simulate import scattered, travels
 from ..numerics.arrays import Array
 from .adaptive import Precision
 from .campaign import Campaign, monte_carlo
-from .compare import Comparison, compare
+from .comparison import Comparison, compare
 from .ensemble import Ensemble, FieldResult
 from .linear import Linearised, linearised
 from .outputs import Field, Output
@@ -42,18 +42,18 @@ from .quantities import (
     State,
     VolumetricErrors,
 )
-from .stream import Progress
+from .streaming import Progress
 
 MOST = 1_000_000
-"""Draws after which an adaptive virtual calibration ends, stable or not."""
+"""Largest number of draws of an adaptive virtual calibration."""
 _NODES = 7
-"""Grid points along an axis at which the volumetric error is judged."""
+"""Grid points along an axis for the evaluation of the volumetric error."""
 _SCATTERED = 200
-"""Points where the axes are not X, Y and Z: random positions."""
+"""Number of random positions for machines with axes other than X, Y and Z."""
 _MOTIONS = (5, 9)
-"""Fewest and most positions along an axis at which error motions are judged."""
+"""Least and largest number of positions along an axis for the evaluation of error motions."""
 _NOTHING = 1e-6
-"""Volumetric error, um, that is rounding."""
+"""Volumetric error, um, below which it is a rounding error."""
 _BEFORE, _AFTER = "volumetric error before [um]", "volumetric error after [um]"
 _PARTS = "error components after [um]"
 
@@ -61,30 +61,28 @@ Origin = Literal["noise", "fitted", "not fitted"]
 Statistic = Literal["mean", "rms", "largest"]
 When = Literal["before", "after"]
 STATISTICS: tuple[Statistic, ...] = ("mean", "rms", "largest")
-"""Of the volumetric error over the points of one machine."""
+"""Statistics of the volumetric error over the points of one machine."""
 WHEN: tuple[When, ...] = ("before", "after")
 """Before and after calibration."""
 
 
 class Contribution(NamedTuple):
-    """What one source adds to the volumetric error after calibration."""
+    """The contribution of one source to the volumetric error after calibration."""
 
     source: str
     """Key of an effect, ``"noise of the reading"`` with the name of that reading, or a random
     effect and its parameter.
     """
     origin: Origin
-    """Noise; an effect that is fitted, with what the data leave of its prior; or one that is not
-    fitted, with all that it does.
-    """
+    """Noise, a fitted effect with its posterior uncertainty, or an effect that is not fitted."""
     rms: float
     """Root mean square over points and machines, um."""
     share: float
-    """Part of the mean square."""
+    """Share of the mean square."""
 
 
 class Motion(NamedTuple):
-    """One error motion along its axis: true less identified, in um or urad."""
+    """One error motion along its axis: true minus identified, in um or urad."""
 
     name: str
     """ISO 230-1 name, such as ``"EXY"``."""
@@ -113,37 +111,37 @@ class Scalar(NamedTuple):
 
 @dataclass(frozen=True)
 class VirtualCalibration:
-    """What a plan will achieve."""
+    """The results of a virtual calibration of a plan."""
 
     campaign: Campaign = field(repr=False)
     parameters: Comparison = field(repr=False)
-    """Identified less true value of every fitted amplitude: GUM against Monte Carlo."""
+    """Identified minus true value of every fitted amplitude: GUM against Monte Carlo."""
     entries: tuple[tuple[str, Parameter], ...] = field(repr=False)
     """(effect with placement, parameter) for every line of `parameters`."""
     motions: tuple[Motion, ...] = field(repr=False)
     motion_comparison: Comparison = field(repr=False)
     lines: Comparison = field(repr=False)
-    """Squareness and slopes of positioning errors, `LineErrors`; empty for an arm."""
+    """Squareness errors and slopes of positioning errors (`LineErrors`); empty for an arm."""
     lines_before: Float[np.ndarray, " n"] = field(repr=False)
-    """Standard deviations of the same before any measurement."""
+    """Standard deviations of `lines` before any measurement."""
     contributions: tuple[Contribution, ...]
     """Largest first."""
     known: float
-    """Rms displacement by what is known of the truth and not fitted, um; nothing draws it."""
+    """Rms displacement by known effects of the truth that are not fitted, um; it is not random."""
     points: Plan = field(repr=False)
-    """Where the volumetric error is judged."""
+    """Points at which the volumetric error is evaluated."""
     nodes: tuple[np.ndarray, ...]
-    """Grid along X, Y and Z (m), of which the points are the product in this order; none where they
-    are scattered.
+    """Grid along X, Y and Z (m), whose product in this order gives the points; empty for random
+    points.
     """
     directions: int
-    """Directions in the parameters that have a prior."""
+    """Number of directions in the space of the parameters with a prior."""
     determined: int
-    """Of these, those which the plan determines to better than half their prior variance."""
+    """Number of these that the plan determines to better than half their prior variance."""
     unseen: tuple[str, ...]
-    """Combinations about which it says next to nothing, in words."""
+    """Combinations of parameters about which the plan contains almost no information, in words."""
     hardly: tuple[str, ...]
-    """Parameters of which it says hardly anything."""
+    """Parameters about which the plan contains hardly any information."""
     coverage: float
 
     @property
@@ -158,18 +156,18 @@ class VirtualCalibration:
 
     @property
     def rms_monte_carlo(self) -> float:
-        """The same by Monte Carlo."""
+        """Root mean square of the volumetric error over points and machines by Monte Carlo, um."""
         found = self.volumetric("rms", "after")
         return float(np.hypot(found.mean, found.u))
 
     @property
     def faultless(self) -> bool:
-        """Whether no machine has an error before calibration: none is declared."""
+        """Whether no machine has an error before calibration, as none is declared."""
         return max(self.volumetric("largest", "before")) < _NOTHING
 
     @property
     def improved(self) -> float:
-        """Share of the machines whose rms volumetric error got smaller."""
+        """Share of the machines whose rms volumetric error decreased."""
         at = [self.ensemble.index(_label("rms", when)) for when in WHEN]
         before, after = self.ensemble.values[:, at].T
         good = np.isfinite(before) & np.isfinite(after)
@@ -183,9 +181,7 @@ class VirtualCalibration:
         return Scalar(float(self.ensemble.mean[i]), float(self.ensemble.u[i]), low, high)
 
     def bounds(self, when: When) -> Float[np.ndarray, " n"]:
-        """Volumetric error per point that a machine exceeds with a probability of 1 - coverage,
-        um.
-        """
+        """Volumetric error per point, um, that a machine exceeds with probability 1 - coverage."""
         return self._field(when).quantiles[self.coverage]
 
     def _field(self, when: When) -> FieldResult:
@@ -208,16 +204,16 @@ def virtual_calibration(
     progress: Progress = lambda done, total: None,
     step: Callable[[str], None] = lambda text: None,
 ) -> VirtualCalibration:
-    """Which uncertainty a plan gives, before measuring: machines drawn from `truth`, `fit` fitted.
+    """The uncertainty of a plan before measuring, with machines from `truth` and the model `fit`.
 
-    The volumetric error is judged after rigid alignment on a grid over the travel (other machines
-    than X, Y and Z: at random positions), each point under the conditions of a row of the plan
-    picked at random and from a random direction. Clause 8 of JCGM 101 is judged with `digits`
-    significant digits of u; it needs two sub-blocks of 10 000 draws, below which every verdict is
-    undecided.
+    The volumetric error is evaluated after rigid alignment on a grid over the travel, or at random
+    positions for machines with axes other than X, Y and Z. Each point has the conditions of a
+    random row of the plan and a random direction of approach. The validation by clause 8 of JCGM
+    101 uses `digits` significant digits of u. It needs two sub-blocks of 10 000 draws; with fewer,
+    every verdict is undecided.
 
-    `step` is told what is going on. The other arguments are those of `monte_carlo`, and so are the
-    errors raised; `ValueError` also where truth and fit have two effects of one key in the truth.
+    `step` is called with the name of every step. The other arguments and the errors raised are
+    those of `monte_carlo`; `ValueError` is also raised for a truth with two effects of one key.
     """
     check_keys(truth)
     points, nodes = judged_points(truth.chain, plan)
@@ -276,18 +272,20 @@ def virtual_calibration(
 
 
 def check_keys(truth: Model) -> None:
-    """Raises `ValueError` where two effects of a truth have the same name and placement."""
+    """Raise `ValueError` where two effects of a truth have the same name and placement."""
     keys = [e.key for e in (*truth.effects, *truth.random)]
     twice = [key for key in dict.fromkeys(keys) if keys.count(key) > 1]
     if twice:
         raise ValueError(
             f"the truth: found two effects {twice[0]!r}, expected at most one of a name and "
-            "placement; leave out the one that is declared already"
+            "placement; remove the one that is declared already"
         )
 
 
 def judged_points(chain: Chain, plan: Plan) -> tuple[Plan, tuple[np.ndarray, ...]]:
-    """Where the volumetric error is judged, and the grid along X, Y and Z if it is one."""
+    """The points for the volumetric error, and their grid along X, Y and Z; empty for random
+    points.
+    """
     if set(chain.axes) != set("XYZ"):
         return scattered(chain, plan, jax.random.key(0), _SCATTERED), ()
     some = scattered(chain, plan, jax.random.key(0), _NODES**3)
@@ -310,11 +308,11 @@ def _label(statistic: str, when: str) -> str:
     return f"{statistic} volumetric error {when} [um]"
 
 
-# --- what is only asked of the GUM ---
+# --- measures for the GUM only ---
 
 
 class _Uncompensated(Measure):
-    """A measure before calibration: nothing was identified."""
+    """A measure before calibration, with all identified parameters at zero."""
 
     inner: Measure
 
@@ -369,7 +367,7 @@ def _contributions(
 def _motions(
     chain: Chain, plan: Plan, count: int, comparison: Comparison, inputs: Linearised
 ) -> tuple[Motion, ...]:
-    """The outputs of `ErrorMotionErrors`, axis by axis and position by position, put in order."""
+    """The outputs of `ErrorMotionErrors`, ordered by axis and position."""
     prior = dict(zip(inputs.budget.labels, inputs.budget.u, strict=True))
     travel = travels(chain, plan)
     found = []
@@ -397,7 +395,7 @@ def _motions(
 
 
 class _Known(NamedTuple):
-    """What `null_directions` looks at in a fit, for a plan that has not been measured."""
+    """The attributes of a fit that `null_directions` uses, for a plan without readings."""
 
     entries: tuple[tuple[str, Parameter], ...]
     precision: np.ndarray
@@ -405,7 +403,9 @@ class _Known(NamedTuple):
 
 
 def _learnt(pair: Pair) -> tuple[Learnt, tuple[str, ...]]:
-    """How much of the parameter space the plan determines, and what it does not see, in words."""
+    """The part of the parameter space that the plan determines, and the unobserved directions in
+    words.
+    """
     batch, names = pair.batch, entries(pair.fit)
     root = np.asarray(batch.root_precision)
     found = Learnt.of(names, root, np.asarray(batch.inverse))

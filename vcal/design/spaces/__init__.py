@@ -7,5 +7,5 @@ __all__ = ["SPACES", "ball_array", "laser_tracker", "reflectors", "settings_of",
 
 
 def settings_of(kind: str) -> type[DesignSettings]:
-    """The ``[design]`` table of an instrument; the common keys where it has no space."""
+    """The class of the ``[design]`` table of an instrument; the common keys without a space."""
     return SPACES[kind].Settings if kind in SPACES else DesignSettings

@@ -1,9 +1,9 @@
-"""Artefacts and poses as numbers within bounds: what a search moves.
+"""Artefacts and poses as numbers within bounds, for a search.
 
-A pose is a turn of its nominal orientation, and where in the room that the travel leaves the
-turned artefact it stands, as a share of that room: balls are inside the travel by construction.
-Balls along the artefact are gaps of at least the spacing that add up to its length; across it they
-lie within limits.
+A pose is a rotation from its nominal orientation, and a position as a share of the room that the
+travel leaves for the rotated artefact, so that balls are inside the travel by construction. Balls
+along the artefact are represented by gaps of at least the spacing that add up to its length; across
+it they lie within limits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,62 +22,63 @@ from .ball_information import ArrayPoses
 _SIDES = "XYZ"
 _TINY = 1e-18
 _SMOOTH_M = 2e-3
-"""Balls keep about this distance from the ends of the travel, and more where many are near it."""
+"""Approximate distance of balls from the ends of the travel, larger where many balls are near."""
 
 
 class Candidate(NamedTuple):
-    """An artefact in its poses, and by how much it does not fit."""
+    """An artefact in its poses, with the amount by which it exceeds the travel."""
 
     poses: ArrayPoses
     excess: Float[Array, ""]
-    """Root sum of squares, over poses and axes, of how much longer than the travel the turned
-    artefact is, m.
+    """Root sum of squares, over poses and axes, of the length by which the rotated artefact exceeds
+    the travel, m.
     """
     crowding: Float[Array, ""]
-    """The same of the room that is missing where some is to be left clear, in units of that. A
-    search that feels the end of the travel before it is there does not stop at it.
+    """Root sum of squares of the missing clearance, in units of `ArraySpace.clear`. A search that
+    is penalised before the end of the travel does not stop there.
     """
 
     @property
     def penalty(self) -> Float[Array, ""]:
-        """By which factor a criterion is to count more."""
+        """Factor on a criterion."""
         return 1.0 + 0.1 * self.crowding**2
 
 
 @dataclass(frozen=True)
 class ArraySpace:
-    """What may vary about a nominal artefact and its nominal poses; lengths in m."""
+    """The variations of a nominal artefact and its nominal poses; lengths in m."""
 
     nominal: ArrayPoses
     travel: Mapping[str, tuple[float, float]]
-    """Positions of X, Y, Z that may be used; the tool's offset is taken into account."""
+    """Allowed positions of X, Y and Z; the tool offset is taken into account."""
     poses: bool = True
     """Whether orientations and places vary."""
     across: tuple[float, float] = (0.0, 0.0)
-    """How far balls may lie from the artefact's axis, in y and z of its frame; zero: as they are.
+    """Largest distance of balls from the axis of the artefact, in y and z of its frame; zero keeps
+    the nominal balls.
     """
     along: bool = False
-    """Whether the places of the balls along the artefact vary, its length staying."""
+    """Whether the positions of the balls along the artefact vary, at a fixed length."""
     spacing: float = 0.05
-    """Least distance of neighbours along the artefact."""
+    """Least distance of neighbouring balls along the artefact."""
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Tool of the chain, from the last axis."""
     styli: tuple[tuple[int, ...], ...] = ()
-    """For every touch (m, N), which stylus of a star makes it; given where their directions vary
-    about those of `nominal.tool`.
+    """The stylus of a star for every touch (m, N), where the directions of the styli vary about
+    those of `nominal.tool`.
     """
     reach: float = 0.0
-    """How far the tip of a stylus may be from its nominal place, in every direction."""
+    """Largest distance of a stylus tip from its nominal position, in every direction."""
     clear: float = 0.02
-    """Room that the travel should leave the turned artefact (`Candidate.crowding`)."""
+    """Desired clearance between the rotated artefact and the travel (`Candidate.crowding`)."""
 
     def __post_init__(self):
         x = np.asarray(self.nominal.balls)[:, 0]
         if len(x) > 1 and (np.diff(x) < self.spacing - 1e-9).any():
             raise ValueError(
                 f"nominal balls: found neighbours {1e3 * np.diff(x).min():.4g} mm apart along the "
-                f"artefact, expected at least {1e3 * self.spacing:.4g} mm in rising order; space "
-                "them, or ask for less"
+                f"artefact, expected at least {1e3 * self.spacing:.4g} mm in ascending order; move "
+                "them apart, or reduce the spacing"
             )
 
     @property
@@ -112,8 +113,8 @@ class ArraySpace:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def scattered(self, key: Array, turn: float = 0.3, share: float = 0.2) -> np.ndarray:
-        """A start near the nominal design: orientations turned by about `turn` (rad), everything
-        else moved by about `share` of its range.
+        """A random start near the nominal design: orientations rotated by about `turn` (rad), all
+        other numbers moved by about `share` of their range.
         """
         drawn = np.array(jax.random.normal(key, (len(self.start),)))
         scale = np.full(len(drawn), share)
@@ -123,8 +124,9 @@ class ArraySpace:
         return np.clip(self.start + scale * drawn, self.low, self.high)
 
     def candidate(self, z: Float[Array, " d"], nominal: ArrayPoses | None = None) -> Candidate:
-        """The design that some numbers stand for, about another `nominal` one of the same size if
-        that is given: it may be traced, so that searches about many designs are one program.
+        """The design of a vector z, about another `nominal` design of the same size if given.
+
+        It may be traced, so that searches about many designs share one program.
         """
         nominal = self.nominal if nominal is None else nominal
         m, n = nominal.rotation.shape[0], nominal.balls.shape[0]
@@ -161,16 +163,16 @@ class ArraySpace:
 
     @property
     def _styli(self) -> int:
-        """Styli whose directions vary."""
+        """Number of styli with variable directions."""
         return 1 + max((i for row in self.styli for i in row), default=-1) if self.reach else 0
 
     def _room(self, turned: Array, balls: Array, tool: Array | None) -> tuple[Array, Array]:
-        """Lowest origin (m, 3) with all balls inside, and how far it may move from there."""
+        """Lowest origin (m, 3) with all balls inside, and the range of its movement."""
         placed = jnp.einsum("mij,nj->mni", turned, balls)
         reached = placed - (jnp.asarray(self.tool) if tool is None else tool)
         low, high = (jnp.array([self.travel[c][i] for c in _SIDES]) for i in (0, 1))
-        # Smooth bounds of the outermost balls, a little outside of them: the gradient then has no
-        # kinks where another ball becomes the outermost.
+        # Smooth bounds slightly outside the outermost balls: the gradient has no kink where another
+        # ball becomes the outermost one.
         lowest = -_SMOOTH_M * jax.nn.logsumexp(-reached / _SMOOTH_M, axis=1)
         highest = _SMOOTH_M * jax.nn.logsumexp(reached / _SMOOTH_M, axis=1)
         first = low - lowest
@@ -196,6 +198,6 @@ class ArraySpace:
 
 
 def spread(space: ArraySpace, key: Array, count: int) -> Sequence[np.ndarray]:
-    """The nominal design and `count` - 1 starts around it."""
+    """The nominal design and `count` - 1 random starts around it."""
     keys = jax.random.split(key, max(count - 1, 1))
     return [space.start, *(space.scattered(k) for k in keys[: count - 1])]

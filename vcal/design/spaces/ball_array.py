@@ -1,4 +1,4 @@
-"""Ball arrays: poses of the artefact, and places of its balls."""
+"""The space of ball arrays: poses of the artefact, and positions of its balls."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -30,12 +30,13 @@ from .ball_information import (
 )
 
 _OF_SHAPE = ("along_beam", "tilt")
-"""Covariates that hang on the direction of the artefact's long axis."""
+"""Covariates that depend on the direction of the artefact's long axis."""
 _EXACT_M = 1e-9
-"""Nearer to the nominal balls than this no machine touches: such positions were planned."""
+"""Distance from the nominal balls, m, below which positions are planned, as no machine is so exact.
+"""
 
 _DIGITS_MM = 1e-6
-"""What a table of ten digits may lose."""
+"""Rounding error of a table with ten digits."""
 
 _Limit = Annotated[float, Field(ge=0)]
 
@@ -44,13 +45,14 @@ class BallArrayDesign(DesignSettings):
     """Keys of ``[design]`` for ``kind = "ball_array"``."""
 
     poses: bool = True
-    """Whether orientations and places of the artefact vary."""
+    """Whether orientations and positions of the artefact vary."""
     across_mm: tuple[_Limit, _Limit] = (0.0, 0.0)
-    """How far balls may lie from the artefact's axis, in two directions; zero: as they are."""
+    """Largest distance of balls from the axis of the artefact, in two directions; zero keeps the
+    present balls."""
     along: bool = False
-    """Whether the places of the balls along the artefact vary, its length staying."""
+    """Whether the positions of the balls along the artefact vary, at a fixed length."""
     spacing_mm: float = Field(default=50.0, gt=0)
-    """Least distance of neighbours along the artefact, where they vary."""
+    """Least distance of neighbouring balls along the artefact, where they vary."""
     seconds_per_pose: float = Field(default=300.0, ge=0)
     """Time to set the artefact up in a pose."""
     seconds_per_ball: float = Field(default=20.0, ge=0)
@@ -58,7 +60,7 @@ class BallArrayDesign(DesignSettings):
 
 
 class Placed(NamedTuple):
-    """An artefact in its poses, in the frame of its certificate, under conditions."""
+    """An artefact in its poses, in the frame of its certificate, with conditions."""
 
     poses: ArrayPoses
     covariates: Mapping[str, Float[Array, "m N"]]
@@ -67,7 +69,7 @@ class Placed(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """The artefact's own frame, x along it: b = centre + turn b_own."""
+    """The artefact's own frame with x along it: b = centre + turn b_own."""
 
     turn: np.ndarray
     centre: np.ndarray
@@ -86,7 +88,7 @@ class _Frame(NamedTuple):
 @register
 @dataclass(frozen=True)
 class BallArraySpace(PlanSpace):
-    """Poses by turn and place (`ArraySpace`), balls across and along the artefact."""
+    """Rotations and positions of the poses (`ArraySpace`), balls across and along the artefact."""
 
     kind = "ball_array"
     Settings = BallArrayDesign
@@ -99,16 +101,16 @@ class BallArraySpace(PlanSpace):
     space: ArraySpace
     frame: _Frame
     numbers: tuple[int, ...]
-    """Of the balls, along the artefact."""
+    """Numbers of the balls, ordered along the artefact."""
     pose_numbers: tuple[int, ...]
     known: Mapping[str, np.ndarray]
     """Recorded covariates (m, N)."""
     touched: np.ndarray
-    """Which balls are touched in which pose (m, N)."""
+    """Whether each ball is touched in each pose (m, N)."""
     row: np.ndarray
     """Row of the study's plan of every touch (m, N); -1 where there is none."""
     nominal_poses: ArrayPoses
-    """As declared, in the frame of the certificate."""
+    """Declared poses, in the frame of the certificate."""
     found: np.ndarray
     """Positions in the study's plan (rows, axes), m."""
     varied: tuple[Varied, ...] = ()
@@ -265,7 +267,7 @@ class BallArraySpace(PlanSpace):
             seen = seen._replace(balls=seen.balls[:, :, :0])
         both = without_poses(seen)
         weighed = both * weights[:, None, None]
-        # One product of tall matrices, and not one per pose.
+        # One product of tall matrices instead of one per pose.
         return weighed.reshape(-1, both.shape[-1]).T @ both.reshape(-1, both.shape[-1])
 
     @property
@@ -287,7 +289,7 @@ class BallArraySpace(PlanSpace):
 
     def plan(self, placed: Placed) -> Plan:
         position = np.asarray(placed.poses.position(self.chain))[:, :, _inverse_order(self.chain)]
-        # Rows in the order of the study; further ones along the artefact.
+        # Rows in the order of the study; further rows along the artefact.
         poses, balls = np.nonzero(self.touched)
         order = np.argsort(self.row[poses, balls], kind="stable")
         poses, balls = poses[order], balls[order]
@@ -306,7 +308,7 @@ class BallArraySpace(PlanSpace):
         return float(len(self.groups) * s.seconds_per_pose + touching + moving)
 
     def artefact(self, placed: Placed) -> Mapping[str, np.ndarray]:
-        # As the certificate lists them.
+        # In the order of the certificate.
         order = [self.numbers.index(int(ball)) for ball in self.device.numbers]
         balls = np.asarray(placed.poses.balls)[order] * 1e3
         return {
@@ -323,7 +325,7 @@ def _own_frame(device: BallArray) -> tuple[_Frame, np.ndarray]:
     beam, _ = device.beam()
     longest = int(np.argmax(np.abs(beam)))
     turn = np.roll(np.eye(3), longest, axis=0)
-    # The middle of the sides, so that balls designed within limits are within them ever after.
+    # The middle of the sides, so that a designed artefact stays within its limits in a new design.
     centre = 0.5 * (device.centres.min(0) + device.centres.max(0))
     return _Frame(turn, centre), np.argsort((device.centres - centre) @ turn[:, 0], kind="stable")
 
@@ -385,22 +387,23 @@ def _check_artefact(
             if set(effect.needs) & set(_OF_SHAPE):
                 raise subject.refusal(
                     "along" if settings.along else "across_mm",
-                    f"balls that move, and the declared effect {effect.key!r}, which hangs on the "
-                    "line of the artefact",
+                    f"balls that move, and the declared effect {effect.key!r}, which depends on "
+                    "the line of the artefact",
                     "one of them",
-                    "leave the balls as they are (across_mm = [0, 0], along = false), or leave "
-                    "the effect out",
+                    "keep the balls (across_mm = [0, 0], along = false), or remove the effect",
                 )
 
 
 def _filled(values: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """A covariate of every touch; balls that are not touched have that of the pose's first."""
+    """A covariate of every touch; balls that are not touched have the value of the first touch of
+    the pose.
+    """
     first = row.max(1, keepdims=True)
     return values[np.where(row >= 0, row, first)]
 
 
 def _order(chain: Chain) -> list[int]:
-    """Places of X, Y and Z among the axes."""
+    """Indices of X, Y and Z among the axes."""
     return [chain.axes.index(axis) for axis in "XYZ"]
 
 
@@ -409,7 +412,7 @@ def _inverse_order(chain: Chain) -> list[int]:
 
 
 def _turn_vectors(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation vectors (m, 3), evenly over all orientations, from normal numbers (m, 4)."""
+    """Rotation vectors (m, 3), uniform over all orientations, from normal numbers (m, 4)."""
     unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     unit = unit * np.where(unit[:, :1] < 0.0, -1.0, 1.0)
     half = np.arccos(np.clip(unit[:, :1], -1.0, 1.0))

@@ -1,17 +1,17 @@
-"""Artefacts of balls: what their poses and their shape leave uncertain of a machine.
+"""Information of ball artefacts: the effect of poses and shape on the uncertainty of a machine.
 
-A touch shows where the tool point is against the ball. Of a pose k with readings r_k
+A touch measures the tool point relative to the ball. For a pose k with readings r_k
 
     r_k = J_k theta + A_k p_k + B_k e (+ probing),        p_k flat, e ~ (0, K^-1)
 
 theta are the amplitudes of the machine, p_k the unknown pose and e the errors of the calibrated
-ball centres, either the same in all poses (*shared*: one artefact) or *fresh* in every one (heat,
-handling). Poses are eliminated one by one, then the ball errors, so that the cost grows with the
-number of poses and not with its cube. Everything can be differentiated by balls and poses.
+ball centres, either *shared* by all poses (one artefact) or *fresh* in every pose (heat, handling).
+Poses are eliminated one by one, then the ball errors, so that the cost grows linearly with the
+number of poses and not with its cube. Everything is differentiable by balls and poses.
 
-How well the artefact is known is said by its centres (`balls_precision`), or by the distances of
-all pairs of balls (`pairs_precision`), which says nothing of its place, and across the line of a
-straight artefact nothing of its shape.
+The calibration of the artefact is given by its centres (`balls_precision`), or by the distances of
+all pairs of balls (`pairs_precision`). The latter contain no information about the position of the
+artefact and, for a straight artefact, about its shape across its line.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,9 +32,9 @@ from ...numerics.arrays import Array
 from ...numerics.spatial import skew
 
 LOOSE_M = 1e-3
-"""Standard deviation of a ball centre where nothing else is known of it."""
+"""Standard deviation of a ball centre without any other knowledge."""
 _OPEN = 1e-10
-"""Information of a pose in one direction, of the largest, that counts as none."""
+"""Share of the largest information of a pose below which a direction counts as unobserved."""
 
 DERIVED = (
     *(f"gravity_{c}" for c in "xyz"),
@@ -52,9 +52,9 @@ class ArrayPoses(eqx.Module):
     """Ball centres in the artefact's frame."""
     rotation: Float[Array, "m 3 3"]
     origin: Float[Array, "m 3"]
-    """Where the artefact's frame is in that of the workpiece."""
+    """Origin of the artefact's frame in the workpiece frame."""
     tool: Float[Array, "m N 3"] | None = None
-    """Tool of every touch, from the last axis; without it, the chain's."""
+    """Tool of every touch, from the last axis; that of the chain by default."""
 
     @property
     def centres(self) -> Float[Array, "m N 3"]:
@@ -78,7 +78,7 @@ class Touches(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """Under which conditions the touches are made, and what their poses and balls are called."""
+    """The conditions of the touches, and the numbers of their poses and balls."""
 
     pose: tuple[int, ...]
     ball: tuple[int, ...]
@@ -87,7 +87,7 @@ class Conditions(NamedTuple):
 
     @classmethod
     def none(cls, poses: ArrayPoses) -> "Conditions":
-        """Nothing is known of them; poses and balls are counted from zero."""
+        """No conditions; poses and balls are counted from zero."""
         m, n = poses.rotation.shape[0], poses.balls.shape[0]
         return cls(tuple(range(m)), tuple(range(n)), {})
 
@@ -95,9 +95,10 @@ class Conditions(NamedTuple):
 def derived(
     poses: ArrayPoses, beam: Float[np.ndarray, "3"], up: Sequence[float]
 ) -> dict[str, Float[Array, "m N"]]:
-    """Covariates that follow from the poses and the artefact: gravity, against which `up` is in the
-    frame of the machine, and places of the balls in its frame, and places along the `beam`, the
-    direction of its long axis.
+    """Covariates that follow from the poses and the artefact.
+
+    These are the direction of gravity, opposite to `up` in the machine frame, the positions of the
+    balls in the artefact's frame, and the positions along `beam`, the direction of its long axis.
     """
     m, n = poses.rotation.shape[0], poses.balls.shape[0]
     down = -jnp.einsum("i,mij->mj", jnp.asarray(up), poses.rotation)
@@ -112,11 +113,11 @@ def derived(
 
 
 def touches(model: Model, poses: ArrayPoses, conditions: Conditions | None = None) -> Touches:
-    """Exact derivatives at the nominal machine, of tool point less ball centre.
+    """Exact derivatives of tool point minus ball centre at the nominal machine.
 
-    `model` gives the chain and the effects, of the machine and of the artefact; its instrument is
-    asked for its ports only. The axes of the chain have to be X, Y and Z in any order. Raises
-    `KeyError` for an effect that needs a covariate which the `conditions` do not hold.
+    `model` provides the chain and the effects of machine and artefact; of its instrument only the
+    ports are used. The axes of the chain have to be X, Y and Z in any order. Raises `KeyError` for
+    an effect with a covariate that the `conditions` lack.
     """
     return _touched(model, poses, conditions or Conditions.none(poses))[0]
 
@@ -124,8 +125,8 @@ def touches(model: Model, poses: ArrayPoses, conditions: Conditions | None = Non
 def probed(
     model: Model, poses: ArrayPoses, probe_m: float, conditions: Conditions | None = None
 ) -> Touches:
-    """`touches` in standard deviations of a touch, random effects included: the covariance of a
-    touch is probe^2 I and what the random effects of the model add to it.
+    """`touches` in standard deviations of a touch, including random effects: the covariance of a
+    touch is probe^2 I plus that of the random effects of the model.
     """
     seen, scatter = _touched(model, poses, conditions or Conditions.none(poses))
     if not model.random:
@@ -139,14 +140,14 @@ def probed(
 
 
 def without_poses(whitened: Touches) -> Float[Array, "m n k+n"]:
-    """Derivatives by the amplitudes and then by the balls, less what unknown poses can follow.
+    """Derivatives by the amplitudes, then by the balls, with the unknown poses projected out.
 
-    Balls on a line leave the turn about it open, whatever the frame: nothing follows that, so that
+    Balls on a line leave the rotation about it undetermined in any frame. It moves no ball, so that
     nothing is projected out for it.
     """
     J, A, B = whitened
-    # Metres and radians of a pose are made alike before they are projected out, in every direction
-    # by as much: what is open does not depend on the frame.
+    # Metres and radians of a pose are scaled alike in all directions before the projection, so that
+    # the undetermined direction does not depend on the frame.
     square = (A**2).sum(1).reshape(-1, 2, 3).sum(-1)
     A = A / jnp.sqrt(jnp.repeat(jnp.where(square > 0.0, square, 1.0), 3, axis=1))[:, None]
     both = jnp.concatenate([J, B], -1)
@@ -157,7 +158,7 @@ def without_poses(whitened: Touches) -> Float[Array, "m n k+n"]:
 def _touched(
     model: Model, poses: ArrayPoses, conditions: Conditions
 ) -> tuple[Touches, Float[Array, "rows 3 r"]]:
-    """`touches`, and what one standard deviation of every random effect does to each touch."""
+    """`touches`, and the change of each touch by one standard deviation of every random effect."""
     m, n = poses.rotation.shape[0], poses.balls.shape[0]
     chain, layout = model.chain, model.layout
     place = jnp.asarray(poses.position(chain)).reshape(m * n, 3)
@@ -199,9 +200,9 @@ def array_curvature(
 ) -> Float[Array, "k k"]:
     """H of the machine's amplitudes: poses and ball errors eliminated.
 
-    `probe_m` is the standard deviation of a touch in every direction, `known` the precision K of
-    the ball errors (1/m^2), `fresh` whether they are drawn anew in every pose, `often` how often
-    the artefact is put up in each pose (once): zero leaves a pose out.
+    `probe_m` is the standard deviation of a touch in every direction, m; `known` the precision K of
+    the ball errors, 1/m^2; `fresh` whether every pose has its own ball errors; `often` the number
+    of set-ups in each pose (one by default), where zero leaves a pose out.
     """
     own, known = precision(model), loosened(known)
     both = without_poses(Touches(*(part / probe_m for part in seen)))
@@ -213,18 +214,18 @@ def array_curvature(
 
 
 class PoseInformation(NamedTuple):
-    """What every pose of an artefact says by itself, its own unknown place eliminated: matrices to
-    choose poses by. The information of a set of poses is the sum of theirs, and the prior.
+    """The information of every single pose of an artefact, with its unknown pose eliminated.
 
-    The last of the `c` unknowns are the errors of the ball centres, in mm, where all poses share
-    them; the first are the machine's amplitudes in solver units.
+    The information of a set of poses is the sum of their matrices and the prior. The first of the
+    `c` unknowns are the machine's amplitudes in solver units; the last are the errors of the ball
+    centres, in mm, where all poses share them.
     """
 
     information: Float[Array, "m c c"]
     precision: Float[Array, "c c"]
 
     def padded(self, gram: Float[Array, "k k"]) -> Float[Array, "c c"]:
-        """A quadratic form of the amplitudes, with zeros for what does not count."""
+        """A quadratic form of the amplitudes, extended by zeros for the ball errors."""
         more = self.precision.shape[0] - gram.shape[0]
         return jnp.pad(jnp.asarray(gram), (0, more))
 
@@ -239,8 +240,8 @@ def pose_information(
 ) -> PoseInformation:
     """Information of every pose; arguments as those of `array_curvature`.
 
-    Ball errors that are fresh in every pose are eliminated with it. Those of one artefact stay: to
-    eliminate them would tie the poses together.
+    Ball errors that are fresh in every pose are eliminated with it. Shared ones stay, as their
+    elimination would couple the poses.
     """
     own, known = jnp.asarray(precision(model)), loosened(known)
     both = without_poses(Touches(*(part / probe_m for part in seen)))
@@ -254,14 +255,14 @@ def pose_information(
 def _each_without_balls(
     both: Float[Array, "m n c"], own: Float[Array, "k k"], known: Float[Array, "n n"]
 ) -> Float[Array, "m k k"]:
-    """Information of every pose, its own ball errors eliminated."""
+    """Information of every pose, with its own ball errors eliminated."""
     each = both.swapaxes(1, 2) @ both
     return jax.vmap(lambda joint: eliminated(joint, jnp.zeros_like(own), known))(each)
 
 
 def loosened(known: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """A precision of ball errors with what is known of every ball in any case: its place to about
-    a millimetre.
+    """A precision of ball errors with the minimal knowledge that every ball is within about a
+    millimetre of its position.
     """
     return known + jnp.eye(known.shape[0]) / LOOSE_M**2
 
@@ -272,8 +273,9 @@ def balls_precision(count: int, u_m: float) -> Float[Array, "n n"]:
 
 
 def pairs_precision(balls: Float[Array, "N 3"], u_m: float) -> Float[Array, "n n"]:
-    """K where the distance of every pair is known, with independent standard uncertainties `u_m`:
-    sum over pairs of w w' / u^2, w the direction of the pair at one ball, less at the other.
+    """K of calibrated distances of all pairs, with independent standard uncertainties `u_m`:
+    sum over pairs of w w' / u^2, with w the direction of the pair at one ball and its negative at
+    the other.
     """
     n = balls.shape[0]
     apart = balls[:, None] - balls[None]

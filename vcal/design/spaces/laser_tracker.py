@@ -1,4 +1,4 @@
-"""Laser tracker: where its points are, and where it stands."""
+"""The space of a laser tracker: its points, and the position of its station."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,18 +18,18 @@ from ..plan_space import Subject, register
 from .points import Placed, PointsDesign, PointSpace, check_bounds
 
 _ANGLES = 13
-"""Of a rotary axis, at which the work space is looked at."""
+"""Angles of a rotary axis at which the work space is evaluated."""
 
 
 class TrackerDesign(PointsDesign):
     """Keys of ``[design]`` for ``kind = "laser_tracker"``."""
 
     station: bool = False
-    """Whether the tracker may stand elsewhere, within the bounds below."""
+    """Whether the station may move within the bounds below."""
     station_low_mm: tuple[float, float, float] | None = None
-    """Lowest place of the station in the workpiece frame."""
+    """Lowest coordinates of the station in the workpiece frame."""
     station_high_mm: tuple[float, float, float] | None = None
-    """Highest place of the station."""
+    """Highest coordinates of the station in the workpiece frame."""
 
     @model_validator(mode="after")
     def _bounded(self) -> Self:
@@ -41,11 +41,10 @@ class TrackerDesign(PointsDesign):
 @register
 @dataclass(frozen=True)
 class TrackerSpace(PointSpace):
-    """A laser tracker: points within the travel, also of rotary axes, and the place of the station,
-    which turns with the table where that turns.
+    """Points within the travel, including rotary axes, and the position of the station.
 
-    A tracker does not come nearer to a point than its data may say, a millimetre; how it is turned
-    stays, as no uncertainty depends on it.
+    The station rotates with a rotary table. Its distance from a point is at least the smallest
+    range in its data, a millimetre. Its orientation is fixed, as no uncertainty depends on it.
     """
 
     kind = "laser_tracker"
@@ -83,9 +82,9 @@ class TrackerSpace(PointSpace):
         if ((room[:, 0] < high) & (room[:, 1] > low)).all():
             raise subject.refusal(
                 "station_low_mm",
-                "a room for the station that reaches into the work space",
-                "one beside it, where no point of the tool gets",
-                "move one of its bounds",
+                "bounds of the station that reach into the work space",
+                "bounds outside it, where the tool does not get",
+                "move one of the bounds",
             )
         return place, room
 
@@ -99,8 +98,9 @@ class TrackerSpace(PointSpace):
 
 
 def work_space(chain: Chain) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Lowest and highest coordinates of the nominal tool point in the frame of the workpiece, m, at
-    the ends of the travel of linear axes and at some angles of the others.
+    """Lowest and highest coordinates of the nominal tool point in the workpiece frame, m.
+
+    They are evaluated at the ends of the travel of linear axes and at some angles of the others.
     """
     ends = [
         np.linspace(*np.asarray(joint.travel).tolist(), num=_ANGLES if joint.turns else 2)

@@ -1,4 +1,4 @@
-"""What instruments have in common whose rows are points that may be placed freely."""
+"""The common space of instruments whose rows are freely placed points."""
 
 import abc
 import dataclasses
@@ -21,11 +21,11 @@ from ...numerics.arrays import Array
 from ..plan_space import DesignSettings, PlanSpace, Subject, Varied, path_m
 
 _SHARE = 0.15
-"""How far a start is scattered, as a share of the travel."""
+"""Scatter of a random start as a share of the travel."""
 
 
 class PointsDesign(DesignSettings):
-    """Keys of ``[design]`` that all instruments of free points have."""
+    """Keys of ``[design]`` shared by all instruments with free points."""
 
     points: bool = True
     """Whether the points may be anywhere within the travel."""
@@ -34,7 +34,7 @@ class PointsDesign(DesignSettings):
 
 
 class Placed(NamedTuple):
-    """Points under conditions, and where the instrument stands (empty where it does not matter)."""
+    """Points with conditions, and the position of the instrument (empty where irrelevant)."""
 
     position: Float[Array, "n axes"]
     covariates: Mapping[str, Float[Array, " n"]]
@@ -43,7 +43,7 @@ class Placed(NamedTuple):
 
 @dataclass(frozen=True)
 class PointSpace(PlanSpace):
-    """Positions within the travel of every axis; subclasses say what follows from a position."""
+    """Positions within the travel of every axis; subclasses define what follows from a position."""
 
     group = "point"
 
@@ -52,18 +52,18 @@ class PointSpace(PlanSpace):
     settings: Any
     position: np.ndarray
     known: Mapping[str, np.ndarray]
-    """Recorded covariates (n,), those that follow from the positions left out."""
+    """Recorded covariates (n,), without those that follow from the positions."""
     index: Mapping[str, np.ndarray]
     """Group indices of the rows."""
     numbering: tuple[int, ...]
     place: np.ndarray
-    """Where the instrument stands, m; empty where it does not matter."""
+    """Position of the instrument, m; empty where irrelevant."""
     room: np.ndarray
-    """Bounds (s, 2) of where it may stand; none where it stays."""
+    """Bounds (s, 2) of its position; empty for a fixed instrument."""
     varied: tuple[Varied, ...] = ()
     anywhere: bool = False
 
-    # --- what a leaf says -----------------------------------------------------------------------
+    # --- definitions of a subclass --------------------------------------------------------------
     @classmethod
     @abc.abstractmethod
     def follows(cls, chain: Chain) -> tuple[str, ...]:
@@ -71,31 +71,31 @@ class PointSpace(PlanSpace):
 
     @abc.abstractmethod
     def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
-        """Their values; may be traced."""
+        """Values of the covariates that follow from the positions; may be traced."""
 
     @abc.abstractmethod
     def standing(self, station: Float[Array, " s"]) -> TableInstrument:
-        """The instrument at some place; may be traced."""
+        """The instrument at a position; may be traced."""
 
     @property
     def chosen(self) -> tuple[int, ...]:
-        """Columns of the positions that a point chooses; all by default, the others follow."""
+        """Columns of the positions that a point chooses freely; all by default."""
         return tuple(range(len(self.chain.axes)))
 
     def reached(
         self, position: Float[Array, "n axes"], station: Float[Array, " s"]
     ) -> Float[Array, "n axes"]:
-        """Positions with the columns that follow from those that were chosen; may be traced."""
+        """Positions with the columns that follow from the chosen ones; may be traced."""
         del station
         return position
 
     @classmethod
     def stands(cls, subject: Subject, settings: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Where the instrument stands, and bounds of where it may stand."""
+        """Position of the instrument, and the bounds of its position."""
         del subject, settings
         return np.zeros(0), np.zeros((0, 2))
 
-    # --- where it begins ------------------------------------------------------------------------
+    # --- construction ---------------------------------------------------------------------------
     @classmethod
     def of(cls, subject: Subject, model: Model, settings: Any) -> Self:
         chain, plan = subject.chain, subject.plan
@@ -143,7 +143,7 @@ class PointSpace(PlanSpace):
 
     @property
     def taken(self) -> bool:
-        return True  # the readings themselves tell
+        return True  # measured plans are recognised by their readings
 
     # --- numbers within bounds: shares of the travel and of the room, then conditions -------------
     @property
@@ -172,7 +172,7 @@ class PointSpace(PlanSpace):
         drawn = np.array(jax.random.normal(key, (len(width),)))
         return np.clip(self.start + _SHARE * width * drawn, self.low, self.high)
 
-    # --- what a point stands for ----------------------------------------------------------------
+    # --- the placed measurement -----------------------------------------------------------------
     @property
     def nominal(self) -> Placed:
         return Placed(self.position, self.known, self.place)  # type: ignore[arg-type]
@@ -206,7 +206,7 @@ class PointSpace(PlanSpace):
                 covariates[v.name] = np.where(up, v.high, v.low)
         return placed._replace(covariates=covariates)
 
-    # --- what it tells --------------------------------------------------------------------------
+    # --- information ----------------------------------------------------------------------------
     @property
     def groups(self) -> tuple[int, ...]:
         return self.numbering
@@ -228,7 +228,7 @@ class PointSpace(PlanSpace):
         effects = self.device.effects(self._plan(self.nominal))
         return np.diag([float(p.informed) for e in effects for p in e.amplitudes])
 
-    # --- edges ----------------------------------------------------------------------------------
+    # --- output ---------------------------------------------------------------------------------
     def instrument(self, placed: Placed) -> TableInstrument:
         return self.standing(np.asarray(placed.station))  # type: ignore[arg-type]
 
@@ -239,7 +239,7 @@ class PointSpace(PlanSpace):
 
     def seconds(self, placed: Placed) -> float:
         s, position = self.settings, np.asarray(placed.position)
-        # Turning takes no time of its own, but where nothing else moves: an arm.
+        # Rotary axes move during linear travel; only an arm needs time for its rotations.
         linear = [i for i, joint in enumerate(self.chain.joints) if not joint.turns]
         way = path_m(position[:, linear] if linear else position) * s.seconds_per_metre
         return float(len(self.numbering) * s.seconds_per_point + way)
@@ -264,8 +264,9 @@ class PointSpace(PlanSpace):
 def check_bounds(
     key: str, name: str, low: Sequence[float] | None, high: Sequence[float] | None
 ) -> None:
-    """Raise `ValueError` where bounds of a place, mm, are missing or the wrong way round; `key`
-    asks for them, `name` is what they are called by.
+    """Raise `ValueError` where bounds of a position, mm, are missing or exchanged.
+
+    `key` is the key that requires them, `name` the start of their own keys.
     """
     if low is None or high is None:
         raise ValueError(
@@ -281,6 +282,6 @@ def check_bounds(
 
 
 def _numbers(index: Mapping[str, np.ndarray], name: str, rows: int) -> tuple[int, ...]:
-    """The data's own numbers of the points where they differ, else counted from zero."""
+    """The numbers of the points in the data where they differ; otherwise counted from zero."""
     own = index.get(name, np.arange(rows))
     return tuple(own.tolist()) if len(np.unique(own)) == rows else tuple(range(rows))

@@ -1,4 +1,4 @@
-"""Reflectors on an arm: which poses it takes."""
+"""The space of reflectors on an arm: its poses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from .points import Placed, PointsDesign, PointSpace
 @register
 @dataclass(frozen=True)
 class ReflectorSpace(PointSpace):
-    """Reflectors on an arm: joint angles within their bounds, as commanded or as read back.
+    """Joint angles of an arm within their bounds, as commanded or as read back.
 
     Directions and sizes of the moves into a pose follow from the order of the poses.
     """

@@ -1,4 +1,4 @@
-"""Static R-test: at which angles of the rotary axes the sphere is seen, and where it stands."""
+"""The space of a static R-test: angles of the rotary axes, and positions of the sphere."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -20,22 +20,22 @@ from ..plan_space import Subject, Varied, register
 from .points import Placed, PointsDesign, PointSpace, check_bounds
 
 _CLEAR = 0.01
-"""Share of a linear axis's travel that a search leaves clear at its ends."""
+"""Share of the travel of a linear axis that a search keeps clear at its ends."""
 _WEIGHT = 0.1
-"""By what a search counts a plan worse, of which one axis is at the end of its travel."""
+"""Penalty of a plan with one axis at the end of its travel."""
 
 
 class StaticRTestDesign(PointsDesign):
     """Keys of ``[design]`` for ``kind = "static_r_test"``; its points are angles."""
 
     places: bool = False
-    """Whether the sphere, or the probes on the table, may stand elsewhere in every run, within the
-    bounds below.
+    """Whether the position of the sphere, or of the probes on the table, varies in every run,
+    within the bounds below.
     """
     place_low_mm: tuple[float, float, float] | None = None
-    """Lowest place in the frame of the workpiece."""
+    """Lowest coordinates of the position in the workpiece frame."""
     place_high_mm: tuple[float, float, float] | None = None
-    """Highest place."""
+    """Highest coordinates of the position in the workpiece frame."""
 
     @model_validator(mode="after")
     def _bounded(self) -> Self:
@@ -47,23 +47,23 @@ class StaticRTestDesign(PointsDesign):
 @register
 @dataclass(frozen=True)
 class StaticRTestSpace(PointSpace):
-    """Angles of the rotary axes within their travel, and places on the table within bounds.
+    """Angles of the rotary axes within their travel, and positions on the table within bounds.
 
-    The linear axes follow what is on the table (`followed`), by which a row stays as far from the
-    place of its run as it is in the plan. They may need more travel than there is: `excess` says by
-    how much, and `penalty` keeps a search away from that. Directions of travel and other conditions
-    of a row stay.
+    The linear axes follow the object on the table (`followed`), so that a row keeps its distance
+    from the position of its run. They may exceed their travel: `excess` is the amount, and
+    `penalty` keeps a search away from it. Directions of travel and other conditions of a row are
+    fixed.
     """
 
     kind = "static_r_test"
     Settings = StaticRTestDesign
     rotary = True
     lacking = (
-        "linear axes that get to the sphere; bring its places nearer to the rotary axes, by the "
+        "linear axes that reach the sphere; move its positions closer to the rotary axes, in the "
         "plan or by design.place_low_mm and design.place_high_mm"
     )
 
-    # --- where it begins ------------------------------------------------------------------------
+    # --- construction ---------------------------------------------------------------------------
     @classmethod
     def of(cls, subject: Subject, model: Model, settings: StaticRTestDesign) -> Self:
         chain = subject.chain
@@ -87,21 +87,21 @@ class StaticRTestSpace(PointSpace):
         return places.ravel(), np.tile(np.column_stack([low, high]) * 1e-3, (len(places), 1))
 
     def following(self, count: int, varied: Sequence[Varied]) -> Self:
-        # On the sphere as it stands since the last run.
+        # The sphere stays at its position of the last run.
         space = super().following(count, varied)
         point = self.place.reshape(-1, 3)[space.runs]
         return dataclasses.replace(
             space, position=np.asarray(followed(self.chain, space.position, point))
         )
 
-    # --- what a point stands for ----------------------------------------------------------------
+    # --- the placed measurement -----------------------------------------------------------------
     @property
     def chosen(self) -> tuple[int, ...]:
         return tuple(i for i, joint in enumerate(self.chain.joints) if joint.turns)
 
     @property
     def runs(self) -> np.ndarray:
-        """Place of every row's run among those of the instrument (n,)."""
+        """Index of the run of every row among those of the instrument (n,)."""
         return np.searchsorted(self.device.runs, self.index["run"])
 
     def reached(
@@ -122,7 +122,7 @@ class StaticRTestSpace(PointSpace):
         del placed
         return {}
 
-    # --- whether the linear axes get there ------------------------------------------------------
+    # --- travel of the linear axes --------------------------------------------------------------
     def excess(self, placed: Placed) -> Float[Array, ""]:
         return self._beyond(placed).max()
 
@@ -131,7 +131,7 @@ class StaticRTestSpace(PointSpace):
         return 1.0 + _WEIGHT * ((self._beyond(placed, clear) / clear) ** 2).sum()
 
     def _beyond(self, placed: Placed, clear: Any = 0.0) -> Float[Array, "n f"]:
-        """By how much the axes that follow stand out of their travel less what is left clear, m."""
+        """Distance by which the following axes exceed their travel minus the clearance, m."""
         low, high = self.chain.travel[self._following].T
         x = jnp.asarray(placed.position)[:, self._following]
         return jnp.maximum(jnp.maximum(low + clear - x, x - high + clear), 0.0)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...design.optimise import Designed, Seen, Task, Value, valuation
+from ...design.optimiser import Designed, Seen, Task, Value, valuation
 from ...study.study import Study
 from ..html import text
 from ..html.picture import Picture, Shown, by_section

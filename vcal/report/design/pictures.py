@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...design.optimise import Designed, Task, Value
+from ...design.optimiser import Designed, Task, Value
 from ...plots.designs import (
     Angles,
     Places,

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from ...design.optimise import Designed, Seen, Value, valuation
+from ...design.optimiser import Designed, Seen, Value, valuation
 from ...study.study import Study
 from ..html.provenance import plain, provenance_record
 from ..html.text import number, unit

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...design.optimise import Designed, Seen
+from ...design.optimiser import Designed, Seen
 from ...study.design.written_plan import ARTEFACT, PLAN, SETUP, write_designed
 from ...study.study import Study
 from ..html.folder import Contents, ReportFolder

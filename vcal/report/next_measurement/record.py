@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...design.next_measurement import Candidate, NextMeasurement
-from ...design.optimise import valuation
+from ...design.optimiser import valuation
 from ...design.separation import ALPHA, Lambda
 from ...instruments.conditions import file_name
 from ...study.design.written_plan import plan_table

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...study.study import Study
-from ...uncertainty.compare import Comparison
+from ...uncertainty.comparison import Comparison
 from ...uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
 from ..html import text
 from ..html.picture import Picture, Shown, by_section

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...study.study import Study
-from ...uncertainty.compare import Comparison
+from ...uncertainty.comparison import Comparison
 from ...uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
 from ..html.provenance import plain, provenance_record
 from ..html.text import number, percent

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from ...dynamics.evaluate import even_ellipse
+from ...dynamics.ellipse_evaluation import even_ellipse
 from ...plots.panels import Panel, bars, mark, panels
 from ...plots.style import AFTER, BEFORE, DOTS, INK, MARK, NOMINAL
 from ...report import Table, Tile

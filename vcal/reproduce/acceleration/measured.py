@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...dynamics.closed_loop import ClosedLoop, run_circle
-from ...dynamics.evaluate import Evaluated, evaluate
+from ...dynamics.ellipse_evaluation import Evaluated, evaluate
 from ...dynamics.setpoints import SetCircle
 from ...effects.acceleration import AccelerationCrosstalk
 from ...identification.identify import identify

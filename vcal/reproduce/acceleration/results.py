@@ -9,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...dynamics.assemble import assemble
 from ...dynamics.bodies import Machine
-from ...dynamics.campaign import Campaign, Noise, campaign
 from ...dynamics.circles import measured_phasors
 from ...dynamics.closed_loop import ClosedLoop, check_stable, controlled
-from ...dynamics.compliance import compliance
 from ...dynamics.control import Controller
-from ...dynamics.evaluate import Evaluated
+from ...dynamics.ellipse_evaluation import Evaluated
 from ...dynamics.identify import Identified, identify_machine, task
-from ...dynamics.modes import modes
+from ...dynamics.modal_analysis import modes
+from ...dynamics.monte_carlo import Campaign, Noise, campaign
+from ...dynamics.quasi_static import compliance
 from ...dynamics.setpoints import circle_set
+from ...dynamics.structure import assemble
 from ...dynamics.unknowns import SpringFactor, applied
 from ...numerics.arrays import Array
 from .measured import MATRIX_U, Joint, RTestRun, both_ways, fit_matrix, measure

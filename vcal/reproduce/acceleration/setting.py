@@ -7,11 +7,11 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from ...dynamics.assemble import assemble
 from ...dynamics.bodies import Machine
-from ...dynamics.compliance import compliance
 from ...dynamics.control import Controller
+from ...dynamics.quasi_static import compliance
 from ...dynamics.setpoints import Limits, Profile, SetCircle, positioning
+from ...dynamics.structure import assemble
 from ...dynamics.unknowns import (
     CentreShift,
     DampingFactor,

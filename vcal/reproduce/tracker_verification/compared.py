@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.integrate import quad
 
-from ...uncertainty.compare import Comparison, compare
+from ...uncertainty.comparison import Comparison, compare
 from .trials import Trials, component_labels, length_labels
 
 _PER_POINT = 3

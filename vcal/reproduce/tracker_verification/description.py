@@ -12,7 +12,7 @@ from ...plots.panels import Mark, Panel, bars, mark, panels
 from ...plots.style import AFTER, BEFORE, DOTS, FIELD, INK, MARK, NOMINAL
 from ...report import Table, Tile
 from ...report.html.text import number, percent
-from ...uncertainty.compare import Comparison
+from ...uncertainty.comparison import Comparison
 from ..document import Page, Row, picked, table
 from ..registry import Reproduction
 from .compared import Rung

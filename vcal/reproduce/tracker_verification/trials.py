@@ -32,7 +32,7 @@ from ...uncertainty.ensemble import Ensemble
 from ...uncertainty.linear import Linearised, linearised
 from ...uncertainty.outputs import Field, Output
 from ...uncertainty.quantities import ErrorMotionErrors, Measure, Pair, State
-from ...uncertainty.stream import stream
+from ...uncertainty.streaming import stream
 from .setting import Family, Setting, truth_and_fit
 
 _MICRO = 1e-6

@@ -1,1 +1,1 @@
-"""The table `[design]` of a study: its task, the plan it writes, effects to tell apart."""
+"""The table ``[design]`` of a study: its design task, the written plan, two effects to separate."""

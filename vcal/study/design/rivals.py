@@ -1,4 +1,4 @@
-"""Two effects that a measurement is to tell apart: as a user or the loop names them."""
+"""The two effects that a further measurement is to separate, named by a user or by the loop."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ...design.optimise import Task
+from ...design.optimiser import Task
 from ...design.plan_space import joint_information
 from ...design.separation import Rival, Separation
 from ...effects.base import Effect, Setup
@@ -18,20 +18,20 @@ from ..study import Study
 
 
 class Wanted(NamedTuple):
-    """Two effects to tell apart, and the declared effects that are one of them."""
+    """Two effects to separate, and how the declared model changes for that."""
 
     rivals: tuple[Rival, Rival]
     declared: tuple[Effect, ...]
-    """To be left out of the declared model."""
+    """Declared effects that equal one of the rivals, to be left out of the model."""
     others: tuple[Effect, ...] = ()
-    """Found by the loop beside them: to be added to the declared model."""
+    """Further effects found by the loop, to be added to the model."""
 
 
 def parse_rivals(texts: Sequence[str], study: Study) -> Wanted:
-    """From two texts such as ``backlash:Y`` or ``scale_growth:Y:alpha_um_per_m_K=8``; without a
-    value an effect has the size of its prior.
+    """The rivals in two texts such as ``backlash:Y`` or ``scale_growth:Y:alpha_um_per_m_K=8``.
 
-    Raises `StudyError` for another number than two, and as `parse_with` does.
+    An effect without a value has the size of its prior. Raises `StudyError` for a number of texts
+    other than two, for an effect that is not systematic, and as `parse_with` does.
     """
     if len(texts) != 2:
         raise StudyError(
@@ -45,7 +45,7 @@ def parse_rivals(texts: Sequence[str], study: Study) -> Wanted:
             rivals.append(Rival.of(parse_with(text, study.catalogue, place, files)))
         except StudyError as error:
             raise StudyError(str(error).replace(f"--with {text}", f"--separate {text}")) from error
-        except ValueError as error:  # a random effect has no amplitude that could be fitted
+        except ValueError as error:  # a random effect has no amplitude to fit
             raise StudyError(f"--separate {text}: {error}") from error
         if rivals[-1].effect.kind != "systematic":
             raise StudyError(
@@ -56,23 +56,23 @@ def parse_rivals(texts: Sequence[str], study: Study) -> Wanted:
 
 
 def rivals_of(closure: Closure, study: Study, task: Task) -> Wanted | None:
-    """The effect that the loop named without certainty last, with its most probable rival; None
-    where there is no doubt.
+    """The last effect that the loop found with status ``ambiguous``, and its most probable rival.
 
-    The effect has the size that was estimated, its rival that of its prior. Where several effects
-    have the rival's name and place, it is the one that is hardest to tell from the first.
+    None where no effect is ambiguous. The effect has its estimated size, the rival the size of its
+    prior. Where several effects share the rival's name and placement, the one that is hardest to
+    separate from the first effect is taken.
     """
-    doubtful = [found for found in closure.effects if found.status == "ambiguous"]
-    if not doubtful:
+    ambiguous = [found for found in closure.effects if found.status == "ambiguous"]
+    if not ambiguous:
         return None
-    found = doubtful[-1]
+    found = ambiguous[-1]
     first = Rival.of(_estimated(found))
     others = tuple(_estimated(f) for f in closure.effects if f is not found)
     names = [f"{name} {place}".strip() for name, place, _ in found.alternatives]
     for key in (*names, *found.equivalent):
         options = _instances(key, study)
         if options:
-            best = min(options, key=lambda rival: _told(task, first, rival))
+            best = min(options, key=lambda rival: _smaller_lambda(task, first, rival))
             return Wanted((first, best), _declared(study, [first, best]), others)
     return None
 
@@ -83,7 +83,7 @@ def _estimated(found: FoundEffect) -> Effect:
 
 
 def _instances(key: str, study: Study) -> list[Rival]:
-    """Effects of that name and place without a free shape."""
+    """The rivals of a name and placement that have no free shape."""
     setup, found = _setup(study), []
     for cls in study.catalogue.values():
         if cls.kind != "systematic":
@@ -94,8 +94,10 @@ def _instances(key: str, study: Study) -> list[Rival]:
     return found
 
 
-def _told(task: Task, first: Rival, second: Rival) -> float:
-    """Smaller lambda of two rivals by the data as they are."""
+def _smaller_lambda(task: Task, first: Rival, second: Rival) -> float:
+    """The smaller noncentrality of two rivals on the present data; infinite where they are not
+    separable at all.
+    """
     space = task.space
     try:
         separation = Separation.of(task.families[0].model, first, second)

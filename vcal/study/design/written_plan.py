@@ -1,4 +1,4 @@
-"""A designed plan as files: the table to measure by, the artefact, and a study around them."""
+"""A designed plan as files: the table of the plan, the artefact, and a study around them."""
 
 import shutil
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ PLAN, ARTEFACT, SETUP = "plan.csv", "artefact.csv", "setup.toml"
 
 
 def plan_table(study: Study, space: PlanSpace, placed: Any) -> dict[str, np.ndarray]:
-    """A plan as the columns of a data table, without those of readings."""
+    """A plan as the columns of a data table, without the columns of readings."""
     instrument, plan = space.instrument(placed), space.plan(placed)
     kind, axes = study.one.settings, study.chain.axes
     plain, full = (
@@ -30,7 +30,7 @@ def plan_table(study: Study, space: PlanSpace, placed: Any) -> dict[str, np.ndar
 
 
 def write_plan(study: Study, space: PlanSpace, placed: Any, work: Path) -> list[str]:
-    """Write the plan alone; names of the files."""
+    """Write the plan alone; returns the names of the files written."""
     write_table(work / PLAN, plan_table(study, space, placed))
     return [PLAN]
 
@@ -42,13 +42,12 @@ def write_designed(
     placed: Any,
     work: Path,
 ) -> list[str]:
-    """Write the plan, the artefact where there is one, and the study with them in place of its own,
-    so that the folder is a study itself; names of the files.
+    """Write the designed plan as a study folder of its own; returns the names of the files written.
 
-    The study file is written anew, with overrides put in and without its comments; the tables and
-    files it names are copied beside it. Check points stay behind, as they belong to a machine that
-    was measured, and so do further families. Raises `StudyError` where two files of the study have
-    the same name.
+    The folder holds the plan, the artefact of a space that has one, and the study file with the
+    overrides applied and without its comments. Files that the study names are copied. Check points
+    are left out, as they belong to a measured machine, and further families are left out too.
+    Raises `StudyError` where two files of the study have the same name.
     """
     files = write_plan(study, space, placed, work)
     raw, _ = read_setup(study.path, overrides)
@@ -80,7 +79,7 @@ def write_designed(
         shutil.copyfile(study.folder / name, work / moved[name])
         files.append(moved[name])
     head = (
-        f"# Written by `vcal design` from {study.path.name}: the study of the plan beside it.\n\n"
+        f"# Written by `vcal design` from {study.path.name}: the study of the plan in {PLAN}.\n\n"
     )
     text = head + tomli_w.dumps(_renamed(raw, moved))
     (work / SETUP).write_text(text, encoding="utf-8")

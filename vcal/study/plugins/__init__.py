@@ -1,1 +1,1 @@
-"""Effects and instruments in files of the user's own, tried once before they are used."""
+"""Effects and instruments in a user's own files, each method called once before it is used."""

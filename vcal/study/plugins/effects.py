@@ -1,4 +1,4 @@
-"""Effects of a user's own file, tried once before any work is done with them."""
+"""Effects of a user's own file: the trial of their methods."""
 
 import inspect
 import math
@@ -33,16 +33,16 @@ _OF_PARAMETERS = (
 )
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.]*")
 _PLACEMENT = re.compile(r"(?! )[^:=]{0,60}(?<! )")
-"""What can stand between colons in ``--with NAME:PLACEMENT:KEY=VALUE``, and in a row of a table."""
+"""Placements that can be written in ``--with NAME:PLACEMENT:KEY=VALUE`` and in a table."""
 _RESERVED = ("name", "placement", "component", "data_set", "given", "priors")
 """Keys of a [[model.effect]] row, and fields of every effect."""
 
 
 def check_own(file: str, classes: Mapping[str, type[Effect]], setup: Setup, plan: Plan) -> None:
-    """Every instance that the loop would try, made and asked for its response once.
+    """Create every instance that the loop would test, and call its methods once.
 
-    Raises `StudyError` that names the class and its method where it fails, or gives something that
-    cannot be used: parameters without unit, ports that do not exist, values that are no numbers.
+    Raises `StudyError` with the class and the method where one fails or returns a wrong value, such
+    as parameters without a unit, ports that do not exist, or values that are no numbers.
     """
     for kind in classes.values():
         _check(Trial(file, kind.__name__), kind, setup, read_only(plan))
@@ -62,9 +62,7 @@ def _check(trial: Trial, kind: type[Effect], setup: Setup, plan: Plan) -> None:
 
 
 def check_effect(trial: Trial, effect: Effect, setup: Setup, plan: Plan) -> None:
-    """Ask an effect for its parameters and its response once; raises `StudyError` as `check_own`
-    does.
-    """
+    """Call the methods of an effect once; raises `StudyError` as `check_own` does."""
     with trial.calling("parameters", "a tuple of vcal.Parameter"):
         parameters = effect.parameters
     _check_parameters(parameters, trial, effect.kind)
@@ -96,24 +94,24 @@ def check_effect(trial: Trial, effect: Effect, setup: Setup, plan: Plan) -> None
         _check_column(key, column, effect, setup, plan, trial)
     if not shape:
         return
-    expected = "a column of the shape (2, rows) where the shape values are columns of two"
+    expected = "an array of the shape (2, rows) for shape values of the shape (2, 1)"
     two = {p: np.array([[value], [float(grids[p][-1])]]) for p, value in shape.items()}
     with trial.calling("response", expected):
         _check_grid(effect, plan, two)
     if any(p.moves for p in effect.shapes):
-        expected = "jax.numpy, not numpy, and no float() or if, where a shape value comes in"
+        expected = "jax.numpy, not numpy, and no float() or if, where a shape value is used"
         with trial.calling("response", expected):
             _slopes(effect, plan, shape)
 
 
 def _check_grid(effect: Effect, plan: Plan, shape: Mapping[str, np.ndarray]) -> None:
-    """Several values of each shape at once, as the loop looks for the best."""
+    """Evaluate several values of each shape at once, as the grid search of the loop does."""
     for column in effect.response(plan, shape).values():
         np.broadcast_to(np.asarray(column, float), (2, plan.rows))
 
 
 def _slopes(effect: Effect, plan: Plan, shape: Mapping[str, float]) -> None:
-    """The derivative by the shape values, as every fit takes it: they are traced."""
+    """Differentiate by the shape values, as every fit does; JAX traces them."""
     at = {name: jnp.asarray(value) for name, value in shape.items()}
     jax.jvp(lambda s: dict(effect.response(plan, s)), (at,), (jax.tree.map(jnp.ones_like, at),))
 
@@ -121,7 +119,7 @@ def _slopes(effect: Effect, plan: Plan, shape: Mapping[str, float]) -> None:
 def _check_placement(placement: Any, trial: Trial) -> None:
     good = isinstance(placement, str) and placement.isprintable()
     if not good or not _PLACEMENT.fullmatch(placement):
-        expected = "a line of at most 60 characters without : and =, and no blank first or last"
+        expected = "a line of at most 60 characters without : and =, and no blank at either end"
         raise trial.refusal("candidates", f"the placement {placement!r}", expected)
 
 
@@ -131,7 +129,7 @@ def _check_names(method: str, names: Any, trial: Trial) -> None:
 
 
 def _numbers(values: Any) -> np.ndarray:
-    """The values as numbers; none where they are something else."""
+    """The values as numbers; an empty array where they are not."""
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError):
@@ -170,7 +168,7 @@ def _check_parameters(parameters: Any, trial: Trial, kind: Kind) -> None:
             raise trial.refusal("parameters", f"{p.name} with scale {p.scale:g}", "one above 0")
         if kind == "random" and not p.informed:
             found = f"{p.name} of a random effect without sigma"
-            raise trial.refusal("parameters", found, "how much it scatters")
+            raise trial.refusal("parameters", found, "its standard deviation")
 
 
 def _check_column(

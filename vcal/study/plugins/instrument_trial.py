@@ -1,4 +1,4 @@
-"""What an instrument of a user's own declares and does, asked for once before any work is done."""
+"""The trial of a user's own instrument: each method is called once before it is used."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -25,14 +25,14 @@ from .instruments import INSIDE, check_names, readings_of
 from .trial import Trial, read_only, shown
 
 _SAME, _NOTHING = 1e-6, 1e-12
-"""Share of the largest value, and m or rad, within which what is written is what is read."""
+"""Tolerance of a value that is written and read again: share of the largest value, and m or rad."""
 _PATH = (
-    "{} number(s) in a list, one for each of `readings`, made by jax.numpy with no float() or if "
-    "where the row, the tool or a port comes in"
+    "{} number(s) in a list, one for each of `readings`, computed by jax.numpy without float() or "
+    "if where the row, the tool or a port is used"
 )
 _ADDRESS = re.compile(r"0x[0-9a-f]+")
 _LINEAR = 1e-9
-"""The same for the reduction of a sum and the sum of reductions."""
+"""Relative tolerance between the reduction of a sum and the sum of the reductions."""
 
 
 def check_instrument(
@@ -43,17 +43,17 @@ def check_instrument(
     plan: Plan,
     readings: np.ndarray | None,
 ) -> None:
-    """Everything that a user's own instrument declares and does, asked for once.
+    """Call all methods of a user's own instrument once and check their results.
 
-    Raises `StudyError` that names the class and its method where it fails, or gives something of
-    another shape than `vcal.instruments.base` says.
+    Raises `StudyError` with the class and the method where one fails, or returns a result other
+    than `vcal.instruments.base` specifies.
     """
     if settings.kind_file is None:
         return
     trial, plan = Trial(settings.kind_file, type(instrument).__name__), read_only(plan)
     names, n = check_names(trial, instrument), plan.rows
     _check_figures(trial, instrument)
-    # First what needs no program to be compiled.
+    # The checks without a compiled program come first.
     rows = _check_traced(trial, instrument, plan, names)
     present = _check_present(trial, instrument, plan, names)
     with trial.calling("dimensions", f"numbers of the shape ({n},)"):
@@ -66,7 +66,7 @@ def check_instrument(
     check_clusters(trial, _indices(trial, "clusters", clusters, n), present)
     apart = _check_folds(trial, instrument, plan)
     effects = _check_effects(trial, instrument, chain, plan)
-    _check_told(trial, Model(chain, instrument, effects), plan, apart)
+    _check_determined(trial, Model(chain, instrument, effects), plan, apart)
     nominal = _check_path(trial, instrument, chain, plan, rows, names)
     read = nominal if readings is None else np.asarray(readings, float)
     _check_sizes(trial, instrument, plan, read, present, names)
@@ -77,7 +77,7 @@ def check_instrument(
 
 
 def _asked(trial: Trial, method: str, expected: str, call: Callable[[], Any]) -> Any:
-    """What a method gives, which must be the same when it is asked again."""
+    """The result of a method, which must be the same when it is called again."""
     with trial.calling(method, expected):
         first, again = call(), call()
     pairs = zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=False)
@@ -90,13 +90,14 @@ def _asked(trial: Trial, method: str, expected: str, call: Callable[[], Any]) ->
 
 
 def _refuse_change(trial: Trial, method: str) -> None:
-    """Raises `StudyError` for what is different every time."""
-    found = "something else when it was called again"
-    raise trial.refusal(method, found, "the same for the same plan, without chance or counters")
+    """Raise `StudyError` for a result that differs between calls."""
+    found = "another result when it was called again"
+    expected = "the same result for the same plan, without random numbers or counters"
+    raise trial.refusal(method, found, expected)
 
 
 def _check_figures(trial: Trial, instrument: TableInstrument) -> None:
-    """What may be left as it is, and hardly ever is not."""
+    """Check the properties with defaults: `temperature_offset_K`, `artefact` and `members`."""
     with trial.calling("temperature_offset_K", "a number of K"):
         temperature_offset_K = instrument.temperature_offset_K
     if not isinstance(temperature_offset_K, float | int) or not np.isfinite(temperature_offset_K):
@@ -108,13 +109,13 @@ def _check_figures(trial: Trial, instrument: TableInstrument) -> None:
     if not isinstance(artefact, Artefact | None):
         raise trial.refusal("artefact", shown(artefact), "a vcal.effects.base.Artefact, or None")
     if type(instrument).members is not TableInstrument.members:
-        raise trial.refusal("members", "some", "none: what a study joins are its data sets")
+        raise trial.refusal("members", "some", "none, as a study joins its data sets itself")
 
 
 def _check_traced(
     trial: Trial, instrument: TableInstrument, plan: Plan, names: Sequence[str]
 ) -> Any:
-    """What `rows` gives, of which the path of one row must be traced, twice alike."""
+    """The result of `rows`; tracing `observe` with one of them must give the same program twice."""
     n, m = plan.rows, len(names)
     expected = f"arrays of numbers whose first axis has the {n} rows of the plan"
     rows = _asked(trial, "rows", expected, lambda: instrument.rows(plan))
@@ -157,7 +158,9 @@ def _check_path(
     rows: Any,
     names: Sequence[str],
 ) -> np.ndarray:
-    """The readings of the nominal machine, with finite derivatives by all ports."""
+    """The readings of the nominal machine; raises `StudyError` unless they and their derivatives by
+    all ports are finite.
+    """
     n, m = plan.rows, len(names)
     still = jnp.zeros((n, len(PortLayout.of(chain.axes, instrument.ports))))
     with trial.calling("observe", _PATH.format(m)):
@@ -165,14 +168,15 @@ def _check_path(
     values, slopes = np.asarray(values), np.asarray(slopes)
     trial.numbers("observe", values, (n, m), "finite readings of the nominal machine")
     if not np.isfinite(slopes).all():
-        row, k, _ = np.argwhere(~np.isfinite(slopes))[0]  # from one port, it spreads to all
+        row, k, _ = np.argwhere(~np.isfinite(slopes))[0]  # one port affects all
         found = f"no finite derivative of {names[k]} in row {row + 1}"
-        raise trial.refusal("observe", found, "one, also where a length is 0 or an arc cosine 1")
+        expected = "a finite one, also for a length of 0 or an arc cosine of 1"
+        raise trial.refusal("observe", found, expected)
     for given in (values, slopes):
         with trial.calling("reduce", f"an array of the shape {given.shape}, by jax.numpy"):
             eqx.filter_eval_shape(lambda i, v, p: i.reduce(v, p), instrument, given, plan)
             reduced = np.asarray(instrument.reduce(jnp.asarray(given), plan))
-        trial.numbers("reduce", reduced, given.shape, "as many readings as it was given")
+        trial.numbers("reduce", reduced, given.shape, "as many readings as its argument has")
     values = _reduced(trial, instrument, plan, values)
     with trial.calling("difference", f"an array of the shape {(n, m)}, by jax.numpy"):
         apart = jax.eval_shape(instrument.difference, jnp.asarray(values), jnp.asarray(values))
@@ -189,7 +193,7 @@ def _check_sizes(
     present: np.ndarray,
     names: Sequence[str],
 ) -> None:
-    """The noise of the readings, and what they are in lengths."""
+    """Check the noise of the readings, and their conversion to lengths."""
     expected = f"standard deviations of the shape {read.shape}, SI"
     noise = _asked(trial, "noise", expected, lambda: instrument.noise(plan, read))
     noise = trial.numbers("noise", noise, read.shape, "standard deviations of the readings, SI")
@@ -208,7 +212,7 @@ def _check_sizes(
 def _reduced(
     trial: Trial, instrument: TableInstrument, plan: Plan, values: np.ndarray
 ) -> np.ndarray:
-    """Readings after the linear step: of a sum, the sum."""
+    """The reduced readings; raises `StudyError` unless the reduction is linear."""
     other = np.random.default_rng(0).standard_normal(values.shape)
 
     def reduce(values: np.ndarray) -> np.ndarray:
@@ -247,7 +251,7 @@ def _indices(trial: Trial, method: str, values: Any, rows: int) -> np.ndarray:
 
 
 def check_clusters(trial: Trial, clusters: np.ndarray, present: np.ndarray) -> None:
-    """Rows whose covariance is estimated together have the same readings."""
+    """Raise `StudyError` unless the rows of every cluster have the same readings present."""
     for k in np.unique(clusters[clusters >= 0]):
         mine = np.flatnonzero(clusters == k)
         other = (present[mine] != present[mine[0]]).any(1)
@@ -258,8 +262,8 @@ def check_clusters(trial: Trial, clusters: np.ndarray, present: np.ndarray) -> N
 
 
 def _check_folds(trial: Trial, instrument: TableInstrument, plan: Plan) -> np.ndarray:
-    """The rows that no fit ever sees (n,)."""
-    expected = "a pair: the fold of every row, and True or False, for all of them or for each"
+    """The rows (n,) that no fit uses."""
+    expected = "a pair: the fold of every row, and True or False, for all rows or for each"
     found = _asked(trial, "folds", expected, lambda: instrument.folds(plan))
     if not isinstance(found, tuple) or len(found) != 2:
         raise trial.refusal("folds", type(found).__name__, expected)
@@ -273,21 +277,19 @@ def _check_folds(trial: Trial, instrument: TableInstrument, plan: Plan) -> np.nd
         raise trial.refusal("folds", "-1 for every row", "rows that are held out, in two folds")
     fitted = [~apart & (folds != fold) for fold in rotating] or [~apart]
     if not all(rest.any() for rest in fitted):
-        raise trial.refusal("folds", "no rows beside one of them", "at least two folds")
+        raise trial.refusal("folds", "no rows outside one of them", "at least two folds")
     return apart
 
 
-def _check_told(trial: Trial, model: Model, plan: Plan, apart: np.ndarray) -> None:
-    """Raises `StudyError` where nothing tells what has no prior once some rows are kept apart, and
-    all rows do: those that tell it have to be fitted.
-    """
+def _check_determined(trial: Trial, model: Model, plan: Plan, apart: np.ndarray) -> None:
+    """Raise `StudyError` where only rows that no fit uses identify a parameter without a prior."""
     if not apart.any():
         return
-    less, all_told = (flat_rank(model, rows) for rows in (plan.take(~apart), plan))
-    if lost := sorted({*less.mixed} - {*all_told.mixed}):
+    less, every = (flat_rank(model, rows) for rows in (plan.take(~apart), plan))
+    if lost := sorted({*less.mixed} - {*every.mixed}):
         names = [f"{model.entries[i].key} {model.entries[i].parameter.name}" for i in lost]
-        found = f"all rows that tell {listed(names)} kept out of every fit"
-        raise trial.refusal("folds", found, "rows that are fitted for what has no prior")
+        found = f"all rows that identify {listed(names)} held out of every fit"
+        raise trial.refusal("folds", found, "fitted rows for every parameter without a prior")
 
 
 def _check_effects(
@@ -328,8 +330,8 @@ def _check_table(
     plan: Plan,
     readings: np.ndarray,
 ) -> None:
-    """What is written must be what is read."""
-    expected = "a dict {column: one cell for every row}, from which the same can be read again"
+    """Raise `StudyError` unless a written table reads back as the same plan and readings."""
+    expected = "a dict {column: one cell for every row} that reads back as the same"
     with trial.calling("to_table", expected):
         written = instrument.to_table(plan, readings)
     if not isinstance(written, Mapping):
@@ -373,9 +375,9 @@ def _check_record(
         try:
             found = instrument.record(plan, ideal, np.zeros(shape))
         except StudyError:
-            return  # only simulations need it, and are told then
+            return  # only simulations need it, and report it then
     if not isinstance(found, tuple) or len(found) != 2 or not isinstance(found[0], Plan):
         raise trial.refusal("record", type(found).__name__, expected)
-    trial.numbers("record", found[1], shape, "readings that are written down")
+    trial.numbers("record", found[1], shape, "recorded readings")
     if found[0].rows != plan.rows:
         raise trial.refusal("record", f"a plan of {found[0].rows} rows", expected)

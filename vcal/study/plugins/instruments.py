@@ -1,4 +1,4 @@
-"""Instruments of a user's own file, tried once before any work is done with them."""
+"""Instruments of a user's own file: their classes, and checks of the results of their methods."""
 
 import dataclasses
 import inspect
@@ -49,17 +49,17 @@ _ATTRIBUTES: tuple[Attribute, ...] = (
 
 
 def instrument_class(settings: InstrumentSettings, folder: Folder) -> type[TableInstrument]:
-    """The class of the instrument that settings name, which were validated."""
+    """The class of the instrument that validated settings name."""
     if settings.kind_file is None:
         return INSTRUMENTS[settings.kind]
     return own_instruments(folder, settings.kind_file)[settings.kind]
 
 
 def own_instruments(folder: Folder, file: str) -> dict[str, type[TableInstrument]]:
-    """The instruments that a user's file defines, by kind; it is run once for a study.
+    """The instruments that a user's file defines, by kind; it is executed once per study.
 
-    Raises `StudyError` if the file cannot be used, or has a class that cannot be one, or a kind
-    that exists.
+    Raises `StudyError` for a file that cannot be used, for an incomplete or wrong class, and for a
+    kind that another instrument has.
     """
     found: dict[str, type[TableInstrument]] = {}
     for kind in INSTRUMENTS.defined_in(folder.module(file, INSTRUMENTS.what), TableInstrument):
@@ -74,7 +74,7 @@ def own_instruments(folder: Folder, file: str) -> dict[str, type[TableInstrument
             )
         if inspect.isabstract(kind):
             missing = listed(sorted(kind.__abstractmethods__))
-            expected = "all that vcal.instruments.TableInstrument leaves open"
+            expected = "all abstract methods of vcal.instruments.TableInstrument"
             raise trial.refusal("body", f"no {missing}", expected)
         trial.check_attributes(kind, _ATTRIBUTES)
         with trial.calling("Settings", "fields with types that pydantic knows"):
@@ -88,7 +88,7 @@ def own_instruments(folder: Folder, file: str) -> dict[str, type[TableInstrument
 
 
 def _check_defaults(trial: Trial, settings: type[InstrumentSettings]) -> None:
-    """Raises `StudyError` for a default that would be refused if a study gave it."""
+    """Raise `StudyError` for a default value that its own validation refuses."""
     for name, field in settings.model_fields.items():
         if field.is_required():
             continue
@@ -104,9 +104,7 @@ def _check_defaults(trial: Trial, settings: type[InstrumentSettings]) -> None:
 def calling(
     settings: InstrumentSettings, kind: type[TableInstrument], method: str, expected: str
 ) -> AbstractContextManager[None]:
-    """Calls of a method of an instrument in this block: where it is a user's own, what it raises is
-    told as a mistake of its class.
-    """
+    """Report exceptions in this block as mistakes of the method of a user's own instrument."""
     if settings.kind_file is None:
         return nullcontext()
     return Trial(settings.kind_file, kind.__name__).calling(method, expected)
@@ -115,11 +113,11 @@ def calling(
 def columns_of(
     settings: InstrumentSettings, kind: type[TableInstrument], axes: Sequence[str]
 ) -> tuple[list[Column], list[Column]]:
-    """The columns of an instrument's table: of a plan, and with the readings.
+    """The columns of an instrument's table, without and with the readings.
 
-    Raises `StudyError` where a user's own class gives something else.
+    Raises `StudyError` where a user's own class returns anything else.
     """
-    expected = "a list of vcal.instruments.Column, the same with readings=True and more"
+    expected = "a list of vcal.instruments.Column, and with readings=True the same ones and more"
     with calling(settings, kind, "columns", expected):
         plain = kind.columns(settings, axes, readings=False)
         full = kind.columns(settings, axes, readings=True)
@@ -146,7 +144,7 @@ def columns_of(
 def readings_of(
     settings: InstrumentSettings, kind: type[TableInstrument], axes: Sequence[str]
 ) -> set[str]:
-    """The columns that a plan does not have; none where every table is data."""
+    """The columns of readings, which a plan lacks; empty where every table holds data."""
     plain, full = columns_of(settings, kind, axes)
     return {c.name for c in full} - {c.name for c in plain}
 
@@ -154,8 +152,8 @@ def readings_of(
 def check_built(
     settings: InstrumentSettings, kind: type[TableInstrument], instrument: Any, method: str
 ) -> None:
-    """Raises `StudyError` where a user's own class made no instrument of itself, of fields that
-    compiled programs can take.
+    """Raise `StudyError` where a user's own class returns no instance of itself, or an instance
+    with fields that compiled programs cannot take.
     """
     if settings.kind_file is None:
         return
@@ -175,9 +173,7 @@ def check_built(
                 hash(leaf)
             except TypeError as error:
                 found = f"{'the static' if static else 'the'} field {field.name}: {error}"
-                expected = (
-                    "numbers and arrays; in static fields what can be hashed, such as a tuple"
-                )
+                expected = "numbers and arrays; in static fields hashable values, such as a tuple"
                 raise trial.refusal(method, found, expected) from error
 
 
@@ -188,7 +184,7 @@ def check_plan(
     table: Mapping[str, np.ndarray],
     plan: Any,
 ) -> None:
-    """Raises `StudyError` where a user's own class made no plan of the rows of its table."""
+    """Raise `StudyError` where a user's own class returns no plan of the rows of its table."""
     if settings.kind_file is None:
         return
     trial, rows = Trial(settings.kind_file, kind.__name__), len(next(iter(table.values())))
@@ -198,18 +194,18 @@ def check_plan(
     if plan.axes != chain.axes or plan.rows != rows:
         found = f"one of {plan.rows} rows with the axes {listed(plan.axes)}"
         raise trial.refusal("plan", found, expected)
-    # An effect could be in proportion to them, and would explain everything.
+    # An effect proportional to a reading would explain everything.
     read = readings_of(settings, kind, chain.axes) & {*plan.covariates} - {*kind.derived}
     if read:
         found = f"{listed(sorted(read))} among the covariates"
-        do = f"none that is read, as by linear_plan(chain, table, readings={tuple(sorted(read))})"
+        do = f"no reading, as by linear_plan(chain, table, readings={tuple(sorted(read))})"
         raise trial.refusal("plan", found, do)
 
 
 def check_row(
     settings: InstrumentSettings, kind: type[TableInstrument], row: int, rows: int
 ) -> None:
-    """Raises `StudyError` where a user's own class refuses a row that its table does not have."""
+    """Raise `StudyError` where a user's own class refuses a row that its table does not have."""
     if settings.kind_file is not None and not 0 <= row < rows:
         trial = Trial(settings.kind_file, kind.__name__)
         raise trial.refusal("body", f"RowError({row}, ...)", f"an index from 0 to {rows - 1}")
@@ -218,7 +214,7 @@ def check_row(
 def check_readings(
     settings: InstrumentSettings, instrument: TableInstrument, plan: Plan, readings: Any
 ) -> None:
-    """Raises `StudyError` where a user's own class made no readings of its table."""
+    """Raise `StudyError` where a user's own class returns no readings of its table."""
     if settings.kind_file is None:
         return
     trial = Trial(settings.kind_file, type(instrument).__name__)
@@ -227,7 +223,7 @@ def check_readings(
 
 
 def check_names(trial: Trial, instrument: TableInstrument) -> tuple[str, ...]:
-    """The names of the readings; ports and readings must have such as can be told apart."""
+    """The names of the readings; raises `StudyError` for ambiguous names of readings or ports."""
     with trial.calling("readings", 'a tuple of names, as in ("range",)'):
         names = instrument.readings
     if not _texts(names) or not names or len(set(names)) < len(names):
@@ -244,7 +240,7 @@ def check_names(trial: Trial, instrument: TableInstrument) -> tuple[str, ...]:
             raise trial.refusal("ports", repr(port), expected)
         group = port.partition(".")[0]
         if group == "tool":
-            raise trial.refusal("ports", repr(port), "another group than that of the machine")
+            raise trial.refusal("ports", repr(port), "a group other than that of the machine")
         if group in groups and group != groups[-1]:
             raise trial.refusal("ports", f"{port!r} apart from its group", "groups in one piece")
         groups.append(group)

@@ -1,6 +1,4 @@
-"""Code of a user's own that a study names: tried once before any work is done with it, and what
-users read where it fails.
-"""
+"""The trial of a user's own class: each method is called once, and failures become messages."""
 
 import inspect
 from collections.abc import Callable, Iterator, Sequence
@@ -16,29 +14,30 @@ from ...machine.plan import Plan
 from ...registry import in_own_words, own_place
 from ..messages import refusal
 
-_DO = "mend the class"
+_DO = "correct the class"
 Attribute = tuple[str, Callable[[Any], bool], str]
-"""A class attribute: its name, what is good, and how messages call that."""
+"""A class attribute: its name, a test of its value, and the expected value in words."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A class of a user's file while its methods are called."""
+    """A class of a user's file during the trial of its methods."""
 
     file: str
-    """As the study names it."""
+    """Name of the file in the study."""
     kind: str
     """Name of the class."""
 
     def refusal(self, method: str, found: str, expected: str) -> StudyError:
-        """The error to raise for what a method gave."""
+        """The error to raise for a wrong result of a method."""
         found = " ".join(found.split())  # in one line
         return refusal(self.file, f"class {self.kind}, {method}", found, expected, _DO)
 
     @contextmanager
     def calling(self, method: str, expected: str) -> Iterator[None]:
-        """What is raised in this block, other than a `StudyError`, is told as a mistake of the
-        class, in `method`; so is ``exit()``, which would end vcal without a word, but not Ctrl-C.
+        """Report any exception in this block, other than a `StudyError`, as a mistake of `method`.
+
+        That includes ``exit()``, which would end vcal without a message, but not Ctrl-C.
         """
         try:
             yield
@@ -48,13 +47,13 @@ class Trial:
             raise self.refusal(method, in_own_words(error), expected) from error
 
     def check_attributes(self, kind: type, attributes: Sequence[Attribute]) -> None:
-        """Raises `StudyError` for a class attribute that is not good."""
+        """Raise `StudyError` for a class attribute with a wrong value."""
         for name, good, expected in attributes:
             if not good(value := getattr(kind, name, None)):
                 raise self.refusal(name, repr(value), expected)
 
     def numbers(self, method: str, values: Any, shape: Sequence[int], what: str) -> np.ndarray:
-        """The values as finite numbers of a shape; `what` they are, for messages."""
+        """The values as finite numbers of a shape; `what` describes them in messages."""
         found = self.array(method, values, shape, what)
         if found.dtype.kind == "c":
             raise self.refusal(method, f"an array of {found.dtype}", what)
@@ -68,11 +67,11 @@ class Trial:
         return found
 
     def array(self, method: str, values: Any, shape: Sequence[int], what: str) -> np.ndarray:
-        """The values as an array of a shape; `what` they are, for messages."""
+        """The values as an array of a shape; `what` describes them in messages."""
         try:
             found = np.asarray(values)
         except (TypeError, ValueError) as error:
-            raise self.refusal(method, f"what is no array ({error})", what) from error
+            raise self.refusal(method, f"a value that is no array ({error})", what) from error
         if found.shape != tuple(shape):
             given = f"shape {found.shape}" if found.shape else f"{values!r}"
             raise self.refusal(method, given, f"{what}, an array of the shape {tuple(shape)}")
@@ -83,12 +82,12 @@ class Trial:
 
 
 def shown(value: Any) -> str:
-    """What was found where a property was expected."""
+    """A value in words; for a method, that it lacks ``@property``."""
     return "a method without @property" if inspect.ismethod(value) else repr(value)
 
 
 def read_only(plan: Plan) -> Plan:
-    """The same plan, for methods that must leave it as it is: what writes into it fails there."""
+    """A read-only copy of the plan, so that a method that writes into it fails."""
 
     def locked(values: Any) -> Any:
         if isinstance(values, np.ndarray):
@@ -99,10 +98,8 @@ def read_only(plan: Plan) -> Plan:
     return jax.tree.map(locked, plan)
 
 
-def told(error: BaseException) -> str | None:
-    """An error that arose in a file of the user's own, whenever that was, as they read it; None
-    where it did not arise there.
-    """
+def own_code_error(error: BaseException) -> str | None:
+    """The message for an error raised in a user's own file; None for any other error."""
     place = own_place(error)
     if place is None:
         return None

@@ -1,9 +1,9 @@
-"""The smallest largest of several criteria, under bounds and linear constraints, by gradient.
+"""Minimisation of the largest of several criteria, under bounds and linear constraints.
 
     min over z, t of t   with   f_i(z) <= t,   low <= z <= high,   A z >= b
 
-which is smooth although the largest of the f_i is not. Solved by sequential quadratic programming
-(scipy's SLSQP) with exact derivatives.
+This problem is smooth although the largest of the f_i is not. It is solved by sequential quadratic
+programming (scipy's SLSQP) with exact derivatives.
 """
 
 from collections.abc import Callable
@@ -20,11 +20,11 @@ from ..numerics.compiled import jit_outermost
 
 @dataclass(frozen=True)
 class Minimax:
-    """Where the search ended."""
+    """The end of a minimax search."""
 
     z: Float[np.ndarray, " d"]
     values: Float[np.ndarray, " q"]
-    """Criteria there."""
+    """Criteria at the end."""
     start: Float[np.ndarray, " q"]
     """Criteria at the start."""
     iterations: int
@@ -33,7 +33,7 @@ class Minimax:
 
     @property
     def largest(self) -> float:
-        """What was minimised."""
+        """The largest criterion, which was minimised."""
         return float(self.values.max())
 
 
@@ -48,12 +48,12 @@ def minimax(
     steps: int = 200,
     tolerance: float = 1e-6,
 ) -> Minimax:
-    """Minimise the largest of `criteria`, a function that JAX can differentiate, or of one whose
-    derivative is given by `slopes`.
+    """Minimise the largest of `criteria`, a function that JAX differentiates unless `slopes` gives
+    its derivative.
 
-    `at_least` are A and b. The best point that keeps the constraints is returned, the start if no
-    other is better. Raises `ValueError` where the start breaks a bound or a constraint, or a
-    criterion is not finite there.
+    `at_least` holds A and b. The result is the best feasible point, or the start if no other is
+    better. Raises `ValueError` where the start violates a bound or a constraint, or a criterion is
+    not finite there.
     """
     z = np.asarray(start, float)
     A, b = (np.zeros((0, len(z))), np.zeros(0)) if at_least is None else at_least
@@ -65,7 +65,9 @@ def minimax(
         raise ValueError("found a criterion that is not finite at the start, expected a number")
     slack = 1e-9
     if (z < low - slack).any() or (z > high + slack).any() or (A @ z < b - slack).any():
-        raise ValueError("found a start that breaks a bound or a constraint, expected one within")
+        raise ValueError(
+            "found a start that violates a bound or a constraint, expected a feasible one"
+        )
     unit = abs(float(first.max())) or 1.0
     best = [first.max(), z]
 
@@ -80,7 +82,7 @@ def minimax(
         found = np.asarray(slopes(y[:-1]))
         return np.column_stack([-found / unit, np.ones(len(found))])
 
-    # Only here: whoever designs nothing need not wait for it.
+    # Imported here, as the import takes long and only designs need it.
     from scipy.optimize import minimize
 
     target = np.zeros(len(z) + 1)

@@ -1,11 +1,12 @@
-"""In-talk and cross-talk circle by circle, as the publication evaluates them.
+"""In-talk and cross-talk of every circle by the evaluation of the publication.
 
-Nguyen, Weikert, Wegener (2012), section 2.3. Across the plane of a circle the external reading is
-the plane y = c + EYZ z'' + EYX x'' (eq. 9), by least squares: two elements of cross-talk. Within
-it, once the cross-talk that other circles gave has been taken out, the circle is an ellipse along
-the axes, whose half axes are those of the internal reading less EZZ a and EXX a (eqs. 7 and 8), by
-least squares: two elements of in-talk. The acceleration is the set one, in the direction of the
-internal reading (eqs. 5 and 6), or the actual one.
+Nguyen, Weikert, Wegener (2012), section 2.3. Perpendicular to the plane of a circle, the external
+reading is fitted by the plane y = c + EYZ z'' + EYX x'' (eq. 9), which gives two elements of
+cross-talk. In the plane, the cross-talk of the other circles is subtracted first. The result is
+fitted by an ellipse along the axes, whose half axes are those of the internal reading minus EZZ a
+and EXX a (eqs. 7 and 8), which gives two elements of in-talk. Both are least-squares fits. The
+acceleration is the set one, in the direction of the internal reading (eqs. 5 and 6), or the actual
+one.
 """
 
 from dataclasses import dataclass
@@ -24,20 +25,20 @@ Acceleration = Literal["nominal", "actual"]
 
 @dataclass(frozen=True)
 class Evaluated:
-    """Elements of the matrix by the publication's way, um s^2/m."""
+    """Elements of the matrix by the evaluation of the publication, um s^2/m."""
 
     runs: Float[np.ndarray, "r 3 3"]
-    """By run; nan where a circle does not show the element."""
+    """Elements by run; NaN where a circle does not determine the element."""
     acceleration: Float[np.ndarray, " r"]
-    """Of every run, m/s^2."""
+    """Set acceleration of every run, m/s^2."""
 
     @property
     def mean(self) -> Float[np.ndarray, "3 3"]:
-        """Mean over the runs that show an element."""
+        """Mean over the runs that determine an element."""
         return np.nanmean(self.runs, axis=0)
 
     def at(self, acceleration: float) -> Float[np.ndarray, "3 3"]:
-        """Mean over the runs of one set acceleration that show an element."""
+        """Mean over the runs of one set acceleration that determine an element."""
         return np.nanmean(self.runs[np.isclose(self.acceleration, acceleration)], axis=0)
 
     def dispersion(self, about: Float[np.ndarray, "3 3"] | None = None) -> dict[float, float]:
@@ -53,10 +54,10 @@ class Evaluated:
 def evaluate(
     measurement: Measurement, instrument: RTest, acceleration: Acceleration = "actual"
 ) -> Evaluated:
-    """Both fits for every run of an R-test that reads coordinates.
+    """Both fits for every run of an R-test with readings of coordinates.
 
-    Raises `ValueError` for readings of probes, and unless circles of all three planes are there, as
-    every plane gives two of the six elements of cross-talk, and the in-talk needs all of them.
+    Raises `ValueError` for readings of single probes, and unless there are circles in all three
+    planes: every plane gives two of the six elements of cross-talk, and the in-talk needs all six.
     """
     instrument.check_coordinates()
     plan = measurement.plan
@@ -105,7 +106,7 @@ def evaluate(
 
 
 def _radius(amplitude: Float[np.ndarray, " axes"]) -> float:
-    """Radius of the circle that was read internally, m."""
+    """Radius of the circle in the internal reading, m."""
     return float(np.sort(amplitude)[-2:].mean())
 
 
@@ -120,5 +121,5 @@ def even_ellipse(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
     A, B, C, D = np.linalg.lstsq(columns, np.ones(len(x)), rcond=None)[0]
     level = 1.0 + C**2 / (4.0 * A) + D**2 / (4.0 * B)
     if A <= 0.0 or B <= 0.0 or level <= 0.0:
-        raise ValueError("found points that lie on no ellipse, expected those of a circle")
+        raise ValueError("found points that lie on no ellipse, expected points of a circle")
     return size * np.sqrt(level / np.array([A, B]))

@@ -6,30 +6,31 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from .assemble import Structure
+from .structure import Structure
 
 _RIGID = 1e-6
-"""Of the largest natural frequency, below which a mode counts as a rigid body's."""
+"""Share of the largest natural frequency below which a mode is a rigid-body mode."""
 
 _HELD = 1e-12
-"""Of the square of the largest frequency, above which something holds a body: well above rounding,
-and below what an air spring makes of a heavy body beside a light one on a stiff spring.
+"""Share of the square of the largest frequency above which a body is supported: well above
+rounding, and below the value for a heavy body on an air spring next to a light one on a stiff
+spring.
 """
 
 
 class Modes(NamedTuple):
-    """Modes in rising order, without those of rigid bodies unless asked for."""
+    """Modes in ascending order, without rigid-body modes unless requested."""
 
     hz: Float[np.ndarray, " m"]
     """Undamped natural frequency."""
     damping: Float[np.ndarray, " m"]
     """Modal damping ratio, phi' D phi / (2 omega) for phi' M phi = 1."""
     shapes: Float[np.ndarray, "n m"]
-    """Mass-normalised."""
+    """Mass-normalised mode shapes, one column each."""
 
 
 def modes(structure: Structure, *, rigid: bool = False) -> Modes:
-    """Solve K phi = omega^2 M phi; with `rigid` those of frequency zero as well."""
+    """Solve K phi = omega^2 M phi; with `rigid` including modes of frequency zero."""
     M, D, K = (np.asarray(m) for m in (structure.mass, structure.damping, structure.stiffness))
     squares, shapes = scipy.linalg.eigh(K, M)
     omega = np.sqrt(np.maximum(squares, 0.0))
@@ -42,11 +43,11 @@ def modes(structure: Structure, *, rigid: bool = False) -> Modes:
 
 
 def check_supported(structure: Structure, names: list[str]) -> None:
-    """Raise `ValueError` where a body can move without any spring or drive to hold it.
+    """Raise `ValueError` where a body can move without a spring or drive that holds it.
 
     `names` are those of the bodies, in the order of the coordinates.
     """
-    # What the drives hold is their affair: stiffness is lent to them here.
+    # Drives hold their axes under control; a stiffness stands in for them here.
     K, M = np.asarray(structure.stiffness), np.asarray(structure.mass)
     B = np.asarray(structure.force)
     lent = np.trace(K) / len(K)
@@ -60,6 +61,6 @@ def check_supported(structure: Structure, names: list[str]) -> None:
     body, way = np.unravel_index(int(np.argmax(size)), size.shape)
     how = f"along {'XYZ'[way]}" if way < 3 else f"about {'XYZ'[way - 3]}"
     raise ValueError(
-        f"body {names[body]}: found nothing that holds it {how}, expected springs or a drive; add "
-        "carriages, a foundation, or a stiffness to those there are"
+        f"body {names[body]}: found no support {how}, expected springs or a drive; add carriages "
+        "or a foundation, or give the present springs a stiffness in that direction"
     )

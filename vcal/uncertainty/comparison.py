@@ -1,4 +1,4 @@
-"""Whether the GUM's interval may stand: JCGM 101, clause 8, and coverage on simulated truth."""
+"""Validation of the GUM's intervals: JCGM 101, clause 8, and attained coverage of a known truth."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -15,30 +15,30 @@ from .intervals import Kind, check_coverage
 Verdict = Literal["passed", "failed", "undecided"]
 
 _ROUNDING = 1e-13
-"""Of a value: what sums of inputs that cancel leave, and is no uncertainty."""
+"""Share of a value below which a spread is the rounding error of terms that cancel."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The GUM against a Monte Carlo of the same m outputs (JCGM 101, 8.1)."""
+    """Validation of the GUM's intervals of m outputs by Monte Carlo (JCGM 101, 8.1)."""
 
     labels: tuple[str, ...]
     coverage: float
     kind: Kind
-    """Kind of the Monte Carlo's interval."""
+    """Kind of the interval of the Monte Carlo."""
     digits: int
     """Significant decimal digits of u that are regarded as meaningful."""
     value: Float[np.ndarray, "m 2"] = field(repr=False)
-    """y: GUM, Monte Carlo. So are the columns of `u`, `low` and `high`."""
+    """Estimate y; columns GUM and Monte Carlo, as for `u`, `low` and `high`."""
     u: Float[np.ndarray, "m 2"] = field(repr=False)
     low: Float[np.ndarray, "m 2"] = field(repr=False)
     high: Float[np.ndarray, "m 2"] = field(repr=False)
     delta: Float[np.ndarray, " m"]
-    """Numerical tolerance delta = 10^l / 2 of u = c 10^l (7.9.2); of an output that does not vary,
-    what rounding makes of its value.
+    """Numerical tolerance delta = 10^l / 2 of u = c 10^l (7.9.2); for an output that does not vary,
+    the rounding error of its value.
     """
     precision: Precision
-    """Standard deviations of the Monte Carlo's y, u, low and high."""
+    """Standard deviations of y, u, low and high of the Monte Carlo."""
 
     @property
     def d_low(self) -> Float[np.ndarray, " m"]:
@@ -52,12 +52,12 @@ class Comparison:
 
     @property
     def passed(self) -> Bool[np.ndarray, " m"]:
-        """Whether both differences are no larger than delta; false where one is not a number."""
+        """Whether both differences are at most delta; false where one is not a number."""
         return (self.d_low <= self.delta) & (self.d_high <= self.delta)
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
-        """`passed` where 2 s of the interval's ends cannot turn it; otherwise undecided."""
+        """The verdict of `passed` where 2 s of the ends cannot reverse it; undecided otherwise."""
         return tuple(self._verdict(i) for i in range(len(self.labels)))
 
     def _verdict(self, i: int) -> Verdict:
@@ -73,15 +73,15 @@ def compare(
 ) -> Comparison:
     """Validate the GUM's coverage intervals by a Monte Carlo (JCGM 101, clause 8).
 
-    d_low = |y - U_p - y_low| and d_high = |y + U_p - y_high| against delta, for every output of
-    the budget and its coverage probability. delta belongs to the Monte Carlo's u: what is judged
-    cannot set its own tolerance, and a first-order u of zero would have none.
+    d_low = |y - U_p - y_low| and d_high = |y + U_p - y_high| are compared with delta, for every
+    output and the coverage probability of the budget. delta is that of the Monte Carlo's u, as the
+    method under validation cannot set its own tolerance, and a first-order u of zero has none.
 
-    The two ends of a shortest interval of a skewed distribution may both lie far from y +/- U_p
-    although the symmetric ones do not; the standard leaves the `kind` to the user.
+    For a skewed distribution, the ends of the shortest interval may lie far from y +/- U_p although
+    those of the symmetric one do not. The standard leaves the `kind` to the user.
 
-    Raises `ValueError` if the Monte Carlo has no output of a name that the budget has, if it has
-    too few draws for the interval, or for other than 1 or 2 digits.
+    Raises `ValueError` for an output of the budget that the Monte Carlo lacks, for too few draws
+    for the interval, and for a number of digits other than 1 or 2.
     """
     if digits not in (1, 2):
         raise ValueError(f"digits: found {digits!r}, expected 1 or 2 (JCGM 101, 7.9.2)")
@@ -113,26 +113,26 @@ def compare(
 
 @dataclass(frozen=True)
 class Attained:
-    """How often intervals held the truth, per output."""
+    """Attained coverage: the share of intervals that contain the truth, per output."""
 
     share: Float[np.ndarray, "..."]
-    """NaN where no case counts."""
+    """Share of the counted cases; NaN without any."""
     cases: Int[np.ndarray, "..."]
-    """Cases that count."""
+    """Number of counted cases."""
     left_out: Int[np.ndarray, "..."]
-    """Cases in which an end of the interval, or the truth, is not a number."""
+    """Number of cases in which an end of the interval, or the truth, is not a number."""
 
     @property
     def u(self) -> Float[np.ndarray, "..."]:
-        """Binomial standard error sqrt(c (1 - c) / n); zero where all or none are held."""
+        """Binomial standard error sqrt(c (1 - c) / n); zero for a share c of 0 or 1."""
         with np.errstate(invalid="ignore"):
             return np.sqrt(self.share * (1.0 - self.share) / self.cases)
 
     def bounds(self, p: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Interval for the coverage probability itself, exact where the standard error is not.
+        """Exact confidence interval of the coverage probability at probability `p`.
 
-        Clopper and Pearson (1934), at probability `p`; wide near 0 and 1 as it has to be. Raises
-        `ValueError` for a probability outside of (0, 1).
+        Clopper and Pearson (1934); unlike the standard error, it is valid near 0 and 1. Raises
+        `ValueError` for a probability outside (0, 1).
         """
         check_coverage(p)
         n = self.cases.astype(float)
@@ -151,8 +151,8 @@ def attained_coverage(
 ) -> Attained:
     """Share of n cases in which low <= truth <= high, for every output along the other axes.
 
-    An interval with an end that is not a number is counted in `Attained.left_out`, not as one that
-    missed. Raises `ValueError` for shapes that differ, or an interval whose ends are exchanged.
+    An interval with an end that is not a number counts in `Attained.left_out`, not as a miss.
+    Raises `ValueError` for shapes that differ, and for an interval with exchanged ends.
     """
     low, high = np.asarray(low, float), np.asarray(high, float)
     if low.ndim == 0 or low.shape != high.shape:

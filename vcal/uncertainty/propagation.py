@@ -1,4 +1,4 @@
-"""The GUM uncertainty framework (JCGM 100, several outputs JCGM 102) by automatic derivatives."""
+"""The GUM uncertainty framework (JCGM 100 and 102) by automatic differentiation."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -24,17 +24,17 @@ Function = Callable[[dict[str, Array]], Any]
 
 _UNNAMED = "y"
 _SCALED = ("t", "multivariate_t")
-"""Distributions whose tails the GUM puts into k: their u is the scale."""
+"""Distributions with a scale as u, as the GUM accounts for their tails in k."""
 _UNCORRELATED = 1e-12
-"""Correlations below this are rounding errors."""
+"""Size of a correlation below which it is a rounding error."""
 _REACH, _NODES = 37.0, 7401
-"""Normal scores over which moments are integrated."""
+"""Range of normal scores for the integration of moments."""
 _RANK = 1e-14
-"""Share of a correlation matrix's trace below which an eigenvalue is one."""
+"""Share of the trace of a correlation matrix below which an eigenvalue is a rounding error."""
 
 
 class Flat(eqx.Module):
-    """A measurement function from all inputs in a row to all outputs in a row."""
+    """A measurement function from the vector of all inputs to the vector of all outputs."""
 
     function: Function
     inputs: Inputs
@@ -60,34 +60,34 @@ def propagate(
     derivatives at the estimates.
 
     `order` 2 adds the next terms of the series to value and variance (`vcal.uncertainty.taylor`;
-    JCGM 100, H.1.7). They are those of normal inputs, correlated ones included. With `moments`
-    ``"own"`` an input that is uncorrelated with all others counts with its own third and fourth
-    moment, which for x^2 of a rectangular x is 0.89 against 1.41 u(x)^2. Student's t stays normal:
-    in the GUM it is a normal quantity whose u is not known well, and its tails are in k.
+    JCGM 100, H.1.7). They assume normal inputs, which may be correlated. With `moments` ``"own"``,
+    an input that is uncorrelated with all others contributes its own third and fourth moment; for
+    x^2 of a rectangular x, this gives 0.89 instead of 1.41 u(x)^2. Student's t stays normal, as the
+    GUM treats it as a normal quantity with an uncertain u, and accounts for its tails in k.
 
-    So for Student's t the standard uncertainty is its scale s/sqrt(n) with nu degrees of freedom
-    (JCGM 100, 4.2.3, G.3), and not the larger standard deviation sqrt(nu/(nu - 2)) s/sqrt(n) of
-    JCGM 101, 6.4.9.4, which has the same tails in it already, and does not exist for nu <= 2. Two
-    or three repeats will do therefore, unless they are correlated with another input.
+    The standard uncertainty of Student's t is therefore its scale s/sqrt(n) with nu degrees of
+    freedom (JCGM 100, 4.2.3, G.3), and not the larger standard deviation sqrt(nu/(nu - 2))
+    s/sqrt(n) of JCGM 101, 6.4.9.4, which includes the tails and does not exist for nu <= 2. Two or
+    three repeated observations are sufficient, unless they are correlated with another input.
 
     Effective degrees of freedom (JCGM 100, G.4.1) are those of Welch and Satterthwaite over
     *groups* that are independent of each other, v_g = c_g S_g c_g':
 
         nu_eff = (sum_g v_g)^2 / sum_g (v_g^2 / nu_g)
 
-    A group is what correlations connect, or the elements of one multivariate input. If its
-    covariance comes from n observations of all its members together, v_g is itself a sample
-    variance and nu_g = n - 1 exactly (Willink 2007, Metrologia 44, 340); a `MultivariateT` of d
-    quantities is taken as it stands, with the n - d and the larger scale of JCGM 102, 5.3.2, which
-    errs on the side of a larger u. There is no agreed formula where the members of a group differ:
-    the smallest counts, and a note says so. The second-order
-    terms have no degrees of freedom of their own: nu_eff is that of the first-order part, and the
-    smallest of all inputs where that part is zero.
+    A group consists of inputs connected by correlations, or of the elements of one multivariate
+    input. If its covariance comes from n joint observations of all its members, v_g is a sample
+    variance and nu_g = n - 1 exactly (Willink 2007, Metrologia 44, 340). A `MultivariateT` of d
+    quantities keeps the n - d degrees of freedom and the larger scale of JCGM 102, 5.3.2, which
+    gives a larger u. No agreed formula exists for a group whose members have different degrees of
+    freedom: the smallest number is used, and a note reports it. The second-order terms have no
+    degrees of freedom: nu_eff is that of the first-order part, or the smallest number of all inputs
+    where that part is zero.
 
-    Raises `ValueError` if the function is not written in JAX or takes an input that there is not,
-    if it or a derivative is not finite at the estimates, if a second-order variance is negative, if
-    an input without a standard deviation is correlated with another, and for settings that make no
-    sense; `TypeError` for what are no `Inputs`.
+    Raises `ValueError` if the function is not written in JAX or takes an unknown input, if it or a
+    derivative is not finite at the estimates, if a second-order variance is negative, if an input
+    without a standard deviation is correlated with another, and for invalid settings; `TypeError`
+    for inputs that are no `Inputs`.
     """
     require_float64()
     _check_settings(order, moments)
@@ -123,9 +123,9 @@ def propagate(
 
 
 def named(values: Any) -> dict[str, Array]:
-    """Outputs of a measurement function by name; one without a name is called ``"y"``.
+    """Outputs of a measurement function by name; a single one is called ``"y"``.
 
-    Raises `ValueError` for what is not a number or an array.
+    Raises `ValueError` for a value that is neither a number nor an array.
     """
     found = dict(values) if isinstance(values, Mapping) else {_UNNAMED: values}
     try:
@@ -138,10 +138,10 @@ def named(values: Any) -> dict[str, Array]:
 
 
 def outputs_of(function: Function, inputs: Inputs) -> tuple[Output, ...]:
-    """Names and shapes of what a measurement function gives, in its own order.
+    """Names and shapes of the outputs of a measurement function, in its own order.
 
-    Raises `ValueError` if the function is not written in JAX, gives nothing, or takes an input that
-    there is not, and `TypeError` for what are no `Inputs`.
+    Raises `ValueError` if the function is not written in JAX, has no output, or takes an unknown
+    input, and `TypeError` for inputs that are no `Inputs`.
     """
     if not isinstance(inputs, Inputs):
         raise TypeError(
@@ -151,7 +151,7 @@ def outputs_of(function: Function, inputs: Inputs) -> tuple[Output, ...]:
     names: list[str] = []
 
     def in_order(x: Array) -> list[Array]:
-        # A dictionary would come back in the order of the alphabet.
+        # JAX would return a dictionary in alphabetical order.
         values = named(function(inputs.unflatten(x)))
         names.extend(values)
         return list(values.values())
@@ -178,7 +178,7 @@ def outputs_of(function: Function, inputs: Inputs) -> tuple[Output, ...]:
 
 
 def _source(inputs: Inputs) -> Source:
-    """The inputs as the GUM states them."""
+    """The inputs with their estimates, standard uncertainties and degrees of freedom by the GUM."""
     kinds = inputs.kinds
     dof = np.asarray(inputs.dof, float)
     covariance = np.asarray(inputs.stated_covariance, float)
@@ -189,7 +189,7 @@ def _source(inputs: Inputs) -> Source:
 def _groups(
     inputs: Inputs, covariance: Float[np.ndarray, "k k"], dof: Float[np.ndarray, " k"]
 ) -> tuple[tuple[int, ...], ...]:
-    """Inputs that are connected by correlations, or were estimated as one, by position."""
+    """Indices of inputs that are connected by correlations or were estimated jointly."""
     u = np.sqrt(np.diag(covariance))
     linked = np.abs(covariance) > _UNCORRELATED * np.outer(u, u)
     names = np.repeat(
@@ -209,7 +209,7 @@ def _groups(
 
 
 def _root(source: Source) -> tuple[Float[np.ndarray, "k r"], tuple[int, ...]]:
-    """L with L L' = S, and for every column the input that alone makes it, or -1."""
+    """L with L L' = S, and for every column the index of its only input, or -1."""
     u, columns, alone = source.u, [], []
     for group in source.independent:
         members = [i for i in group if u[i] > 0.0]
@@ -228,7 +228,7 @@ def _root(source: Source) -> tuple[Float[np.ndarray, "k r"], tuple[int, ...]]:
 
 
 def _shapes(inputs: Inputs, source: Source, alone: tuple[int, ...]) -> Float[np.ndarray, "2 r"]:
-    """Skewness and excess kurtosis of the inputs that stand alone; zero for the others."""
+    """Skewness and excess kurtosis of the uncorrelated inputs; zero for the others."""
     distributions = list(inputs.distributions.values())
     first = np.cumsum([0, *(math.prod(d.shape) for d in distributions)])
     places = zip(first.tolist(), distributions, strict=False)
@@ -274,14 +274,14 @@ def _check_finite(finite: Bool[np.ndarray, "m n"], labels: Sequence[str], what: 
 
 
 def _blind(labels: Sequence[str], taylor: Taylor, source: Source) -> tuple[str, ...]:
-    """What is to be said of outputs that no input moves at first order."""
+    """The note on outputs without a first-order sensitivity."""
     still = [label for label, v in zip(labels, taylor.linear, strict=True) if v == 0.0]
     if not still or not source.u.any():
         return ()
     names = ", ".join(still[:5]) + (f" and {len(still) - 5} more" if len(still) > 5 else "")
     return (
-        f"no input moves {names} at first order; where that is because a derivative vanishes "
-        "there, take order=2 or Monte Carlo",
+        f"{names} has no first-order sensitivity to any input; if a derivative vanishes at the "
+        "estimates, take order=2 or Monte Carlo",
     )
 
 
@@ -299,7 +299,7 @@ def _checked_variance(taylor: Taylor, labels: Sequence[str]) -> Float[np.ndarray
 def _effective_dof(
     source: Source, sensitivity: Float[np.ndarray, "m k"]
 ) -> tuple[Float[np.ndarray, " m"], tuple[str, ...]]:
-    """Effective degrees of freedom of every output, and what is to be said of them."""
+    """Effective degrees of freedom of every output, with notes on them."""
     total = np.zeros(len(sensitivity))
     scatter = np.zeros(len(sensitivity))
     smallest, notes = np.inf, []
@@ -311,8 +311,8 @@ def _effective_dof(
         if dof.min() < dof.max():
             names = ", ".join(source.labels[i] for i in members)
             notes.append(
-                f"{names} are correlated but differ in their degrees of freedom, for which there "
-                f"is no agreed formula: the smallest, {dof.min():g}, counts for all of them"
+                f"{names} are correlated but differ in their degrees of freedom, for which no "
+                f"agreed formula exists: the smallest number, {dof.min():g}, is used for all"
             )
         c = sensitivity[:, members]
         part = np.maximum(((c @ source.covariance[np.ix_(members, members)]) * c).sum(1), 0.0)

@@ -1,6 +1,7 @@
-"""The commands: each reads its arguments, calls one verb and prints what came of it.
+"""The commands: each reads its arguments, calls one verb and prints the result.
 
-Modules that only some commands need are imported there, so that ``vcal --help`` answers at once.
+Modules that only some commands need are imported inside them, so that ``vcal --help`` answers at
+once.
 """
 
 import shlex
@@ -16,7 +17,10 @@ from .session import INTERRUPTED, guarded, leave, listen, start, tell, working
 
 app = typer.Typer(
     name="vcal",
-    help="Virtual calibration of machine tools: simulate a measurement, find what a model lacks.",
+    help="Virtual calibration of machine tools and robots. From a measurement, vcal identifies the "
+    "errors of the machine and the effects that the declared model lacks; before a measurement, it "
+    "predicts the uncertainty of a plan and improves the plan. Start with vcal demo, or with vcal "
+    "init for a study of your own.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -24,9 +28,7 @@ app = typer.Typer(
 
 
 def _folder(text: str | Path) -> Path:
-    """The folder that is named, or that is the default; an empty name would be the one that the
-    user is in.
-    """
+    """The named folder. An empty name is refused, as it would be the working directory."""
     if not str(text).strip():
         raise typer.BadParameter(f"found {text!r}, expected the name of a folder; give one")
     return Path(text)
@@ -37,7 +39,12 @@ Setup = Annotated[
 ]
 Override = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Replace a key of the study file; repeatable."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Replace a key of the study file for this run, for example loop.alpha=0.05. "
+        "Repeatable.",
+    ),
 ]
 ReportFolder = Annotated[
     Path,
@@ -45,13 +52,15 @@ ReportFolder = Annotated[
         "--out",
         parser=_folder,
         metavar="PATH",
-        help="Folder for the report: a new one, or that of an earlier report, which is replaced "
-        "unless something in it was changed.",
+        help="Folder for the report: a new folder, or the folder of an earlier report, which is "
+        "replaced unless a file in it was changed.",
     ),
 ]
-Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of all random draws.")]
+Seed = Annotated[
+    int, typer.Option(metavar="N", min=0, max=2**63 - 1, help="Seed of all random draws.")
+]
 NoiseFactor = Annotated[
-    float, typer.Option(help="Multiplies the noise that the instrument declares.")
+    float, typer.Option(metavar="X", help="Factor on the declared noise of the instrument.")
 ]
 
 
@@ -60,7 +69,7 @@ def main() -> None:
     listen()
     try:
         app()
-    except KeyboardInterrupt:  # outside of a command: while modules are imported
+    except KeyboardInterrupt:  # outside a command, while modules are imported
         tell("interrupted")
         leave(INTERRUPTED)
     except SystemExit as end:
@@ -79,7 +88,9 @@ def _version(wanted: bool) -> None:
 def _options(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="Print the version and exit."
+        ),
     ] = False,
 ) -> None:
     del version
@@ -91,19 +102,35 @@ def loop(
     setup: Setup,
     out: ReportFolder,
     alpha: Annotated[
-        float | None, typer.Option(help="Share of clean measurements that may get a name.")
+        float | None,
+        typer.Option(
+            metavar="P",
+            help="False-alarm probability: share of measurements without a missing effect in which "
+            "the loop may name one.",
+        ),
     ] = None,
     effects: Annotated[
-        str | None, typer.Option(metavar="A,B,...", help="Try these effects only.")
+        str | None,
+        typer.Option(
+            metavar="A,B,...",
+            help="Names of the effects to test; all of the catalogue without this option.",
+        ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of all random draws.")] = None,
-    draws: Annotated[int | None, typer.Option(help="Null draws behind a significance.")] = None,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Seed of all random draws.")] = None,
+    draws: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Simulated measurements behind every significance."),
+    ] = None,
     max_effects: Annotated[
-        int | None, typer.Option(help="Effects after which the loop stops.")
+        int | None, typer.Option(metavar="N", help="Number of added effects at which to stop.")
     ] = None,
     override: Override = None,
 ) -> None:
-    """Find, name and add the effect that a measurement says is missing; write a report."""
+    """Find the effects that the declared model lacks, identify them, and write a report.
+
+    An option that is not given has the value of the loop table of the study file, or the default
+    of that table.
+    """
     options = {"alpha": alpha, "seed": seed, "draws": draws, "max_effects": max_effects}
     given = list(override or [])
     command = ["vcal", "loop", str(setup), "--out", str(out)]
@@ -126,7 +153,7 @@ def loop(
 def demo(
     out: ReportFolder = Path("vcal-demo"),
 ) -> None:
-    """Close the loop on the measurement that comes with vcal, which hides an effect."""
+    """Run `loop` on a bundled laser-tracker measurement with an undeclared effect."""
     from ..demo import FOLDER
 
     command = ["vcal", "demo", "--out", str(out)]
@@ -148,9 +175,9 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
         check_folder(out, (study.folder / name for name in study.hashes))
         if study.measurement is None:
             raise StudyError(
-                f"{study.sets[0].file}, header: found no column of readings, that is, a "
-                f"plan; expected the readings of a {study.sets[0].settings.kind}; add them, or "
-                "make some with `vcal simulate`"
+                f"{study.sets[0].file}, header: found a plan without columns of readings, expected "
+                f"the readings of a {study.sets[0].settings.kind}; add the measured readings, or "
+                "simulate some with `vcal simulate`"
             )
         closure = close_study(study, study.measurement, progress)
         progress("writing the report")
@@ -159,7 +186,7 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
     show_closure(closure)
     typer.echo(f"Report: {page}")
     if closure.interrupted:
-        tell("interrupted: the report holds what was known by then")
+        tell("interrupted: the report holds the results so far")
         raise typer.Exit(INTERRUPTED)
 
 
@@ -169,19 +196,20 @@ def init(
     folder: Annotated[
         Path,
         typer.Argument(
-            parser=_folder, metavar="FOLDER", help="Folder to write; a new or an empty one."
+            parser=_folder, metavar="FOLDER", help="Folder to write: a new or an empty one."
         ),
     ],
     instrument: Annotated[
-        str, typer.Option(metavar="KIND", help=f"One of {', '.join(starts())}.")
+        str,
+        typer.Option(metavar="KIND", help=f"Kind of the instrument: one of {', '.join(starts())}."),
     ] = "laser_tracker",
 ) -> None:
-    """Write a commented study folder to start from."""
+    """Write a study folder to start from: a commented study file and simulated data."""
     from .start_studies import write_start
 
     names = write_start(instrument, folder)
     typer.echo(f"Wrote {folder}: {', '.join(names)}.")
-    typer.echo("Its data were simulated from the declared model: nothing is missing from it.")
+    typer.echo("Its data were simulated from the declared model, without any other effect.")
     typer.echo(f"Put your machine and data in, then: vcal check {folder / 'setup.toml'}")
 
 
@@ -192,7 +220,7 @@ def simulate(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", parser=_folder, metavar="PATH", help="Folder to write; a new or an empty one."
+            "--out", parser=_folder, metavar="PATH", help="Folder to write: a new or an empty one."
         ),
     ],
     with_: Annotated[
@@ -200,15 +228,19 @@ def simulate(
         typer.Option(
             "--with",
             metavar="EFFECT",
-            help="An effect that is there but not declared, as NAME:PLACEMENT:KEY=VALUE,...; "
-            "what is not given is drawn from its prior. Repeatable.",
+            help="An effect of the simulated machine that the study does not declare, as "
+            "NAME:PLACEMENT:KEY=VALUE,...; values that are not given are drawn from their priors. "
+            "Repeatable.",
         ),
     ] = None,
     seed: Seed = 0,
     noise_factor: NoiseFactor = 1.0,
     override: Override = None,
 ) -> None:
-    """Make data as of a machine drawn from its priors, at the positions of a study."""
+    """Simulate the measurement of a study on a machine drawn from the priors.
+
+    OUT becomes a study folder with the simulated readings at the positions of the study.
+    """
     start()
     from .. import load_study
     from ..study.simulated import parse_every_with, write_simulated
@@ -237,28 +269,37 @@ def uncertainty(
     setup: Setup,
     out: ReportFolder,
     draws: Annotated[
-        str, typer.Option(metavar="N|adaptive", help="Machines to draw, or until it is stable.")
+        str,
+        typer.Option(
+            metavar="N|adaptive",
+            help="Number of Monte Carlo draws, or adaptive: as many as JCGM 101, 7.9 requires.",
+        ),
     ] = "20000",
     with_: Annotated[
         list[str] | None,
         typer.Option(
             "--with",
             metavar="EFFECT",
-            help="An effect that is there but not fitted, as NAME:PLACEMENT:KEY=VALUE,...; "
-            "what is not given is drawn from its prior. Repeatable.",
+            help="An effect of the simulated machines that is not fitted, as "
+            "NAME:PLACEMENT:KEY=VALUE,...; values that are not given are drawn from their priors. "
+            "Repeatable.",
         ),
     ] = None,
     seed: Seed = 0,
     noise_factor: NoiseFactor = 1.0,
     digits: Annotated[
-        int, typer.Option(min=1, max=2, help="Significant digits of u that are to be right.")
+        int,
+        typer.Option(
+            metavar="N", min=1, max=2, help="Significant digits required of a standard uncertainty."
+        ),
     ] = 1,
     override: Override = None,
 ) -> None:
-    """Say which uncertainty a measurement plan will give, before measuring; write a report.
+    """Predict the uncertainty that a measurement plan will give, by GUM and by Monte Carlo.
 
-    Data with readings serve as a plan. What an interrupted or killed run has done is kept in
-    OUT/draws, from where the same command goes on; that folder goes when the report is complete.
+    No readings are needed: of a measured study only the plan is used. The state of an interrupted
+    run is kept in OUT/draws, and the same command resumes it. The folder is removed when the report
+    is complete.
     """
     start()
     from .uncertainty import run_virtual
@@ -283,7 +324,7 @@ def uncertainty(
     typer.echo(done.sentence)
     typer.echo(f"Report: {done.page}")
     if done.interrupted:
-        tell("interrupted: the report holds what was known by then; the same command goes on")
+        tell("interrupted: the report holds the results so far; the same command resumes")
         raise typer.Exit(INTERRUPTED)
 
 
@@ -297,29 +338,32 @@ def design(
             "--out",
             parser=_folder,
             metavar="PATH",
-            help="Folder for the design: a new one, or that of an earlier design, which is "
-            "replaced unless something in it was changed.",
+            help="Folder for the design: a new folder, or the folder of an earlier design, which "
+            "is replaced unless a file in it was changed.",
         ),
     ],
     following: Annotated[
-        bool, typer.Option("--next", help="Say what to measure next, on top of the data.")
+        bool,
+        typer.Option("--next", help="Keep the data, and design the next rows to measure."),
     ] = False,
     separate: Annotated[
         list[str] | None,
         typer.Option(
             "--separate",
             metavar="EFFECT",
-            help="With --next, given twice: tell these two effects apart; as in simulate --with.",
+            help="With --next, given twice: separate these two effects. Written as in simulate "
+            "--with.",
         ),
     ] = None,
     seed: Seed = 0,
     override: Override = None,
 ) -> None:
-    """Make a measurement plan better before measuring; OUT is a study of the designed plan.
+    """Improve a measurement plan before measuring, or plan the next measurement.
 
-    What may vary, and what is made small, is said in the table ``design`` of the study file. With
-    --next the plan or the data stay, and OUT holds the rows to measure next: those that make the
-    criterion smallest or, where the loop cannot decide between two effects, tell them apart.
+    The design table of the study file sets what may vary and which criterion is minimised. OUT
+    becomes a study folder of the designed plan. With --next, the present rows are kept, and OUT
+    holds the rows to measure next. They minimise the criterion or, where the loop cannot decide
+    between two effects, they separate these two.
     """
     start()
     from .design import run_design
@@ -349,7 +393,10 @@ def design(
 @guarded
 def reproduce(
     name: Annotated[
-        str | None, typer.Argument(help="What to reproduce; without it, what there is.")
+        str | None,
+        typer.Argument(
+            metavar="NAME", help="Name of the campaign; without a name, all are listed."
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -357,14 +404,17 @@ def reproduce(
             "--out",
             parser=_folder,
             metavar="PATH",
-            help="Folder for the results: a new one, or that of earlier results, which are "
-            "replaced unless something in it was changed.",
+            help="Folder for the results: a new folder, or the folder of earlier results, which "
+            "are replaced unless a file in it was changed.",
         ),
     ] = None,
-    draws: Annotated[int | None, typer.Option(help="Tests of the long campaign.")] = None,
+    draws: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Monte Carlo draws; by default those of the campaign."),
+    ] = None,
     seed: Seed = 0,
 ) -> None:
-    """Do a published campaign again; write its numbers beside those that were printed."""
+    """Reproduce a published campaign and compare the results with the published values."""
     start()
     from ..errors import StudyError
     from ..reproduce import REPRODUCTIONS, reproduction
@@ -375,7 +425,9 @@ def reproduce(
         return
     wanted = reproduction(name)
     if out is None:
-        raise StudyError(f"--out: found none, expected a folder for {name}; name a new one")
+        raise StudyError(
+            f"--out: found none, expected a folder for the results of {name}; give one"
+        )
     with working("starting") as progress:
         page = wanted.run(out, wanted.draws if draws is None else draws, seed, progress)
     typer.echo(f"Report: {page}")
@@ -384,7 +436,7 @@ def reproduce(
 @app.command()
 @guarded
 def check(setup: Setup, override: Override = None) -> None:
-    """Read and check a study without computing anything; say what is in it."""
+    """Read and check a study without a fit, and print a summary of it."""
     start()
     from .. import load_study
     from .show import show_study
@@ -395,18 +447,20 @@ def check(setup: Setup, override: Override = None) -> None:
 @app.command()
 @guarded
 def effects(
-    name: Annotated[str | None, typer.Argument(help="Show this one in full.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="Name of the effect to describe in full.")
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
             "--out",
             parser=_folder,
             metavar="PATH",
-            help="Write pages with pictures into this folder: of all, or of this one.",
+            help="Folder for a page with pictures of every effect, or of the named one.",
         ),
     ] = None,
 ) -> None:
-    """List the effects of the catalogue, or explain one."""
+    """List the effects of the catalogue, or describe one of them."""
     from ..effects import CATALOGUE, effect_class
     from .show import show_catalogue, show_effect
     from .start_studies import example

@@ -1,16 +1,16 @@
-"""The closed loop on a circle by the frequency response of its plant, sampled.
+"""The response of the closed loop to a circle, by the sampled frequency response of the plant.
 
-A force that is held between samples is a sum of harmonics of the sampling, and so is the answer of
-the plant. With s_k = i (omega + 2 pi k / T), the delay tau and G(s) = (s^2 M + s D + K)^-1 B,
+A force that is held between samples is a sum of harmonics of the sampling frequency, and so is the
+response of the plant. With s_k = i (omega + 2 pi k / T), the delay tau and
+G(s) = (s^2 M + s D + K)^-1 B,
 
     P = sum_k G(s_k) c_k,    c_k = exp(-s_k tau) (1 - exp(-s_k T)) / (s_k T),
 
-is what the plant answers at the samples per force F exp(i omega t) (Poisson's sum; Astrom,
-Wittenmark 1997, ch. 7). The sum over all k is what `steady` finds exactly. Far above the natural
-frequencies the plant is that of free masses, G = M^-1 B / s^2, for which the sum is known; only
-what differs from it is summed, and few k leave next to nothing. It takes solutions of the size of
-the degrees of freedom instead of an exponential, and so gives derivatives by many parameters for a
-tenth of the effort.
+is the response of the plant at the samples per force F exp(i omega t) (Poisson summation; Astrom,
+Wittenmark 1997, ch. 7). `steady` computes the sum over all k exactly. Far above the natural
+frequencies the plant behaves like free masses, G = M^-1 B / s^2, for which the sum is known. Only
+the difference is summed, which needs few k. The method solves systems of the size of the degrees of
+freedom instead of an exponential, so that derivatives by many parameters take a tenth of the time.
 """
 
 import jax
@@ -19,20 +19,21 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ..numerics.arrays import Array
-from .assemble import Structure
 from .control import Controller
+from .structure import Structure
 
 _LOST = 1e-7
-"""Share of an answer of the plant that the harmonics that are left out may have."""
+"""Largest share of the omitted harmonics in the response of the plant."""
 _MOST = 64
 
 
 def harmonics(structure: Structure, controller: Controller, omega: float) -> int | None:
-    """How many harmonics of the sampling `response` needs on both sides for seven digits of the
-    error at an angular velocity; None where even 64 are too few.
+    """Number of harmonics on both sides that `response` needs for seven digits of the error at an
+    angular velocity; None where even 64 are too few.
 
-    They fall with the fourth power of their number beyond the fastest mode: a soft machine of heavy
-    motors needs one, one that is sampled more slowly than it swings needs dozens.
+    Beyond the fastest mode, they decrease with the fourth power of their number. A compliant
+    machine with heavy motors needs one harmonic; a machine whose modes are faster than the sampling
+    needs dozens.
     """
     T = float(controller.sample_time)
     M, D, K, B = (
@@ -45,7 +46,7 @@ def harmonics(structure: Structure, controller: Controller, omega: float) -> int
     free = rows @ np.linalg.solve(M, B)
 
     def added(number: np.ndarray) -> np.ndarray:
-        """(k, rows, axes): what harmonics add to that of free masses."""
+        """Contribution (k, rows, axes) of harmonics in addition to that of free masses."""
         s = 1j * (omega + 2.0 * np.pi / T * number)[:, None, None]
         held = (1.0 - np.exp(-s * T)) / (s * T)
         return held * (rows @ np.linalg.solve(s * s * M + s * D + K, B[None]) - free / s**2)
@@ -66,9 +67,10 @@ def harmonics(structure: Structure, controller: Controller, omega: float) -> int
 def response(
     structure: Structure, controller: Controller, omega: Float[Array, ""] | float, aliases: int = 1
 ) -> tuple[Complex[Array, "axes axes"], Complex[Array, "3 axes"]]:
-    """Scales, and tool point against the scales, per set position exp(i omega t) of every axis.
+    """Response of the scales, and of the tool point relative to them, per set position
+    exp(i omega t) of every axis.
 
-    Harmonics of the sampling up to number `aliases` on both sides.
+    `aliases` is the number of harmonics of the sampling frequency on both sides.
     """
     T, tau = controller.sample_time, controller.delay
     s = 1j * (omega + 2.0 * jnp.pi / T * jnp.arange(-aliases, aliases + 1))
@@ -76,8 +78,8 @@ def response(
     rows = jnp.concatenate([structure.scale, structure.pace, structure.tool])
     plant = _plant(structure.mass, structure.damping, structure.stiffness, structure.force, rows, s)
     free = rows @ jnp.linalg.solve(structure.mass, structure.force)
-    # A free mass from sample to sample, pushed by the force of d + 1 samples ago for `part`, and by
-    # that of d samples ago from then on.
+    # A free mass from sample to sample: the force of d + 1 samples ago acts for `part`, then that
+    # of d samples ago.
     d = jnp.floor(jax.lax.stop_gradient(tau) / T)
     part = tau - d * T
     new = jnp.exp(-1j * omega * T * d)
@@ -115,8 +117,8 @@ def _inverse(M: Array, D: Array, K: Array, s: Array) -> Array:
 
 @_plant.defjvp
 def _(primals, tangents):
-    # With L = C A^-1 and R = A^-1 B the tangent is dC R + L (dB - dA R): products of a few rows
-    # and columns, the real matrices' tangents with all R at once, in place of many solutions.
+    # With L = C A^-1 and R = A^-1 B, the tangent is dC R + L (dB - dA R). These products of a few
+    # rows and columns replace many solutions.
     (M, D, K, B, C, s), (dM, dD, dK, dB, dC, ds) = primals, tangents
     inverse = _inverse(M, D, K, s)
     L, R = C @ inverse, inverse @ B

@@ -1,4 +1,4 @@
-"""A plan made better: the verb behind ``vcal design``."""
+"""Optimisation of a plan: the verb of ``vcal design``."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,15 +18,15 @@ from ..numerics.arrays import Array
 from ..numerics.compiled import jit_outermost
 from .criteria import MICRO, Criterion, Judged, averaged
 from .judged import prior_covariance
+from .multistart import Found, search
 from .plan_space import NOT_TRACED, PlanSpace, starts_of
-from .search import Found, search
 
 _FITS_M = 1e-9
 _TOLERANCE = 1e-5
 
 
 class Task(NamedTuple):
-    """A space of plans and what they are judged by."""
+    """A design task: a space of plans, the judged families and the criterion."""
 
     space: PlanSpace
     families: tuple[Judged, ...]
@@ -35,20 +35,20 @@ class Task(NamedTuple):
 
 
 class Value(NamedTuple):
-    """What a plan leaves uncertain; averages over the families, but for the errors."""
+    """The posterior uncertainty of a plan; averages over the families, except for `largest`."""
 
     criterion: float
     aligned_um: float
     """Expected rms volumetric error after compensation and rigid alignment."""
     raw_um: float
-    """Without alignment."""
+    """Expected rms volumetric error after compensation, without alignment."""
     largest: np.ndarray
     """Largest U (k = 2) of every error motion of the study's own family, um or urad."""
 
 
 @dataclass(frozen=True)
 class Designed:
-    """A plan as it is and as it was made."""
+    """A plan before and after its optimisation."""
 
     task: Task
     nominal: Any
@@ -59,16 +59,16 @@ class Designed:
     prior: Value | None
     """Before any measurement; None where an error of the machine has no prior."""
     worse_before: np.ndarray
-    """Of every group: by which share the criterion is larger without it."""
+    """Relative increase of the criterion without each of the groups."""
     worse_after: np.ndarray
     found: tuple[Found, ...]
     """All starts, best first."""
     fits: tuple[bool, ...]
-    """Whether what was found lies within the travel."""
+    """Whether each result lies within the travel."""
 
     @property
     def gain(self) -> float:
-        """Share by which the criterion fell."""
+        """Relative decrease of the criterion."""
         return 1.0 - self.after.criterion / self.before.criterion
 
 
@@ -78,9 +78,9 @@ def valuation(value: Value, prior: Value | None) -> float:
 
 
 class Compiled:
-    """A task as compiled functions of what is placed, on top of what is known already.
+    """The compiled functions of a task, in addition to the information of the present data.
 
-    Effects and families are closed over: they are data, the same for all plans.
+    Effects and families are constants of the programs, as they are the same for all plans.
     """
 
     def __init__(self, task: Task, held: Sequence[np.ndarray] | None = None):
@@ -89,7 +89,7 @@ class Compiled:
         self._value = jit_outermost(self._valued)
 
     def covariances(self, placed: Any, weights: Float[Array, " g"]) -> list[Float[Array, "k k"]]:
-        """Of the amplitudes of every family."""
+        """Posterior covariances of the amplitudes of every family."""
         space, found = self.task.space, []
         for i, judged in enumerate(self.task.families):
             joint = space.information(placed, judged.model, weights)
@@ -102,7 +102,7 @@ class Compiled:
         return found
 
     def smooth(self, z: Float[Array, " d"]) -> Float[Array, ""]:
-        """What the search makes small."""
+        """The objective of the search."""
         space, criterion = self.task.space, self.task.criterion
         placed = space.placed(z)
         covariances = self.covariances(placed, jnp.ones(len(space.groups)))
@@ -110,13 +110,13 @@ class Compiled:
         return value * space.penalty(placed)
 
     def value(self, placed: Any, weight: float = 1.0) -> Value:
-        """Of a plan, all groups counting as often as `weight` says."""
+        """The uncertainty of a plan, in which every group counts `weight` times."""
         weights = np.full(len(self.task.space.groups), weight)
         return _value(self._value(placed, weights))
 
     def without_each(self, placed: Any) -> np.ndarray:
-        """By which share the criterion is larger without each of the groups."""
-        # The compiled value again and again: another program would take longer to compile.
+        """Relative increase of the criterion without each of the groups."""
+        # Repeated calls of the compiled value take less time than compiling a batched program.
         groups = len(self.task.space.groups)
         whole = float(self._value(placed, np.ones(groups))[0])
         rows = 1.0 - np.eye(groups)
@@ -132,7 +132,7 @@ def prior_value(task: Task) -> Value | None:
     known = [p for p in priors if p is not None]
     if len(known) < len(priors):
         return None
-    # As an argument: of constants XLA would make the values itself, slowly.
+    # Passed as an argument, as XLA folds constants slowly.
     return _value(jit_outermost(lambda priors: _values(task, priors))(known))
 
 
@@ -140,14 +140,14 @@ def optimise(
     task: Task, *, seed: int = 0, starts: int = 8, steps: int = 200,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Designed:  # fmt: skip
-    """Search the space from the plan as it is and from others around it.
+    """Search the space from the present plan and from random plans around it.
 
-    Raises `StudyError` where no start leads to a plan within the travel, and where the plan as it
-    is leaves what is asked for undetermined.
+    Raises `StudyError` where no start leads to a plan within the travel, and where the present plan
+    leaves the criterion undetermined.
     """
     space, compiled = task.space, Compiled(task)
     nominal = space.nominal
-    progress("judging the plan as it is")
+    progress("evaluating the present plan")
     require_traceable(compiled.smooth, space)
     before = compiled.value(nominal)
     check_finite(before, task)
@@ -160,7 +160,7 @@ def optimise(
         )
         placed = [space.settled(space.placed(jnp.asarray(f.z))) for f in found]
     fits = tuple(float(space.excess(p)) <= _FITS_M for p in placed)
-    # Of the same rank for the search, but told by the criterion itself.
+    # Ranked by the criterion itself, not by its smooth substitute.
     options = [(compiled.value(p), p) for p, fit in zip(placed, fits, strict=True) if fit]
     if placed and not options:
         raise StudyError(
@@ -168,10 +168,10 @@ def optimise(
             f"{space.lacking}, or take more starts (design.starts)"
         )
     after, best = min(options, key=lambda o: o[0].criterion, default=(before, nominal))
-    # A plan that no start improves is left as it is.
+    # Without an improvement, the present plan is the result.
     if after.criterion > before.criterion and inside(task, nominal):
         after, best = before, nominal
-    progress(f"judging every {space.group}")
+    progress(f"evaluating every {space.group}")
     return Designed(
         task=task,
         nominal=nominal,
@@ -187,7 +187,7 @@ def optimise(
 
 
 def traceable(function: Callable[[Any], Any], space: PlanSpace) -> bool:
-    """Whether a criterion can be differentiated by what a space varies."""
+    """Whether JAX can differentiate a criterion by the numbers of a space."""
     try:
         jax.eval_shape(function, jax.ShapeDtypeStruct(space.low.shape, float))
     except NOT_TRACED:
@@ -200,8 +200,8 @@ def require_traceable(function: Callable[[Any], Any], space: PlanSpace) -> None:
     if not traceable(function, space):
         raise StudyError(
             "the search: found a declared effect whose response leaves JAX (by numpy.asarray or an "
-            "`if` on a value), expected one that can be differentiated by positions; write it with "
-            "jax.numpy, or leave it out"
+            "`if` on a value), expected a response that is differentiable by positions; write it "
+            "with jax.numpy, or remove the effect"
         )
 
 
@@ -213,11 +213,12 @@ def inside(task: Task, placed: Any) -> bool:
 
 
 def check_finite(value: Value, task: Task) -> None:
-    """Raise `StudyError` for a plan that leaves what it is judged by undetermined."""
+    """Raise `StudyError` for a plan that leaves its criterion undetermined."""
     if not (np.isfinite(value.criterion) and value.criterion > 0.0):
         raise StudyError(
-            f"the plan as it is: found that it leaves the {task.criterion.words} undetermined, "
-            "expected a number; give every error a prior, measure more, or choose other errors"
+            f"the present plan: found that it leaves the {task.criterion.words} undetermined, "
+            "expected a finite value; give every error a prior, measure more, or choose other "
+            "errors"
         )
 
 
@@ -246,16 +247,16 @@ def _value(values) -> Value:
 
 
 class Seen(NamedTuple):
-    """Rank of all readings by all amplitudes and unknown poses, without any prior."""
+    """Rank of the Jacobian of all readings by all amplitudes and unknown poses, without priors."""
 
     columns: int
     rank: int
     unseen: tuple[str, ...]
-    """Errors and effects that are part of what no reading shows."""
+    """Errors and effects that contribute to unobserved combinations."""
 
 
 def seen(task: Task, placed: Any) -> Seen:
-    """Of a plan, by the study's own family."""
+    """The rank of a plan for the study's own family."""
     space, model = task.space, task.families[0].model
     plan, instrument = space.plan(placed), space.instrument(placed)
     nuisances = [e for e in instrument.effects(plan) if e.kind == "nuisance"]

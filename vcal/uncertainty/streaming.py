@@ -1,11 +1,11 @@
-"""The engine of every Monte Carlo campaign: draws in blocks, summarised as they come.
+"""The engine of every Monte Carlo campaign: draws are computed and summarised block by block.
 
     evaluate(first, count) -> the outputs of draws first ... first + count - 1, by name
 
 `evaluate` is always called for whole blocks of one size, and derives the random numbers of a draw
-from its index (`jax.random.fold_in`); the last block is computed whole and cut. The result so
-depends on the seed alone: not on how many blocks lie between two checkpoints, on how many devices
-there are, or on whether the campaign was broken off in between.
+from its index (`jax.random.fold_in`); the last block is computed whole and truncated. The result
+therefore depends on the seed alone, and not on the number of blocks between two checkpoints, on the
+number of devices, or on interruptions of the campaign.
 """
 
 import math
@@ -38,13 +38,13 @@ Progress = Callable[[int, int], None]
 """progress(draws done, draws to do)."""
 
 KEEP = 10_000_000
-"""Values of scalar outputs that are kept, all outputs together."""
+"""Largest number of kept values, of all scalar outputs together."""
 MOST = 100_000_000
 """Draws after which an adaptive campaign ends, stable or not."""
 _CHUNK_S = 2.0
 """Time between two checkpoints where no chunk is given, s."""
 _SAVING = 20.0
-"""So much longer than the last checkpoint took, at least."""
+"""Least time between two checkpoints, as a multiple of the duration of the last one."""
 _INDICES = 2**32
 """`fold_in` takes indices of 32 bits."""
 
@@ -70,27 +70,29 @@ def stream(
 ) -> Ensemble:
     """Run a Monte Carlo campaign and summarise it; memory does not grow with the number of draws.
 
-    `draws` is their number, or ``"adaptive"``: until y, u and both ends of the coverage interval
-    of every scalar output are stable (JCGM 101, 7.9.4: 2 s <= delta, delta from u written with
-    `digits` significant digits), checked after every sub-block of max(100/(1 - p), 10 000) draws
-    rounded up to whole blocks, and at most `most` draws. `coverage` and `kind` say for which
-    interval the campaign follows its own precision; any other may be asked for in the end.
+    `draws` is their number, or ``"adaptive"``. An adaptive campaign ends when y, u and both ends of
+    the coverage interval of every scalar output are stable (JCGM 101, 7.9.4: 2 s <= delta, delta
+    from u written with `digits` significant digits). This is checked after every sub-block of
+    max(100/(1 - p), 10 000) draws, rounded up to whole blocks; `most` is the largest number of
+    draws. `coverage` and `kind` define the interval whose precision is monitored; the result
+    provides any other interval as well.
 
-    `outputs` and `fields` declare what `evaluate` gives: arrays of shape (count, *shape) in
-    float64. Scalar outputs are kept value by value as long as there are at most `keep` altogether;
-    beyond that, quantiles come from counts in fine bins, with a known bound of their error.
+    `outputs` and `fields` declare the results of `evaluate`: arrays of shape (count, *shape) in
+    float64. All values of scalar outputs are kept as long as their total number is at most `keep`;
+    beyond it, quantiles come from counts in fine bins, with a known bound of their error.
 
-    `chunk` is the number of blocks between two checkpoints and calls of `progress`; without it,
-    what is done in about two seconds. With a `folder`, a campaign that was killed goes on from its
-    last finished chunk to the same numbers, and one that ended goes on to more draws.
-    `fingerprint` names everything the draws depend on, the seed first; output declarations, block
-    size and versions are added to it. Where several `devices` are given, whole blocks go to them in
-    turn and `evaluate` is told which (``device=``). It may return before its arrays are computed.
+    `chunk` is the number of blocks between two checkpoints and calls of `progress`; by default, as
+    many as take about two seconds. With a `folder`, a killed campaign resumes from its last
+    finished chunk with the same numbers, and a finished one can be extended to more draws.
+    `fingerprint` names everything on which the draws depend, the seed first; output declarations,
+    block size and versions are added to it. With several `devices`, whole blocks go to them in
+    turn, and `evaluate` gets the device (``device=``). It may return before its arrays are
+    computed.
 
-    `KeyboardInterrupt` ends the campaign with what is known so far (`Ensemble.interrupted`).
+    `KeyboardInterrupt` ends the campaign with the results so far (`Ensemble.interrupted`).
 
-    Raises `ValueError` for settings that make no sense and for values that are not as declared,
-    and `StudyError` for a folder that does not belong to this campaign.
+    Raises `ValueError` for invalid settings and for values that differ from their declaration, and
+    `StudyError` for a folder of another campaign.
     """
     outputs, fields = tuple(outputs), tuple(fields)
     check_declared(outputs, fields)
@@ -118,10 +120,10 @@ def stream(
 
 
 class _Run:
-    """The campaign under way. Its methods are called in one thread, block after block.
+    """A running campaign. Its methods are called in one thread, block after block.
 
-    That thread is not the main one: `KeyboardInterrupt` is raised in the main thread only, so that
-    no block is added by halves.
+    That thread is not the main thread, in which `KeyboardInterrupt` is raised, so that every block
+    is added completely or not at all.
     """
 
     def __init__(
@@ -136,18 +138,18 @@ class _Run:
         self.summary, self.checkpoint, self.total = summary, checkpoint, total
         self.block, self.chunk, self.digits = block, chunk, digits
         self.next = summary.draws // block
-        """Number of the first block that is missing."""
+        """Number of the first missing block."""
         self.saved = self.next
         self.started, self.saving = time.monotonic(), 0.0
         self.settled = False
 
     def take(self, number: int, values: Mapping[str, Array]) -> bool:
-        """Add a block; whether a chunk ended with it."""
+        """Add a block; returns whether a chunk ended with it."""
         if number != self.next or self.ended:
-            return False  # a block before it could not be added, or it is not needed any more
+            return False  # an earlier block is missing, or this one is not needed any more
         rows = min(self.block, self.total - number * self.block)
         if rows < self.block:
-            self.save()  # a block that is cut is no part of what a longer campaign goes on from
+            self.save()  # a longer campaign resumes without a truncated block
         self.summary.add(values, self.block, rows)
         self.next += 1
         self.judge()
@@ -157,7 +159,7 @@ class _Run:
         return self.ended
 
     def judge(self) -> None:
-        """See whether an adaptive campaign is stable, at the end of a sub-block."""
+        """Check the stability of an adaptive campaign at the end of a sub-block."""
         summary = self.summary
         if self.digits is None or summary.draws % summary.declared.step:
             return
@@ -166,7 +168,7 @@ class _Run:
             self.settled = found.settled
 
     def save(self) -> None:
-        """End a chunk: write what is known, if it is to be written and is not yet."""
+        """End a chunk: write the state, if it is to be written and has changed."""
         begun = time.monotonic()
         if self.checkpoint is not None and self.next > self.saved:
             self.checkpoint.save(self.summary.arrays(), self.summary.kept)
@@ -185,9 +187,9 @@ class _Run:
 
 
 def _drive(run: _Run, evaluate: Evaluate, progress: Progress, devices: Sequence[Device]) -> bool:
-    """Have all missing blocks evaluated and added; whether that was interrupted.
+    """Evaluate and add all missing blocks; returns whether this was interrupted.
 
-    While a block is added, the next ones are under way, one per device.
+    While a block is added, the next ones are computed, one per device.
     """
     waiting: deque[Future[bool]] = deque()
 
@@ -223,7 +225,7 @@ def _drive(run: _Run, evaluate: Evaluate, progress: Progress, devices: Sequence[
 
 
 def _resume(summary: Summary, checkpoint: Checkpoint, total: int) -> None:
-    """Go on from what the folder of a checkpoint holds, if anything."""
+    """Resume from the state in the folder of a checkpoint, if there is one."""
     held = checkpoint.load()
     if held is None:
         return
@@ -231,14 +233,14 @@ def _resume(summary: Summary, checkpoint: Checkpoint, total: int) -> None:
     if summary.draws > total:
         raise StudyError(
             f"{checkpoint.folder / STATE}: found {summary.draws} draws, expected at most the "
-            f"{total} asked for; ask for at least as many, or choose another folder"
+            f"{total} requested; request at least as many, or choose another folder"
         )
 
 
 def _settings(
     fingerprint: Mapping[str, Any] | str | None, declared: Declared, block: int, mode: str
 ) -> dict[str, Any]:
-    """Everything that numbers in a folder depend on, by name."""
+    """Everything on which the numbers in a folder depend, by name."""
     own = {"campaign": fingerprint} if isinstance(fingerprint, str) else dict(fingerprint or {})
     return own | {
         "outputs": [[o.name, o.shape] for o in declared.outputs],
@@ -260,7 +262,7 @@ def _version(package: str) -> str:
 
 
 def _total(draws: int | Literal["adaptive"], most: int) -> int:
-    """The greatest number of draws there may be."""
+    """The largest possible number of draws."""
     total = most if draws == "adaptive" else draws
     if not isinstance(total, int | np.integer) or not 2 <= total <= _INDICES:
         raise ValueError(

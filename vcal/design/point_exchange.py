@@ -1,15 +1,15 @@
-"""Which measurements to make, out of many that could be made: the choice that leaves least error.
+"""Selection of measurements from candidates by greedy choice and exchange.
 
     min over whole n_i of tr(G C),     C^-1 = L + sum_i n_i F_i,
     0 <= n_i <= most,     sum_i n_i c_i <= total
 
-with F_i the information of candidate i (a pose of an artefact, a point, a line), c_i what it costs,
-L the precision of the prior and G the quadratic form of what counts. First the greedy choice, then
+with F_i the information of candidate i (a pose of an artefact, a point, a line), c_i its cost, L
+the prior precision and G the quadratic form of the criterion. A greedy choice is followed by
 exchanges of one measurement for another until none lowers the criterion (Fedorov 1972, in the
-cheaper order of Cook and Nachtsheim 1980), the same from choices at random. What comes out is a
-local minimum; `weigh_average` says what no choice goes below. Unknowns that all candidates share
-and that do not count themselves, as the errors of an artefact, belong into the matrices, with zeros
-in G.
+cheaper order of Cook and Nachtsheim 1980); the same is done from random choices. The result is a
+local minimum; `weigh_average` gives a lower bound for every choice. Unknowns that all candidates
+share and that do not count themselves, such as the errors of an artefact, belong into the matrices,
+with zeros in G.
 """
 
 from typing import NamedTuple
@@ -19,15 +19,15 @@ from jaxtyping import Float, Int
 from threadpoolctl import threadpool_limits
 
 _SURE = 1e12
-"""Condition number from which a parameter counts as undetermined."""
+"""Condition number above which a parameter counts as undetermined."""
 
 
 def covariance_of(
     precision: Float[np.ndarray, "k k"], *, check: bool = True
 ) -> Float[np.ndarray, "k k"]:
-    """Inverse of a precision, taken with its diagonal scaled to one.
+    """Inverse of a precision matrix, computed with its diagonal scaled to one.
 
-    With `check`, raises `ValueError` where the condition number of what is scaled says that some
+    With `check`, raises `ValueError` where the condition number of the scaled matrix shows that a
     combination of parameters is not determined.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(precision), np.finfo(float).tiny))
@@ -36,7 +36,7 @@ def covariance_of(
     if check and np.linalg.cond(scaled) > _SURE:
         raise ValueError(
             "found measurements that leave a parameter undetermined, expected every parameter to "
-            "be seen by some of them or to have a prior; choose more, or add candidates"
+            "be measured by some of them or to have a prior; choose more, or add candidates"
         )
     return np.linalg.inv(scaled) * units
 
@@ -44,20 +44,20 @@ def covariance_of(
 _FACTOR = 1e-13
 """Eigenvalue of an information, relative to its largest, that counts as zero."""
 _RIDGE = 1e-10
-"""Precision that is lent to a prior that has none, in units of what all candidates give."""
+"""Precision for parameters without a prior, in units of the information of all candidates."""
 
 
 class Choice(NamedTuple):
-    """Measurements chosen."""
+    """A choice of measurements."""
 
     counts: Int[np.ndarray, " n"]
-    """How often each candidate is measured."""
+    """Number of measurements of each candidate."""
     value: float
     """sqrt(tr(G C)) of the choice."""
 
     @property
     def chosen(self) -> Int[np.ndarray, " c"]:
-        """Places of the candidates, as often as they are measured, in rising order."""
+        """Indices of the candidates, each as often as it is measured, in ascending order."""
         return np.repeat(np.arange(len(self.counts)), self.counts)
 
 
@@ -75,13 +75,13 @@ def exchange(
     seed: int = 0,
     tolerance: float = 1e-9,
 ) -> Choice:
-    """Choose `total` measurements, or, with `costs`, measurements that together cost at most that.
+    """Choose `total` measurements or, with `costs`, measurements with a total cost of at most that.
 
-    A candidate is measured at most `most` times. Exchanges begin with the greedy choice and with
-    `starts` - 1 drawn ones; the best end is returned. One has to lower the criterion by more than
-    the relative `tolerance`. Raises `ValueError` for fewer candidates than are wanted, for
-    costs that are not above zero or of which none is within `total`, and where the choice leaves a
-    parameter undetermined.
+    A candidate is measured at most `most` times. Exchanges start from the greedy choice and from
+    `starts` - 1 random ones; the best result is returned. An exchange has to lower the criterion by
+    more than the relative `tolerance`. Raises `ValueError` for fewer candidates than required, for
+    costs that are not above zero or all above `total`, and where the choice leaves a parameter
+    undetermined.
     """
     F, G = np.asarray(information, float), np.asarray(gram, float)
     price = _checked(len(F), total, costs, most)
@@ -98,7 +98,7 @@ def exchange(
 
 
 class _Task(NamedTuple):
-    """What is chosen from, all in the same units."""
+    """The candidates, the prior and the criterion in common units."""
 
     parts: Float[np.ndarray, "n k r"]
     gram: Float[np.ndarray, "k k"]
@@ -120,11 +120,11 @@ class _Task(NamedTuple):
         return float(np.einsum("kl,kl->", self.gram, self.inverse(counts)))
 
     def fits(self, counts: np.ndarray) -> np.ndarray:
-        """Of which candidates there may be one more."""
+        """Whether one more measurement of each candidate is allowed."""
         return (counts < self.most) & (self.price @ counts + self.price <= self.total)
 
     def filled(self, counts: np.ndarray, order: np.ndarray | None = None) -> np.ndarray:
-        """One more after the other until none fits: what gains most for its price, or in order."""
+        """Add measurements until none fits: by the largest gain per cost, or in a given order."""
         while (fits := self.fits(counts)).any():
             if order is None:
                 gained = _gains(self.inverse(counts), self.gram, self.parts) / self.price
@@ -134,7 +134,7 @@ class _Task(NamedTuple):
         return counts
 
     def exchanged(self, counts: np.ndarray) -> np.ndarray:
-        """One for another until none lowers the criterion."""
+        """Exchange single measurements until no exchange lowers the criterion."""
         value, moved = self.value(counts), True
         while moved:
             moved = False
@@ -147,7 +147,7 @@ class _Task(NamedTuple):
                 if best != out and reached < value * (1.0 - self.tolerance):
                     counts = _moved(fewer, best, 1)
                     value, moved = reached, True
-            # A cheaper measurement may have left room for one more.
+            # A cheaper measurement may leave a budget for one more.
             fuller = self.filled(counts)
             if fuller.sum() > counts.sum():
                 counts, value, moved = fuller, self.value(fuller), True
@@ -161,7 +161,7 @@ def _moved(counts: np.ndarray, place: int, by: int) -> np.ndarray:
 
 
 def _checked(count: int, total: float, costs: np.ndarray | None, most: int) -> np.ndarray:
-    """The price of every candidate."""
+    """The cost of every candidate; raises `ValueError` for invalid arguments."""
     if costs is None:
         if not 1 <= total <= most * count or total != int(total):
             raise ValueError(
@@ -180,12 +180,12 @@ def _checked(count: int, total: float, costs: np.ndarray | None, most: int) -> n
 
 
 def _in_units(F: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The prior in units in which all candidates together give one, and these units."""
+    """The prior in units in which the information of all candidates is one, and these units."""
     whole = precision + F.sum(0)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
     L = precision * np.outer(scale, scale)
     if np.linalg.eigvalsh(L)[0] < _RIDGE:
-        # The first measurements of a greedy choice do not determine everything yet.
+        # The first measurements of a greedy choice do not determine all parameters.
         L = L + _RIDGE * np.eye(len(L))
     return L, scale
 
@@ -200,7 +200,7 @@ def _factors(F: np.ndarray) -> np.ndarray:
 
 
 def _gains(C: np.ndarray, G: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """By how much tr(G C) falls with one more of every candidate:
+    """Decrease of tr(G C) with one more measurement of every candidate:
     tr((1 + V'C V)^-1 V'C G C V) (Woodbury).
     """
     n, k, r = parts.shape
@@ -213,6 +213,6 @@ def _gains(C: np.ndarray, G: np.ndarray, parts: np.ndarray) -> np.ndarray:
 
 
 def _value(F: np.ndarray, precision: np.ndarray, G: np.ndarray, counts: np.ndarray) -> float:
-    """sqrt(tr(G C)), with the prior as it is."""
+    """sqrt(tr(G C)) with the given prior."""
     H = precision + np.tensordot(counts.astype(float), F, 1)
     return float(np.sqrt(np.einsum("kl,kl->", G, covariance_of(H))))

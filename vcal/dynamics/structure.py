@@ -1,8 +1,9 @@
-"""Mass, damping and stiffness matrices of a machine, its inputs and outputs.
+"""Mass, damping and stiffness matrices of a machine, with its inputs and outputs.
 
     M q'' + D q' + K q = B F,    q_i = (x, y, z, a, b, c) of every body at its centre of gravity,
 
-then one coordinate for the motor of every screw. A point p of body i moves by u + theta x (p - c),
+followed by one coordinate for the motor of every screw. A point p of body i moves by
+u + theta x (p - c),
 G(p) q_i with G = [1, -skew(p - c)]; a spring between two bodies contributes
 (G_a - G_b)' diag(k) (G_a - G_b).
 """
@@ -21,7 +22,7 @@ from .bodies import GROUND, Machine
 
 
 class Structure(eqx.Module):
-    """A machine at one place of its travel, as matrices."""
+    """The matrices of a machine at one position of its axes."""
 
     axes: tuple[str, ...] = eqx.field(static=True)
     mass: Float[Array, "n n"]
@@ -32,11 +33,11 @@ class Structure(eqx.Module):
     scale: Float[Array, "axes n"]
     """Reading of every scale, m, positive with the command."""
     pace: Float[Array, "axes n"]
-    """What the velocity loop sees: the motor of a screw, or the scale."""
+    """Feedback of the velocity loop: the motor of a screw, or the scale."""
     tool: Float[Array, "3 n"]
-    """Tool point against the workpiece, m."""
+    """Tool point relative to the workpiece, m."""
     travel: Float[Array, "n axes"]
-    """Coordinates per travel of an axis, all bodies rigid: what nothing but the drives resists."""
+    """Rigid motion of the coordinates per travel of an axis, which only the drives resist."""
 
     @property
     def size(self) -> int:
@@ -45,20 +46,20 @@ class Structure(eqx.Module):
 
     @property
     def undamped(self) -> bool:
-        """Whether no spring and no screw has any damping; not for traced matrices."""
+        """Whether no spring or screw has any damping; not for traced matrices."""
         return not np.asarray(self.damping).any()
 
     @property
     def moved_mass(self) -> Float[Array, " axes"]:
-        """Mass that every drive accelerates, its motor's included, kg."""
+        """Mass that every drive accelerates, including its motor, kg."""
         return jnp.einsum("na,nm,ma->a", self.travel, self.mass, self.travel)
 
 
 def assemble(machine: Machine, positions: Float[Array, " axes"] | None = None) -> Structure:
-    """The matrices at given axis positions, m, in the order of `Machine.axes`; zero without.
+    """The matrices at given axis positions, m, in the order of `Machine.axes`; zero by default.
 
-    Masses, stiffnesses and places may be traced. Raises `RuntimeError` in float32, and `ValueError`
-    for another number of positions.
+    Masses, stiffnesses and positions may be traced. Raises `RuntimeError` in float32, and
+    `ValueError` for a wrong number of positions.
     """
     require_float64()
     q = jnp.zeros(len(machine.axes)) if positions is None else jnp.asarray(positions)
@@ -70,7 +71,7 @@ def assemble(machine: Machine, positions: Float[Array, " axes"] | None = None) -
     screws = [d.axis for d in machine.drives if d.stiffness is not None]
     bodies = 6 * len(machine.bodies)
     size = bodies + len(screws)
-    # All places at once: a program of few large steps compiles and runs in a fraction of the time.
+    # All points at once, as a program of few large steps compiles and runs in less time.
     kinds = (machine.springs, machine.drives, machine.scales)
     end = machine.tool_point
     joints = [(j.body, j.base, j.link, j.point) for kind in kinds for j in kind]
@@ -129,7 +130,7 @@ def assemble(machine: Machine, positions: Float[Array, " axes"] | None = None) -
 def between(
     machine: Machine, size: int, q: Array, joints: Sequence[tuple[str, str, str, Array]]
 ) -> Float[Array, "p 6 n"]:
-    """Displacement and rotation of a body against its base, at points that ride with a link."""
+    """Displacement and rotation of a body relative to its base, at points carried by a link."""
     number = {body.name: i for i, body in enumerate(machine.bodies)}
     centres = jnp.stack([b.centre + machine.moved(b.link, q) for b in machine.bodies])
     links = list(dict.fromkeys(link for _, _, link, _ in joints))
@@ -138,7 +139,7 @@ def between(
     points = points + travelled[np.array([links.index(link) for _, _, link, _ in joints])]
 
     def motion(names: Sequence[str]) -> Array:
-        # The ground has no coordinates: its rows stay zero.
+        # The ground has no coordinates, so that its rows stay zero.
         place = np.array([number.get(name, 0) for name in names])
         chosen = np.zeros((len(names), 6, size))
         for row, name in enumerate(names):

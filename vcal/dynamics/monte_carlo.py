@@ -1,8 +1,8 @@
-"""Many machines, each measured by circles and identified: how well an R-test tells them.
+"""Monte Carlo of the identification: many machines, each measured by circles and identified.
 
-Every machine is drawn from what a catalogue says (z and the errors of the probes, standard normal),
-its circles are simulated sample by sample with the noise of scales and probes, reduced to their
-amplitudes, and the machine is identified from them.
+Every machine is drawn from the catalogue (z and the errors of the probes are standard normal). Its
+circles are simulated sample by sample with the noise of scales and probes and reduced to their
+amplitudes, from which the machine is identified.
 """
 
 from collections.abc import Sequence
@@ -16,14 +16,14 @@ from jaxtyping import Bool, Float, Int
 
 from ..numerics.arrays import Array
 from ..numerics.least_squares import Status
-from .assemble import assemble
 from .bodies import Machine
 from .circles import Phasors, set_phasors
 from .closed_loop import controlled, settles
-from .compliance import compliance
 from .control import Controller
 from .identify import Task, solve, task
+from .quasi_static import compliance
 from .setpoints import SetCircle
+from .structure import assemble
 from .unknowns import Unknown, applied
 
 _BLOCK = 20
@@ -31,17 +31,17 @@ _BLOCK = 20
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise of an R-test, and how many samples a turn has.
+    """White noise of an R-test, and the number of samples per turn.
 
-    Raises `ValueError` for no noise, by which readings count, for noise below zero or without
-    bound, and for less than three samples or a part of one: two do not tell an amplitude from a
-    phase.
+    Raises `ValueError` for noise that is zero, as it weights the readings, negative or infinite,
+    and for a number of samples that is not a whole number of at least three: two do not separate
+    amplitude and phase.
     """
 
     internal: float
     """Standard deviation of a scale, m."""
     external: float
-    """The same of a coordinate of the sphere, m."""
+    """Standard deviation of a coordinate of the sphere, m."""
     samples: int
 
     def __post_init__(self):
@@ -60,38 +60,38 @@ class Noise:
 
 @dataclass(frozen=True)
 class Campaign:
-    """What was put into many machines and what was found."""
+    """True and identified values of many machines."""
 
     unknowns: tuple[Unknown, ...]
     true: Float[np.ndarray, "d k"]
-    """z of the machines."""
+    """True z of the machines."""
     found: Float[np.ndarray, "d k"]
     u: Float[np.ndarray, "d k"]
     """Standard uncertainties of z."""
     matrix: Float[np.ndarray, "d 3 axes"]
-    """E that was identified, m per m/s^2."""
+    """Identified E, m per m/s^2."""
     matrix_true: Float[np.ndarray, "d 3 axes"]
     matrix_u: Float[np.ndarray, "d 3 axes"]
     chi2: Float[np.ndarray, " d"]
-    """Sum of the squared whitened differences and of the prior's: a chi-square with as many
-    degrees of freedom as there are `readings`.
+    """Sum of squared whitened differences and of squared z: chi-squared with `readings` degrees of
+    freedom.
     """
     readings: int
     stable: Bool[np.ndarray, " d"]
-    """Which machines are held by their controllers; circles of the others cannot be driven."""
+    """Whether each machine is stable under its controllers; the others cannot travel circles."""
     status: Int[np.ndarray, " d"]
     """`Status` of every search."""
     steps: Int[np.ndarray, " d"]
-    """Evaluations that every search took."""
+    """Number of evaluations of every search."""
 
     @property
     def converged(self) -> np.ndarray:
-        """Which machines are stable, and their search ended in a minimum (d,)."""
+        """Whether each machine is stable and its search ended in a minimum (d,)."""
         return self.stable & (self.status == Status.CONVERGED)
 
     @property
     def pulls(self) -> Float[np.ndarray, "d k"]:
-        """Errors over their standard uncertainties, of the machines whose search converged."""
+        """Errors divided by their standard uncertainties, for the machines with convergence."""
         return ((self.found - self.true) / self.u)[self.converged]
 
 
@@ -110,7 +110,7 @@ def campaign(
 
     `matrix_u` is the standard uncertainty of an element of the probes' matrix. Machine number i is
     the same for any number of draws. Raises `ValueError` for fewer than one draw, without circles,
-    and for circles in planes that the machine has not.
+    and for circles in planes of axes that the machine lacks.
     """
     if draws < 1:
         raise ValueError(f"draws: found {draws}, expected at least 1")
@@ -130,7 +130,7 @@ def campaign(
     )
     given = task(machine, controller, unknowns, seen, matrix_u=matrix_u, quick=True)
     root = jax.random.key(seed)
-    # Blocks of one size, so that any number of draws runs the same program.
+    # Blocks have one size, so that any number of draws runs the same program.
     blocks = -(-draws // _BLOCK)
     keys = jax.vmap(lambda i: jax.random.fold_in(root, i))(jnp.arange(blocks * _BLOCK))
     scatter = jnp.array([noise.internal, noise.external])
@@ -183,7 +183,7 @@ def _one(given: Task, seen: Phasors, scatter: Array, samples: int, key: Array) -
 def _measured(
     given: Task, seen: Phasors, scatter: Array, samples: int, true: Array, key: Array
 ) -> Phasors:
-    """Amplitudes from one turn of every circle, by least squares from its samples."""
+    """Amplitudes of one turn of every circle, by least squares from its samples."""
     k = len(given.unknowns)
     rows = np.array(given.place)
     internal, error = (
@@ -198,8 +198,8 @@ def _measured(
         (amplitude[..., None] * turn).real for amplitude in (internal, error)
     )
     read_noise = scatter[0] * jax.random.normal(first, read.shape)
-    # What the probes see is the sphere, with the errors of their matrix; the error is that less
-    # the scales' reading, noise included.
+    # The probes read the sphere with the errors of their matrix. The error is this reading minus
+    # that of the scales, noise included.
     place = jnp.zeros(shown.shape).at[:, axes].set(read)
     shown = shown + jnp.einsum("xy,ryn->rxn", S, place)
     shown = shown + scatter[1] * jax.random.normal(second, shown.shape)

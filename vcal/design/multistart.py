@@ -1,4 +1,4 @@
-"""A criterion made small by gradient, from several starts, within bounds."""
+"""Minimisation of a criterion within bounds by gradient, from several starts."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from ..numerics.compiled import jit_outermost
 
 @dataclass(frozen=True)
 class Found:
-    """Where one start led."""
+    """The result of the search from one start."""
 
     z: Float[np.ndarray, " d"]
     value: float
@@ -25,7 +25,7 @@ class Found:
     message: str
 
 
-# Many small factorisations: more threads of BLAS only wait for each other.
+# With many small factorisations, further BLAS threads only wait for each other.
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def search(
     criterion: Callable[[Any], Any],
@@ -37,18 +37,18 @@ def search(
     tolerance: float = 1e-5,
     with_slope: bool = False,
 ) -> list[Found]:
-    """Minimise `criterion`, which JAX differentiates, from every start; best first.
+    """Minimise `criterion`, which JAX differentiates, from every start; best result first.
 
-    A criterion `with_slope` returns its gradient beside its value and is called as it is, so that
-    searches can share what they compile.
+    A criterion `with_slope` returns its value and gradient and is called as given, so that searches
+    can share compiled programs.
 
-    Limited-memory BFGS within bounds (scipy's L-BFGS-B) on the relative criterion, one start after
-    the other: XLA has the processors to itself, and calls from several threads can wait for each
-    other for ever in its batched linear algebra. Ends where a step gains less than the relative
-    `tolerance`, or after `steps`. Raises `ValueError` where the criterion or its gradient is not
-    finite at a start.
+    The method is limited-memory BFGS within bounds (scipy's L-BFGS-B) on the relative criterion.
+    The starts run one after the other, as XLA uses all processors, and calls from several threads
+    can deadlock in its batched linear algebra. A search ends where a step gains less than the
+    relative `tolerance`, or after `steps`. Raises `ValueError` where the criterion or its gradient
+    is not finite at a start.
     """
-    # Only here: whoever designs nothing need not wait for it.
+    # Imported here, as the import takes long and only designs need it.
     from scipy.optimize import minimize
 
     both = criterion if with_slope else jit_outermost(jax.value_and_grad(criterion))
@@ -57,7 +57,7 @@ def search(
         first, slope = both(start)
         if not (np.isfinite(float(first)) and np.isfinite(np.asarray(slope)).all()):
             raise ValueError(
-                "found a criterion that is not finite at a start, or its gradient, expected numbers"
+                "found a criterion or a gradient that is not finite at a start, expected numbers"
             )
         scale = abs(float(first)) or 1.0
 
