@@ -22,7 +22,7 @@ exclude_patterns = ["_ext", "**/.ipynb_checkpoints", "README.md"]
 
 myst_enable_extensions = ["attrs_block", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
-suppress_warnings = ["toc.empty_glob"]
+suppress_warnings = ["toc.not_included"]
 nb_execution_mode = "off"
 html_math_renderer = "mathml"
 html_theme = "furo"
