@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
+sys.path[:0] = [str(HERE), str(HERE.parent)]
 
 import vcal  # noqa: E402
 
@@ -16,9 +16,9 @@ version = release = vcal.__version__
 extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
-    "mathml",
+    "_site.mathml",
 ]
-exclude_patterns = ["_ext", "**/.ipynb_checkpoints", "README.md"]
+exclude_patterns = ["_site", "**/.ipynb_checkpoints", "README.md"]
 
 myst_enable_extensions = ["attrs_block", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
