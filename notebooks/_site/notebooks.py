@@ -1,84 +1,13 @@
-"""Executed notebooks: each is executed once, for the tests and for the pages.
+"""Notebooks as pages: with their outputs, executed before the pages are read if need be."""
 
-A result is kept in build/notebooks together with a key: a hash of the notebook, of every file of
-vcal and of the versions of what computes. It is taken as long as the key is the same.
-"""
-
-import hashlib
 import os
-import tempfile
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from importlib.metadata import version
-from pathlib import Path
 
 import nbformat
-from nbclient import NotebookClient
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
-import vcal
-
-NOTEBOOKS = Path(__file__).resolve().parents[1]
-KEPT = NOTEBOOKS.parent / "build" / "notebooks"
-_PACKAGE = Path(vcal.__file__).resolve().parent
-_COMPUTING = ("jax", "jaxlib", "numpy", "scipy", "matplotlib")
-_LONGEST_S = 900
-"""For one cell, on a machine that does other things as well."""
-
-
-@cache
-def _package_hash() -> bytes:
-    found = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*")):
-        if path.is_file() and "__pycache__" not in path.parts:
-            found.update(path.relative_to(_PACKAGE).as_posix().encode() + path.read_bytes())
-    for name in _COMPUTING:
-        found.update(f"{name} {version(name)}".encode())
-    return found.digest()
-
-
-def _key(path: Path) -> str:
-    return hashlib.sha256(_package_hash() + path.read_bytes()).hexdigest()
-
-
-def kept(path: Path, stale: bool = False) -> nbformat.NotebookNode | None:
-    """The executed notebook where there is one; with `stale` also that of an earlier vcal."""
-    try:
-        found = nbformat.read(KEPT / path.name, as_version=4)
-    except (OSError, ValueError):
-        return None
-    return found if stale or found.metadata.get("vcal_key") == _key(path) else None
-
-
-def executed(path: Path, environment: Mapping[str, str] | None = None) -> nbformat.NotebookNode:
-    """The notebook at `path` with its outputs, executed in a temporary folder if no result is
-    kept; `environment` is added to that of its kernel.
-
-    Raises `nbclient.exceptions.CellExecutionError` for a cell that fails.
-    """
-    found = kept(path)
-    if found is not None:
-        return found
-    notebook = nbformat.read(path, as_version=4)
-    paths = [str(_PACKAGE.parent), os.environ.get("PYTHONPATH", "")]
-    variables = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
-    variables |= environment or {}
-    with tempfile.TemporaryDirectory() as folder:
-        client = NotebookClient(
-            notebook,
-            timeout=_LONGEST_S,
-            kernel_name="python3",
-            resources={"metadata": {"path": folder}},
-        )
-        client.execute(env=variables)
-    notebook.metadata["vcal_key"] = _key(path)
-    KEPT.mkdir(parents=True, exist_ok=True)
-    part = KEPT / f".{path.stem}.{os.getpid()}"
-    nbformat.write(notebook, part)
-    os.replace(part, KEPT / path.name)
-    return notebook
+from .executed import KEPT, NOTEBOOKS, executed, kept
 
 
 def _execute_all(app: Sphinx) -> None:

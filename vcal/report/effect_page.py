@@ -32,16 +32,10 @@ def effect_page(effect: type[Effect], example: Example | None) -> tuple[str, lis
     pictures: list[Picture] = []
     if example is not None:
         instance, setup = example
-        sections.append(_needs(instance, setup))
-        parts = signatures(instance, setup)
-        caption = (
-            "What one standard deviation of every parameter's prior does to the port by which it "
-            "moves the tool point most, on a bundled plan; parameters that are looked for stand at "
-            "the middle of their scan."
-        )
-        pictures = [Picture(effect.name, "", caption, png(signature(parts)))]
+        sections.append(needs(instance, setup))
+        pictures = [picture(instance, setup)]
         sections.append(Section("How it shows", pictures=tuple(pictures)))
-        sections.append(_use(instance, looked_for(effect)))
+        sections.append(use(instance, looked_for(effect)))
     page = sheet(
         effect.name,
         f"{effect.summary[:1].upper()}{effect.summary[1:]}.",
@@ -52,7 +46,18 @@ def effect_page(effect: type[Effect], example: Example | None) -> tuple[str, lis
     return page, pictures
 
 
-def _needs(instance: Effect, setup: Setup) -> Section:
+def picture(instance: Effect, setup: Setup) -> Picture:
+    """What an effect does on the plan of `setup`."""
+    caption = (
+        "What one standard deviation of every parameter's prior does to the port by which it "
+        "moves the tool point most, on a bundled plan; parameters that are looked for stand at "
+        "the middle of their scan."
+    )
+    return Picture(instance.name, "", caption, png(signature(signatures(instance, setup))))
+
+
+def needs(instance: Effect, setup: Setup) -> Section:
+    """Its parameters with their priors, and the columns it needs."""
     axes = setup.plan.axes
     rows = [
         (
@@ -62,7 +67,7 @@ def _needs(instance: Effect, setup: Setup) -> Section:
         )
         for p in instance.parameters
     ]
-    needs = dict.fromkeys(file_name(n, axes) for n in instance.needs)
+    needed = dict.fromkeys(file_name(n, axes) for n in instance.needs)
     told = dict.fromkeys(file_name(n, axes) for n in instance.betrayed_by)
     where = instance.placement or "no place of its own"
     return Section(
@@ -72,7 +77,7 @@ def _needs(instance: Effect, setup: Setup) -> Section:
             Table(
                 ("", ""),
                 [
-                    ("needs in the data", ", ".join(needs) or "nothing that is recorded"),
+                    ("needs in the data", ", ".join(needed) or "nothing that is recorded"),
                     ("betrayed by", ", ".join(told) or "nothing that is recorded"),
                     ("placed here on", where),
                 ],
@@ -81,7 +86,8 @@ def _needs(instance: Effect, setup: Setup) -> Section:
     )
 
 
-def _use(instance: Effect, searched: bool) -> Section:
+def use(instance: Effect, searched: bool) -> Section:
+    """How it is declared, simulated and, where it is `searched`, looked for."""
     place = f":{instance.placement}" if instance.placement else ""
     keys = ",".join(f"{p.label}={p.sigma:g}" for p in instance.amplitudes[:2])
     declared = [f'name = "{instance.name}"']
