@@ -3,11 +3,13 @@
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 
 from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
 
 import vcal
 
@@ -25,10 +27,9 @@ def modules() -> Iterator[ModuleType]:
             yield importlib.import_module(found.name)
 
 
-def first_sentence(thing: object) -> str:
+def first_sentence(docstring: str | None) -> str:
     """The first sentence of a docstring, in one line."""
-    paragraph = (inspect.getdoc(thing) or "").split("\n\n")[0]
-    head, dot, _ = " ".join(paragraph.split()).partition(". ")
+    head, dot, _ = " ".join((docstring or "").split("\n\n")[0].split()).partition(". ")
     return head + dot.strip()
 
 
@@ -45,10 +46,10 @@ def _page(module: ModuleType, below: list[ModuleType]) -> str:
     handed = [
         each
         for each in getattr(module, "__all__", ())
-        if below and getattr(getattr(module, each), "__module__", name) != name
+        if below and not inspect.ismodule(getattr(module, each)) and _home(module, each) != name
     ]
     if handed:
-        lines += _table("Names", [(_home(getattr(module, n), n), n) for n in handed])
+        lines += _table("Names", [(f"{_home(module, n)}.{n}", n) for n in handed])
     if below:
         lines += _table("Modules", [(one.__name__, one.__name__) for one in below], "mod")
     if not parents:
@@ -56,32 +57,37 @@ def _page(module: ModuleType, below: list[ModuleType]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _home(thing: object, name: str) -> str:
-    """Where something that a package hands on is documented."""
-    return f"{getattr(thing, '__module__', '')}.{getattr(thing, '__qualname__', name)}"
+def _home(module: ModuleType, name: str) -> str:
+    """The module in which something that a package hands on is documented."""
+    thing = getattr(module, name)
+    if inspect.isclass(thing) or inspect.isroutine(thing):
+        home = getattr(sys.modules.get(thing.__module__), name, None)
+        return thing.__module__ if home is thing else module.__name__
+    below = (m for n, m in sorted(sys.modules.items()) if n.startswith(f"{_PACKAGE}."))
+    values = (m for m in below if getattr(m, name, None) is thing)
+    return next((m.__name__ for m in values if ("", name) in _values(m)), module.__name__)
+
+
+def _values(module: ModuleType) -> Mapping[tuple[str, str], list[str]]:
+    """Docstrings below the values of a module."""
+    return ModuleAnalyzer.for_module(module.__name__).find_attr_docs()
 
 
 def _table(title: str, names: list[tuple[str, str]], role: str = "obj") -> list[str]:
     lines = [title, "-" * len(title), "", ".. list-table::", "   :widths: auto", ""]
     for target, shown in names:
-        said = first_sentence(_thing(target)) or shown
-        # As in a docstring: `said` is plain text.
+        said = _said(target) or shown  # plain text, as a docstring
         lines += [f"   * - :py:{role}:`{shown} <{target}>`", f"     - .. plain:: {said}"]
     return [*lines, ""]
 
 
-def _thing(target: str) -> object:
-    """What a dotted name stands for; None where it is an alias or a value without a docstring."""
-    parts = target.split(".")
-    for cut in range(len(parts), 0, -1):
-        try:
-            found: object = importlib.import_module(".".join(parts[:cut]))
-        except ImportError:
-            continue
-        for part in parts[cut:]:
-            found = getattr(found, part, None)
-        return found
-    return None
+def _said(target: str) -> str:
+    """The first sentence about what a dotted name stands for; empty where there is none."""
+    if target in sys.modules:
+        return first_sentence(sys.modules[target].__doc__)
+    home, _, name = target.rpartition(".")
+    value = _values(sys.modules[home]).get(("", name))
+    return first_sentence("\n".join(value) if value else getattr(sys.modules[home], name).__doc__)
 
 
 def _write(app: Sphinx) -> None:
