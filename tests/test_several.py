@@ -11,6 +11,7 @@ import pytest
 
 from joint import alone, at_temperatures, write_joint
 from oracle import as_study, make_case, tool_point
+from report_schema import validated
 from vcal import CATALOGUE, Measurement, StudyError, close_loop, identify, load_study, predict
 from vcal.demo import FOLDER
 from vcal.effects.data_set import OfDataSet
@@ -353,7 +354,7 @@ def test_the_page_tells_the_data_sets_apart(backlash):
         assert f"<td>{one.name}</td>" in text and one.file in text
     assert "tracker: laser tracker; balls: ball array" in text
     assert "property object" not in text
-    record = json.loads((page.parent / "report.json").read_text(encoding="utf-8"))
+    record = validated(json.loads((page.parent / "report.json").read_text(encoding="utf-8")))
     assert [one["name"] for one in record["data_sets"]] == ["tracker", "balls"]
     told = record["data_sets"][1]["errors"]["after"]
     assert told["heldout_rms_um"] == closure.errors["after"].sets["balls"].heldout.value

@@ -61,9 +61,13 @@ class BallArraySettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "ball_array"``."""
 
     artefact: FileName
+    """Table of the calibrated centres of the balls beside the study file."""
     probe_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    """Noise of each coordinate of a ball, one standard deviation."""
     ball_position_u_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
+    """Standard uncertainty of each calibrated coordinate."""
     supports: tuple[float, float] = (0.2203, 0.7797)
+    """Where the artefact rests, as shares of its length; it bends between the supports."""
 
     @model_validator(mode="after")
     def _supported(self) -> Self:

@@ -52,6 +52,7 @@ class InstrumentSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     kind: str
+    """Kind of the instrument: one of those that vcal knows, or that of a class in `kind_file`."""
     kind_file: FileName | None = None
     """Python file beside the study that defines the class of that kind, for a user's own."""
 

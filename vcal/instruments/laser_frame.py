@@ -145,12 +145,17 @@ class SegmentSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     number: int = Field(ge=0)
+    """Number of the segment, as in the column `segment` of the data."""
     start_mm: tuple[float, float, float]
     """Positions of X, Y, Z at its start."""
     direction: Direction
+    """The way the beam runs."""
     length_mm: float = Field(gt=0)
+    """Length of the segment."""
     points: int = Field(default=11, ge=2)
+    """Measuring points, both ends included."""
     psd: Psd = "vertical"
+    """The diode that looks at it: the upright one, which faces the beam, or the flat one."""
     psd_range_mm: tuple[float, float] = (0.0, 0.0)
     """Position of the beam on the diode at the end of the segment."""
 
@@ -168,6 +173,7 @@ class LaserFrameSettings(InstrumentSettings):
     psd_lever_mm: float = Field(default=0.0, ge=0, le=1e4)
     """Distance from the spindle's axis to the upright diode, towards the beam."""
     psd_size_mm: float = Field(default=10.0, gt=0, le=1e3)
+    """Width of the diode."""
     psd_map: FileName | None = None
     """Table of the diode's calibrated error: u_mm, v_mm, error_u_um, error_v_um on a full grid."""
     filter_mm: float = Field(default=0.0, ge=0, le=100)

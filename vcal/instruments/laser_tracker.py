@@ -41,10 +41,15 @@ class LaserTrackerSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "laser_tracker"``."""
 
     range_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    """Noise of the range, one standard deviation: the part that does not depend on the range."""
     range_sigma_um_per_m: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
+    """The part that grows with the range; it is added to the other one."""
     angle_sigma_urad: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    """Noise of azimuth and elevation, one standard deviation."""
     station_mm: tuple[_Coordinate, _Coordinate, _Coordinate]
+    """Approximate place of the tracker in the workpiece frame; it is identified."""
     euler_xyz_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
+    """Approximate rotation of the tracker, R = Rx Ry Rz; it is identified."""
 
 
 @register

@@ -39,6 +39,7 @@ class NestSettings(InstrumentSettings):
     p2_mm, p3_mm of the probes instead of coordinates.
     """
     sphere_radius_mm: float = Field(default=11.0, gt=0)
+    """Radius of the sphere."""
     tip_radius_mm: float | None = Field(default=None, ge=0)
     """Radius of the probes' tips; flat where it is None."""
 

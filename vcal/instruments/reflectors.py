@@ -50,9 +50,13 @@ class ReflectorsSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "reflectors"``."""
 
     tool_reflectors: int = Field(ge=1, le=_MOST)
+    """Number of reflectors on the tool."""
     base_reflectors: int = Field(default=0, ge=0, le=_MOST)
+    """Number of reflectors on the base."""
     sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
+    """Noise of each coordinate of a reflector, one standard deviation."""
     joints: Literal["commanded", "read"] = "commanded"
+    """Which joint positions move the model: those commanded or those read back."""
 
 
 class ToolPoints(Effect):

@@ -16,6 +16,7 @@ class LoopSettings(BaseModel):
     alpha: float = Field(default=0.01, gt=0, lt=1)
     """Probability that the whole loop names an effect in a clean measurement."""
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    """Seed of all random draws."""
     effects: tuple[str, ...] | None = Field(default=None, min_length=1)
     """Identifiers of the effects to try; all of the catalogue by default."""
     draws: int = Field(default=500, ge=25, le=1_000_000)

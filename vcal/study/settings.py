@@ -46,10 +46,15 @@ class JointSettings(Table):
     """A row of ``[[machine.joint]]``: standard Denavit-Hartenberg parameters of one joint."""
 
     type: Literal["revolute", "prismatic"]
+    """Whether the joint turns or slides."""
     a_mm: _Length = 0.0
+    """Length of the link: along x of the joint's own frame."""
     alpha_deg: _Angle = 0.0
+    """Twist of the link: about x."""
     d_mm: _Length = 0.0
+    """Offset along z, to which a prismatic joint adds its position."""
     theta_deg: _Angle = 0.0
+    """Angle about z, to which a revolute joint adds its position."""
     low_deg: float | None = None
     """Lowest angle of a revolute joint; unbounded by default."""
     high_deg: float | None = None
@@ -155,6 +160,7 @@ class FourierSettings(Table):
     """``[model.geometric]`` of a machine tool with Fourier amplitudes in a table."""
 
     family: Literal["fourier"]
+    """Fourier polynomials over the travel."""
     table: FileName
     """File with the columns component, a0, a1, n1, b1, c1, n2, b2, c2 (um, urad)."""
 
@@ -163,6 +169,7 @@ class SmoothSettings(Table):
     """``[model.geometric]`` of a machine tool with smooth error motions of declared size."""
 
     family: Literal["smooth"]
+    """Smooth functions over the travel (Matern-5/2)."""
     translation_um: _Size
     """Prior standard deviation of each error translation."""
     rotation_urad: _Size
@@ -181,6 +188,7 @@ class LinkSettings(Table):
     """``[model.geometric]`` of an arm: constant errors of each link."""
 
     family: Literal["smooth"] = "smooth"
+    """May be left out: an arm has this one only."""
     link_translation_um: _Size
     """Prior standard deviation of each of the three error translations of a link."""
     link_rotation_urad: _Size
@@ -229,7 +237,7 @@ class DataSettings(Table):
     """``[data]``: names of the tables in the study folder."""
 
     data: FileName = "data.csv"
-    """Table of the measurement, or of its plan."""
+    """Table with one row per reading, or per point of a plan."""
     check: FileName | None = None
     """Table of independent check points; by default ``check.csv`` where that exists."""
     must_see: dict[str, int] = {}
@@ -263,6 +271,7 @@ class StudySettings(Table):
     """
 
     name: str = ""
+    """What reports call the study."""
     machine: MachineSettings
     instrument: InstrumentSettings
     model: ModelSettings = ModelSettings()
@@ -275,6 +284,7 @@ class SeveralSettings(Table):
     """The study file of several data sets; each row of `data` is validated by its instrument."""
 
     name: str = ""
+    """What reports call the study."""
     machine: MachineSettings
     data: tuple[DataSetSettings, ...]
     check: FileName | None = None
