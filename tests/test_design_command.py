@@ -348,7 +348,7 @@ BAD = {
             "--set",
             "design.poses=false",
         ),
-        ["key design.must_see", "are part of what they do not"],
+        ["key design.must_see", "are not identified"],
     ),
     "unknown to see": (("--set", "design.must_see={EXQ = 2}"), ["key design.must_see.EXQ"]),
     "no file": (("--set", 'design.families=["no.toml"]'), ["no.toml", "no such file"]),

@@ -384,7 +384,7 @@ def test_location_errors_of_rotary_axes_can_be_asked_for(studied, tmp_path):
     vcal.load_study(studied.path, ["data.must_see={EX0C = 0, EY0C = 0, EZC = 3, EC0A = 0}"])
     write(tmp_path, backlash=0.0, seed=8, turned=False)
     # While C stands, nothing tells where it is from where the artefact is.
-    with pytest.raises(StudyError, match="EX0C.* part of what they do not"):
+    with pytest.raises(StudyError, match="EX0C.* not identified"):
         vcal.load_study(tmp_path, ["data.must_see={EX0C = 0, EZ0A = 0}"])
 
 

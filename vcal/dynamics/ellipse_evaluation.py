@@ -43,10 +43,10 @@ class Evaluated:
 
     def dispersion(self, about: Float[np.ndarray, "3 3"] | None = None) -> dict[float, float]:
         """Root mean square about the mean of all runs, or about a matrix, by set acceleration."""
-        beside = self.runs - (self.mean if about is None else about)
+        deviation = self.runs - (self.mean if about is None else about)
         found = {}
         for a in np.unique(np.round(self.acceleration, 9)):
-            mine = beside[np.isclose(self.acceleration, a)]
+            mine = deviation[np.isclose(self.acceleration, a)]
             found[float(a)] = float(np.sqrt(np.nanmean(mine**2)))
         return found
 

@@ -159,7 +159,7 @@ def write_simulated(
                 study.path.name,
                 f"file {name}",
                 "a file outside the folder of the study",
-                "all files beside the study file, so that the folder can be copied",
+                "all files in the folder of the study, so that it can be copied",
                 "move the file there",
             )
     machine, where = jax.random.split(jax.random.key(seed))

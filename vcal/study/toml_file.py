@@ -14,10 +14,10 @@ def read_setup(
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """The raw tree of a study file with the overrides applied, and the overrides as text by key.
 
-    An override is ``"instrument.joints=read"``, or a key and its value; rows of an array of tables
-    count from 0 (``"model.effect.0.size_um=3"``). Raises `StudyError` for a file that is missing
-    or not TOML, and an override that has no ``=`` or no place in the tree, or contradicts another,
-    or is of a whole table beside one of a key in it.
+    An override is a text such as ``"instrument.joints=read"``, or a key and its value. Rows of an
+    array of tables count from 0 (``"model.effect.0.size_um=3"``). Raises `StudyError` for a file
+    that is missing or not TOML, and for an override without ``=``, without a place in the tree, in
+    contradiction to another one, or of a whole table together with one of its keys.
     """
     if not path.is_file():
         raise refusal(

@@ -85,8 +85,10 @@ class Steps:
         delta = np.array([numerical_tolerance(float(value), digits) for value in u])
         precision = self.precision()
         # An output that is finite in no draw has no interval, whatever the number of draws.
-        told = self.count > 0
-        settled = self.steps > 1 and all(bool(np.all((2.0 * s <= delta)[told])) for s in precision)
+        finite = self.count > 0
+        settled = self.steps > 1 and all(
+            bool(np.all((2.0 * s <= delta)[finite])) for s in precision
+        )
         return Adaptive(settled, digits, self.steps, delta, precision)
 
     def arrays(self) -> dict[str, np.ndarray]:

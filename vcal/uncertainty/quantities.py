@@ -223,8 +223,8 @@ class _LineErrors(Measure):
     def __call__(self, state: State) -> dict[str, Array]:
         position = self.true.plan.position
         real = tool_columns(self.chain, position, self.true(state.true, state.true_shapes))
-        told = tool_columns(self.chain, position, self.found(state.found, state.found_shapes))
-        left = jnp.stack(real, -1) - jnp.stack(told, -1)
+        predicted = tool_columns(self.chain, position, self.found(state.found, state.found_shapes))
+        left = jnp.stack(real, -1) - jnp.stack(predicted, -1)
         return {"straight lines": self.weights @ left.reshape(-1) / _MICRO}
 
 
@@ -283,8 +283,8 @@ class _VolumetricErrors(Measure):
         true = self.true(state.true, state.true_shapes)
         found = self.found(state.found, state.found_shapes)
         real = jnp.stack(tool_columns(self.chain, position, true), -1)
-        told = jnp.stack(tool_columns(self.chain, position, found), -1)
-        before, after = self._aligned(real - self.nominal), self._aligned(real - told)
+        predicted = jnp.stack(tool_columns(self.chain, position, found), -1)
+        before, after = self._aligned(real - self.nominal), self._aligned(real - predicted)
         size_before, size_after = _length(before), _length(after)
         scalars = [f(size) for size in (size_before, size_after) for f in (jnp.mean, _rms, jnp.max)]
         return {
