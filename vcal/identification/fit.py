@@ -16,7 +16,7 @@ from ..model.forward import Model, Shapes
 from ..model.measurement import Measurement
 from ..numerics.least_squares import Status
 
-HARDLY_TOLD = 0.05
+POORLY_DETERMINED = 0.05
 """Share of information below which the data contain practically nothing about a parameter."""
 _UNSEEN = 1e-8
 """Information (per solver unit squared) that counts as none: a standard deviation of 1e4 units."""
@@ -442,7 +442,7 @@ class Learnt(NamedTuple):
     unseen: int
     """Number of directions about which the data contain almost no information."""
     hardly: tuple[str, ...]
-    """Parameters with a share of information below `HARDLY_TOLD`."""
+    """Parameters with a share of information below `POORLY_DETERMINED`."""
 
     @classmethod
     def of(
@@ -463,7 +463,9 @@ class Learnt(NamedTuple):
         scaled = covariance[np.ix_(proper, proper)] * np.outer(root, root)
         shares = 1.0 - np.linalg.eigvalsh(scaled)
         names = [f"{key}: {p.name}" for key, p in (entries[k] for k in proper.tolist())]
-        hardly = [n for n, v in zip(names, np.diag(scaled), strict=True) if 1.0 - v < HARDLY_TOLD]
+        hardly = [
+            n for n, v in zip(names, np.diag(scaled), strict=True) if 1.0 - v < POORLY_DETERMINED
+        ]
         determined, unseen = int((shares > 0.5).sum()), int((shares < _LITTLE).sum())
         return cls(len(proper), determined, unseen, tuple(hardly))
 

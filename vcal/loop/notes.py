@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ..effects.base import Effect
-from ..identification.fit import HARDLY_TOLD, Fit
+from ..identification.fit import POORLY_DETERMINED, Fit
 from ..identification.identify import identify
 from ..instruments.conditions import file_column
 from ..machine.plan import Plan
@@ -228,7 +228,7 @@ def _poorly_determined(facts: Facts) -> list[str]:
     acceleration in a direction in which nothing moved.
     """
     shares = zip(facts.after.entries, facts.after.information, strict=True)
-    hardly = [(key, p.name) for (key, p), share in shares if share < HARDLY_TOLD]
+    hardly = [(key, p.name) for (key, p), share in shares if share < POORLY_DETERMINED]
     return [
         f"{key}: the readings poorly determine {', '.join(names)}; the values and uncertainties "
         "given are those of the prior; measure where the effect would be larger"

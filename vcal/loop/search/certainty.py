@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...effects.data_set import OfDataSet
-from ...identification.fit import HARDLY_TOLD, Fit, declared_chi2
+from ...identification.fit import POORLY_DETERMINED, Fit, declared_chi2
 from ...instruments.conditions import file_column
 from ..outcome.closure import FoundEffect
 from ..outcome.unexplained import Unexplained
@@ -118,7 +118,7 @@ def poorly_determined(fit: Fit, place: int) -> str:
     """Reason where the readings determine none of its amplitudes. The fit then improved for another
     reason, such as a fit that had not converged before.
     """
-    if (fit.information[fit.places_of(place)[0]] > HARDLY_TOLD).any():
+    if (fit.information[fit.places_of(place)[0]] > POORLY_DETERMINED).any():
         return ""
     return "the readings poorly determine its size: measure where it would be larger"
 

@@ -7,7 +7,7 @@ import numpy as np
 from ...effects.thermal import REFERENCE_DEGC
 from ...geometry.acceptance import GeometricTest
 from ...geometry.error_motions import ErrorMotionTable
-from ...identification.fit import HARDLY_TOLD, Learnt
+from ...identification.fit import POORLY_DETERMINED, Learnt
 from ...loop.outcome.closure import Closure
 from ...study.study import Study
 from ..html import text
@@ -105,7 +105,7 @@ def _location(table: ErrorMotionTable) -> tuple[str, ...]:
 
 def _test(test: GeometricTest) -> tuple[str, ...]:
     value, *cells = text.stated(test.value, test.u, test.unit)
-    if test.information < HARDLY_TOLD:
+    if test.information < POORLY_DETERMINED:
         value = text.DASH  # the estimate of an unobserved deviation is that of its prior
     return (test.name, test.what, value, *cells, text.percent(test.information))
 
