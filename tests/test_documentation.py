@@ -16,6 +16,12 @@ SLOW = pytest.mark.slow
 RUNNING = [page for page in pages() if any(block.kind in RUNS for block in blocks(page))]
 
 
+def name_of(page: Path) -> str:
+    """`how-to/design`, say."""
+    root = NOTEBOOKS if NOTEBOOKS in page.parents else NOTEBOOKS.parent
+    return page.relative_to(root).with_suffix("").as_posix()
+
+
 @pytest.fixture
 def own_classes_forgotten():
     """What a page registers is forgotten after it."""
