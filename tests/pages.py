@@ -3,7 +3,7 @@
     ```sh, ```python    run, in one folder and one namespace per page
     ```text             directly below one of them: what it prints. A line `...` stands for any
                         lines; numbers may differ in their last digits.
-    ```toml             has to be TOML
+    ```toml             has to be TOML; a whole study file has keys that vcal takes
 
 An HTML comment on the lines before a block says more:
 
@@ -133,10 +133,7 @@ def run(page: Path, folder: Path, environment: Mapping[str, str] | None = None) 
 def _run(page: Path, block: Block, space: dict[str, Any], variables: Mapping[str, str]) -> str:
     place = f"{page.name}, line {block.line + 1}"
     if block.kind == "toml":
-        try:
-            tomllib.loads(block.text)
-        except tomllib.TOMLDecodeError as error:
-            raise PageError(f"{place}: found no TOML: {error}") from error
+        _check_toml(block, place)
     if block.file:
         path = Path(block.file)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -162,6 +159,20 @@ def _run(page: Path, block: Block, space: dict[str, Any], variables: Mapping[str
             raise PageError(f"{place}: exit code {done.returncode}\n{block.text}\n{done.stdout}")
         return done.stdout
     return ""
+
+
+def _check_toml(block: Block, place: str) -> None:
+    """Refuse what is not TOML, and a whole study file with a key that vcal does not take."""
+    try:
+        tree = tomllib.loads(block.text)
+    except tomllib.TOMLDecodeError as error:
+        raise PageError(f"{place}: found no TOML: {error}") from error
+    if "machine" in tree and ("instrument" in tree or isinstance(tree.get("data"), list)):
+        from vcal.io.folder import Folder
+        from vcal.io.settings import validate
+
+        folder = Path(block.file).parent if block.file else Path()
+        validate(tree, place, {}, Folder(folder))
 
 
 def differences(page: Path, printed: list[str]) -> list[str]:

@@ -7,11 +7,19 @@ import pytest
 
 from pages import NOTEBOOKS, PageError, alike, blocks, differences, is_slow, pages, run
 from report_schema import SCHEMA
+from vcal import StudyError
 from vcal.effects import CATALOGUE
 from vcal.instruments import INSTRUMENTS
 
 RUNS = ("sh", "python", "toml")
+SLOW = pytest.mark.slow
 RUNNING = [page for page in pages() if any(block.kind in RUNS for block in blocks(page))]
+
+
+def name_of(page: Path) -> str:
+    """`how-to/design`, say."""
+    root = NOTEBOOKS if NOTEBOOKS in page.parents else NOTEBOOKS.parent
+    return page.relative_to(root).with_suffix("").as_posix()
 
 
 @pytest.fixture
@@ -29,7 +37,9 @@ def own_classes_forgotten():
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if is_slow(page) else [])
+        pytest.param(
+            page, id=f"{page.parent.name}/{page.stem}", marks=SLOW if is_slow(page) else ()
+        )
         for page in RUNNING
     ],
 )
@@ -101,11 +111,12 @@ print(json.dumps({"value": int(Path("deep/one.toml").read_text().split()[-1])}))
     [
         ("```sh\nfalse\n```\n", r"page.md, line 2: exit code 1"),
         ("```toml\na = \n```\n", "found no TOML"),
+        ("```toml\nmachine.chian = ''\ninstrument.kind = 'r_test'\n```\n", "machine.chian"),
         ("```sh\ntrue\n", "line 1: found no end of the block"),
     ],
 )
 def test_what_is_wrong_is_said(tmp_path, text, message):
-    with pytest.raises(PageError, match=message):
+    with pytest.raises((PageError, StudyError), match=message):
         run(page_of(tmp_path, text), tmp_path / "folder")
 
 

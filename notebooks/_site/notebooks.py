@@ -2,6 +2,7 @@
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from logging import WARNING, getLogger
 
 import nbformat
 from sphinx.application import Sphinx
@@ -20,6 +21,7 @@ def _execute_all(app: Sphinx) -> None:
     if not todo:
         return
     logging.getLogger(__name__).info("executing %s", ", ".join(path.stem for path in todo))
+    getLogger("traitlets").setLevel(WARNING)  # which says that it executes, with a blank line
     cores = os.cpu_count() or 1
     alone = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"} if len(todo) > 1 else {}
     with ThreadPoolExecutor(cores) as pool:
