@@ -60,10 +60,10 @@ def needs(instance: Effect, setup: Setup) -> Section:
         for p in instance.parameters
     ]
     needed = dict.fromkeys(file_name(n, axes) for n in instance.needs)
-    told = dict.fromkeys(file_name(n, axes) for n in instance.indicators)
+    shown = dict.fromkeys(file_name(n, axes) for n in instance.indicators)
     terms = [
         ("required columns", ", ".join(needed) or "none"),
-        ("depends on", ", ".join(told) or "nothing that is recorded"),
+        ("depends on", ", ".join(shown) or "nothing that is recorded"),
         ("placement in this example", instance.placement or "none of its own"),
     ]
     return Section(
