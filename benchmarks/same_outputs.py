@@ -28,7 +28,9 @@ REPRODUCTIONS = {
 }
 """Draws of each: fewer than by default, as this asks for the same numbers, not for good ones."""
 KEPT = ("report.json", "result.json", "compensation.csv", "effects.csv", "data.csv")
-VOLATILE = {"seconds", "time", "sha256", "created", "written", "versions", "command", "date", "made"}
+VOLATILE = {
+    "seconds", "time", "sha256", "created", "written", "versions", "command", "date", "made"
+}  # fmt: skip
 SHARED = Path(__file__).resolve().parents[1] / ".." / "shared" / "data"
 
 
