@@ -168,8 +168,8 @@ def _check_toml(block: Block, place: str) -> None:
     except tomllib.TOMLDecodeError as error:
         raise PageError(f"{place}: found no TOML: {error}") from error
     if "machine" in tree and ("instrument" in tree or isinstance(tree.get("data"), list)):
-        from vcal.io.folder import Folder
-        from vcal.io.settings import validate
+        from vcal.study.folder import Folder
+        from vcal.study.settings import validate
 
         folder = Path(block.file).parent if block.file else Path()
         validate(tree, place, {}, Folder(folder))
