@@ -69,8 +69,11 @@ def _items(block: list[str]) -> Iterator[list[str]]:
 
 
 def _marked(block: list[str]) -> list[str]:
-    """A paragraph or a list item with its names marked and everything else escaped."""
-    text = "\n".join(block)
+    """A paragraph or a list item with its names marked and everything else escaped.
+
+    A formula below ``::`` is a code block of its own, so that one colon is left.
+    """
+    text = re.sub(r"::\Z", ":", "\n".join(block))
     parts, at = [], 0
     for span in _SPAN.finditer(text):
         parts.append(_escaped(text[at : span.start()]))
