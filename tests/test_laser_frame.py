@@ -309,7 +309,7 @@ def test_readings_in_millimetres_or_metres(tmp_path, factor):
     folder = write_frame(tmp_path / "study", growth=0.0)
     table = read_table(folder / "data.csv", [])
     write_table(folder / "data.csv", dict(table) | {n: factor * table[n] for n in ("u_um", "v_um")})
-    said = "data.csv, columns u_um, v_um: found readings with .* expected about 0.5 at least"
+    said = "data.csv, columns u_um, v_um: found readings with .* expected at least about 0.5"
     with pytest.raises(StudyError, match=said):
         load_study(folder)
 

@@ -329,7 +329,7 @@ def test_what_does_not_fit_is_one_message(small, overrides, said):
         (
             lambda row: {c: str(1e-3 * float(row[c])) for c in row if c.endswith("_ext_mm")},
             r"^data.csv, columns x_ext_mm, y_ext_mm, z_ext_mm: found readings with a standard "
-            "deviation of .* the noise that is declared .*; correct the unit of the readings, or",
+            "deviation of .* the declared noise .*; correct the unit of the readings, or",
         ),
     ],
 )

@@ -365,7 +365,7 @@ def test_a_shape_that_nothing_would_tell(study, tmp_path):
     setup.write_text(setup.read_text() + row)
     found = run("uncertainty", folder, "--out", tmp_path / "report", code=2)
     assert (
-        "setup.toml, [[model.effect]] warm_up Y, key tau_h: found no value, and no size_EYY_um from"
+        "setup.toml, [[model.effect]] warm_up Y, key tau_h: found no value, and no size_EYY_um at"
         in found.stderr
     )
     assert "give tau_h, or a size with its sigma" in found.stderr
