@@ -587,7 +587,9 @@ def test_effects_can_be_declared_for_one_data_set(clean):
     rows = np.flatnonzero(study.plan.in_set("balls"))
     for (port, _), column in effect.response(study.plan, {}).items():
         assert port == "tracker:read.range" and not np.asarray(column)[rows].any()
-    with pytest.raises(StudyError, match=r"model\.effect\.0\.data_set.*'balls'|without a possible placement"):
+    with pytest.raises(
+        StudyError, match=r"model\.effect\.0\.data_set.*'balls'|without a possible placement"
+    ):
         load_study(folder, {"model.effect": [{"name": "range_scale", "data_set": "balls"}]})
     with pytest.raises(StudyError, match="belongs to the machine"):
         more = [{"name": "backlash", "placement": "Y", "data_set": "tracker"}]
