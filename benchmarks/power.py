@@ -331,7 +331,7 @@ def summed(options: argparse.Namespace, lines: list[dict]) -> dict:
 
     vcal.enable_float64()
     settings = {"alpha": ALPHA, "draws": DRAWS, "limit_draws": LIMIT_DRAWS}
-    record = {"settings": settings, **summary(lines)}
+    record = {"settings": settings, **summary(lines, p_without)}
     picture(record, options.out.with_suffix(".png"))
     for name, value in record["summary"].items():
         print(name, value)

@@ -6,11 +6,10 @@ the data, or when the loop itself states that these data cannot distinguish the 
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from power import p_without
 from power_cases import ENTRIES, GROUPS, INSTRUMENTS, OWN_NOISE, noise_seed
 
 OUTCOMES = (
@@ -269,9 +268,11 @@ def verdict_of(line: dict) -> tuple[str, list[str]]:
     return line["verdict"], [f["key"] for f in line["found"]]
 
 
-def stray_row(name: str, lines: list[dict], every: dict) -> dict:
+def stray_row(
+    name: str, lines: list[dict], every: dict, p_without: Callable[[dict], float]
+) -> dict:
     """Sets with outliers: verdicts compared with those of the same sets without, and the outliers
-    that the loop lists.
+    that the loop lists; `p_without` computes the p-value of a set without its outliers.
     """
     entry = ENTRIES[name]
     base = f"{entry.instrument}/" + (entry.kinds[0].name if entry.kinds else "clean")
@@ -294,8 +295,8 @@ def stray_row(name: str, lines: list[dict], every: dict) -> dict:
     }
 
 
-def summary(lines: Sequence[dict]) -> dict:
-    """All that the tables and the picture need."""
+def summary(lines: Sequence[dict], p_without: Callable[[dict], float]) -> dict:
+    """All that the tables and the picture need; `p_without` as in `stray_row`."""
     lines = [x for x in lines if x["case"] in ENTRIES]
     of = {name: [x for x in lines if x["case"] == name] for name in ENTRIES}
     group = {g: [x for x in lines if ENTRIES[x["case"]].group == g] for g in GROUPS}
@@ -377,7 +378,7 @@ def summary(lines: Sequence[dict]) -> dict:
             case_row(name, of[name]) for name in sorted(of) if of[name] and not ENTRIES[name].clean
         ],
         "strays": [
-            stray_row(name, of[name], every)
+            stray_row(name, of[name], every, p_without)
             for name in sorted(of)
             if of[name] and ENTRIES[name].group == "strays"
         ],
