@@ -15,6 +15,8 @@ from .registry import register
 _STANDS = {"frame": "XYZABC", "target": "XYZABC", "place": "XYZ"}
 """Ports of objects on the table: an instrument, an artefact, one sphere."""
 
+_SLIP = 1000.0
+"""Largest displacement in prior standard deviations: a clamp or a magnet slips by millimetres."""
 _STAND_ODDS = 0.3
 """Prior odds of a displaced stand against a tool with the same displacement."""
 
@@ -40,7 +42,8 @@ class Jump(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         sizes = tuple(
-            Parameter(_size(port), unit_of(port), sigma=self._usual) for port in self.ports
+            Parameter(_size(port), unit_of(port), sigma=self._usual, largest=_SLIP)
+            for port in self.ports
         )
         return (*sizes, Parameter("at", self.clock.short, shape=True, smooth=False))
 

@@ -41,6 +41,9 @@ class Parameter:
     """Whether the deviation is differentiable in a shape parameter (the time of a jump is not)."""
     choice: bool = False
     """Whether a shape parameter is an index of alternatives that have no order."""
+    largest: float = 100.0
+    """Size of an amplitude, in prior standard deviations, beyond which it is physically impossible.
+    """
     law: Univariate | None = field(default=None, compare=False, repr=False)
     """Distribution from which machines are drawn, where it is not the default prior.
 

@@ -2,8 +2,14 @@
 
 The prior of an amplitude says how large an effect may be on some machine. On a precise machine it
 may be a hundred times smaller, and an effect of three amplitudes would then be penalised three
-times for a width that carries no information. The prior is therefore a mixture: sigma times 1, 1/2,
-1/4, ... with equal odds, one factor for all amplitudes of an effect.
+times for a width that carries no information. After a collision it may be a thousand times larger,
+and a normal prior would exclude what the readings show beyond doubt. The prior is therefore a
+mixture of normal distributions with sigma times s, one factor for all amplitudes of an effect:
+
+    s = 1, 1/2, 1/4, ... with equal odds,        s = 2, 4, 8, ... with odds 1/s.
+
+Above sigma the density of an amplitude x falls as 1/x^2, as that of a Cauchy distribution does: a
+size x costs about ln x in log evidence instead of x^2 / 2.
 """
 
 import math
@@ -14,8 +20,12 @@ from scipy.special import logsumexp
 
 from ...identification.fit import Fit
 
-_SQUARED = 4.0 ** -np.arange(11.0)
-"""Squares of the factors, down to a thousandth."""
+_OCTAVES = np.arange(-10.0, 17.0)
+"""Base-two logarithms of the factors: from a thousandth to 65,000."""
+_SQUARED = 4.0**_OCTAVES
+_SURPLUS = math.log(2.0) * np.maximum(_OCTAVES, 0.0)
+"""Log of the odds of a factor of one over those of each factor."""
+_LOG_ODDS = -_SURPLUS - logsumexp(-_SURPLUS)
 
 _LEAST_INFORMATION = 1e-9
 """Least information, in units of that of the prior, for an amplitude to have an estimated size."""
@@ -26,17 +36,23 @@ _MOST_COST = math.log(20.0)
 def size_surplus(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
     """Cost in log evidence of amplitudes that are larger than expected: the size surplus.
 
-    For a linear model as in `log_gain`, with information l and scores b (..., c) in units of the
-    noise, the least-squares amplitudes are x = b / l in prior standard deviations, and
-
-        surplus = sum over c of max(0, (l x^2 / (1 + l) - 1) / 2)    as (...)
-
-    l x^2 / (1 + l) is what the prior adds to chi-square at its minimum: x^2 where the readings
-    determine x. One standard deviation costs nothing. A prior that outweighs the readings shrinks
-    the amplitude and worsens the fit; that cost is included.
+    It is the mean of ln max(s, 1) over the posterior of the factor s of the mixture, for a linear
+    model as in `log_gain`, as (...). Amplitudes of one standard deviation cost almost nothing, a
+    hundred of them ln 100. Amplitudes that the readings hardly determine cost nothing either.
     """
-    cost = 0.5 * (_sizes(information, scores) ** 2 * information / (1.0 + information) - 1.0)
-    return np.maximum(cost, 0.0).sum(-1)
+    each = log_gain(information, scores, _SQUARED) + _LOG_ODDS
+    odds = np.exp(each - each.max(-1, keepdims=True))
+    return (odds @ _SURPLUS) / odds.sum(-1)
+
+
+def prior_pull(information: np.ndarray, scores: np.ndarray) -> float:
+    """Half of what a normal prior of one standard deviation adds to chi-square at its minimum,
+    beyond its expectation: sum over c of max(0, (l x^2 / (1 + l) - 1) / 2), x = b / l.
+
+    A prior that outweighs the readings shrinks the amplitudes and worsens the fit. That is included.
+    """
+    pull = 0.5 * (_sizes(information, scores) ** 2 * information / (1.0 + information) - 1.0)
+    return float(np.maximum(pull, 0.0).sum(-1))
 
 
 def observed_size(information: np.ndarray, scores: np.ndarray) -> float:
@@ -75,8 +91,7 @@ def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -
 
 def log_mixture(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
     """Log Bayes factor of the mixture over none, as (...)."""
-    each = log_gain(information, scores, _SQUARED)
-    return logsumexp(each, axis=-1) - np.log(len(_SQUARED))
+    return logsumexp(log_gain(information, scores, _SQUARED) + _LOG_ODDS, axis=-1)
 
 
 def over_scales(fit: Fit, entries: slice | np.ndarray, noise_scale: float = 1.0) -> float:

@@ -27,8 +27,8 @@ def doubted(
     uncertain.
 
     Such reasons are a larger unexplained residual that depends on the same covariate, a shape
-    parameter outside its grid, an effect that could not be tested, and an amplitude that is poorly
-    determined.
+    parameter outside its grid, an effect that could not be tested, an amplitude that is poorly
+    determined, and a size that is physically impossible.
     """
     if found.status != "named":
         return found
@@ -38,6 +38,7 @@ def doubted(
         or beyond_scan(fit, place)
         or untested_twin(fit, place, untestable)
         or poorly_determined(fit, place)
+        or impossible_size(fit, place)
     )
     return replace(found, status="ambiguous", separation=why) if why else found
 
@@ -55,7 +56,7 @@ def part_of_unexplained(fit: Fit, place: int, rest: Unexplained | None) -> str:
     if not same:
         return ""
     mine = fit.places_of(place)[0]
-    theta, covariance = fit.theta[mine], fit.covariance[np.ix_(mine, mine)]
+    theta, covariance = fit.theta[mine], fit.planned_covariance[np.ix_(mine, mine)]
     if theta @ np.linalg.solve(covariance, theta) >= declared_chi2(fit) - fit.dof:
         return ""
     column = file_column(same[0], fit.measurement.plan.axes)[0]
@@ -121,6 +122,30 @@ def poorly_determined(fit: Fit, place: int) -> str:
     if (fit.information[fit.places_of(place)[0]] > POORLY_DETERMINED).any():
         return ""
     return "the readings poorly determine its size: measure where it would be larger"
+
+
+def impossible_size(fit: Fit, place: int) -> str:
+    """Reason where an amplitude exceeds what is physically possible (`Parameter.largest`) by more
+    than its expanded uncertainty (k = 2).
+    """
+    effect = fit.model.effects[place]
+    expected = {p.name: p for p in effect.parameters if not p.shape and p.informed}
+    beyond = [
+        (abs(value) / expected[p.name].sigma, expected[p.name])
+        for _, p, value, u in fit.values_of(place)
+        if p.name in expected
+        and abs(value) - 2.0 * u > expected[p.name].largest * expected[p.name].sigma
+    ]
+    if not beyond:
+        return ""
+    times, p = max(beyond, key=lambda pair: pair[0])
+    columns = [file_column(name, fit.measurement.plan.axes)[0] for name in effect.indicators]
+    return (
+        f"its {p.name} is {times:.0f} times the expected {p.sigma:g} {p.unit}, larger than physically "
+        "possible: check the units, signs and scale factors of the readings and positions, look for "
+        f"another cause that depends on {' and '.join(columns) or 'the same'}, or declare the effect "
+        "with its size if it is real"
+    )
 
 
 def jump_time_uncertainty(state: State, place: int, room: int) -> dict[str, float]:

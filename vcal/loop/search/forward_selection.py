@@ -23,9 +23,6 @@ from ..weighing.weighing import Weighed, preferred, weigh
 from .round import Round
 from .state import State, chi2_per_dof, fitted
 
-_CONTRADICTED = math.log(5.0)
-"""Log odds of a rejected effect over the next from which that one is not named either: what looks
-like one effect and holds as another is something else."""
 _NO_MINIMUM = "its fit does not converge to a minimum"
 
 
@@ -124,23 +121,11 @@ class ForwardSelection:
             return None
         refused = self._unfitted(found)
         odds, significant = found.odds, found.significant
-        untried = {id(rival) for rival in significant}
-        small: set[int] = set()
         for rival in preferred(significant, odds):
-            untried.discard(id(rival))
-            # An effect that holds, and makes too small a difference, contradicts no other.
-            likeliest = next(one for one, _ in found.ranked if id(one) not in small)
             if why := found.unlikely(rival):
                 self._reject(found, rival, why)
                 continue
-            why = found.fails(rival)
-            behind = odds[id(likeliest)] - odds[id(rival)]
-            if not why and behind > _CONTRADICTED and id(likeliest) not in untried:
-                significant_itself = found.p_value(likeliest) <= self.alpha
-                held = "does not hold" if significant_itself else "is not significant itself"
-                why = f"a far more probable effect {held}"
-            if not why and (why := found.too_little(rival)):
-                small.add(id(rival))
+            why = found.fails(rival) or found.too_little(rival)
             if not why:
                 self.progress(f"round {number}: adding {rival.effect.key}")
                 return self._add(found, rival, found.description)

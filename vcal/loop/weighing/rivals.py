@@ -17,15 +17,18 @@ from ..screening.size_evidence import (
     log_mixture,
     observed_size,
     over_scales,
+    prior_pull,
     size_allowance,
     size_surplus,
 )
 
 _SAME_SHAPE = 2.0
 """Standard uncertainties within which two shapes are the same."""
-WIDENINGS, WIDER = 4, 4.0
+WIDENINGS, WIDER = 7, 4.0
 """How often, and by which factor, the prior of an effect that is larger than expected is widened.
 """
+_PULLED = math.log(20.0)
+"""Half of the chi-square that the prior of an effect may add to the fit before it is widened."""
 _WIDEST = WIDER**WIDENINGS
 """Prior standard deviations beyond which a size means that the readings do not determine it,
 because no prior is that wrong. There is no size allowance beyond it."""
@@ -133,7 +136,7 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
         if fit.converged:
             noise = math.sqrt(max(1.0, fit.chi2 / fit.dof))
             information, scores = at_its_shape(fit, added, noise)
-            if size_allowance(size_surplus(information, scores)) == 0.0:
+            if prior_pull(information, scores) <= _PULLED:
                 break
             size = observed_size(information, scores)
         elif wider == 1.0 and peak.size_allowance > 0.0:
