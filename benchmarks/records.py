@@ -109,6 +109,7 @@ def known(path: Path) -> list[dict]:
 
 def append(path: Path, line: dict) -> None:
     """Append one whole line, whichever other process is writing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(line, separators=(",", ":")) + "\n")
 

@@ -10,6 +10,7 @@ import pytest
 
 from oracle import make_case, write_study
 from oracle.effects import joint_angles
+from oracle.kinematics import arm_frames
 from vcal import close_loop, load_study
 from vcal.effects.base import Setup
 from vcal.effects.events import Jump
@@ -182,3 +183,26 @@ def test_effects_of_time_by_pose_are_those_of_time(tmp_path):
             per = every if cls in (Drift, StationDrift, StationSettling) else 1.0
             for key, values in mine.items():
                 np.testing.assert_allclose(values, per * np.asarray(theirs[key]), atol=1e-12)
+
+
+def test_a_reflector_that_slipped_by_millimetres_hides_nothing(tmp_path):
+    """250 standard deviations of what a jump is expected to be, with a joint that yields."""
+    yields = {"effect": "joint_compliance", "joint": 1, "coefficient": 1.5e-4}
+    plan = {"n": 200, "reflectors": 1, "fixed": 0}
+    case = make_case("reflectors", seed=8, plan=plan, effects=[yields], sigma=50e-6)
+    slipped = np.array([1.4e-3, 4.8e-3, 0.2e-3])
+    frames, _ = arm_frames(case.arm, case.arm_run.q)
+    shift = (frames[:, -1] @ slipped) @ case.arm_run.rotation.T
+    for i, a in enumerate("xyz"):
+        case.data[f"smr1_{a}_mm"][80:] += 1e3 * shift[80:, i]
+    study = load_study(write_study(tmp_path, case))
+    found = close_loop(study.model, study.measurement, draws=100)
+    jump, compliance = found.effects[:2]
+    assert {jump.effect.key, compliance.effect.key} == {"jump tool", "joint_compliance J2"}
+    if jump.effect.key != "jump tool":
+        jump = compliance
+    values = {name: (value, u) for name, value, _, u in jump.parameters}
+    for axis, expected in zip("XYZ", slipped, strict=True):
+        assert abs(values[axis][0] - 1e6 * expected) < 3.0 * values[axis][1] + 20.0
+    assert 79.0 < values["at"][0] < 80.0
+    assert found.errors["after"].chi2_per_dof < 1.3

@@ -15,8 +15,9 @@ from .registry import register
 _STANDS = {"frame": "XYZABC", "target": "XYZABC", "place": "XYZ"}
 """Ports of objects on the table: an instrument, an artefact, one sphere."""
 
-_SLIP = 1000.0
-"""Largest displacement in prior standard deviations: a clamp or a magnet slips by millimetres."""
+_SLIP, _SKIP = 1000.0, 100.0
+"""Largest displacements in prior standard deviations: a clamp or a magnet slips by millimetres, a
+gear skips a tooth by less than a degree."""
 _STAND_ODDS = 0.3
 """Prior odds of a displaced stand against a tool with the same displacement."""
 
@@ -42,7 +43,7 @@ class Jump(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         sizes = tuple(
-            Parameter(_size(port), unit_of(port), sigma=self._usual, largest=_SLIP)
+            Parameter(_size(port), unit_of(port), sigma=self._usual, largest=self._largest)
             for port in self.ports
         )
         return (*sizes, Parameter("at", self.clock.short, shape=True, smooth=False))
@@ -55,6 +56,10 @@ class Jump(Effect):
     @property
     def _usual(self) -> float:
         return 20.0 if self.placement in ("tool", *_STANDS) else 100.0
+
+    @property
+    def _largest(self) -> float:
+        return _SLIP if self.placement in ("tool", *_STANDS) else _SKIP
 
     @property
     def on_instrument(self) -> bool:

@@ -49,7 +49,8 @@ def prior_pull(information: np.ndarray, scores: np.ndarray) -> float:
     """Half of what a normal prior of one standard deviation adds to chi-square at its minimum,
     beyond its expectation: sum over c of max(0, (l x^2 / (1 + l) - 1) / 2), x = b / l.
 
-    A prior that outweighs the readings shrinks the amplitudes and worsens the fit. That is included.
+    A prior that outweighs the readings shrinks the amplitudes and worsens the fit, which is
+    included.
     """
     pull = 0.5 * (_sizes(information, scores) ** 2 * information / (1.0 + information) - 1.0)
     return float(np.maximum(pull, 0.0).sum(-1))

@@ -13,6 +13,7 @@ from ..outcome.closure import FoundEffect
 from ..outcome.unexplained import Unexplained
 from ..screening.candidates import Untestable
 from ..screening.score_test import ScoreTest
+from ..weighing.rivals import impossible_sizes
 from .state import State, without
 
 _OUT = 3.0
@@ -125,26 +126,17 @@ def poorly_determined(fit: Fit, place: int) -> str:
 
 
 def impossible_size(fit: Fit, place: int) -> str:
-    """Reason where an amplitude exceeds what is physically possible (`Parameter.largest`) by more
-    than its expanded uncertainty (k = 2).
-    """
-    effect = fit.model.effects[place]
-    expected = {p.name: p for p in effect.parameters if not p.shape and p.informed}
-    beyond = [
-        (abs(value) / expected[p.name].sigma, expected[p.name])
-        for _, p, value, u in fit.values_of(place)
-        if p.name in expected
-        and abs(value) - 2.0 * u > expected[p.name].largest * expected[p.name].sigma
-    ]
+    """Reason where an amplitude exceeds what is physically possible (`impossible_sizes`)."""
+    beyond = impossible_sizes(fit, place)
     if not beyond:
         return ""
-    times, p = max(beyond, key=lambda pair: pair[0])
+    effect, (times, p) = fit.model.effects[place], beyond[0]
     columns = [file_column(name, fit.measurement.plan.axes)[0] for name in effect.indicators]
     return (
-        f"its {p.name} is {times:.0f} times the expected {p.sigma:g} {p.unit}, larger than physically "
-        "possible: check the units, signs and scale factors of the readings and positions, look for "
-        f"another cause that depends on {' and '.join(columns) or 'the same'}, or declare the effect "
-        "with its size if it is real"
+        f"its {p.name} is {times:.0f} times the expected {p.sigma:g} {p.unit}, larger than is "
+        "physically possible: check the units, signs and scale factors of the readings and "
+        f"positions, look for another cause that depends on {' and '.join(columns) or 'the same'}, "
+        "or declare the effect with its size if it is real"
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from ...effects.base import Effect
 from ...identification.fit import Fit
 from ...identification.identify import NEARLY, identify
+from ...machine.parameters import Parameter
 from ..screening.score_test import Peak
 from ..screening.size_evidence import (
     at_its_shape,
@@ -32,6 +33,8 @@ _PULLED = math.log(20.0)
 _WIDEST = WIDER**WIDENINGS
 """Prior standard deviations beyond which a size means that the readings do not determine it,
 because no prior is that wrong. There is no size allowance beyond it."""
+_IMPOSSIBLE = math.log(1e-4)
+"""Log of the prior odds of a size that is physically impossible."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +158,22 @@ def _at_its_size(base: Fit, peak: Peak, keep: np.ndarray, room: int) -> tuple[Fi
     return fit, wider
 
 
+def impossible_sizes(fit: Fit, place: int) -> list[tuple[float, Parameter]]:
+    """Amplitudes of the effect at that place that exceed what is physically possible
+    (`Parameter.largest`) by more than their expanded uncertainty (k = 2): size in standard
+    deviations of the default prior, and parameter; largest first.
+    """
+    effect = fit.model.effects[place]
+    expected = {p.name: p for p in effect.parameters if not p.shape and p.informed}
+    found = [
+        (abs(value) / expected[p.name].sigma, expected[p.name])
+        for _, p, value, u in fit.values_of(place)
+        if p.name in expected
+        and abs(value) - 2.0 * u > expected[p.name].largest * expected[p.name].sigma
+    ]
+    return sorted(found, key=lambda pair: -pair[0])
+
+
 def _at_an_end(fit: Fit) -> bool:
     """Whether a shape parameter of the last effect is at an end of its grid, where it is correlated
     with the size: a drift equals a warm-up with any sufficiently long time constant.
@@ -193,6 +212,8 @@ def refit_all(
         k = len(peak.effect.parameters)
         bic = (fit.chi2 - base.chi2) / noise**2 + k * math.log(rows)
         odds = math.log(peak.effect.odds / instances[peak.effect.name])
+        if impossible_sizes(fit, len(fit.model.effects) - 1):
+            odds += _IMPOSSIBLE
         added = fit.model.places[-1]
         wider = widths[id(fit)]
         own = at_its_shape(fit, added, noise)
