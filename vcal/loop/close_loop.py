@@ -4,10 +4,13 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Literal
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
 from ..effects.clock import CLOCKS
+from ..effects.data_set import OfDataSet
+from ..effects.reference import FreeReference
 from ..effects.registry import CATALOGUE
 from ..identification.family_sizes import learned_sizes, with_sizes
 from ..identification.fit import Fit, normalised_residuals
@@ -16,6 +19,7 @@ from ..identification.model_averaging import Alternatives
 from ..instruments.conditions import file_column
 from ..model.forward import Model
 from ..model.measurement import CheckPoints, Measurement
+from ..units import si_factor
 from .empirical import EMPIRICAL
 from .notes import Facts, notes
 from .outcome.closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
@@ -151,8 +155,11 @@ def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
         status="named" if certain else "ambiguous",
         placement="|".join(places),
         parameters=[
-            (p.name, value, p.unit, stepped[p.name] / p.si if p.name in stepped else u)
-            for _, p, value, u in after.values_of(place)
+            *(
+                (p.name, value, p.unit, stepped[p.name] / p.si if p.name in stepped else u)
+                for _, p, value, u in after.values_of(place)
+            ),
+            *_reference(after, place),
         ],
         p_value=item.p_value,
         log_evidence=weighed.best.log_bayes,
@@ -162,6 +169,26 @@ def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
         alternatives=weighed.alternatives,
         separation="" if certain else _separation(weighed, after.measurement.plan.axes),
     )
+
+
+def _reference(fit: Fit, place: int) -> list[tuple[str, float, str, float]]:
+    """How far the reference value of an effect is from the declared one, as a parameter, where the
+    readings determine it.
+    """
+    effect = fit.model.effects[place]
+    inner = effect.effect if isinstance(effect, OfDataSet) else effect
+    if not isinstance(inner, FreeReference):
+        return []
+    mine = fit.places_of(place)[0]
+    step = np.array([p.step for p in effect.amplitudes])
+    mean = np.array([p.mean * p.si for p in effect.amplitudes])
+    covariance = fit.covariance[np.ix_(mine, mine)] * np.outer(step, step)
+    zero = inner.zero(mean + fit.theta[mine] * step, covariance)
+    if zero is None:
+        return []
+    unit = inner.reference.unit
+    value, u = (v / si_factor(unit) for v in zero)
+    return [("zero_shift", value, unit, u)]
 
 
 def _finish(
