@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from oracle import make_case, with_other_zero, write_study
 
 import vcal
+from oracle import make_case, with_other_zero, write_study
 from vcal.effects import CATALOGUE
 from vcal.effects.forms import JointAmplitude, JointPorts
 from vcal.effects.reference import FreeReference, with_free_reference, with_known_reference
