@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool
 
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
@@ -13,12 +12,13 @@ from ..numerics.arrays import Array
 from ..units import si_factor, times
 from .base import Effect, Reference, Response
 from .data_set import OfDataSet
+from .wrapper import Wrapper
 
 _DETERMINED = 2.0
 """Least size of an effect, in standard uncertainties, from which its reference value follows."""
 
 
-class FreeReference(Effect):
+class FreeReference(Wrapper):
     """An effect together with a constant part, because its reference value is uncertain.
 
     With the response f to a covariate T, a deviation k f(T - T0) is k f(T - 20 degC) + c f' for an
@@ -27,33 +27,6 @@ class FreeReference(Effect):
     that of k times that of T0. It has the name and the placement of `effect`, and is a candidate
     beside it (`with_free_reference`): the readings decide whether the reference is as declared.
     """
-
-    effect: Effect
-
-    # Class attributes of other effects are those of the wrapped effect here.
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """Identifier of the effect."""
-        return self.effect.name
-
-    @property
-    def summary(self) -> str:  # type: ignore[override]
-        """Summary of the effect."""
-        return self.effect.summary
-
-    @property
-    def where(self):  # type: ignore[override]
-        """Where the effect is."""
-        return self.effect.where
-
-    @property
-    def on_instrument(self) -> bool:
-        return self.effect.on_instrument
-
-    @property
-    def odds(self) -> float:  # type: ignore[override]
-        """Prior odds of the effect."""
-        return self.effect.odds
 
     @property
     def reference(self) -> Reference:
@@ -78,14 +51,6 @@ class FreeReference(Effect):
         shapes = tuple(p for p in own if p.shape)
         return (*(p for p in own if not p.shape), *self.constants.values(), *shapes)
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return self.effect.needs
-
-    @property
-    def indicators(self) -> tuple[str, ...]:
-        return self.effect.indicators
-
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         constants = self.constants
         constant = {
@@ -94,15 +59,6 @@ class FreeReference(Effect):
             if name in constants
         }
         return {**self.effect.response(plan, shape), **constant}
-
-    def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
-        return self.effect.rows(plan)
-
-    def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        return self.effect.scan(plan)
-
-    def edges(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        return self.effect.edges(plan)
 
     def shape_odds(
         self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
