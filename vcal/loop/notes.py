@@ -308,9 +308,9 @@ def _other_shapes(facts: Facts) -> list[str]:
     return [
         *(_class_of_shapes(one) for one in facts.found if one.shapes),
         *(
-            f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well (probability "
-            f"{100 * probability:.2g} %): these positions and times hardly distinguish them; measure "
-            "at further ones"
+            f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well "
+            f"(probability {100 * probability:.2g} %): these positions and times hardly "
+            "distinguish them; measure at further ones"
             for item in facts.added
             for shape, probability in item.weighed.other_shapes
             if item.effect.key not in classed
