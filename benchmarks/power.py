@@ -107,7 +107,7 @@ def limit_of(entry, world, sized, kind) -> float:
     from vcal.identification.identify import identify
     from vcal.loop.weighing.cross_validation import folds_of
 
-    alone = replace(entry, kinds=(kind,), strays=0.0)
+    alone = replace(entry, kinds=(kind,), strays=0.0, zero=False)
     made = make(alone, world, [sized], [kind.large], noise=0.0)
     study = load(made.case)
     keep = ~folds_of(study.model, study.measurement)[1]  # the loop never fits the other rows
@@ -139,9 +139,12 @@ def known_limit(limits: dict, entry, world, sized, kind) -> float:
     return limits[key]
 
 
-def true_fit(study, before, terms, keep):
-    """The fit of the true model: `before` with the true effects added, their sizes free."""
+def true_fit(study, before, terms, keep, zero: bool = False):
+    """The fit of the true model: `before` with the true effects added, their sizes free, and with
+    `zero` their reference values too.
+    """
     from vcal.effects import Setup, effect_class
+    from vcal.effects.reference import with_free_reference
     from vcal.loop.screening.score_test import Peak, ScoreTest
     from vcal.loop.weighing.rivals import refit
 
@@ -158,6 +161,7 @@ def true_fit(study, before, terms, keep):
         ]
         # For joint_compliance this is the drive without the bearing.
         effect = min(fitting, key=lambda e: len(e.parameters))
+        effect = (zero and with_free_reference(effect)) or effect
         shape, state = dict(term.shape or {}), ScoreTest(fit, 1, 0)
         columns = state.columns(effect, shape)
         start = np.linalg.lstsq(state.information(columns), columns.T @ fit.whitened, rcond=1e-8)[0]
@@ -249,7 +253,7 @@ def one_set(entry, multiple: float, seed: int, limits: dict) -> dict:
     if all(t.key for t in made.terms):
         keep = ~folds_of(study.model, study.measurement)[1]
         keep[strays] = False
-        fit = true_fit(study, closure.before, made.terms, keep)
+        fit = true_fit(study, closure.before, made.terms, keep, entry.zero)
         line["rms"]["told"] = rms(errors(fit, study.check))
         line["chi2_over_told"] = round(excess_chi2(closure.after, fit), 3)
     if strays:

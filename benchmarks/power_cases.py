@@ -18,7 +18,15 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from oracle import FRAME_SMOOTH, FRAME_TABLE, TABLE, draw_matrix, make_case, with_strays
+from oracle import (
+    FRAME_SMOOTH,
+    FRAME_TABLE,
+    TABLE,
+    draw_matrix,
+    make_case,
+    with_other_zero,
+    with_strays,
+)
 from oracle.kinematics import SQUARENESS
 from oracle.study import FRAME_SIZES, SIZES, Case
 
@@ -31,6 +39,10 @@ DURATION_S = {"laser_tracker": 5000.0, "ball_array": 10000.0, "laser_frame": 480
 JOINTS = 6
 STRAYS = 0.02
 """Share of outliers among the readings of a set with outliers."""
+ZEROS = (5.0, 10.0, -8.0)
+"""Errors of all temperatures of a set whose zero of temperature is not 20 degC, in turn, K."""
+THERMAL = ("scale_growth", "thermal_offset", "thermal_tilt", "squareness_temperature")
+"""Effects with a zero of temperature."""
 OWN_NOISE = 20_018
 """First seed whose sets with an effect have independent noise. With a smaller seed all sets of an
 instrument have the same noise, so that a pattern in it that resembles an effect is in all of them.
@@ -641,6 +653,8 @@ class Entry:
     strays: float = 0.0
     warming: bool = False
     """Whether the machine only warms up, instead of exercising its axes in turn."""
+    zero: bool = False
+    """Whether all temperatures are off by one of ZEROS."""
     multiples: tuple[float, ...] = ()
 
     @property
@@ -658,6 +672,7 @@ GROUPS = {
     "pairs": "two effects",
     "several": "three effects or four",
     "strays": "some readings are outliers",
+    "zero": "an effect of temperature that is zero at another one than declared",
 }
 MULTIPLES = (3.0, 1.0, 5.0, 2.0, 0.5)
 
@@ -678,6 +693,12 @@ def _entries() -> tuple[Entry, ...]:
                     Entry(name, at, "warming up", (kind,), warming=True,
                           multiples=(3.0, 5.0))
                 )  # fmt: skip
+    for name in THERMAL:
+        for at in by_name[name].instruments:
+            found.append(
+                Entry(f"{at}/{name}, another zero", at, "zero", (by_name[name],), zero=True,
+                      multiples=(5.0,))
+            )  # fmt: skip
     for kind in OUTSIDE:
         for at in kind.instruments:
             found.append(Entry(f"{at}/{kind.name}", at, "outside", (kind,), multiples=(3.0, 5.0)))
@@ -737,12 +758,12 @@ def drawn(entry: Entry, world: World) -> list[Sized]:
 
 
 def noise_seed(entry: Entry, multiple: float, seed: int) -> int:
-    """The seed of the noise of a set. A set with outliers has that of the same set without, with
-    which it is compared.
+    """The seed of the noise of a set. A set with outliers, or with another zero of temperature, has
+    that of the same set without, with which it is compared.
     """
     if seed < OWN_NOISE or not entry.kinds:
         return seed
-    name = f"{entry.instrument}/{entry.kinds[0].name}" if entry.strays else entry.name
+    name = f"{entry.instrument}/{entry.kinds[0].name}" if entry.strays or entry.zero else entry.name
     return zlib.crc32(f"{name} {multiple:g} {seed}".encode())
 
 
@@ -796,6 +817,8 @@ def make(
     if at == "laser_frame":
         options |= {"family": FRAME_SMOOTH} if world.seed // 3 % 2 else {"table": FRAME_TABLE}
     case = make_case(at, effects=effects, declared=declared, **options)
+    if entry.zero:
+        case = with_other_zero(case, ZEROS[world.seed // len(CHAINS) % len(ZEROS)])
     if entry.strays:
         case = with_strays(case, entry.strays, world.seed)
     return Made(case, terms)

@@ -58,6 +58,23 @@ def _product(text: str, unit: str) -> float:
     return value
 
 
+def times(unit: str, other: str) -> str:
+    """The unit times a symbol: ``"um/(m K)"`` times ``"K"`` is ``"um/m"``, ``"um"`` times ``"K"``
+    is ``"um K"``.
+    """
+    if other == "1":
+        return unit
+    numerator, _, denominator = unit.partition("/")
+    below = denominator.strip("() ").split()
+    if other not in below:
+        numerator = f"{numerator} {other}" if numerator != "1" else other
+    else:
+        below.remove(other)
+    if not below:
+        return numerator
+    return f"{numerator}/{below[0]}" if len(below) == 1 else f"{numerator}/({' '.join(below)})"
+
+
 def in_name(unit: str) -> str:
     """The unit as the suffix of a name: ``"um/(m K)"`` gives ``"um_per_m_K"``."""
     text = unit.replace("/", " per ").replace("(", "").replace(")", "").replace("%", "percent")

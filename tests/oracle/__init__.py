@@ -57,6 +57,7 @@ from .study import (
     as_study,
     make_case,
     read_study,
+    with_other_zero,
     with_strays,
     write_study,
 )
@@ -118,6 +119,7 @@ __all__ = [
     "tracker_readings",
     "twists",
     "with_errors",
+    "with_other_zero",
     "with_strays",
     "write_study",
 ]

@@ -170,6 +170,18 @@ def with_strays(case: Case, share: float, seed: int, sizes: tuple[float, float] 
     return replace(case, data=data, truth=case.truth | {"strays": rows.tolist()})
 
 
+def with_other_zero(case: Case, degrees: float) -> Case:
+    """Return the case as recorded by sensors that all read so much more, in K: the temperature at
+    which an effect is zero is 20 degC plus as much in the data.
+    """
+
+    def moved(table: Columns) -> Columns:
+        return {k: v + degrees if k.endswith("_degC") else v for k, v in table.items()}
+
+    check = None if case.check is None else moved(case.check)
+    return replace(case, data=moved(case.data), check=check)
+
+
 def run_columns(run: Run) -> Columns:
     """Return a run's columns x_mm ... T_air_degC and further ones in file units."""
     out: Columns = {f"{a.lower()}_mm": 1e3 * run.q[:, i] for i, a in enumerate(AXES)}

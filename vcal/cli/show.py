@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..effects.base import Effect, Setup
+from ..effects.cyclic import ScrewCyclic
 from ..instruments.conditions import file_name, inside_name
 from ..loop.outcome.closure import Closure, Errors
 from ..loop.residuals.confounded import confounding
@@ -26,6 +27,8 @@ from ..study.declared_effects import choices
 from ..study.messages import shown
 from ..study.study import DataSet, looked_for
 
+_MOST_PITCHES = 6
+"""Most pitches that one line lists."""
 _MOST = 6
 _FEW_RIVALS, _LEAST_PROBABILITY = 3, 0.05
 """Largest number of rivals that are printed, and the least probability of one."""
@@ -128,6 +131,7 @@ def show_study(study: Study) -> None:
             ", ".join(_size(effect) for effect in (*study.model.effects, *study.model.random)),
         ),
         ("to be tested", _kinds(found)),
+        *_aliased(found, plan),
     ]
     wanted: dict[str, list[str]] = {}
     for item in missing:
@@ -145,6 +149,27 @@ def show_study(study: Study) -> None:
     for label, value in rows:
         table.add_row(Text(label), Text(value))
     console.print(table)
+
+
+def _aliased(effects: Iterable[Effect], plan: Plan) -> list[tuple[str, str]]:
+    """Pitches that equal steps of an axis cannot distinguish, or do not show."""
+    rows = []
+    for effect in effects:
+        found = effect.aliases(plan) if isinstance(effect, ScrewCyclic) else None
+        if found is None:
+            continue
+        (p,) = effect.shapes
+        said = []
+        for verb, pitches in (("distinguished", found.alike), ("seen", found.unseen)):
+            if len(pitches) > (verb == "distinguished"):
+                some = ", ".join(f"{v / p.si:.4g}" for v in pitches[:_MOST_PITCHES])
+                more = len(pitches) > _MOST_PITCHES
+                many = f", ... {p.unit} ({len(pitches)} in all)" if more else f" {p.unit}"
+                said.append(f"pitches of {some}{many} cannot be {verb}")
+        if said:
+            axis, step = effect.placement, f"{found.step / p.si:.4g} {p.unit}"
+            rows.append(("aliased", f"positions of {axis} every {step}: {'; '.join(said)}"))
+    return rows
 
 
 def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:

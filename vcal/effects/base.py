@@ -6,8 +6,10 @@ screening, evidence and reports follow from that.
 """
 
 import abc
+import dataclasses
 import functools
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -28,6 +30,9 @@ Response = Mapping[tuple[str, str], Float[Array, "..."]]
 
 Kind = Literal["systematic", "nuisance", "random"]
 
+_TEMPERATURE = re.compile(r"T_(?!\w*_K(_|$))\w+")
+"""Covariates in degC; not gradients, such as ``"T_gradient_z_K_per_m"``."""
+
 
 @dataclass(frozen=True)
 class Artefact:
@@ -37,6 +42,27 @@ class Artefact:
     """Positions of its supports as shares of its length."""
     beam: tuple[float, float, float]
     """Direction of its long axis, in its own frame."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The value of a covariate at which an effect is zero, where it is not exactly known.
+
+    An effect in proportion to T - T0 is k (T - 20 degC) + c with c = k (20 degC - T0): its response
+    to the covariate, and a constant part of the same form. The machine may be compensated at
+    another temperature than 20 degC, and the sensor may be biased.
+    """
+
+    covariate: str
+    unit: str
+    """Unit of the covariate, as in the unit of the amplitude: ``"K"`` of ``"um/K"``."""
+    sigma: float
+    """Standard uncertainty of the reference value, in `unit`."""
+
+
+TEMPERATURE_SIGMA_K = 10.0
+"""Standard uncertainty of the temperature at which an effect of temperature is zero: machines are
+compensated at the temperature of their shop, and a sensor measures where it is mounted."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +166,29 @@ class Effect(Record):
         """Covariates on which its residual depends, the clearest first (for pictures)."""
         return tuple(name.format(axis=self.placement) for name in self.shown_by) or self.needs
 
+    @property
+    def reference(self) -> Reference | None:
+        """The covariate whose reference value is uncertain; None where there is none.
+
+        By default it is the first temperature (``"T_X"``, degC) that the effect `needs`. An effect
+        whose reference is exactly known returns None.
+        """
+        temperatures = (name for name in self.needs if _TEMPERATURE.fullmatch(name))
+        name = next(temperatures, None)
+        return None if name is None else Reference(name, "K", TEMPERATURE_SIGMA_K)
+
+    def constant_part(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        """Change of the response per unit (SI) of the covariate of `reference`: the form of the
+        deviation that another reference value adds.
+
+        It is a difference quotient, exact for a response that is linear in the covariate.
+        """
+        assert self.reference is not None
+        name = self.reference.covariate
+        moved = {**plan.covariates, name: plan.covariate(name) + 1.0}
+        further = self.response(dataclasses.replace(plan, covariates=moved), shape)
+        return {key: further[key] - value for key, value in self.response(plan, shape).items()}
+
     def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
         """The rows that it can disturb."""
         return np.ones(plan.rows, bool)
@@ -160,8 +209,9 @@ class Effect(Record):
     def shape_odds(
         self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]
     ) -> float:
-        """Prior density of estimated shape values relative to the uniform density, averaged over
-        their uncertainty; one unless some values are known to be more probable than others.
+        """Prior density of the estimated values (SI) of its parameters, averaged over their
+        uncertainty, relative to that which the fit assumes: uniform for shapes, and normal for
+        amplitudes; one unless some values are known to be more probable than others.
         """
         del plan, values, uncertainties
         return 1.0

@@ -28,14 +28,16 @@ class Clock:
     """Unit of time constants, and of the denominator of rates."""
     usual: float
     """Prior standard deviation of a rate, in um or urad per `long`."""
+    before: float
+    """How long a machine may have been drifting before the first reading, in `long`."""
 
     def read(self, plan: Plan) -> Array:
         """Its value in every row (n,)."""
         return plan.covariate(self.name)
 
 
-TIME = Clock("t", "s", "h", 20.0)
-_POSES = Clock("order", "pose", "pose", 0.2)
+TIME = Clock("t", "s", "h", 20.0, 1.0)
+_POSES = Clock("order", "pose", "pose", 0.2, 100.0)
 """An arm takes about a hundred poses in an hour."""
 
 

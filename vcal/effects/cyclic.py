@@ -10,6 +10,7 @@ import numpy as np
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array
+from ..numerics.lattice import lattice_step
 from .base import Effect, Setup, along
 from .forms import Wave, sine_and_cosine
 from .registry import register
@@ -23,6 +24,8 @@ _TEETH = (
 )
 """Teeth of usual worm wheels, cycles per turn of inductive scales, and ratios of strain wave gears
 and twice these."""
+_OFF_LATTICE = 0.01
+"""Share of the shortest pitch by which positions may be off a lattice that still hides pitches."""
 _SLOWEST = 4.5
 """Periods per turn of the longest pitch of a rotary axis: longer ones are `gear_harmonic`."""
 
@@ -38,7 +41,20 @@ class _Pitches(NamedTuple):
     """The shortest that is searched at closely spaced positions."""
     longest: float
     nominal: tuple[float, ...]
-    """Usual ones."""
+    """Nominal ones."""
+    usual: float
+    """The most usual one, which is named as an example."""
+
+
+class Aliases(NamedTuple):
+    """Pitches that positions in equal steps cannot distinguish, or do not show; m or rad."""
+
+    step: float
+    alike: tuple[float, ...]
+    """Pitches of which each gives the same readings as the first, a usual one; the nearest first.
+    """
+    unseen: tuple[float, ...]
+    """Pitches of which the step is a whole multiple: they give a constant."""
 
 
 _PITCHES = {
@@ -54,6 +70,7 @@ _PITCHES = {
             *(0.5e-3, 1e-3, 2e-3, 2.5e-3),
             *(4e-3, 5e-3, 6e-3, 8e-3, 10e-3, 12e-3, 16e-3, 20e-3, 25e-3, 32e-3, 40e-3),
         ),
+        usual=10e-3,
     ),
     "urad": _Pitches(
         unit="deg",
@@ -61,6 +78,7 @@ _PITCHES = {
         finest=math.radians(0.1),
         longest=2.0 * math.pi / _SLOWEST,
         nominal=tuple(2.0 * math.pi / teeth for teeth in _TEETH),
+        usual=math.radians(5.0),
     ),
 }
 """By the unit of the error along, or about, the axis."""
@@ -126,6 +144,31 @@ class ScrewCyclic(Wave):
         # Both ends, and one step beyond the finest, so that the finest lies inside the scan.
         steps = math.ceil((highest - lowest) * 4.0 * covered) + 1
         return {"pitch": 1.0 / (lowest + 0.25 / covered * np.arange(steps + 1))}
+
+    def aliases(self, plan: Plan) -> Aliases | None:
+        """The pitches within the scan that positions x0 + n s cannot distinguish: those of
+        1/p' = |1/p + k/s|. None where the positions are on no lattice, or on one whose step is so
+        short that there are no such pitches.
+        """
+        grid = self.scan(plan)["pitch"]
+        shortest, longest = float(grid.min()), float(grid.max())
+        step = lattice_step(np.asarray(plan.x(self.placement)), _OFF_LATTICE * shortest)
+        if step is None or step <= 0.5 * shortest:
+            return None
+        low, high = (1.0 - 1e-9) / longest, (1.0 + 1e-9) / shortest
+        usual = [p for p in self._pitches.nominal if low <= 1.0 / p <= high]
+        # A wave is seen where the step is no whole multiple of its pitch.
+        seen = [p for p in usual if abs(step / p - round(step / p)) > _OFF_LATTICE]
+        whole = np.arange(1, math.ceil(step * high) + 1) / step
+        unseen = 1.0 / whole[(whole >= low) & (whole <= high)]
+        alike = np.zeros(0)
+        if seen:
+            first = min(seen, key=lambda p: abs(math.log(p / self._pitches.usual)))
+            k = np.arange(math.ceil(step * (high + 1.0 / first)) + 1) / step
+            aliases = np.unique(np.round(np.abs([k + 1.0 / first, k - 1.0 / first]), 9))
+            alike = 1.0 / aliases[(aliases >= low) & (aliases <= high)]
+            alike = alike[np.argsort(np.abs(np.log(alike / first)))]
+        return Aliases(step, tuple(alike.tolist()), tuple(unseen.tolist()))
 
     def shape_odds(
         self, plan: Plan, values: Mapping[str, float], uncertainties: Mapping[str, float]

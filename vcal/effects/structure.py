@@ -13,7 +13,7 @@ from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array, namespace
 from ..numerics.record import Record
-from .base import Effect, Response, Setup
+from .base import Effect, Reference, Response, Setup
 from .forms import OneAmplitude
 from .registry import register
 
@@ -43,6 +43,11 @@ class PayloadSag(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (Parameter(f"sag_{self.clamped}", "um/kg", sigma=0.5),)
+
+    @property
+    def reference(self) -> Reference:
+        """The geometry may be that of the ram with a payload."""
+        return Reference("payload_kg", "kg", 50.0)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         length, axis = self.high - self.low, self.placement
@@ -104,6 +109,14 @@ class SpindleGrowth(OneAmplitude):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size, Parameter("tau", "h", shape=True, coordinate="log"))
+
+    @property
+    def reference(self) -> Reference:
+        """The machine may be adjusted with a warm spindle."""
+        return Reference("speed_rpm", "1", 1.0)
+
+    def constant_part(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {(self.port, self.size.name): np.ones(plan.rows)}
 
     def factor(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
         # Superposition of the steps of the speed: the response to each is 1 - exp(-(t - t_k)/tau).

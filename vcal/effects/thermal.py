@@ -9,7 +9,7 @@ from ..machine.chain import Chain
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array, namespace
-from .base import Effect, Setup, unit_of
+from .base import Effect, Reference, Response, Setup, unit_of
 from .clock import SinceStart, started
 from .forms import JointAmplitude, JointPorts, OneAmplitude
 from .registry import register
@@ -142,6 +142,14 @@ class WarmUp(_InTime):
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size, Parameter("tau", self.clock.long, shape=True, coordinate="log"))
 
+    @property
+    def reference(self) -> Reference:
+        """The machine may have been warm already at the first reading."""
+        return Reference(self.clock.name, "1", 1.0)
+
+    def constant_part(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        return {(self.port, self.size.name): np.ones(plan.rows)}
+
     def factor(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
         since = self.elapsed(plan)
         # Check points may be older than the data: before the start the effect is zero.
@@ -167,6 +175,11 @@ class Drift(_InTime):
     def size(self) -> Parameter:
         unit = f"{self.unit}/{self.clock.long}"
         return Parameter(self._named("rate"), unit, sigma=self.clock.usual)
+
+    @property
+    def reference(self) -> Reference:
+        """The machine may have drifted before the first reading."""
+        return Reference(self.clock.name, self.clock.long, self.clock.before)
 
     def factor(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
         return self.elapsed(plan)

@@ -1,13 +1,16 @@
 """Close the loop: find, name and add the effects that a model lacks, and report the gain."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
 from ..effects.clock import CLOCKS
+from ..effects.data_set import OfDataSet
+from ..effects.reference import FreeReference
 from ..effects.registry import CATALOGUE
 from ..identification.family_sizes import learned_sizes, with_sizes
 from ..identification.fit import Fit, normalised_residuals
@@ -16,6 +19,7 @@ from ..identification.model_averaging import Alternatives
 from ..instruments.conditions import file_column
 from ..model.forward import Model
 from ..model.measurement import CheckPoints, Measurement
+from ..units import si_factor
 from .empirical import EMPIRICAL
 from .notes import Facts, notes
 from .outcome.closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
@@ -26,6 +30,7 @@ from .search.certainty import doubted, jump_time_uncertainty
 from .search.forward_selection import Added, place_of
 from .search.initial_shapes import initial_shapes
 from .search.search import Search
+from .search.shape_classes import Shapes, with_shape_classes
 from .search.state import State, at_noise_found, chi2_per_dof, fitted, reported_noise_scales
 from .settings import checked, classes_of
 from .weighing.cross_validation import check_rms, fit_rms, heldout_rms
@@ -91,6 +96,7 @@ def close_loop(
     state = fitted(model, measurement, None, room)
     before = state.fit
     interrupted = False
+    classes: list[Shapes] = []
 
     def reached(found: State) -> None:
         nonlocal state
@@ -129,20 +135,28 @@ def close_loop(
                 full,
             )
         run.weigh_again(state)
+        progress("comparing shapes that the readings cannot distinguish")
+        added = [item.effect for item in run.added(state)]
+        state, classes = with_shape_classes(state, added, room)
     except KeyboardInterrupt:
         interrupted = True
     try:
         progress("comparing before and after")
-        return _finish(run, model, before, state, settings, interrupted)
+        return _finish(run, model, before, state, classes, settings, interrupted)
     except KeyboardInterrupt:  # the result is known, and the comparison takes a moment only
-        return _finish(run, model, before, state, settings, interrupted)
+        return _finish(run, model, before, state, classes, settings, interrupted)
 
 
-def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
+def _found(
+    item: Added, after: Fit, state: State, classes: Sequence[Shapes], room: int
+) -> FoundEffect:
     """The report of an added effect, with its parameters from the final fit."""
     effect, weighed = item.effect, item.weighed
     place = place_of(item, after.model.effects)
     stepped = jump_time_uncertainty(state, place, room)
+    shapes = next((one for one in classes if one.effect.alike(effect)), None)
+    if shapes is not None:
+        stepped |= shapes.uncertainties
     certain = weighed.probability >= CERTAIN
     same = [k for k in weighed.equivalent if k.split(" ")[0] == effect.name]
     places = sorted({effect.placement, *(k.partition(" ")[2] for k in same)})
@@ -151,8 +165,11 @@ def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
         status="named" if certain else "ambiguous",
         placement="|".join(places),
         parameters=[
-            (p.name, value, p.unit, stepped[p.name] / p.si if p.name in stepped else u)
-            for _, p, value, u in after.values_of(place)
+            *(
+                (p.name, value, p.unit, stepped[p.name] / p.si if p.name in stepped else u)
+                for _, p, value, u in after.values_of(place)
+            ),
+            *_reference(after, place),
         ],
         p_value=item.p_value,
         log_evidence=weighed.best.log_bayes,
@@ -161,11 +178,43 @@ def _found(item: Added, after: Fit, state: State, room: int) -> FoundEffect:
         equivalent=weighed.equivalent,
         alternatives=weighed.alternatives,
         separation="" if certain else _separation(weighed, after.measurement.plan.axes),
+        shapes=() if shapes is None else tuple(_in_units(effect, one) for one in shapes.values),
     )
 
 
+def _in_units(effect: Effect, shape: Mapping[str, float]) -> dict[str, float]:
+    """Values of shape parameters (SI) in their units."""
+    return {p.name: shape[p.name] / p.si for p in effect.shapes}
+
+
+def _reference(fit: Fit, place: int) -> list[tuple[str, float, str, float]]:
+    """How far the reference value of an effect is from the declared one, as a parameter, where the
+    readings determine it.
+    """
+    effect = fit.model.effects[place]
+    inner = effect.effect if isinstance(effect, OfDataSet) else effect
+    if not isinstance(inner, FreeReference):
+        return []
+    mine = fit.places_of(place)[0]
+    step = np.array([p.step for p in effect.amplitudes])
+    mean = np.array([p.mean * p.si for p in effect.amplitudes])
+    covariance = fit.covariance[np.ix_(mine, mine)] * np.outer(step, step)
+    zero = inner.zero(mean + fit.theta[mine] * step, covariance)
+    if zero is None:
+        return []
+    unit = inner.reference.unit
+    value, u = (v / si_factor(unit) for v in zero)
+    return [("zero_shift", value, unit, u)]
+
+
 def _finish(
-    run: Search, model: Model, before: Fit, state: State, settings: dict, interrupted: bool
+    run: Search,
+    model: Model,
+    before: Fit,
+    state: State,
+    classes: Sequence[Shapes],
+    settings: dict,
+    interrupted: bool,
 ) -> Closure:
     """The result of a search: the final fit with the estimated noise, and the errors of the
     declared `model` before and of the identified one after it.
@@ -173,9 +222,10 @@ def _finish(
     nominal = _nominal(model, state, run.room)
     noise, scales = reported_noise_scales(state)
     after = at_noise_found(state, run.room)
-    found = [_found(item, after, state, run.room) for item in run.added(state)]
+    found = [_found(item, after, state, classes, run.room) for item in run.added(state)]
     found = [doubted(effect, state.fit, run.unexplained, run.untestable) for effect in found]
-    alternatives = [_alternatives(item.weighed) for item in run.added(state)]
+    alternatives = [_alternatives(item.weighed, classes) for item in run.added(state)]
+    alternatives += [one.alternatives for one in classes]
     described = run.unexplained.empirical if run.unexplained is not None else None
     if described is not None:
         alternatives.append(Alternatives(state.scored, ((1.0, described.fit),)))
@@ -274,8 +324,16 @@ def _separation(weighed: Weighed, axes: tuple[str, ...]) -> str:
     )
 
 
-def _alternatives(weighed: Weighed) -> Alternatives:
-    return Alternatives(weighed.best.fit, tuple((p, rival.fit) for p, rival in weighed.instead))
+def _alternatives(weighed: Weighed, classes: Sequence[Shapes]) -> Alternatives:
+    """What an effect may be instead; other shapes of it only where they form no class."""
+    best = weighed.best
+    classed = any(one.effect.alike(best.effect) for one in classes)
+    others = (
+        (p, rival.fit)
+        for p, rival in weighed.instead
+        if not (classed and rival.effect.alike(best.effect))
+    )
+    return Alternatives(best.fit, tuple(others))
 
 
 def _nominal(model: Model, state: State, room: int) -> Fit:

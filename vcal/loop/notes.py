@@ -41,6 +41,8 @@ points that is reported."""
 _SURELY, _FURTHER = 3.0, 1.5
 """Standard uncertainties, and multiple of the predicted error, by which the error at the check
 points significantly exceeds it."""
+_MOST_SHAPES = 30
+"""Most shapes that a note lists."""
 _FEW_POINTS = 10
 """Number of check points below which the alignment removes a relevant part of the error."""
 
@@ -302,13 +304,33 @@ def _outliers(facts: Facts) -> list[str]:
 
 def _other_shapes(facts: Facts) -> list[str]:
     """Note on other pitches and moments of the found effects."""
+    classed = {one.effect.key for one in facts.found if one.shapes}
     return [
-        f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well (probability "
-        f"{100 * probability:.2g} %): these positions and times hardly distinguish them; measure "
-        "at further ones"
-        for item in facts.added
-        for shape, probability in item.weighed.other_shapes
+        *(_class_of_shapes(one) for one in facts.found if one.shapes),
+        *(
+            f"{item.effect.key}: {_shape_text(item.effect, shape)} fits nearly as well "
+            f"(probability {100 * probability:.2g} %): these positions and times hardly "
+            "distinguish them; measure at further ones"
+            for item in facts.added
+            for shape, probability in item.weighed.other_shapes
+            if item.effect.key not in classed
+        ),
     ]
+
+
+def _class_of_shapes(found: FoundEffect) -> str:
+    """Note on the shapes of an effect that the readings cannot distinguish."""
+    said = []
+    for p in found.effect.shapes:
+        values = sorted({round(shape[p.name], 12) for shape in found.shapes})
+        listed = ", ".join(f"{v:.4g}" for v in values[:_MOST_SHAPES])
+        more = f" and {len(values) - _MOST_SHAPES} more" if len(values) > _MOST_SHAPES else ""
+        said.append(f"a {p.name} of {listed}{more} {p.unit}")
+    return (
+        f"{found.effect.key}: {' and '.join(said)} gives the same readings; what these have in "
+        "common is compensated, which is little between the measured positions; to distinguish "
+        "them, measure at positions that are no multiples of one step"
+    )
 
 
 def _confounding(facts: Facts) -> list[str]:

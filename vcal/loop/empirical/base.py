@@ -47,6 +47,11 @@ class Empirical(Effect):
     def needs(self) -> tuple[str, ...]:
         return (self.placement,)
 
+    @property
+    def reference(self) -> None:
+        """None: a description has the constants that it needs."""
+        return None
+
     def said(self, shape: Mapping[str, float]) -> str:
         """The name within a sentence, at given shape values (SI)."""
         del shape

@@ -79,6 +79,11 @@ class FoundEffect:
     separation: str
     """The measurement that would distinguish it from its rivals, in words; empty where none is
     needed."""
+    shapes: tuple[Mapping[str, float], ...] = ()
+    """Values of its shape parameters, in their units, that the readings cannot distinguish, the
+    most probable first; empty where there is one only. The model holds their mean
+    (`vcal.effects.shape_class`), and two standard uncertainties of a shape parameter reach all of
+    them."""
 
     @property
     def joint(self) -> bool:
@@ -132,7 +137,8 @@ class Closure:
     nominal: Fit = field(repr=False)
     """The nominal machine with only the nuisances fitted."""
     alternatives: Sequence[Alternatives] = field(repr=False)
-    """Alternatives to each of `effects`, then the description of what is unexplained."""
+    """Alternatives to each of `effects`, the members of classes of shapes, then the description of
+    what is unexplained."""
     check: CheckPoints | None = field(repr=False)
     unexplained: Unexplained | None
     suspected: list[Outlier]

@@ -1,10 +1,11 @@
 """Which effects could be missing: every class of the catalogue, at every place it can have."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from ...effects.base import Effect, Fitted
 from ...effects.data_set import in_setup
+from ...effects.reference import with_free_reference, with_known_reference
 from ...identification.fit import Fit
 from ...machine.plan import Plan
 from ...model.forward import Model
@@ -50,10 +51,11 @@ def candidates(
     """Candidate effects: those that the data can test, and those that lack a covariate.
 
     `classes` are instantiated at every place that the model and the plan offer, without what the
-    model has already. `beside` are effects that are tried too: the covariates that they need count
-    as used. `fit` gives the values of the effects of the model, for candidates that modify one of
-    them. The first list has the testable instances in the order of `classes`; the second an
-    `Untestable` for each of the others.
+    model has already; an effect with an uncertain reference value twice, with the declared value
+    and with a free one (`FreeReference`). `beside` are effects that are tried too: the covariates
+    that they need count as used. `fit` gives the values of the effects of the model, for candidates
+    that modify one of them. The first list has the testable instances in the order of `classes`;
+    the second an `Untestable` for each of the others.
     """
     plan = measurement.plan
     used = frozenset(name for effect in beside for name in effect.needs)
@@ -63,7 +65,7 @@ def candidates(
     for cls in classes:
         if cls.kind != "systematic":
             continue
-        for effect in in_setup(cls, setup):
+        for effect in _each(in_setup(cls, setup)):
             if _identity(effect) in present:
                 continue
             absent = [name for name in effect.needs if not plan.has(name)]
@@ -114,5 +116,14 @@ def _reasons(wanted: list[tuple[str, tuple[str, ...]]], sets: tuple[str, ...]) -
     return reasons
 
 
+def _each(effects: Iterable[Effect]) -> Iterator[Effect]:
+    """The effects, each followed by itself with a free reference value, where it has one."""
+    for effect in effects:
+        yield effect
+        if (free := with_free_reference(effect)) is not None:
+            yield free
+
+
 def _identity(effect: Effect) -> tuple[str, str, tuple[str, ...]]:
+    effect = with_known_reference(effect)
     return effect.name, effect.placement, tuple(p.name for p in effect.parameters)

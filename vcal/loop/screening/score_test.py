@@ -228,6 +228,10 @@ class ScoreTest:
             )
         return best
 
+    def statistics(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Drop of the cost (g,) at the values `grid` (g,) of the shape parameters, SI."""
+        return self._at(effect, grid).stat
+
     def log_bayes(self, effect: Effect, grid: Mapping[str, np.ndarray]) -> np.ndarray:
         """Gain in log evidence (g,) at the values `grid` (g,) of the shape parameters, SI."""
         size = len(next(iter(grid.values())))

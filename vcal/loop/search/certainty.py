@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...effects.data_set import OfDataSet
+from ...effects.reference import with_known_reference
 from ...identification.fit import POORLY_DETERMINED, Fit, declared_chi2
 from ...instruments.conditions import file_column
 from ..outcome.closure import FoundEffect
@@ -120,7 +121,9 @@ def poorly_determined(fit: Fit, place: int) -> str:
     """Reason where the readings determine none of its amplitudes. The fit then improved for another
     reason, such as a fit that had not converged before.
     """
-    if (fit.information[fit.places_of(place)[0]] > POORLY_DETERMINED).any():
+    # The constant part of a free reference value alone makes no effect.
+    own = len(with_known_reference(fit.model.effects[place]).amplitudes)
+    if (fit.information[fit.places_of(place)[0][:own]] > POORLY_DETERMINED).any():
         return ""
     return "the readings poorly determine its size: measure where it would be larger"
 

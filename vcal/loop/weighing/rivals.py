@@ -248,12 +248,11 @@ def _over_the_scan(peak: Peak, fit: Fit, noise: float) -> float:
 
 def _log_shape_odds(fit: Fit) -> float:
     effect = fit.model.effects[-1]
-    found = [row for row in fit.values_of(len(fit.model.effects) - 1) if row[1].shape]
-    if not found:
-        return 0.0
+    found = fit.values_of(len(fit.model.effects) - 1)
     values = {p.name: value * p.si for _, p, value, _ in found}
     uncertainties = {p.name: u * p.si for _, p, _, u in found}
-    return math.log(effect.shape_odds(fit.measurement.plan, values, uncertainties))
+    # The odds may underflow where the values are out of the question.
+    return math.log(max(1e-300, effect.shape_odds(fit.measurement.plan, values, uncertainties)))
 
 
 def _distinct(fits: list[tuple[Peak, Fit]]) -> list[tuple[Peak, Fit]]:

@@ -144,6 +144,7 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
             for name, placement, probability in found.alternatives
         ],
         "separation": found.separation,
+        "indistinguishable_shapes": [dict(shape) for shape in found.shapes],
         "untested": [
             {"effects": keys, "missing": columns}
             for columns, keys in untested_beside(closure, found).items()
