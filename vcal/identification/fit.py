@@ -83,8 +83,14 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Whether `theta` is a minimum."""
-        return self.status == Status.CONVERGED
+        """Whether `theta` is a minimum, with finite residuals and derivatives."""
+        return self.status == Status.CONVERGED and self.finite
+
+    @cached_property
+    def finite(self) -> bool:
+        """Whether parameters, residuals and derivatives are finite."""
+        numbers = (self.theta, self.whitened, self.jacobian)
+        return all(bool(np.isfinite(values).all()) for values in numbers)
 
     @property
     def determined(self) -> bool:
@@ -93,6 +99,8 @@ class Fit:
         Two equal effects without a prior are not determined, nor is a bump between two readings,
         which contain no information about its position and size.
         """
+        if not self.finite:
+            return False
         information = (self.jacobian**2).sum(0)
         total = information + self.within_scans
         if not total.min(initial=math.inf) > _UNSEEN:
@@ -151,6 +159,11 @@ class Fit:
 
         Raises `LinAlgError` that names the parameters that neither readings nor priors determine.
         """
+        if not self.finite:
+            raise np.linalg.LinAlgError(
+                "found no covariance, because the fit led to numbers that are not finite; expected "
+                "readings, positions and declared sizes in the units of their names"
+            )
         try:
             return cho_factor(self.hessian())
         except np.linalg.LinAlgError as error:

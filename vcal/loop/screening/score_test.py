@@ -26,6 +26,14 @@ _RESOLVED = 1e-5
 """Least share of a candidate's columns that must be independent of the model. A smaller share may
 be due to the model's own curvature. In a plan of a laser frame a cross term keeps a share of 2e-5,
 which is many times the noise."""
+_UNSEEN = 1e-6
+"""Information on an amplitude beside the model, in units of that of its prior, below which no
+reading shows it: a thousand standard deviations of its prior change all readings together by one of
+their noise. Such a column may be the product of an effect and of an error that was fitted, and
+follows the fit itself."""
+_CANCELLED = 1e-24
+"""Squared share of the displacements at the ports that reaches the readings, below which it is
+rounding: the readings do not depend on the port, or its parts cancel."""
 _CHUNK = 512
 _FAINT, _ROUNDING = 1e-6, 1e-9
 """Precision of a free shape parameter: share of that of its scan, and of the information in the
@@ -79,6 +87,8 @@ class ScoreTest:
         self.responses = Responses(fit.measurement.plan, 0) if responses is None else responses
         n, m = fit.residual.shape
         self.ports = np.einsum("nij,njp->nip", fit.whitener, fit.port_jacobian)
+        self.reach = float((self.ports**2).sum(1).max(initial=0.0))
+        """Squared derivative of the readings of a row by the port that moves them most."""
         self.jacobian = fit.jacobian.reshape(n, m, -1)
         self.factor = cho_factor(fit.jacobian.T @ fit.jacobian + np.diag(_free(fit)))
         # A shape parameter at the end of its grid would move further. What that bound leaves in the
@@ -247,11 +257,15 @@ class ScoreTest:
         return self._drops(len(effect.amplitudes), [(size, response)], null=False)[0]
 
     def _sums(self, c: int, responses: Sequence[tuple[int, Response]], null: bool):
-        """C'r (g, c), C'J (g, c, k), C'C (g, c, c) and C'r* (g, c, draws) of all steps."""
+        """C'r (g, c), C'J (g, c, k), C'C (g, c, c) and C'r* (g, c, draws) of all steps, and what C'C
+        would be (g, c) if every displacement moved the readings as much as the port that moves
+        them most.
+        """
         first = np.cumsum([0, *(size for size, _ in responses)])
         k, draws = self.jacobian.shape[2], self.null.shape[2] if null else 0
         s, cj, cc = (np.zeros((first[-1], c, *more)) for more in ((), (k,), (c,)))
         s_null = np.zeros((first[-1], c, draws), np.float32)
+        moved = np.zeros((first[-1], c))
         through: dict[tuple[int, tuple[int, ...]], list[tuple[np.ndarray, np.ndarray]]] = {}
         for begin, (size, response) in zip(first[:-1], responses, strict=True):
             rows = np.arange(begin, begin + size)
@@ -271,11 +285,12 @@ class ScoreTest:
             at = np.concatenate([rows for rows, _ in parts])[:, None], np.array(a)
             phi = np.concatenate([phi for _, phi in parts]) if len(parts) > 1 else parts[0][1]
             flat = phi.reshape(-1, phi.shape[2])
+            moved[at] += self.reach * (phi**2).sum(2)
             s[at] += (flat @ r).reshape(phi.shape[:2])
             cj[at] += (flat @ j).reshape(*phi.shape[:2], k)
             if null:
                 s_null[at] += (flat.astype(np.float32) @ drawn).reshape(*phi.shape[:2], draws)
-        return s, cj, cc, s_null
+        return s, cj, cc, s_null, moved
 
     def _drops(
         self, c: int, responses: Sequence[tuple[int, Response]], null: bool = True
@@ -283,23 +298,27 @@ class ScoreTest:
         """Drops of effects with `c` amplitudes, each given as its number of steps and its response
         there.
         """
-        s, cj, cc, s_null = self._sums(c, responses, null)
+        s, cj, cc, s_null, moved = self._sums(c, responses, null)
         sizes = [size for size, _ in responses]
         first = np.cumsum([0, *sizes])
         half = (cj.reshape(-1, cj.shape[2]) @ self.whitening).reshape(cj.shape)
         g = cc - half @ half.transpose(0, 2, 1)
         # Columns are scaled by what flat nuisances leave of them: a pose may absorb all but 1e-5 of
         # a column, and the rest still be many times the noise. A column is not seen where it is
-        # zero on this plan (no point under a bump), or where the nuisances absorb it entirely.
+        # zero on this plan (no point under a bump) or zero to rounding (a rotation about the
+        # direction of a length), or where the nuisances absorb it entirely.
         whole = np.einsum("gaa->ga", cc)
         taken = cj[:, :, self.flat] @ self.whitening_flat
         left = whole - np.einsum("gak,gak->ga", taken, taken)
         most = np.repeat(np.maximum.reduceat(whole.max(1), first[:-1]), sizes)
-        seen = (whole > 1e-18 * np.maximum(most, 1e-60)[:, None]) & (left > 1e-8 * whole)
+        least = np.maximum(1e-18 * np.maximum(most, 1e-60)[:, None], _CANCELLED * moved)
+        seen = (whole > least) & (left > 1e-8 * whole)
         scale = np.where(seen, np.sqrt(np.maximum(left, 0.0)), 1.0)
         scaled = g / scale[:, :, None] / scale[:, None, :]
         values, vectors = np.linalg.eigh(scaled * seen[:, :, None] * seen[:, None, :])
-        kept = values > _RESOLVED
+        # Information along each direction, in units of that of the prior.
+        along = values / np.square(vectors / scale[:, :, None]).sum(1)
+        kept = (values > _RESOLVED) & (along > _UNSEEN)
         inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
         rank = kept.sum(1)
         root = vectors * np.sqrt(inverse)[:, None, :] / scale[:, :, None]

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,10 +20,12 @@ from ..screening.responses import Responses
 from ..screening.score_test import ScoreTest
 from ..screening.screening import Screening, screen
 from ..weighing.rivals import WIDENINGS, WIDER, Rival, widened
+from ..weighing.subsets import Subset
 from ..weighing.weighing import Weighed, preferred, weigh
 from .round import Round
 from .state import State, chi2_per_dof, fitted
 
+_SINGULAR = "its equations have no solution with these readings"
 _NO_MINIMUM = "its fit does not converge to a minimum"
 
 
@@ -41,6 +44,14 @@ class Added:
 def place_of(item: Added, effects: Sequence[Effect]) -> int:
     """Place of an added effect among the effects of a model."""
     return next(i for i, e in enumerate(effects) if e.alike(item.effect))
+
+
+def _several(found: Round) -> Subset | None:
+    """`Round.hidden_by_each_other`; None where its equations have no solution."""
+    try:
+        return found.hidden_by_each_other()
+    except np.linalg.LinAlgError:
+        return None
 
 
 @dataclass(frozen=True)
@@ -112,10 +123,11 @@ class ForwardSelection:
             return None
         self.progress(f"round {number}: refitting the best candidates")
         found = Round.of(state, screen_state, screening, self.alpha, self.room)
-        if several := found.hidden_by_each_other():
+        if several := _several(found):
             first, size = several.rivals[0], len(several.rivals)
             self.progress(f"round {number}: adding {first.effect.key}, one of {size}")
-            return self._add(found, first, None)
+            with suppress(np.linalg.LinAlgError):
+                return self._add(found, first, None)
         if found.outdone():
             self._described(found, self.seed + number)
             return None
@@ -125,10 +137,13 @@ class ForwardSelection:
             if why := found.unlikely(rival):
                 self._reject(found, rival, why)
                 continue
-            why = found.fails(rival) or found.too_little(rival)
-            if not why:
-                self.progress(f"round {number}: adding {rival.effect.key}")
-                return self._add(found, rival, found.description)
+            try:
+                why = found.fails(rival) or found.too_little(rival)
+                if not why:
+                    self.progress(f"round {number}: adding {rival.effect.key}")
+                    return self._add(found, rival, found.description)
+            except np.linalg.LinAlgError:
+                why = _SINGULAR
             self._reject(found, rival, why)
             refused = refused or rival.effect
         self.refused = refused

@@ -4,6 +4,8 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,6 +22,8 @@ from ..weighing.rivals import Rival, refit_all
 from ..weighing.weighing import Weighed, classes_of, likelier, weigh
 from .forward_selection import Added, ForwardSelection, Kept, place_of
 from .state import State, fitted, without
+
+T = TypeVar("T")
 
 _INSTEAD = 1
 """How often several effects may replace a description that ended the search."""
@@ -70,8 +74,9 @@ class Search(ForwardSelection):
         full = self.refused is not None and len(self.added(state)) >= most
         before = state
         if self.unexplained is not None:
-            state = self.beside_empirical(state)
-            several = self.instead_of_description(state, most) or self.exchanged(state, most)
+            state = self._tried(partial(self.beside_empirical, state), state)
+            several = self._tried(partial(self.instead_of_description, state, most), None)
+            several = several or self.exchanged(state, most)
             if several is not None:
                 reached(several)
                 return self.rounds(several, most, reached)
@@ -82,7 +87,7 @@ class Search(ForwardSelection):
                 self.weigh_again(state)
             for item in self.added(state) if len(self.added(state)) > 1 else ():
                 if each or item.weighed.outweighed:
-                    reached(state := self.search_again(state, item))
+                    reached(state := self._tried(partial(self.search_again, state, item), state))
                 if self.unexplained is not None:
                     return state
             if each and (others := self.exchanged(state, most)) is not None:
@@ -93,6 +98,17 @@ class Search(ForwardSelection):
             self._again -= 1
             return self.rounds(state, most, reached)
         return state
+
+    def _tried(self, revision: Callable[[], T], otherwise: T) -> T:
+        """The result of a revision; `otherwise`, with all as before, where its equations have no
+        solution: a single singular candidate does not end the search.
+        """
+        kept = self._kept()
+        try:
+            return revision()
+        except np.linalg.LinAlgError:
+            self._restore(kept)
+            return otherwise
 
     def search_again(self, state: State, item: Added) -> State:
         """Search again for what one of several effects is, beside the others.
@@ -180,7 +196,8 @@ class Search(ForwardSelection):
                 break
             self._bars -= barred
             for item in items:
-                found = self._instead_of(state, items, item, most, barred)
+                others = partial(self._instead_of, state, items, item, most, barred)
+                found = self._tried(others, None)
                 if found is not None:
                     self._exchanges -= 1
                     return found
@@ -329,16 +346,22 @@ class Search(ForwardSelection):
         """Determine the alternatives to every effect beside those that were added after it."""
         self.progress("weighing rivals again")
         for item in self.added(state):
-            now = replace(item, weighed=reweigh_rivals(item, state, self.room))
+            again = self._tried(partial(reweigh_rivals, item, state, self.room), item.weighed)
+            now = replace(item, weighed=again)
             self.history = [now if other is item else other for other in self.history]
 
     def prune(self, state: State, reached: Callable[[State], None]) -> State:
         """Try once to remove each added effect; the evidence decides."""
         for item in self.added(state)[:-1]:
-            less = without(state, _place(state, item), self.room)
-            if less.converged and _no_worse(less, state, item):
-                reached(state := self._drop(item, less, _SUPERFLUOUS))
+            reached(state := self._tried(partial(self._pruned, state, item), state))
         return state
+
+    def _pruned(self, state: State, item: Added) -> State:
+        """The state without an added effect where its evidence is higher then."""
+        less = without(state, _place(state, item), self.room)
+        if not (less.converged and _no_worse(less, state, item)):
+            return state
+        return self._drop(item, less, _SUPERFLUOUS)
 
     def prune_correlated(
         self, state: State, reached: Callable[[State], None]
@@ -354,13 +377,18 @@ class Search(ForwardSelection):
             fit = state.remaining
             if serial(fit) is None:
                 break
-            gain = gain_beside(fit, np.concatenate(fit.places_of(_place(state, item))))
-            if item.trials * math.exp(-min(gain, 700.0)) > self.alpha:
-                less = without(state, _place(state, item), self.room)
-                why = "noise that is correlated in time describes the same"
-                reached(state := self._drop(item, less, why))
+            reached(state := self._tried(partial(self._beside_noise, state, item), state))
         found = serial(state.remaining)
         return state, found if found is not None and found.p_value <= self.alpha else None
+
+    def _beside_noise(self, state: State, item: Added) -> State:
+        """The state without an added effect whose evidence beside correlated noise is too small."""
+        fit = state.remaining
+        gain = gain_beside(fit, np.concatenate(fit.places_of(_place(state, item))))
+        if item.trials * math.exp(-min(gain, 700.0)) <= self.alpha:
+            return state
+        less = without(state, _place(state, item), self.room)
+        return self._drop(item, less, "noise that is correlated in time describes the same")
 
     def described_by_noise(self, state: State) -> bool:
         """Whether correlated noise describes equally well what the description that ended the

@@ -44,7 +44,7 @@ def folds_of(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.nda
 
 def heldout_residuals(fit: Fit) -> np.ndarray:
     """Held-out residuals (n, m), SI: every row predicted without its fold; nan where never held
-    out.
+    out, or where the other folds do not determine the prediction.
 
     Rotating folds are left out by the exact downdate of the linearised problem, d = -(H -
     J_g'J_g)^-1 J_g'r_g. Parameters with a flat prior that only this fold determines (the pose of an
@@ -72,7 +72,11 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
         h = rest[np.ix_(common, common)] + np.diag(precision[common])
         # Stationarity of the whole fit: the gradient of the other folds is minus that of this fold.
         # The fold's own parameters do not affect the other folds.
-        delta = -cho_solve(cho_factor(h), j[:, common].T @ r)
+        try:
+            factor = cho_factor(h)
+        except np.linalg.LinAlgError:
+            continue  # the other folds do not determine what this one is predicted from
+        delta = -cho_solve(factor, j[:, common].T @ r)
         predicted = r - j[:, common] @ delta
         if own.any():
             q, _ = np.linalg.qr(j[:, own])

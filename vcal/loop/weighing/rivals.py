@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -198,10 +199,15 @@ def refit_all(
     `instances` is the number of places and components of each kind that were tried. Fits that do
     not converge, or that leave a parameter undetermined, are left out.
     """
-    sized = [(peak, *_at_its_size(base, peak, keep, room)) for peak in peaks]
+    sized = []
+    for peak in peaks:
+        # A candidate whose equations have no solution is none.
+        with suppress(np.linalg.LinAlgError):
+            sized.append((peak, *_at_its_size(base, peak, keep, room)))
     sized = [item for item in sized if item[1].converged and item[1].determined]
     widths = {id(fit): wider for _, fit, wider in sized}
     fits = _distinct([(peak, fit) for peak, fit, _ in sized])
+    fits = [(peak, fit) for peak, fit in fits if _solvable(fit)]
     if not fits:
         return []
     noise = math.sqrt(max(1.0, min(fit.chi2 / fit.dof for _, fit in fits)))
@@ -227,6 +233,15 @@ def refit_all(
         lost = float(size_surplus(*declared)) if observed_size(*declared) <= _WIDEST else 0.0
         rivals.append(Rival(peak, fit, gain + shape, odds, bic, shape, lost, wider))
     return sorted(rivals, key=lambda rival: -rival.log_weight)
+
+
+def _solvable(fit: Fit) -> bool:
+    """Whether the amplitudes of the last effect can be separated from all others."""
+    try:
+        at_its_shape(fit, fit.model.places[-1])
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _over_the_scan(peak: Peak, fit: Fit, noise: float) -> float:

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -54,9 +55,10 @@ def smallest_subset(
             if linear.declared_chi2(places) > most:
                 continue
             chosen = tuple(rivals[i] for i in places)
-            fit = _together(base, chosen, keep, room)
-            if fit.converged and fit.determined and enough(fit):
-                found.append(Subset(chosen, fit))
+            with suppress(np.linalg.LinAlgError):
+                fit = _together(base, chosen, keep, room)
+                if fit.converged and fit.determined and enough(fit):
+                    found.append(Subset(chosen, fit))
         if found:
             noise = max(1.0, min(one.fit.chi2 / one.fit.dof for one in found)) ** 0.5
             return max(found, key=lambda one: _evidence(one, noise))
