@@ -290,6 +290,51 @@ class DataSetSettings(Table):
     """Errors that this data set alone has to identify, as in ``[data]``."""
 
 
+class HoldoutSettings(Table):
+    """``[holdout]``: which readings are held out to test the predictions of a fit. Without it, the
+    choice is that of the instrument (the last fifth of the poses of an arm; for others, blocks,
+    poses or runs in turn), or a random fifth where that cannot be predicted from the rest.
+    """
+
+    kind: Literal["last", "random", "blocks", "run", "column", "none"]
+    """``"last"``: the last ones in time; ``"random"``: randomly chosen ones; ``"blocks"``: blocks
+    in time, each predicted from the others; ``"run"``, ``"column"``: all with one value in the
+    column ``run``, or in another one, predicted from those with other values; ``"none"``: no
+    reading is kept out of the final fit, and blocks in time are predicted in turn. Where the
+    instrument keeps its held-out readings out of every fit, as on an arm, so do ``"last"`` and
+    ``"random"``."""
+    share: float = Field(default=0.2, ge=0.01, le=0.5)
+    """Share of the rows with ``"last"`` and ``"random"``."""
+    seed: int = Field(default=0, ge=0, le=_LARGEST_WHOLE)
+    """Seed of the random choice."""
+    blocks: int = Field(default=5, ge=2, le=1000)
+    """Number of blocks, of equally many rows in time."""
+    column: str | None = None
+    """Name of a column of the data with ``"column"``. Numbers closer than a hundredth of its range
+    count as one value."""
+
+    @model_validator(mode="after")
+    def _fits_its_kind(self) -> Self:
+        uses = {
+            "share": ("last", "random"),
+            "seed": ("random",),
+            "blocks": ("blocks", "none"),
+            "column": ("column",),
+        }
+        for key, kinds in uses.items():
+            if key in self.model_fields_set and self.kind not in kinds:
+                raise ValueError(
+                    f'found {key} with kind = "{self.kind}", expected it with '
+                    f"{listed(kinds)} only; remove it, or change the kind"
+                )
+        if self.kind == "column" and not self.column:
+            raise ValueError(
+                'found kind = "column" without column, expected the name of a column of the data; '
+                'add it, such as column = "q1_cmd_mm"'
+            )
+        return self
+
+
 class StudySettings(Table):
     """The whole study file. The tables `instrument`, `design` and `model.geometric` are validated
     by the class that they name.
@@ -301,6 +346,7 @@ class StudySettings(Table):
     instrument: InstrumentSettings
     model: ModelSettings = ModelSettings()
     data: DataSettings = DataSettings()
+    holdout: HoldoutSettings | None = None
     loop: LoopSettings = LoopSettings()
     design: DesignSettings = DesignSettings()
 
@@ -315,6 +361,7 @@ class SeveralSettings(Table):
     check: FileName | None = None
     """Table of independent check points; by default ``check.csv`` where that exists."""
     model: ModelSettings = ModelSettings()
+    holdout: HoldoutSettings | None = None
     loop: LoopSettings = LoopSettings()
 
 

@@ -10,6 +10,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from ...geometry.compensated import compensated_points
 from ...identification.fit import Fit
 from ...identification.model_averaging import Alternatives
+from ...identification.predictable import own_parameters
 from ...identification.shape_steps import SETTLED
 from ...model.forward import Model
 from ...model.measurement import CheckPoints, Measurement
@@ -32,19 +33,33 @@ class Rms:
     u: float
 
 
-def folds_of(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """Fold of every row (n,), -1 where it is never held out, and the rows (n,) that are never
-    fitted, without those that are set aside as outliers.
+def held_apart(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """Fold of every row (n,), -1 where it is never held out or never fitted, and the rows (n,) that
+    are never fitted: the hold-out of the measurement, or that of the instrument.
     """
-    folds, apart = model.instrument.folds(measurement.plan)
+    chosen = measurement.holdout
+    if chosen is None:
+        folds, apart = model.instrument.folds(measurement.plan)
+    else:
+        folds, apart = chosen.folds, chosen.apart
     apart = np.broadcast_to(apart, folds.shape) & (folds >= 0)
-    folds = np.where(apart, -1, folds)
+    return np.where(apart, -1, folds), apart
+
+
+def folds_of(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """`held_apart`, without the rows that are set aside as outliers and those that the fitted rows
+    do not predict.
+    """
+    folds, apart = held_apart(model, measurement)
+    chosen = measurement.holdout
+    if chosen is not None and chosen.unpredicted is not None:
+        apart = apart & ~chosen.unpredicted
     return folds, apart if measurement.aside is None else apart & ~measurement.aside
 
 
 def heldout_residuals(fit: Fit) -> np.ndarray:
     """Held-out residuals (n, m), SI: every row predicted without its fold; nan where never held
-    out.
+    out, or not predicted by the others (`HoldOut.unpredicted`).
 
     Rotating folds are left out by the exact downdate of the linearised problem, d = -(H -
     J_g'J_g)^-1 J_g'r_g. Parameters with a flat prior that only this fold determines (the pose of an
@@ -66,7 +81,7 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
             continue
         j = jacobian[rows].reshape(-1, jacobian.shape[2])
         r = whitened[rows].reshape(-1)
-        basis, own = _own(j, total, precision)
+        basis, own = own_parameters(j, total, precision)
         j, common = j @ basis, ~own
         rest = basis.T @ total @ basis - j.T @ j
         h = rest[np.ix_(common, common)] + np.diag(precision[common])
@@ -79,28 +94,10 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
             predicted = predicted - q @ (q.T @ predicted)
         unwhiten = np.linalg.inv(fit.whitener[rows])
         found[rows] = np.einsum("nij,nj->ni", unwhiten, predicted.reshape(len(rows), m))
+    chosen = fit.measurement.holdout
+    if chosen is not None and chosen.unpredicted is not None:
+        found[chosen.unpredicted] = np.nan
     return found
-
-
-def _own(
-    inside: np.ndarray, total: np.ndarray, precision: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Basis (k, k) of the parameters, and which of its vectors only one fold determines (k,).
-
-    Parameters with a flat prior are combined so that those that only the fold with the Jacobian
-    `inside` (r, k) determines are separate; `total` (k, k) is the information of all readings.
-    """
-    flat = precision == 0
-    basis, own = np.eye(len(total)), np.zeros(len(total), bool)
-    if flat.any():
-        block = np.ix_(flat, flat)
-        diagonal = np.diag(total)[flat]
-        scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-        rest = total[block] - inside[:, flat].T @ inside[:, flat]
-        values, vectors = np.linalg.eigh(rest * scale[:, None] * scale)
-        basis[block] = scale[:, None] * vectors
-        own[flat] = values <= 1e-9
-    return basis, own
 
 
 def _left(fit: Fit, total: np.ndarray, precision: np.ndarray) -> np.ndarray:
@@ -250,7 +247,7 @@ def log_predictive_density(fit: Fit, noise: float = 1.0) -> PredictiveDensity:
         rows = np.flatnonzero((folds == fold) & fit.used)
         if not len(rows):
             continue
-        basis, own = _own(jacobian[rows].reshape(-1, jacobian.shape[2]), total, precision)
+        basis, own = own_parameters(jacobian[rows].reshape(-1, jacobian.shape[2]), total, precision)
         turned, common = jacobian[rows] @ basis, ~own
         inside = turned.reshape(-1, jacobian.shape[2])
         rest = basis.T @ total @ basis - inside.T @ inside
