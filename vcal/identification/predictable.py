@@ -8,7 +8,7 @@ reflector), it is far above one: the held-out error then says nothing about the 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np

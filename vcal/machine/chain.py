@@ -503,7 +503,8 @@ def chain_of_joints(
         count = len(joints)
         if len(matrix) != count or any(len(row) != count for row in matrix):
             raise ValueError(
-                f"found a coupling of {len(matrix)} rows of {[len(row) for row in matrix]} numbers, "
+                f"found a coupling of {len(matrix)} rows of {[len(row) for row in matrix]} "
+                "numbers, "
                 f"expected {count} rows of {count}, one row and one column for every joint"
             )
         if np.linalg.matrix_rank(np.array(matrix)) < count:
