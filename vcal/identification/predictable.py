@@ -58,8 +58,8 @@ class Unpredictable:
         names = " and ".join(self.parameters)
         return (
             f"{len(self.rows)} of the {self.held} held-out rows ({which}) cannot be predicted from "
-            f"those that are fitted, which do not determine {names} separately there (uncertainty "
-            f"of the prediction: {size})"
+            f"those that are fitted, as these do not determine {names} separately (uncertainty of "
+            f"the prediction: {size})"
         )
 
 

@@ -12,8 +12,8 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from ..machine.chain import REVOLUTE, SLIDING, Chain
-from ..machine.plan import Plan
+from ..machine.chain import Chain
+from ..machine.plan import Plan, slides
 from .base import Instrument
 
 GROUPS = ("point", "pose", "ball", "run", "segment")
@@ -51,9 +51,9 @@ _JOINT_COLUMNS = {
     "move_": "move_q{}{}",
     "dir_": "dir_q{}",
 }
-_JOINT_UNITS = {REVOLUTE: ("_deg", math.degrees(1.0)), SLIDING: ("_mm", 1e3)}
-"""Unit at the end of a column of a joint's position, and its factor from SI, by the first letter of
-the joint's name."""
+_JOINT_UNITS = {False: ("_deg", math.degrees(1.0)), True: ("_mm", 1e3)}
+"""Unit at the end of a column of a joint's position, and its factor from SI, by whether it slides.
+"""
 
 
 def linear_plan(
@@ -144,11 +144,11 @@ def inside_name(column: str, axes: tuple[str, ...]) -> str:
 
 def _joint(column: str, axes: tuple[str, ...]) -> str:
     """The same for a column of a joint of an arm."""
-    for prefix, name in _JOINT_COLUMNS.items():
-        for letter, (unit, _) in _JOINT_UNITS.items():
-            match = re.fullmatch(name.format(r"(\d+)", unit), column)
-            if match and f"{letter}{match[1]}" in axes:
-                return f"{prefix}{letter}{match[1]}"
+    if found := re.search(r"q(\d+)", column):
+        axis = f"J{found[1]}"
+        for prefix, name in _JOINT_COLUMNS.items() if axis in axes else ():
+            if column == name.format(found[1], _JOINT_UNITS[slides(axes, axis)][0]):
+                return f"{prefix}{axis}"
     return column
 
 
@@ -183,8 +183,9 @@ def file_column(covariate: str, axes: tuple[str, ...]) -> tuple[str, float]:
     joint, ``"q1_cmd_mm"`` of a prismatic one); derived covariates (``"dir_q2"``, ``"tilt"``) have
     names of their own.
     """
-    if match := re.fullmatch(r"(commanded_|read_|dir_|move_)?([JL])(\d+)", covariate):
-        name, (unit, factor) = _JOINT_COLUMNS[match[1] or "commanded_"], _JOINT_UNITS[match[2]]
+    if match := re.fullmatch(r"(commanded_|read_|dir_|move_)?(J(\d+))", covariate):
+        name = _JOINT_COLUMNS[match[1] or "commanded_"]
+        unit, factor = _JOINT_UNITS[slides(axes, match[2])]
         return name.format(match[3], unit), 1.0 if match[1] == "dir_" else factor
     if covariate in axes and covariate in _POSITION:
         unit, factor = _POSITION[covariate]

@@ -14,9 +14,9 @@ from pydantic import Field
 
 from ..effects.base import Effect, Response
 from ..errors import KeyedError, RowError
-from ..machine.chain import SLIDING, Chain
+from ..machine.chain import Chain
 from ..machine.parameters import Parameter
-from ..machine.plan import Plan
+from ..machine.plan import Plan, slides
 from ..machine.ports import COMPONENTS, group
 from ..numerics.arrays import Array, namespace
 from ..numerics.rigid import Rotation, Scalar, Vector
@@ -164,9 +164,9 @@ class Reflectors(TableInstrument):
     ) -> list[Column]:
         found = [Column(name="pose", low=0, integer=True, unique_with=("pose",))]
         for axis in axes:
-            most = _FARTHEST_MM if axis.startswith(SLIDING) else 720.0
+            most = _FARTHEST_MM if slides(axes, axis) else 720.0
             for kind in ("commanded", "read") if settings.joints == "read" else ("commanded",):
-                name = file_column(f"{kind}_{axis}", tuple(axes))[0]
+                name = file_column(f"{kind}_{axis}", axes)[0]
                 found.append(Column(name=name, low=-most, high=most))
         if readings:
             found += [

@@ -43,19 +43,19 @@ from ..numerics.rigid import (
     like,
     spun,
 )
+from .plan import Axes
 
 _DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 _ABOUT = dict(zip("ABC", _DIRECTIONS.values(), strict=True))
 """Nominal directions of rotary axes: A turns about X, B about Y, C about Z (ISO 841)."""
 UPRIGHT = "+Z"
 """The axis that points against gravity by default."""
+_JOINT = "J"
+"""First letter of the names of the joints of an arm."""
 Up = str | Sequence[float]
 """The direction against gravity: an axis such as ``"-Z"``, or a vector of any length."""
 Convention = Literal["standard", "modified"]
 """Denavit-Hartenberg rows with a and alpha behind the joint, or before it (Craig)."""
-REVOLUTE, SLIDING = "J", "L"
-"""First letter of the names of the joints of an arm: ``"J2"`` turns, ``"L1"`` slides. As with the
-axes of machine tools (X, C), the name tells the unit of the position."""
 
 
 class Joint(Record):
@@ -124,9 +124,10 @@ class Chain(Record):
     counts a joint from another one; None: the commands are the positions."""
 
     @property
-    def axes(self) -> tuple[str, ...]:
+    def axes(self) -> Axes:
         """Names of the joints, in the order of a plan's columns."""
-        return tuple(joint.name for joint in self.joints)
+        sliding = (j.name for j in self.joints if j.kind == "prismatic" and j.name[0] == _JOINT)
+        return Axes((joint.name for joint in self.joints), sliding)
 
     @property
     def travel(self) -> Float[np.ndarray, "axes 2"]:
@@ -257,9 +258,7 @@ class Chain(Record):
         """Whether it is described by joint rows, with link errors that are not small: an arm, also
         on a rail or a column, or a gantry with a head.
         """
-        return any(
-            joint.kind == "revolute" or joint.name.startswith(SLIDING) for joint in self.joints
-        )
+        return any(joint.name[0] == _JOINT for joint in self.joints)
 
     @property
     def linear(self) -> bool:
@@ -451,11 +450,10 @@ def chain_from_dh(
     ``theta`` (rad). With the ``"standard"`` `convention` T = Rz(theta) Tz(d) Tx(a) Rx(alpha), with
     the ``"modified"`` one (Craig) T = Rx(alpha) Tx(a) Rz(theta) Tz(d). The joint variable is added
     to theta or to d. The error twist acts after the joint's motion and before what follows it in
-    the row. Optional ``low`` and ``high`` (m or rad) bound the joint variable. Joints are named by
-    their number, J1, J2, ... where they are revolute and L1, L2, ... where they are prismatic.
-    `tool_offset_m` is the tool point in the frame of the flange, m. `up` is the axis of the base
-    that points against gravity, ``"-Z"`` for a hanging arm, or a vector of any length. `coupling`
-    is the matrix from the commands to the joint variables, in SI.
+    the row. Optional ``low`` and ``high`` (m or rad) bound the joint variable. Joints are named J1,
+    J2, ... `tool_offset_m` is the tool point in the frame of the flange, m. `up` is the axis of the
+    base that points against gravity, ``"-Z"`` for a hanging arm, or a vector of any length.
+    `coupling` is the matrix from the commands to the joint variables, in SI.
 
     Raises `ValueError` for a convention that is not known, and for a coupling that is not an
     invertible matrix of as many rows and columns as joints.
@@ -475,7 +473,7 @@ def chain_from_dh(
         first = convention == "modified"
         joints.append(
             Joint(
-                name=f"{SLIDING if slides else REVOLUTE}{i + 1}",
+                name=f"{_JOINT}{i + 1}",
                 kind="prismatic" if slides else "revolute",
                 side="tool",
                 direction=np.asarray(_DIRECTIONS["Z"]),

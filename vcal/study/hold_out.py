@@ -46,7 +46,7 @@ def held_out(
     why = unpredictable_by(model, measurement, folds, apart)
     if why is None:
         return None
-    share = float(apart.mean())
+    share = round(float(apart.mean()), 2)
     for other in (_random(plan, share, 0, True), _blocks(plan, _FOLDS)):
         if unpredictable_by(model, measurement, other.folds, other.apart) is None:
             return replace(other, caution=_caution(why, plan, other.words))

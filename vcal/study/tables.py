@@ -34,7 +34,7 @@ _QUANTITY = re.compile(
 )
 """Optional columns of conditions for effects; they hold numbers."""
 _JOINT_COLUMN = re.compile(r"q(\d+)_(cmd|read)_(deg|mm)")
-_MOVES = re.compile(r"(dir|move)_(q|J|L)\d+(_deg|_mm)?")
+_MOVES = re.compile(r"(dir|move)_(q|J)\d+(_deg|_mm)?")
 """Covariates that are computed from the commanded angles of an arm."""
 
 

@@ -14,7 +14,7 @@ from ...identification.predictable import own_parameters
 from ...identification.shape_steps import SETTLED
 from ...model.forward import Model
 from ...model.measurement import CheckPoints, Measurement
-from ...numerics.spatial import align_rigid
+from ...numerics.spatial import after_alignment, align_rigid
 
 _BLOCK, _BLOCKS = 8, 25
 """Least number of rows in a block that is predicted together, and about the largest number of
@@ -162,32 +162,37 @@ def heldout_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
 def check_rms(
     fit: Fit, check: CheckPoints, alternatives: Sequence[Alternatives] = ()
 ) -> tuple[Rms, Rms]:
-    """Rms volumetric error at the check points, um: after the best rigid alignment, and raw.
+    """Rms volumetric error at the check points, um: after the best rigid alignment (exact, so that
+    the check points may be in any frame), and raw.
 
     The uncertainty combines the scatter over the points, the posterior covariance of the parameters
     and the between-model variance of the effects in `alternatives`.
     """
     points, jacobian = compensated_points(fit, check.plan)
 
-    def errors(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        raw = check.tool_point - points
-        return align_rigid(check.tool_point, raw), raw
+    def errors(points: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        raw = check.tool_point - points, np.eye(3)
+        return after_alignment(points, check.tool_point), raw
 
-    found = [rms((error**2).sum(1)) for error in errors(points)]
+    found = [rms((error**2).sum(1)) for error, _ in errors(points)]
     between_models = np.zeros(2)
     for doubt in alternatives:
         named = compensated_points(doubt.found, check.plan)[0]
         for probability, other in doubt.others:
             moved = points + compensated_points(other, check.plan)[0] - named
-            left = (rms((error**2).sum(1)) for error in errors(moved))
+            left = (rms((error**2).sum(1)) for error, _ in errors(moved))
             change = [a.value - b.value for a, b in zip(left, found, strict=True)]
             between_models += probability * np.square(change)
     covariance = fit.covariance
     results = []
-    for error, here, more in zip(errors(points), found, np.sqrt(between_models), strict=True):
+    for (error, turn), here, more in zip(
+        errors(points), found, np.sqrt(between_models), strict=True
+    ):
         passed = 0.0
         if here.value > 0:
-            gradient = np.einsum("ni,nik->k", error, jacobian) / (len(error) * here.value * 1e-6)
+            # The alignment is a minimum: its own change does not enter to first order.
+            gradient = np.einsum("ni,nik->k", error @ turn, jacobian)
+            gradient /= len(error) * here.value * 1e-6
             passed = math.sqrt(gradient @ covariance @ gradient) * 1e6
         results.append(Rms(here.value, math.hypot(here.u, passed, more)))
     return results[0], results[1]
