@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from ..machine.plan import Plan
 from ..model.forward import Model, compared_with_jacobian
@@ -33,8 +34,9 @@ def rank_of(model: Model, plan: Plan) -> Rank:
     return _rank(model, plan, range(len(model.entries)))
 
 
-def flat_rank(model: Model, plan: Plan) -> Rank:
-    """Rank for the amplitudes with a flat prior, at the nominal machine.
+def flat_rank(model: Model, plan: Plan, rows: Bool[np.ndarray, " n"] | None = None) -> Rank:
+    """Rank for the amplitudes with a flat prior, at the nominal machine, from the readings of
+    `rows`, by default of all.
 
     Amplitudes with a proper prior count as known. Effects with shape parameters that are not
     declared are left out, because their response depends on these.
@@ -48,14 +50,33 @@ def flat_rank(model: Model, plan: Plan) -> Rank:
     less = Model(model.chain, model.instrument, [model.effects[i] for i in kept])
     # Positions in the whole model of the remaining amplitudes.
     own = [i for i, entry in enumerate(model.entries) if entry.effect in kept]
-    found = _rank(less, plan, [own.index(i) for i in flat])
+    found = _rank(less, plan, [own.index(i) for i in flat], rows)
     return found._replace(mixed=tuple(own[i] for i in found.mixed))
 
 
-def _rank(model: Model, plan: Plan, columns: Sequence[int]) -> Rank:
+def _rank(
+    model: Model, plan: Plan, columns: Sequence[int], rows: Bool[np.ndarray, " n"] | None = None
+) -> Rank:
     """Rank for some of the amplitudes, by their positions."""
     if not columns:
         return Rank(0, 0, ())
+    J = nominal_jacobian(model, plan)
+    J = J if rows is None else J[rows]
+    J = J.reshape(-1, J.shape[-1])[:, np.asarray(columns)]
+    norms = np.linalg.norm(J, axis=0)
+    J = J / np.where(norms > 0.0, norms, 1.0)
+    _, sizes, vt = np.linalg.svd(J, full_matrices=len(J) < J.shape[1])
+    rank = int((sizes > FREE).sum())
+    parts = np.abs(vt[rank:]).max(0, initial=0.0)
+    mixed = tuple(columns[i] for i in np.flatnonzero(parts > _PART).tolist())
+    return Rank(J.shape[1], rank, mixed)
+
+
+def nominal_jacobian(model: Model, plan: Plan) -> Float[np.ndarray, "n m k"]:
+    """Derivative (n, m, k) of the readings by the amplitudes at the nominal machine, up to its
+    sign, by the function that a later fit of this plan compiles too. Raises as
+    `vcal.identification.posterior.jacobian` does.
+    """
     check_shapes(model)
     instrument, rows = model.instrument, plan.rows
     # The same compiled function as in a later fit of this plan.
@@ -67,12 +88,4 @@ def _rank(model: Model, plan: Plan, columns: Sequence[int]) -> Rank:
         np.zeros((rows, len(instrument.readings))),  # type: ignore[arg-type]
         np.zeros((rows, len(model.layout))),  # type: ignore[arg-type]
     )
-    J = np.asarray(slopes(model.effects, model, plan, np.asarray(by_port)))  # type: ignore[arg-type]
-    J = J.reshape(-1, J.shape[-1])[:, np.asarray(columns)]
-    norms = np.linalg.norm(J, axis=0)
-    J = J / np.where(norms > 0.0, norms, 1.0)
-    _, sizes, vt = np.linalg.svd(J, full_matrices=len(J) < J.shape[1])
-    rank = int((sizes > FREE).sum())
-    parts = np.abs(vt[rank:]).max(0, initial=0.0)
-    mixed = tuple(columns[i] for i in np.flatnonzero(parts > _PART).tolist())
-    return Rank(J.shape[1], rank, mixed)
+    return np.asarray(slopes(model.effects, model, plan, np.asarray(by_port)))  # type: ignore[arg-type]

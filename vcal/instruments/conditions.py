@@ -13,7 +13,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from ..machine.chain import Chain
-from ..machine.plan import Plan
+from ..machine.plan import Plan, slides
 from .base import Instrument
 
 GROUPS = ("point", "pose", "ball", "run", "segment")
@@ -46,11 +46,14 @@ _TEMPERATURE = "_degC"
 _INSIDE = {_COLUMNS[name][0]: name for name in ("t", "order")}
 """Name inside vcal of a column of conditions; instruments derive or read the other columns."""
 _JOINT_COLUMNS = {
-    "commanded_": ("q{}_cmd_deg", math.degrees(1.0)),
-    "read_": ("q{}_read_deg", math.degrees(1.0)),
-    "move_": ("move_q{}_deg", math.degrees(1.0)),
-    "dir_": ("dir_q{}", 1.0),
+    "commanded_": "q{}_cmd{}",
+    "read_": "q{}_read{}",
+    "move_": "move_q{}{}",
+    "dir_": "dir_q{}",
 }
+_JOINT_UNITS = {False: ("_deg", math.degrees(1.0)), True: ("_mm", 1e3)}
+"""Unit at the end of a column of a joint's position, and its factor from SI, by whether it slides.
+"""
 
 
 def linear_plan(
@@ -141,10 +144,11 @@ def inside_name(column: str, axes: tuple[str, ...]) -> str:
 
 def _joint(column: str, axes: tuple[str, ...]) -> str:
     """The same for a column of a joint of an arm."""
-    for prefix, (name, _) in _JOINT_COLUMNS.items():
-        match = re.fullmatch(name.format(r"(\d+)"), column)
-        if match and f"J{match[1]}" in axes:
-            return f"{prefix}J{match[1]}"
+    if found := re.search(r"q(\d+)", column):
+        axis = f"J{found[1]}"
+        for prefix, name in _JOINT_COLUMNS.items() if axis in axes else ():
+            if column == name.format(found[1], _JOINT_UNITS[slides(axes, axis)][0]):
+                return f"{prefix}{axis}"
     return column
 
 
@@ -175,12 +179,14 @@ def file_name(covariate: str, axes: tuple[str, ...]) -> str:
 def file_column(covariate: str, axes: tuple[str, ...]) -> tuple[str, float]:
     """Name of a covariate or axis in the files, and the factor from SI to the unit in that name.
 
-    Joints of an arm have columns by number (``"q2_cmd_deg"`` for commanded positions); derived
-    covariates (``"dir_q2"``, ``"tilt"``) have names of their own.
+    Joints of an arm have columns by number (``"q2_cmd_deg"`` for commanded positions of a revolute
+    joint, ``"q1_cmd_mm"`` of a prismatic one); derived covariates (``"dir_q2"``, ``"tilt"``) have
+    names of their own.
     """
-    if match := re.fullmatch(r"(commanded_|read_|dir_|move_)?J(\d+)", covariate):
-        name, factor = _JOINT_COLUMNS[match[1] or "commanded_"]
-        return name.format(match[2]), factor
+    if match := re.fullmatch(r"(commanded_|read_|dir_|move_)?(J(\d+))", covariate):
+        name = _JOINT_COLUMNS[match[1] or "commanded_"]
+        unit, factor = _JOINT_UNITS[slides(axes, match[2])]
+        return name.format(match[3], unit), 1.0 if match[1] == "dir_" else factor
     if covariate in axes and covariate in _POSITION:
         unit, factor = _POSITION[covariate]
         return f"{covariate.lower()}{unit}", factor

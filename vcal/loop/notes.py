@@ -11,6 +11,7 @@ from scipy.special import fdtrc
 from ..effects.base import Effect
 from ..identification.fit import POORLY_DETERMINED, Fit
 from ..identification.identify import identify
+from ..identification.predictable import unpredictable_of
 from ..instruments.conditions import file_column
 from ..machine.plan import Plan
 from ..model.declared_noise import declared_whitener
@@ -25,7 +26,7 @@ from .screening.candidates import Untestable
 from .screening.significance import LEAST_NOISE
 from .search.forward_selection import Added
 from .search.state import State, chi2_per_dof
-from .weighing.cross_validation import Rms, check_rms, fit_rms, predicted_rms
+from .weighing.cross_validation import Rms, check_rms, fit_rms, held_apart, predicted_rms
 from .weighing.rivals import Rival
 
 _NO_MACHINE_UM = 2000.0
@@ -82,6 +83,32 @@ class Facts:
 def notes(facts: Facts) -> list[str]:
     """All notes, the most important first."""
     return [note for about in _NOTES for note in about(facts)]
+
+
+def _held_out(facts: Facts) -> list[str]:
+    """Note on held-out rows that the fitted rows do not predict, or did not."""
+    fit, said = facts.after, []
+    chosen = fit.measurement.holdout
+    if chosen is not None and chosen.caution:
+        said.append(chosen.caution)
+    folds, apart = held_apart(fit.model, fit.measurement)
+    if apart.any() or chosen is not None:
+        why = unpredictable_of(fit, folds, apart)
+        if why is not None:
+            marked = chosen is not None and chosen.unpredicted is not None
+            left_out = marked and chosen.unpredicted[why.rows].all()
+            said.append(
+                f"{why.words(facts.plan)}: "
+                + (
+                    "the held-out error leaves them out"
+                    if left_out
+                    else f"the held-out error of {_um(facts.errors['after'].heldout)} is not "
+                    "evidence for or against the result"
+                )
+                + "; hold out others ([holdout]), such as a random share, or measure poses of "
+                "their kind among the fitted ones"
+            )
+    return said
 
 
 def _inconsistent_data_sets(facts: Facts) -> list[str]:
@@ -383,6 +410,7 @@ def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
 
 
 _NOTES = (
+    _held_out,
     _inconsistent_data_sets,
     _elsewhere,
     _few_check_points,

@@ -1,6 +1,7 @@
 """Commanded positions and recorded conditions: one row per observation."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,6 +18,41 @@ DATA_SET = "data_set"
 def of_set(name: str, what: str) -> str:
     """Name of a quantity of one data set in a joint plan: ``"tracker:azimuth"``."""
     return f"{name}:{what}"
+
+
+class Axes(tuple[str, ...]):
+    """Names of the axes of a machine, which know which joints of an arm slide: the names of these
+    (``"J1"``) do not show it, as those of the axes of machine tools do (X, C).
+
+    It equals a tuple of the same names.
+    """
+
+    sliding: frozenset[str]
+    """Names of the prismatic joints of an arm."""
+
+    def __new__(cls, names: Iterable[str] = (), sliding: Iterable[str] = ()) -> Self:
+        """From the names of all axes and of the prismatic joints among them."""
+        made = super().__new__(cls, names)
+        made.sliding = frozenset(sliding)
+        return made
+
+    def __getnewargs__(self) -> tuple[tuple[str, ...], frozenset[str]]:
+        return tuple(self), self.sliding
+
+    def __eq__(self, other: object) -> bool:
+        same = not isinstance(other, Axes) or self.sliding == other.sliding
+        return same and tuple.__eq__(self, other) is True  # type: ignore[arg-type]
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    def __hash__(self) -> int:
+        return tuple.__hash__(self)
+
+
+def slides(axes: Sequence[str], axis: str) -> bool:
+    """Whether an axis is a prismatic joint of an arm, with positions in metres."""
+    return isinstance(axes, Axes) and axis in axes.sliding
 
 
 class Plan(Record):

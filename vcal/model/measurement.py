@@ -9,6 +9,22 @@ from ..machine.plan import Plan
 
 
 @dataclass(frozen=True)
+class HoldOut:
+    """Which rows are held out, in place of the choice of the instrument."""
+
+    folds: np.ndarray = field(repr=False)
+    """Fold of every row (n,), -1 where it is never held out."""
+    apart: np.ndarray = field(repr=False)
+    """Rows (n,) that no fit includes; the other folds are predicted in turn."""
+    words: str
+    """What is held out: ``"a random 20 %"``."""
+    caution: str = ""
+    """Why another choice was not followed; empty where it was."""
+    unpredicted: np.ndarray | None = field(default=None, repr=False)
+    """Held-out rows (n,) that the others do not predict; they count in no held-out error."""
+
+
+@dataclass(frozen=True)
 class Measurement:
     """A plan and the readings of the measuring instrument, in the order of time.
 
@@ -25,6 +41,8 @@ class Measurement:
     """Numbers, from 1, of the rows of each table that were left out because of a blank reading, by
     the name of the file.
     """
+    holdout: "HoldOut | None" = field(default=None, repr=False)
+    """Choice of the held-out rows; None: that of the instrument."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "readings", np.asarray(self.readings, float))

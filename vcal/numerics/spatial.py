@@ -87,12 +87,46 @@ def rigid_basis(points: np.ndarray) -> np.ndarray:
     return u[:, s > 1e-9 * s[0]]
 
 
-def align_rigid(points: np.ndarray, displacements: np.ndarray) -> np.ndarray:
-    """Displacements minus the rigid motion that fits them best (first order, least squares).
+def after_alignment(found: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The differences target - (R found + t) (n, 3) after the best rigid alignment (`best_rigid`,
+    exact for any rotation), and R (3, 3).
 
-    `points` (n, 3) and `displacements` (n, 3, ...) in m. Volumetric errors are compared after this
-    alignment, because a measurement from a station or artefact of unknown pose contains no
-    information about a rigid motion.
+    `found` and `target` (n, 3) in m may be given in any two frames. Volumetric errors are compared
+    after this alignment, because a measurement from a station or artefact of unknown pose contains
+    no information about a rigid motion. The derivative of the sum of their squares by `found` is
+    -2 R'(target - R found - t), as R and t minimise it.
+    """
+    r, t = best_rigid(found, target)
+    return target - (found @ r.T + t), r
+
+
+def after_small_alignment(
+    found: Float[Array, "n 3"], target: Float[Array, "n 3"]
+) -> Float[Array, "n 3"]:
+    """`after_alignment` for points in the same frame up to rotations of 0.1 rad, traced and
+    differentiable.
+
+    Three Newton steps from the identity w = (tr(A) 1 - (A + A')/2)^-1 sum a x b, A = sum b a', for
+    the points a and b about their centroids, reach the closed form to rounding. The derivative of a
+    singular value decomposition does not exist where singular values coincide.
+    """
+    target = target - target.mean(0)
+    turned = found - found.mean(0)
+    for _ in range(3):
+        a = target.T @ turned
+        size = jnp.trace(a)
+        # Points on a line: the rotation about it has no gradient, and must have a curvature.
+        curvature = (size + 1e-12 * jnp.abs(size) + 1e-300) * jnp.eye(3) - 0.5 * (a + a.T)
+        turn = rotation(jnp.linalg.solve(curvature, jnp.cross(turned, target).sum(0)))
+        turned = turned @ turn.T
+    return target - turned
+
+
+def align_rigid(points: np.ndarray, displacements: np.ndarray) -> np.ndarray:
+    """Displacements minus the rigid motion that fits them best, to first order (least squares).
+
+    `points` (n, 3) and `displacements` (n, 3, ...) in m. It is meant for derivatives, which are of
+    first order themselves; `after_alignment` compares points.
     """
     rigid = rigid_basis(points)
     flat = displacements.reshape(len(rigid), -1)

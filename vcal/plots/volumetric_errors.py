@@ -15,7 +15,7 @@ from ..identification.fit import Fit
 from ..identification.model_averaging import Alternatives, between_model_variance
 from ..loop.weighing.cross_validation import heldout_residuals, squared_errors
 from ..model.measurement import CheckPoints
-from ..numerics.spatial import align_rigid
+from ..numerics.spatial import after_alignment, align_rigid
 from .mid_planes import PLANES, PlaneRow, colour_bar, mid_planes
 from .style import (
     AFTER,
@@ -86,11 +86,12 @@ def error_field(
         return compensated_in_blocks(fit, position, size or len(position))
 
     def identified(fit: Fit) -> np.ndarray:
-        return align_rigid(nominal, points(fit)[0] - nominal)
+        return -after_alignment(points(fit)[0], nominal)[0]
 
     found, jacobian = points(after)
-    errors = [1e6 * identified(before), 1e6 * align_rigid(nominal, found - nominal)]
-    free = align_rigid(nominal, jacobian)
+    left, turn = after_alignment(found, nominal)
+    errors = [1e6 * identified(before), -1e6 * left]
+    free = align_rigid(nominal, turn @ jacobian)
     variance = ((free @ after.covariance) * free).sum((1, 2))
     variance += between_model_variance(alternatives, identified, np.zeros_like(nominal)).sum(1)
     shape = (len(PLANES), nodes, nodes)
@@ -133,10 +134,7 @@ def _row(title: str, vectors: np.ndarray) -> PlaneRow:
 def check_errors(fits: Mapping[str, Fit], check: CheckPoints) -> dict[str, np.ndarray]:
     """Error vectors (n, 3), um, at the check points after rigid alignment, per fit."""
     return {
-        name: align_rigid(
-            check.tool_point, check.tool_point - compensated_points(fit, check.plan)[0]
-        )
-        * 1e6
+        name: after_alignment(compensated_points(fit, check.plan)[0], check.tool_point)[0] * 1e6
         for name, fit in fits.items()
     }
 

@@ -126,9 +126,17 @@ class MachineSettings(Table):
     """Position and travel of every rotary axis of the chain."""
     joint: tuple[JointSettings, ...] = ()
     """Joints of an arm from base to flange, in place of a chain."""
-    up: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"] = "+Z"
-    """The axis that points against gravity: "+Y" for a horizontal spindle, "-Z" for an arm that
-    hangs from the ceiling."""
+    convention: Literal["standard", "modified"] = "standard"
+    """Denavit-Hartenberg convention of the joint rows: Rz(theta) Tz(d) Tx(a) Rx(alpha), or modified
+    (Craig), Rx(alpha) Tx(a) Rz(theta) Tz(d)."""
+    coupling: tuple[tuple[float, ...], ...] | None = None
+    """Matrix from the commanded positions of all joints, in the units of their columns, to the
+    joint variables of the rows: one row per joint. For an arm that counts joint 3 from the
+    horizontal, the third row is [0, -1, 1, 0, 0, 0]. The identity by default."""
+    up: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"] | Triple = "+Z"
+    """The direction against gravity in the frame of the bed or of the arm's base: an axis ("+Y" for
+    a horizontal spindle, "-Z" for an arm that hangs from the ceiling), or a vector of any length,
+    such as [0.5, 0, 0.87] for a base on a slope."""
     base: str | None = None
     """A remark on the place of the arm's base, whose pose is always identified."""
 
@@ -141,6 +149,16 @@ class MachineSettings(Table):
             raise ValueError(
                 f"found {found}, expected either `chain` (axes of a machine tool) or "
                 "[[machine.joint]] rows; keep or add one of them"
+            )
+        for key in ("convention", "coupling"):
+            if not self.joint and key in self.model_fields_set:
+                raise ValueError(
+                    f"found {key} together with a chain, expected it with joint rows only; remove "
+                    "it, or describe the machine by [[machine.joint]] rows"
+                )
+        if not isinstance(self.up, str) and not any(self.up):
+            raise ValueError(
+                "found up = [0, 0, 0], expected the direction against gravity; correct the vector"
             )
         if self.joint and self.rotary:
             raise ValueError(
@@ -193,6 +211,13 @@ class LinkSettings(Table):
     """Prior standard deviation of each of the three error translations of a link."""
     link_rotation_urad: _Size
     """Prior standard deviation of each of the three error rotations of a link."""
+    slide_translation_um: _Size | None = None
+    """Prior standard deviation of the three error translations of a prismatic joint that vary along
+    its travel (positioning and straightness); `link_translation_um` by default."""
+    slide_rotation_urad: _Size | None = None
+    """The same for its three error rotations; `link_rotation_urad` by default."""
+    slide_smoothness: float = Field(default=0.5, ge=0.02, le=10)
+    """Correlation length of these error motions over the travel, as in a machine tool's family."""
 
 
 class AnyFamilySettings(Table):
@@ -265,6 +290,51 @@ class DataSetSettings(Table):
     """Errors that this data set alone has to identify, as in ``[data]``."""
 
 
+class HoldoutSettings(Table):
+    """``[holdout]``: which readings are held out to test the predictions of a fit. Without it, the
+    choice is that of the instrument (the last fifth of the poses of an arm; for others, blocks,
+    poses or runs in turn), or a random fifth where that cannot be predicted from the rest.
+    """
+
+    kind: Literal["last", "random", "blocks", "run", "column", "none"]
+    """``"last"``: the last ones in time; ``"random"``: randomly chosen ones; ``"blocks"``: blocks
+    in time, each predicted from the others; ``"run"``, ``"column"``: all with one value in the
+    column ``run``, or in another one, predicted from those with other values; ``"none"``: no
+    reading is kept out of the final fit, and blocks in time are predicted in turn. Where the
+    instrument keeps its held-out readings out of every fit, as on an arm, so do ``"last"`` and
+    ``"random"``."""
+    share: float = Field(default=0.2, ge=0.01, le=0.5)
+    """Share of the rows with ``"last"`` and ``"random"``."""
+    seed: int = Field(default=0, ge=0, le=_LARGEST_WHOLE)
+    """Seed of the random choice."""
+    blocks: int = Field(default=5, ge=2, le=1000)
+    """Number of blocks, of equally many rows in time."""
+    column: str | None = None
+    """Name of a column of the data with ``"column"``. Numbers closer than a hundredth of its range
+    count as one value."""
+
+    @model_validator(mode="after")
+    def _fits_its_kind(self) -> Self:
+        uses = {
+            "share": ("last", "random"),
+            "seed": ("random",),
+            "blocks": ("blocks", "none"),
+            "column": ("column",),
+        }
+        for key, kinds in uses.items():
+            if key in self.model_fields_set and self.kind not in kinds:
+                raise ValueError(
+                    f'found {key} with kind = "{self.kind}", expected it with '
+                    f"{listed(kinds)} only; remove it, or change the kind"
+                )
+        if self.kind == "column" and not self.column:
+            raise ValueError(
+                'found kind = "column" without column, expected the name of a column of the data; '
+                'add it, such as column = "q1_cmd_mm"'
+            )
+        return self
+
+
 class StudySettings(Table):
     """The whole study file. The tables `instrument`, `design` and `model.geometric` are validated
     by the class that they name.
@@ -276,6 +346,7 @@ class StudySettings(Table):
     instrument: InstrumentSettings
     model: ModelSettings = ModelSettings()
     data: DataSettings = DataSettings()
+    holdout: HoldoutSettings | None = None
     loop: LoopSettings = LoopSettings()
     design: DesignSettings = DesignSettings()
 
@@ -290,6 +361,7 @@ class SeveralSettings(Table):
     check: FileName | None = None
     """Table of independent check points; by default ``check.csv`` where that exists."""
     model: ModelSettings = ModelSettings()
+    holdout: HoldoutSettings | None = None
     loop: LoopSettings = LoopSettings()
 
 

@@ -28,6 +28,7 @@ from .csv_table import Table
 from .declared_effects import catalogue_with, declared_effects, unknown_effect
 from .folder import Folder
 from .geometric_family import geometric_errors
+from .hold_out import held_out
 from .messages import listed, refusal, source
 from .must_see import check_identifiable
 from .plugins.effects import check_own
@@ -223,6 +224,11 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         )
     _check_size(model, plan, listed(files.values()), measurement is not None)
     _check_determined(model, plan, listed(files.values()))
+    if measurement is not None:
+        headers = {one.name: tuple(one.table) for one in sets}
+        chosen = held_out(settings.holdout, model, measurement, file, headers)
+        measurement = replace(measurement, holdout=chosen)
+        _check_fitted(model, measurement, listed(files.values()), settings.holdout is not None)
     _check_seen(settings, sets, file)
     return Study(
         name=settings.name or path.resolve().parent.name,
@@ -296,7 +302,18 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
                     "high": high,
                 }
             )
-        return chain_from_dh(rows, offset, machine.up)
+        try:
+            coupling = _coupling_si(machine)
+            return chain_from_dh(rows, offset, machine.up, machine.convention, coupling)
+        except ValueError as error:
+            found, _, expected = str(error).partition(", expected ")
+            raise refusal(
+                file,
+                "key machine.coupling",
+                found.removeprefix("found "),
+                expected.partition(";")[0],
+                "correct the matrix",
+            ) from error
     travel = {axis: (low * 1e-3, high * 1e-3) for axis, (low, high) in machine.travel_mm.items()}
     rotary = {}
     for axis, row in machine.rotary.items():
@@ -347,6 +364,21 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
             )
     _check_offset(machine.tool_offset_mm, chain, file, "machine.tool_offset_mm")
     return chain
+
+
+def _coupling_si(machine: MachineSettings) -> np.ndarray | None:
+    """The matrix from commands to joint variables in SI, from that between the file's units."""
+    if machine.coupling is None:
+        return None
+    rows = {len(row) for row in machine.coupling}
+    if rows != {len(machine.joint)} or len(machine.coupling) != len(machine.joint):
+        raise ValueError(
+            f"found {len(machine.coupling)} rows of {listed(str(n) for n in sorted(rows))} "
+            f"numbers, expected {len(machine.joint)} rows of {len(machine.joint)} numbers, one row "
+            "and one column for every joint"
+        )
+    units = np.array([math.radians(1.0) if j.type == "revolute" else 1e-3 for j in machine.joint])
+    return units[:, None] * np.array(machine.coupling) / units
 
 
 def _check_offset(offset: Sequence[float], chain: Chain, file: str, key: str) -> None:
@@ -622,4 +654,33 @@ def _check_determined(model: Model, plan: Plan, data: str) -> None:
         "rows that identify all of them: for an instrument with an unknown pose, positions that "
         "are not all on one straight line or in one place",
         "measure further positions, or give a prior (a *_sigma) to a parameter that can have one",
+    )
+
+
+def _check_fitted(model: Model, measurement: Measurement, data: str, chosen: bool) -> None:
+    """Raise `StudyError` where the rows that are fitted, without those that are held out of every
+    fit, do not determine the parameters without a prior.
+    """
+    plan, holdout = measurement.plan, measurement.holdout
+    if holdout is None:
+        folds, apart = model.instrument.folds(plan)
+        apart = np.broadcast_to(apart, folds.shape) & (folds >= 0)
+    else:
+        apart = holdout.apart
+    if not apart.any():
+        return
+    found = flat_rank(model, plan, ~apart)
+    if found.rank == found.columns:
+        return
+    names = [f"{model.entries[i].key} {model.entries[i].parameter.name}" for i in found.mixed]
+    raise refusal(
+        data,
+        "columns of positions and conditions",
+        f"{int((~apart).sum())} rows that are fitted, without {int(apart.sum())} held-out ones, "
+        f"which identify {found.rank} of {found.columns} parameters without a prior; "
+        f"{listed(names)} {'is' if len(names) == 1 else 'are'} not identified",
+        "fitted rows that identify all of them",
+        "choose another kind in [holdout], such as random"
+        if chosen
+        else "measure further positions, or choose the held-out rows in [holdout]",
     )

@@ -18,7 +18,7 @@ from ..model.forward import Model, tool_columns
 from ..model.port_map import PortMap, port_map
 from ..model.simulate import Simulator, conditions_at, travels
 from ..numerics.arrays import Array
-from ..numerics.spatial import rigid_basis
+from ..numerics.spatial import after_small_alignment
 from .outputs import Field, Output
 
 _MICRO = 1e-6
@@ -251,8 +251,7 @@ class VolumetricErrors(eqx.Module, Quantity):
         true, found = pair.maps(self.points)
         still: list[Any] = [0.0] * len(pair.truth.layout)
         nominal = np.column_stack(tool_columns(chain, np.asarray(self.points.position), still))
-        rigid = rigid_basis(nominal) if self.align else np.zeros((nominal.size, 0))
-        return _VolumetricErrors(chain, true, found, nominal, rigid, self.quantiles)
+        return _VolumetricErrors(chain, true, found, nominal, self.align, self.quantiles)
 
 
 SCALARS = ("mean", "rms", "largest")
@@ -263,8 +262,8 @@ class _VolumetricErrors(Measure):
     true: PortMap
     found: PortMap
     nominal: np.ndarray
-    rigid: np.ndarray
-    """Orthonormal columns of rigid motions (3 n, r); none without alignment."""
+    align: bool = eqx.field(static=True)
+    """Whether the best rigid motion of all points is removed."""
     quantiles: tuple[float, ...] = eqx.field(static=True)
 
     @property
@@ -284,7 +283,7 @@ class _VolumetricErrors(Measure):
         found = self.found(state.found, state.found_shapes)
         real = jnp.stack(tool_columns(self.chain, position, true), -1)
         predicted = jnp.stack(tool_columns(self.chain, position, found), -1)
-        before, after = self._aligned(real - self.nominal), self._aligned(real - predicted)
+        before, after = (self._error(points, real) for points in (self.nominal, predicted))
         size_before, size_after = _length(before), _length(after)
         scalars = [f(size) for size in (size_before, size_after) for f in (jnp.mean, _rms, jnp.max)]
         return {
@@ -294,11 +293,8 @@ class _VolumetricErrors(Measure):
             "error components after [um]": after / _MICRO,
         }
 
-    def _aligned(self, d: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        if not self.rigid.shape[1]:
-            return d
-        flat = d.reshape(-1)
-        return (flat - self.rigid @ (self.rigid.T @ flat)).reshape(d.shape)
+    def _error(self, found: Array, real: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        return after_small_alignment(jnp.asarray(found), real) if self.align else real - found
 
 
 _WHEN = ("before", "after")

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...effects.base import Effect, Setup
 from ...machine.parameters import Parameter
-from ...machine.plan import Plan
+from ...machine.plan import Plan, slides
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,8 @@ class Empirical(Effect):
     """Name of the description within a sentence: *a local error*."""
     port: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
+    sliding: bool = eqx.field(static=True, default=False, kw_only=True)
+    """Whether its axis is a prismatic joint of an arm."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -87,10 +89,15 @@ class Empirical(Effect):
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
         for axis in setup.chain.axes:
             for c in "XYZABC":
-                yield cls(port=f"E{c}{axis}", unit="um" if c in "XYZ" else "urad", placement=axis)
+                yield cls(
+                    port=f"E{c}{axis}",
+                    unit="um" if c in "XYZ" else "urad",
+                    sliding=slides(setup.chain.axes, axis),
+                    placement=axis,
+                )
 
     def _length(self) -> str:
-        return "rad" if self.placement.startswith("J") else "mm"
+        return "rad" if self.placement.startswith("J") and not self.sliding else "mm"
 
 
 def written(value: float, over: float) -> str:

@@ -19,7 +19,7 @@ from ...numerics.least_squares import Status
 from ..residuals.outliers import Outlier, displaced, outliers_apart, outlying_rows, scattered
 from ..residuals.variance_components import Components, components
 from ..screening.significance import LEAST_DOF, LEAST_NOISE
-from ..weighing.cross_validation import folds_of
+from ..weighing.cross_validation import folds_of, held_apart
 from .initial_shapes import initial_shapes
 
 _SEARCHES = 4
@@ -63,8 +63,9 @@ def fitted(model: Model, measurement: Measurement, start: Fit | None, room: int)
     Raises `LinAlgError` where parameters without a proper prior are not determined.
     """
     measurement = dataclasses.replace(measurement, aside=None)
-    _, apart = folds_of(model, measurement)
+    _, apart = held_apart(model, measurement)
     whole_keep = keep = ~apart
+    _, apart = folds_of(model, measurement)
     options: dict = {"keep": keep, "room": room}
     if start is not None:
         options |= {"theta": start.theta, "shapes": start.shapes}

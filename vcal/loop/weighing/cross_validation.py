@@ -10,10 +10,11 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from ...geometry.compensated import compensated_points
 from ...identification.fit import Fit
 from ...identification.model_averaging import Alternatives
+from ...identification.predictable import own_parameters
 from ...identification.shape_steps import SETTLED
 from ...model.forward import Model
 from ...model.measurement import CheckPoints, Measurement
-from ...numerics.spatial import align_rigid
+from ...numerics.spatial import after_alignment, align_rigid
 
 _BLOCK, _BLOCKS = 8, 25
 """Least number of rows in a block that is predicted together, and about the largest number of
@@ -32,19 +33,34 @@ class Rms:
     u: float
 
 
-def folds_of(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """Fold of every row (n,), -1 where it is never held out, and the rows (n,) that are never
-    fitted, without those that are set aside as outliers.
+def held_apart(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """Fold of every row (n,), -1 where it is never held out or never fitted, and the rows (n,) that
+    are never fitted: the hold-out of the measurement, or that of the instrument.
     """
-    folds, apart = model.instrument.folds(measurement.plan)
+    chosen = measurement.holdout
+    if chosen is None:
+        folds, apart = model.instrument.folds(measurement.plan)
+    else:
+        folds, apart = chosen.folds, chosen.apart
     apart = np.broadcast_to(apart, folds.shape) & (folds >= 0)
-    folds = np.where(apart, -1, folds)
+    return np.where(apart, -1, folds), apart
+
+
+def folds_of(model: Model, measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """`held_apart`, without the rows that are set aside as outliers and those that the fitted rows
+    do not predict.
+    """
+    folds, apart = held_apart(model, measurement)
+    chosen = measurement.holdout
+    if chosen is not None and chosen.unpredicted is not None:
+        apart = apart & ~chosen.unpredicted
     return folds, apart if measurement.aside is None else apart & ~measurement.aside
 
 
 def heldout_residuals(fit: Fit) -> np.ndarray:
     """Held-out residuals (n, m), SI: every row predicted without its fold; nan where never held
-    out, or where the other folds do not determine the prediction.
+    out, not predicted by the other rows (`HoldOut.unpredicted`), or where the other folds do not
+    determine the prediction.
 
     Rotating folds are left out by the exact downdate of the linearised problem, d = -(H -
     J_g'J_g)^-1 J_g'r_g. Parameters with a flat prior that only this fold determines (the pose of an
@@ -66,7 +82,7 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
             continue
         j = jacobian[rows].reshape(-1, jacobian.shape[2])
         r = whitened[rows].reshape(-1)
-        basis, own = _own(j, total, precision)
+        basis, own = own_parameters(j, total, precision)
         j, common = j @ basis, ~own
         rest = basis.T @ total @ basis - j.T @ j
         h = rest[np.ix_(common, common)] + np.diag(precision[common])
@@ -83,28 +99,10 @@ def heldout_residuals(fit: Fit) -> np.ndarray:
             predicted = predicted - q @ (q.T @ predicted)
         unwhiten = np.linalg.inv(fit.whitener[rows])
         found[rows] = np.einsum("nij,nj->ni", unwhiten, predicted.reshape(len(rows), m))
+    chosen = fit.measurement.holdout
+    if chosen is not None and chosen.unpredicted is not None:
+        found[chosen.unpredicted] = np.nan
     return found
-
-
-def _own(
-    inside: np.ndarray, total: np.ndarray, precision: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Basis (k, k) of the parameters, and which of its vectors only one fold determines (k,).
-
-    Parameters with a flat prior are combined so that those that only the fold with the Jacobian
-    `inside` (r, k) determines are separate; `total` (k, k) is the information of all readings.
-    """
-    flat = precision == 0
-    basis, own = np.eye(len(total)), np.zeros(len(total), bool)
-    if flat.any():
-        block = np.ix_(flat, flat)
-        diagonal = np.diag(total)[flat]
-        scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-        rest = total[block] - inside[:, flat].T @ inside[:, flat]
-        values, vectors = np.linalg.eigh(rest * scale[:, None] * scale)
-        basis[block] = scale[:, None] * vectors
-        own[flat] = values <= 1e-9
-    return basis, own
 
 
 def _left(fit: Fit, total: np.ndarray, precision: np.ndarray) -> np.ndarray:
@@ -169,32 +167,37 @@ def heldout_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
 def check_rms(
     fit: Fit, check: CheckPoints, alternatives: Sequence[Alternatives] = ()
 ) -> tuple[Rms, Rms]:
-    """Rms volumetric error at the check points, um: after the best rigid alignment, and raw.
+    """Rms volumetric error at the check points, um: after the best rigid alignment (exact, so that
+    the check points may be in any frame), and raw.
 
     The uncertainty combines the scatter over the points, the posterior covariance of the parameters
     and the between-model variance of the effects in `alternatives`.
     """
     points, jacobian = compensated_points(fit, check.plan)
 
-    def errors(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        raw = check.tool_point - points
-        return align_rigid(check.tool_point, raw), raw
+    def errors(points: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        raw = check.tool_point - points, np.eye(3)
+        return after_alignment(points, check.tool_point), raw
 
-    found = [rms((error**2).sum(1)) for error in errors(points)]
+    found = [rms((error**2).sum(1)) for error, _ in errors(points)]
     between_models = np.zeros(2)
     for doubt in alternatives:
         named = compensated_points(doubt.found, check.plan)[0]
         for probability, other in doubt.others:
             moved = points + compensated_points(other, check.plan)[0] - named
-            left = (rms((error**2).sum(1)) for error in errors(moved))
+            left = (rms((error**2).sum(1)) for error, _ in errors(moved))
             change = [a.value - b.value for a, b in zip(left, found, strict=True)]
             between_models += probability * np.square(change)
     covariance = fit.covariance
     results = []
-    for error, here, more in zip(errors(points), found, np.sqrt(between_models), strict=True):
+    for (error, turn), here, more in zip(
+        errors(points), found, np.sqrt(between_models), strict=True
+    ):
         passed = 0.0
         if here.value > 0:
-            gradient = np.einsum("ni,nik->k", error, jacobian) / (len(error) * here.value * 1e-6)
+            # The alignment is a minimum: its own change does not enter to first order.
+            gradient = np.einsum("ni,nik->k", error @ turn, jacobian)
+            gradient /= len(error) * here.value * 1e-6
             passed = math.sqrt(gradient @ covariance @ gradient) * 1e6
         results.append(Rms(here.value, math.hypot(here.u, passed, more)))
     return results[0], results[1]
@@ -254,7 +257,7 @@ def log_predictive_density(fit: Fit, noise: float = 1.0) -> PredictiveDensity:
         rows = np.flatnonzero((folds == fold) & fit.used)
         if not len(rows):
             continue
-        basis, own = _own(jacobian[rows].reshape(-1, jacobian.shape[2]), total, precision)
+        basis, own = own_parameters(jacobian[rows].reshape(-1, jacobian.shape[2]), total, precision)
         turned, common = jacobian[rows] @ basis, ~own
         inside = turned.reshape(-1, jacobian.shape[2])
         rest = basis.T @ total @ basis - inside.T @ inside

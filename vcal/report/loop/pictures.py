@@ -9,6 +9,7 @@ from ...geometry.error_motions import ErrorMotionTable
 from ...identification.fit import Fit
 from ...loop.empirical import EMPIRICAL, Changing
 from ...loop.outcome.closure import Closure
+from ...loop.weighing.cross_validation import held_apart
 from ..html.picture import Picture
 from ..html.text import number, percent
 
@@ -161,12 +162,13 @@ def _errors(closure: Closure) -> Iterator[Picture]:
         if largest > 1e-3:
             caption += f" Bottom: change by closing the loop, at most {number(largest)} µm."
         yield Picture("error_field", "volumetric", caption, plots.png(figure))
-    folds, apart = closure.after.model.instrument.folds(closure.after.measurement.plan)
+    _, apart = held_apart(closure.after.model, closure.after.measurement)
     if np.any(apart):
         figure = plots.error_over_time({"before": closure.before, "after": closure.after})
-        share = percent((folds >= 0).mean())
+        chosen = closure.after.measurement.holdout
+        held = f"The last {percent(apart.mean())}" if chosen is None else chosen.words
         caption = (
-            f"Three-dimensional error of every observation in the order of time. The last {share} "
-            "were held out of every fit: faint dots are fitted, full ones predicted."
+            f"Three-dimensional error of every observation in the order of time. {held[0].upper()}"
+            f"{held[1:]} were held out of every fit: faint dots are fitted, full ones predicted."
         )
         yield Picture("held_out", "volumetric", caption, plots.png(figure))
