@@ -816,4 +816,4 @@ def test_a_kind_that_the_file_does_not_define(small):
         "found the unknown instrument 'laser_tracker', expected one of double_ball_bar, as def"
         in (str(caught.value))
     )
-    assert "without the kind_file, it may be one of ball_array" in str(caught.value)
+    assert f"without the kind_file, it may be one of {', '.join(INSTRUMENTS)}" in str(caught.value)
