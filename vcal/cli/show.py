@@ -15,6 +15,7 @@ from ..instruments.conditions import file_name, inside_name
 from ..loop.outcome.closure import Closure, Errors
 from ..loop.residuals.confounded import confounding
 from ..loop.screening.candidates import candidates
+from ..loop.screening.unconverted import not_shown
 from ..loop.weighing.cross_validation import Rms
 from ..machine.chain import Joint
 from ..machine.plan import Plan
@@ -139,6 +140,10 @@ def show_study(study: Study) -> None:
     for why, effects in alike.items():
         verb = "need" if effects[1:] else "needs"
         rows.append(("not testable", f"{', '.join(effects)}: {verb} {', '.join(_short(why))}"))
+    for effect in [*study.model.effects, *found]:
+        shape = {name: grid[len(grid) // 2] for name, grid in effect.scan(plan).items()}
+        for column in not_shown(effect, plan, shape):
+            rows.append(("units", f"{effect.key}: {column.words}"))
     console = _console()
     console.print(Text(f"{study.name}: {study.path} can be used.", style="bold"), soft_wrap=True)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 2))

@@ -23,6 +23,7 @@ from .residuals.outliers import at_an_end, too_many
 from .residuals.vibration import Vibration
 from .screening.candidates import Untestable
 from .screening.significance import LEAST_NOISE
+from .screening.unconverted import not_shown
 from .search.forward_selection import Added
 from .search.state import State, chi2_per_dof
 from .weighing.cross_validation import Rms, check_rms, fit_rms, predicted_rms
@@ -334,6 +335,16 @@ def _no_machine(facts: Facts) -> list[str]:
     ]
 
 
+def _column_units(facts: Facts) -> list[str]:
+    """Note on own effects that depend on a column in the unit of the file."""
+    fit = facts.after
+    return [
+        f"{effect.key}: {column.words}; otherwise its value is wrong by this factor"
+        for place, effect in enumerate(fit.model.effects)
+        for column in not_shown(effect, facts.plan, fit.shapes.get(place, {}))
+    ]
+
+
 def _unconverged(facts: Facts) -> list[str]:
     if facts.state.fit.converged:
         return []
@@ -377,6 +388,7 @@ _NOTES = (
     _other_shapes,
     _confounding,
     _no_machine,
+    _column_units,
     _unconverged,
     _vibrating,
 )
