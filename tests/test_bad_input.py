@@ -130,7 +130,7 @@ TABLES = {
     ),
     "two rows": (
         lines(lambda found: found[:3]),
-        ("data.csv, row 2 (line 3)", "after 2 row(s)", "at least 3 rows"),
+        ("data.csv, row 2 (line 3)", "after 2 rows", "at least 3 rows"),
     ),
     "not text": (
         lambda folder: (folder / "data.csv").write_bytes(b"\xff\xfe\x00x"),
@@ -174,7 +174,7 @@ TABLES = {
     ),
     "misspelled column": (
         replace("range_mm", "rnage_mm", "data.csv"),
-        ("data.csv, column range_mm", "did you mean 'rnage_mm'?"),
+        ("data.csv, column range_mm", "; add the column; if rnage_mm holds this quantity, give it"),
     ),
     "column twice": (
         replace("y_mm", "x_mm", "data.csv"),
@@ -357,13 +357,13 @@ TABLES = {
     ),
     "too few check points": (
         lines(lambda found: found[:3], "check.csv"),
-        ("columns tcp_x_mm, tcp_y_mm, tcp_z_mm", "found 2 check point(s) on a line", "at least 3"),
+        ("columns tcp_x_mm, tcp_y_mm, tcp_z_mm", "found 2 check points on a line", "at least 3"),
     ),
     "check points on a line": (
         lines(on_a_line, "check.csv"),
         (
             "check.csv, columns tcp_x_mm, tcp_y_mm, tcp_z_mm",
-            "found 5 check point(s) on a line",
+            "found 5 check points on a line",
             "at least 3 that are not",
             "add points off that line",
         ),

@@ -5,6 +5,7 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -41,6 +42,7 @@ from vcal.study.settings import (
     MachineSettings,
     SmoothSettings,
 )
+from vcal.words import counted, plural
 
 DEMO = Path(vcal.__file__).parent / "demo"
 STARTS = DEMO / "start"
@@ -269,6 +271,40 @@ def test_check_names_what_cannot_be_tested(small_tracker_study):
     assert "backlash, lateral_reversal, angular_reversal: " in shown
 
 
+def test_check_lists_what_is_read(small_tracker_study):
+    """An ignored column is none of them."""
+    data = small_tracker_study / "data.csv"
+    lines = data.read_text().splitlines()
+    kept = [lines[0] + ",remark", *(f"{line},good" for line in lines[1:])]
+    data.write_text("\n".join(kept) + "\n")
+    shown = run("check", small_tracker_study).output
+    columns, ignored = (
+        " ".join(re.search(rf"(?s)^{label} +(.*?)^\S", shown, re.M)[1].split())
+        for label in ("columns", "ignored")
+    )
+    assert columns.endswith("range_mm, azimuth_rad, elevation_rad")
+    assert ignored == "remark: no more than half of the cells are numbers"
+
+
+def test_counts_in_singular_and_plural():
+    assert counted(1, "reading") == "1 reading" and counted(0, "reading") == "0 readings"
+    assert plural(1, "is", "are") == "is" and plural(2, "is", "are") == "are"
+
+
+def test_check_says_what_the_check_points_lack(small_tracker_study):
+    assert "lacking there" not in run("check", small_tracker_study).output
+    check = small_tracker_study / "check.csv"
+    table = read_table(check, [])
+    kept = {k: v for k, v in table.items() if k not in ("T_y_degC", "t_s")}
+    vcal.study.write_table(check, kept)
+    shown = " ".join(run("check", small_tracker_study).output.split())
+    assert "lacking there T_y_degC: without it, the error at the check points excludes" in shown
+    (of_time,) = re.findall(
+        r"lacking there t_s: .*? excludes ([\w, ]*?) (?:lacking|declared)", shown
+    )
+    assert "drift" in of_time.split(", ") and "backlash" not in of_time
+
+
 def test_check_sees_a_column_in_another_case(small_tracker_study):
     data = small_tracker_study / "data.csv"
     vcal.study.write_table(data, {**read_table(data, []), "Payload_kg": np.arange(48.0)})
@@ -297,10 +333,27 @@ def test_init_writes_a_study_that_can_be_used(tmp_path, instrument):
     assert [p.name for p in folder.parent.iterdir()] == ["study"]
     before = sorted(folder.iterdir())
     assert "found a folder that is not empty" in refused("init", folder)
+    assert "plan" not in printed
     # True of these data, not of others that are simulated from the study, which copy its comments.
     assert "without any other effect" in printed
     assert "without any other effect" not in (folder / "setup.toml").read_text(encoding="utf-8")
     assert sorted(folder.iterdir()) == before
+
+
+def test_init_says_that_a_table_is_a_plan(tmp_path, monkeypatch):
+    starts_of = tmp_path / "start"
+    shutil.copytree(STARTS / "laser_tracker", starts_of / "laser_tracker")
+    data = starts_of / "laser_tracker" / "data.csv"
+    table = read_table(data, [])
+    readings = ("range_mm", "azimuth_rad", "elevation_rad")
+    vcal.study.write_table(data, {k: v for k, v in table.items() if k not in readings})
+    for module in ("vcal.demo", "vcal.cli.start_studies"):
+        monkeypatch.setattr(f"{module}.STARTS", starts_of)
+    printed = run("init", tmp_path / "study").output
+    assert "data.csv is a plan without readings: measure them, or use vcal simulate." in printed
+    assert "were simulated" not in printed
+    printed = run("check", tmp_path / "study").output
+    assert "rows without readings: a plan" in printed
 
 
 def test_init_of_an_instrument_there_is_not(tmp_path):

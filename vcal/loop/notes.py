@@ -16,6 +16,7 @@ from ..machine.plan import Plan
 from ..model.declared_noise import declared_whitener
 from ..model.forward import Model
 from ..model.measurement import CheckPoints, rows_in_words
+from ..words import counted, plural
 from .outcome.closure import Errors, FoundEffect, in_words
 from .outcome.unexplained import Unexplained
 from .residuals.confounded import confounded, unrecorded_time
@@ -117,9 +118,9 @@ def _few_check_points(facts: Facts) -> list[str]:
     if not 0 < count < _FEW_POINTS:
         return []
     return [
-        f"there are only {count} check points, and the rigid alignment is fitted with six "
-        f"parameters to their {3 * count} coordinates: the error elsewhere is larger than theirs "
-        "after alignment; measure more check points"
+        f"there {plural(count, 'is', 'are')} only {counted(count, 'check point')}, and the rigid "
+        f"alignment is fitted with six parameters to their {3 * count} coordinates: the error "
+        "elsewhere is larger than theirs after alignment; measure more check points"
     ]
 
 
