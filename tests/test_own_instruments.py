@@ -88,6 +88,10 @@ def loose(study, tmp_path_factory):
     return folder
 
 
+def test_its_one_reading_is_counted_as_one(loose):
+    assert "216 rows of 1 reading\n" in re.sub(" +\n", "\n", run("check", loose).output)
+
+
 @pytest.mark.slow
 def test_backlash_in_circles(loose):
     assert (loose / "ball_bar.py").read_text(encoding="utf-8") == BAR

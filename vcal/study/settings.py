@@ -29,7 +29,6 @@ _Angle = Annotated[float, Field(ge=-720, le=720)]
 _Size = Annotated[float, Field(ge=1e-6, le=1e6)]
 """Size of an error, um or urad. A smaller number, or one of more than a metre, is in another unit.
 """
-_LARGEST_WHOLE = 2**63 - 1
 _SMALLEST, _LARGEST = 1e-15, 1e15
 """Sizes of nonzero numbers whose squares and products stay finite and nonzero."""
 COMPUTABLE = f"zero, or a number from {_SMALLEST:g} to {_LARGEST:g} in size"
@@ -311,15 +310,7 @@ def validate(
     """
     for key, value in _numbers(raw):
         if isinstance(value, int):
-            if abs(value) > _LARGEST_WHOLE:
-                raise refusal(
-                    source(file, key, overrides),
-                    f"key {key}",
-                    shown(value),
-                    "a whole number of at most 2^63 - 1",
-                    "correct the value",
-                )
-            continue
+            continue  # checked on reading
         spread = key.startswith("model.effect.") and key.endswith("_sigma") and value == math.inf
         if not math.isfinite(value) and not spread:
             raise refusal(
