@@ -8,6 +8,7 @@ import pytest
 
 from vcal.errors import StudyError
 from vcal.study import load_study
+from vcal.study.simulated import parse_with
 
 Change = Callable[[Path], None]
 FORM = re.compile(r"^\S+( \(override .*\))?, .+: found .+, expected .+; .+", re.DOTALL)
@@ -130,7 +131,7 @@ TABLES = {
     ),
     "two rows": (
         lines(lambda found: found[:3]),
-        ("data.csv, row 2 (line 3)", "after 2 row(s)", "at least 3 rows"),
+        ("data.csv, row 2 (line 3)", "after 2 rows", "at least 3 rows"),
     ),
     "not text": (
         lambda folder: (folder / "data.csv").write_bytes(b"\xff\xfe\x00x"),
@@ -174,7 +175,7 @@ TABLES = {
     ),
     "misspelled column": (
         replace("range_mm", "rnage_mm", "data.csv"),
-        ("data.csv, column range_mm", "did you mean 'rnage_mm'?"),
+        ("data.csv, column range_mm", "; add the column; if rnage_mm holds this quantity, give it"),
     ),
     "column twice": (
         replace("y_mm", "x_mm", "data.csv"),
@@ -357,13 +358,13 @@ TABLES = {
     ),
     "too few check points": (
         lines(lambda found: found[:3], "check.csv"),
-        ("columns tcp_x_mm, tcp_y_mm, tcp_z_mm", "found 2 check point(s) on a line", "at least 3"),
+        ("columns tcp_x_mm, tcp_y_mm, tcp_z_mm", "found 2 check points on a line", "at least 3"),
     ),
     "check points on a line": (
         lines(on_a_line, "check.csv"),
         (
             "check.csv, columns tcp_x_mm, tcp_y_mm, tcp_z_mm",
-            "found 5 check point(s) on a line",
+            "found 5 check points on a line",
             "at least 3 that are not",
             "add points off that line",
         ),
@@ -1050,6 +1051,46 @@ def test_own_effects(small_tracker_study, case):
         load_study(small_tracker_study)
     for fragment in expected:
         assert fragment in str(caught.value)
+
+
+HUGE = f"0x{'F' * 5000}"
+"""A whole number that Python reads and does not write in decimal digits."""
+DEEP = ".".join(["a"] * 2000)
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "found"),
+    [
+        (append(f"\n[loop]\nseed = {HUGE}\n"), "loop.seed", "a whole number of 20000 bits"),
+        (append(f"\n[loop]\neffects = [{HUGE}]\n"), "loop.effects.0", "a whole number of"),
+        (effect(f'name = "backlash"\nplacement = "Y"\nsize_um = {HUGE}'), "model", "a whole"),
+        (append(f"\n[loop]\n{DEEP} = 1\n"), "loop.a.a...", "a key of more than 16 levels"),
+        (append(f"\n[{DEEP}]\n"), "a.a.a...", "a key of more than 16 levels"),
+        (append(f"\n[loop]\nseed = {'[' * 50}1{']' * 50}\n"), "loop.seed.0...", "a key of more"),
+    ],
+)
+def test_values_that_no_later_step_can_read(small_tracker_study, change, key, found):
+    change(small_tracker_study)
+    told = check(small_tracker_study, (f"setup.toml, key {key}", f"found {found}"))
+    assert len(told) < 400
+
+
+@pytest.mark.parametrize(
+    "override", [f"loop.seed={HUGE}", f"{DEEP}=1", f"loop={{seed = {HUGE}}}", f"name.{DEEP}=1"]
+)
+def test_overrides_that_no_later_step_can_read(small_tracker_study, override):
+    with pytest.raises(StudyError) as caught:
+        load_study(small_tracker_study, [override])
+    told = str(caught.value)
+    assert told.startswith("setup.toml (override ") and ", key " in told and len(told) < 400
+
+
+@pytest.mark.parametrize("value", [HUGE, "1" + "0" * 400, "9" * 5000, "1e400", "nan"])
+def test_values_of_with_that_no_number_can_be(small_tracker_study, value):
+    study = load_study(small_tracker_study)
+    with pytest.raises(StudyError, match="--with backlash:Y:size_um=.*, key size_um"):
+        place = study.model.setup(study.plan)
+        parse_with(f"backlash:Y:size_um={value}", study.catalogue, place)
 
 
 OVERRIDES = {

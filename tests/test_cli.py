@@ -5,6 +5,7 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ import vcal.report
 from vcal.cli import app
 from vcal.cli.session import cache_folder, listen, working
 from vcal.cli.start_studies import example
+from vcal.demo import starts
 from vcal.design.spaces import SPACES, settings_of
 from vcal.instruments import INSTRUMENTS
 from vcal.instruments.laser_frame import SegmentSettings
@@ -40,16 +42,10 @@ from vcal.study.settings import (
     MachineSettings,
     SmoothSettings,
 )
+from vcal.words import counted, plural
 
 DEMO = Path(vcal.__file__).parent / "demo"
-STARTS = (
-    "laser_tracker",
-    "ball_array",
-    "reflectors",
-    "laser_frame",
-    "r_test",
-    "static_r_test",
-)
+STARTS = DEMO / "start"
 
 
 @pytest.fixture(autouse=True)
@@ -275,6 +271,39 @@ def test_check_names_what_cannot_be_tested(small_tracker_study):
     assert "backlash, lateral_reversal, angular_reversal: " in shown
 
 
+def test_check_lists_what_is_read(small_tracker_study):
+    """An ignored column is none of them."""
+    data = small_tracker_study / "data.csv"
+    lines = data.read_text().splitlines()
+    kept = [lines[0] + ",remark", *(f"{line},good" for line in lines[1:])]
+    data.write_text("\n".join(kept) + "\n")
+    shown = run("check", small_tracker_study).output
+    columns, ignored = (
+        " ".join(re.search(rf"(?s)^{label} +(.*?)^\S", shown, re.M)[1].split())
+        for label in ("columns", "ignored")
+    )
+    assert columns.endswith("range_mm, azimuth_rad, elevation_rad")
+    assert ignored == "remark: no more than half of the cells are numbers"
+
+
+def test_counts_in_singular_and_plural():
+    assert counted(1, "reading") == "1 reading" and counted(0, "reading") == "0 readings"
+    assert plural(1, "is", "are") == "is" and plural(2, "is", "are") == "are"
+
+
+def test_check_says_what_the_check_points_lack(small_tracker_study):
+    assert "lacking there" not in run("check", small_tracker_study).output
+    check = small_tracker_study / "check.csv"
+    table = read_table(check, [])
+    kept = {k: v for k, v in table.items() if k not in ("T_y_degC", "t_s")}
+    vcal.study.write_table(check, kept)
+    shown = " ".join(run("check", small_tracker_study).output.split())
+    assert "lacking there T_y_degC: without it, the error at the check points excludes" in shown
+    of_time = shown.partition("lacking there t_s: ")[2].partition(" excludes ")[2]
+    of_time = re.split(" (?:lacking|declared) ", of_time)[0].split(", ")
+    assert "drift" in of_time and "backlash" not in of_time
+
+
 def test_check_sees_a_column_in_another_case(small_tracker_study):
     data = small_tracker_study / "data.csv"
     vcal.study.write_table(data, {**read_table(data, []), "Payload_kg": np.arange(48.0)})
@@ -293,7 +322,7 @@ def test_check_with_overrides(small_arm_study):
 # --- init ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("instrument", STARTS)
+@pytest.mark.parametrize("instrument", starts())
 def test_init_writes_a_study_that_can_be_used(tmp_path, instrument):
     folder = tmp_path / "new" / "study"
     printed = run("init", folder, "--instrument", instrument).output
@@ -303,28 +332,46 @@ def test_init_writes_a_study_that_can_be_used(tmp_path, instrument):
     assert [p.name for p in folder.parent.iterdir()] == ["study"]
     before = sorted(folder.iterdir())
     assert "found a folder that is not empty" in refused("init", folder)
+    assert "plan" not in printed
     # True of these data, not of others that are simulated from the study, which copy its comments.
     assert "without any other effect" in printed
     assert "without any other effect" not in (folder / "setup.toml").read_text(encoding="utf-8")
     assert sorted(folder.iterdir()) == before
 
 
+def test_init_says_that_a_table_is_a_plan(tmp_path, monkeypatch):
+    starts_of = tmp_path / "start"
+    shutil.copytree(STARTS / "laser_tracker", starts_of / "laser_tracker")
+    data = starts_of / "laser_tracker" / "data.csv"
+    table = read_table(data, [])
+    readings = ("range_mm", "azimuth_rad", "elevation_rad")
+    vcal.study.write_table(data, {k: v for k, v in table.items() if k not in readings})
+    for module in ("vcal.demo", "vcal.cli.start_studies"):
+        monkeypatch.setattr(f"{module}.STARTS", starts_of)
+    printed = run("init", tmp_path / "study").output
+    assert "data.csv is a plan without readings: measure them, or use vcal simulate." in printed
+    assert "were simulated" not in printed
+    printed = run("check", tmp_path / "study").output
+    assert "rows without readings: a plan" in printed
+
+
 def test_init_of_an_instrument_there_is_not(tmp_path):
     message = refused("init", tmp_path / "x", "--instrument", "laser")
-    assert "found 'laser' (did you mean 'laser_frame'?), expected one of ball_array" in message
+    assert "found 'laser' (did you mean 'laser_frame'?), expected one of " in message
+    assert message.rstrip().endswith(f"one of {', '.join(starts())}; correct the name")
     assert not (tmp_path / "x").exists()
     told = " ".join(run("init", "--help").stdout.replace("│", " ").split())
-    assert f"one of {', '.join(sorted(STARTS))}." in told
+    assert f"one of {', '.join(starts())}." in told
 
 
 def test_every_key_is_explained():
-    texts = {kind: (DEMO / "start" / kind / "setup.toml").read_text() for kind in STARTS}
-    assert set(STARTS) == set(INSTRUMENTS)
+    texts = {kind: (STARTS / kind / "setup.toml").read_text() for kind in starts()}
+    assert starts() == sorted(INSTRUMENTS)
     for kind, text in texts.items():
         known = [DataSettings, LoopSettings, INSTRUMENTS[kind].Settings]
         known += [settings_of(kind)] if kind in SPACES else []
         if INSTRUMENTS[kind].machine is None:  # else it has no travel to err over
-            arm = kind == "reflectors"
+            arm = "[[machine.joint]]" in text
             known += [LinkSettings, JointSettings] if arm else [FourierSettings, SmoothSettings]
         for settings in known:
             for key in settings.model_fields:
@@ -334,7 +381,7 @@ def test_every_key_is_explained():
         assert any(key in text for text in texts.values()), key
 
 
-@pytest.mark.parametrize("instrument", STARTS)
+@pytest.mark.parametrize("instrument", starts())
 def test_keys_that_are_commented_out_can_be_used(tmp_path, instrument):
     run("init", tmp_path / "study", "--instrument", instrument)
     setup = tmp_path / "study" / "setup.toml"
@@ -344,7 +391,7 @@ def test_keys_that_are_commented_out_can_be_used(tmp_path, instrument):
         "# effects_file",
         "# family",
         "# probes",
-        *(["# check"] if instrument == "reflectors" else []),
+        *([] if (STARTS / instrument / "check.csv").is_file() else ["# check"]),
     )
     if instrument == "laser_frame":  # a table that is not there, and a path beside the named one
         keys = [key for key in SegmentSettings.model_fields if key != "psd"]

@@ -16,7 +16,7 @@ from vcal.errors import StudyError
 from vcal.loop.screening.candidates import UntestableError
 from vcal.model.measurement import Measurement
 from vcal.report.html.folder import ReportFolder
-from vcal.study import load_study
+from vcal.study import load_study, read_table, write_table
 from vcal.study.simulated import parse_with
 
 OWN = '''\
@@ -157,6 +157,64 @@ def test_what_is_made_of_a_shape(small_tracker_study, case):
 
 def test_a_class_that_can(small_tracker_study):
     assert "quill_sag" in load_study(with_own(small_tracker_study, OWN)).catalogue
+
+
+def of_a_column(folder, column, unit, response):
+    """A study with a column of its own, and an effect that depends on it."""
+    table = read_table(folder / "data.csv", [])
+    values = 40.0 + 5.0 * np.sin(np.arange(len(table["x_mm"])))
+    write_table(folder / "data.csv", {**table, column: values})
+    text = OWN.replace('return ("Z",)', f'return ("Z", "{column}")').replace('"um/m"', f'"{unit}"')
+    return with_own(folder, text.replace('plan.x("Z")}', response + "}"))
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "factor"),
+    [
+        ("humidity_pct", "um/%", "0.01"),
+        ("gap_mm", "um/mm", "0.001"),
+        ("gap_mm", "um/m", "0.001"),  # a length is a length
+        ("feed_mm_per_s", "um s/mm", "0.001"),
+    ],
+)
+@pytest.mark.parametrize("response", ["{}", "-{}", "{} - 40.0"])
+def test_a_column_in_another_unit_than_its_parameter(
+    small_tracker_study, column, unit, factor, response
+):
+    """The parameter is converted to SI, the column is not."""
+    told = f"found the numbers of the column {column} in "
+    values = response.format(f'plan.covariate("{column}")')
+    with pytest.raises(StudyError, match=re.escape(told)) as caught:
+        load_study(of_a_column(small_tracker_study, column, unit, values))
+    assert f"expected {factor} times these numbers" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "response", "said"),
+    [
+        ("humidity_pct", "um/%", "0.01 * {}", ""),
+        ("humidity_pct", "um", "{}", ""),  # per nothing of its kind
+        ("load_N", "um/N", "{}", ""),  # SI already
+        ("humidity_pct", "um/%", 'plan.x("Z") * {}', "multiply the column by 0.01"),
+    ],
+)
+def test_a_column_that_may_be_converted(small_tracker_study, column, unit, response, said):
+    values = response.format(f'plan.covariate("{column}")')
+    folder = of_a_column(small_tracker_study, column, unit, values)
+    printed = " ".join(run("check", folder).output.split())
+    assert (said in printed) if said else "multiply the column" not in printed
+
+
+def test_units_that_are_unknown_are_refused_where_they_are_written():
+    with pytest.raises(StudyError, match=r"gain: unit 'um/pct': found 'pct', expected one of"):
+        vcal.Parameter("gain", "um/pct")
+
+
+def test_an_unknown_unit_in_every_command(small_tracker_study, tmp_path):
+    folder = with_own(small_tracker_study, OWN.replace('"um/m"', '"um/pct"'))
+    for more in (("check", folder), ("loop", folder, "--out", tmp_path / "out")):
+        told = run(*more, code=2).stderr
+        assert "own.py, class QuillSag, parameters: found k: unit 'um/pct': found 'pct'" in told
 
 
 def test_annotations_that_are_text(small_tracker_study):

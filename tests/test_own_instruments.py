@@ -88,6 +88,10 @@ def loose(study, tmp_path_factory):
     return folder
 
 
+def test_its_one_reading_is_counted_as_one(loose):
+    assert "216 rows of 1 reading\n" in re.sub(" +\n", "\n", run("check", loose).output)
+
+
 @pytest.mark.slow
 def test_backlash_in_circles(loose):
     assert (loose / "ball_bar.py").read_text(encoding="utf-8") == BAR
@@ -816,4 +820,4 @@ def test_a_kind_that_the_file_does_not_define(small):
         "found the unknown instrument 'laser_tracker', expected one of double_ball_bar, as def"
         in (str(caught.value))
     )
-    assert "without the kind_file, it may be one of ball_array" in str(caught.value)
+    assert f"without the kind_file, it may be one of {', '.join(INSTRUMENTS)}" in str(caught.value)

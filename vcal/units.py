@@ -6,6 +6,7 @@ parameters.
 """
 
 import functools
+import math
 import re
 
 _FACTORS = {
@@ -73,6 +74,36 @@ def times(unit: str, other: str) -> str:
     if not below:
         return numerator
     return f"{numerator}/{below[0]}" if len(below) == 1 else f"{numerator}/({' '.join(below)})"
+
+
+_OF_LENGTH = ("m", "mm", "um", "nm")
+_OF_ANGLE = ("rad", "mrad", "urad", "deg")
+_OF_TIME = ("s", "ms", "h")
+_KINDS = {symbol: kind for kind in (_OF_LENGTH, _OF_ANGLE, _OF_TIME) for symbol in kind}
+"""Symbols of one kind of quantity, by each of them; the others are the only ones of their kind."""
+_SPELLED = {"pct": "%", "percent": "%"}
+"""Symbols that a name cannot hold, by the words that stand for them."""
+
+
+def unit_of_column(name: str) -> tuple[str, float]:
+    """The first symbol of the unit in the name of a column, and the factor from that unit to SI.
+
+    ``"gap_mm"`` gives ``("mm", 1e-3)``, ``"feed_mm_per_s"`` the same, ``"humidity_pct"`` gives
+    ``("%", 0.01)``. A name without a unit, or with one that vcal does not know, gives ``("", 1)``.
+    """
+    stem, _, below = name.rpartition("_per_") if "_per_" in name else (name, "", "")
+    symbol = stem.rpartition("_")[2] if "_" in stem else ""
+    symbol = _SPELLED.get(symbol, symbol)
+    parts = [_SPELLED.get(part, part) for part in below.split("_") if part]
+    if symbol not in _FACTORS or any(part not in _FACTORS for part in parts):
+        return "", 1.0
+    return symbol, _FACTORS[symbol] / math.prod(_FACTORS[part] for part in parts)
+
+
+def is_per(unit: str, symbol: str) -> bool:
+    """Whether a unit is one per quantity of the kind of `symbol`: ``"um/m"`` and ``"mm"``."""
+    below = re.findall(r"[^\d\s()]+", unit.partition("/")[2])
+    return any(one in _KINDS.get(symbol, (symbol,)) for one in below)
 
 
 def in_name(unit: str) -> str:

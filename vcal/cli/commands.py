@@ -13,6 +13,7 @@ import typer
 
 from .. import __version__
 from ..demo import starts
+from ..words import counted
 from .session import INTERRUPTED, guarded, leave, listen, start, tell, working
 
 app = typer.Typer(
@@ -204,12 +205,18 @@ def init(
         typer.Option(metavar="KIND", help=f"Kind of the instrument: one of {', '.join(starts())}."),
     ] = "laser_tracker",
 ) -> None:
-    """Write a study folder to start from: a commented study file and simulated data."""
-    from .start_studies import write_start
+    """Write a study folder to start from: a commented study file with data or a plan."""
+    from .start_studies import plans_in, write_start
 
     names = write_start(instrument, folder)
     typer.echo(f"Wrote {folder}: {', '.join(names)}.")
-    typer.echo("Its data were simulated from the declared model, without any other effect.")
+    plans = plans_in(folder)
+    for name, is_plan in plans.items():
+        if is_plan:
+            typer.echo(f"{name} is a plan without readings: measure them, or use vcal simulate.")
+        else:
+            its = f"The readings in {name} were" if len(plans) > 1 else "Its data were"
+            typer.echo(f"{its} simulated from the declared model, without any other effect.")
     typer.echo(f"Put your machine and data in, then: vcal check {folder / 'setup.toml'}")
 
 
@@ -257,7 +264,8 @@ def simulate(
             noise_factor=noise_factor,
             overrides=override or [],
         )
-    typer.echo(f"Wrote {out}: {result.measurement.rows} rows of a machine drawn with seed {seed}.")
+    rows = counted(result.measurement.rows, "row")
+    typer.echo(f"Wrote {out}: {rows} of a machine drawn with seed {seed}.")
     for effect in effects:
         values = (f"{p.label} = {value:.4g}" for p, value in result.values(effect))
         typer.echo(f"In it, undeclared: {effect.key}, {', '.join(values)}")

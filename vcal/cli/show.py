@@ -16,6 +16,7 @@ from ..instruments.conditions import file_name, inside_name
 from ..loop.outcome.closure import Closure, Errors
 from ..loop.residuals.confounded import confounding
 from ..loop.screening.candidates import candidates
+from ..loop.screening.unconverted import not_shown
 from ..loop.weighing.cross_validation import Rms
 from ..machine.chain import Joint
 from ..machine.plan import Plan
@@ -26,6 +27,7 @@ from ..study import Study, read_header
 from ..study.declared_effects import choices
 from ..study.messages import shown
 from ..study.study import DataSet, looked_for
+from ..words import counted, plural
 
 _MOST_PITCHES = 6
 """Most pitches that one line lists."""
@@ -126,6 +128,7 @@ def show_study(study: Study) -> None:
         ("machine", f"{chain.text}; {travels}" if travels and not chain.arm else chain.text),
         *(line for one in study.sets for line in _data_set(study, one)),
         ("check points", str(study.check.plan.rows) if study.check else "none"),
+        *_lacking(study, [*study.model.effects, *found]),
         (
             "declared",
             ", ".join(_size(effect) for effect in (*study.model.effects, *study.model.random)),
@@ -143,6 +146,10 @@ def show_study(study: Study) -> None:
     for why, effects in alike.items():
         verb = "need" if effects[1:] else "needs"
         rows.append(("not testable", f"{', '.join(effects)}: {verb} {', '.join(_short(why))}"))
+    for effect in [*study.model.effects, *found]:
+        shape = {name: grid[len(grid) // 2] for name, grid in effect.scan(plan).items()}
+        for column in not_shown(effect, plan, shape):
+            rows.append(("units", f"{effect.key}: {column.words}"))
     console = _console()
     console.print(Text(f"{study.name}: {study.path} can be used.", style="bold"), soft_wrap=True)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 2))
@@ -180,12 +187,12 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
         (f"instrument{of}", one.settings.kind),
         (
             f"data{of}",
-            f"{rows} rows of {len(one.instrument.readings)} readings"
+            f"{counted(rows, 'row')} of {counted(len(one.instrument.readings), 'reading')}"
             if one.readings is not None
-            else f"{rows} rows without readings: a plan",
+            else f"{counted(rows, 'row')} without readings: a plan",
         ),
         *_blank(one, of),
-        (f"columns{of}", ", ".join(column for column in header if column)),
+        (f"columns{of}", ", ".join(column for column in header if column in one.table)),
         *_ignored(one, header, of),
         *_constant(one.plan, header, of),
         *_covered(one, of),
@@ -256,14 +263,41 @@ def _together(one: DataSet, header: Collection[str], of: str) -> list[tuple[str,
     return [(f"confounded{of}", line) for line in lines]
 
 
+def _lacking(study: Study, effects: Iterable[Effect]) -> list[tuple[str, str]]:
+    """Columns that the check points lack, although effects of the machine depend on them."""
+    if study.check is None:
+        return []
+    plan = study.check.plan
+    lacking: dict[str, dict[str, None]] = {}
+    for effect in effects:
+        if effect.where == "machine" and effect.kind != "nuisance":
+            for need in effect.needs:
+                if not plan.has(need):
+                    lacking.setdefault(file_name(need, plan.axes), {})[effect.name] = None
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for column, names in lacking.items():
+        alike.setdefault(tuple(names), []).append(column)
+    return [
+        (
+            "lacking there",
+            f"{', '.join(columns)}: without {plural(len(columns), 'it', 'them')}, the error at the "
+            f"check points excludes {', '.join(names)}",
+        )
+        for names, columns in alike.items()
+    ]
+
+
 def _size(effect: Effect) -> str:
     count = len(effect.parameters)
-    return f"{effect.key} ({count} parameter{'s' if count > 1 else ''})"
+    return f"{effect.key} ({counted(count, 'parameter')})"
 
 
 def _kinds(found: list[Effect]) -> str:
     names = list(dict.fromkeys(effect.name for effect in found))
-    return f"{len(found)} candidates of {len(names)} kinds: {', '.join(names)}" if names else "none"
+    if not names:
+        return "none"
+    count = f"{counted(len(found), 'candidate')} of {counted(len(names), 'kind')}"
+    return f"{count}: {', '.join(names)}"
 
 
 def _short(texts: Sequence[str]) -> list[str]:

@@ -16,8 +16,12 @@ from ..machine.plan import Plan
 from ..registry import nearest
 from ..study import load_study
 from ..study.declared_effects import beside
-from ..study.folder import made_whole, require_empty
+from ..study.folder import Folder, made_whole, require_empty
 from ..study.messages import listed
+from ..study.settings import StudySettings, validate
+from ..study.study import build_chain
+from ..study.tables import run_table
+from ..study.toml_file import read_setup
 
 
 def write_start(instrument: str, out: Path) -> list[str]:
@@ -38,6 +42,23 @@ def write_start(instrument: str, out: Path) -> list[str]:
             shutil.copyfile(entry, work / entry.name)
             names.append(entry.name)
     return sorted(names)
+
+
+def plans_in(folder: Path) -> dict[str, bool]:
+    """The tables of a study folder, each with whether it is a plan, that is, without readings."""
+    path = folder / "setup.toml"
+    raw, given = read_setup(path)
+    root = Folder(folder)
+    settings = validate(raw, path.name, given, root)
+    chain = build_chain(settings.machine, path.name)
+    if isinstance(settings, StudySettings):
+        tables = [(settings.data.data, settings.instrument)]
+    else:
+        tables = [(row.file, row.instrument) for row in settings.data]
+    return {
+        name: not run_table(name, instrument, chain, root, path.name, "")[1]
+        for name, instrument in tables
+    }
 
 
 def example(effect: type[Effect]) -> tuple[Effect, Setup] | None:

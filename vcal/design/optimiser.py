@@ -16,6 +16,7 @@ from ..identification.rank import rank_of
 from ..model.forward import Model
 from ..numerics.arrays import Array
 from ..numerics.compiled import jit_outermost
+from ..words import counted
 from .criteria import MICRO, Criterion, Judged, averaged
 from .judged import prior_covariance
 from .multistart import Found, search
@@ -151,7 +152,7 @@ def optimise(
     require_traceable(compiled.smooth, space)
     before = compiled.value(nominal)
     check_finite(before, task)
-    progress(f"searching from {starts} start{'s' * (starts > 1)}")
+    progress(f"searching from {counted(starts, 'start')}")
     found, placed = [], []
     if len(space.start):
         begin = starts_of(space, seed, starts)

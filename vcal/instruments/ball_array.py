@@ -16,6 +16,7 @@ from ..machine.ports import COMPONENTS, group
 from ..numerics.arrays import Array
 from ..numerics.rigid import Rotation, Scalar, Vector
 from ..numerics.spatial import best_rigid
+from ..words import counted
 from .base import (
     LARGEST_NOISE,
     SMALLEST_NOISE,
@@ -465,7 +466,7 @@ def _check_poses(poses: np.ndarray, table: Mapping[str, np.ndarray], linear: boo
             raise RowError(
                 int(np.argmax(mine)),
                 "column pose",
-                f"{count} ball(s) in pose {pose}",
+                f"{counted(count, 'ball')} in pose {pose}",
                 "at least 3 to find its six unknowns",
                 "measure more balls or remove the pose",
             )

@@ -14,6 +14,7 @@ from ..errors import RowError
 from ..machine.chain import Chain
 from ..machine.plan import Plan
 from ..numerics.arrays import Array
+from ..words import plural
 from .conditions import LINEAR, file_column
 
 _MOST_OFF = 0.02
@@ -158,7 +159,7 @@ def check_moves(
     at = row, wrong[place]
     raise RowError(
         int(row),
-        f"column{'s' * (len(wrong) > 1)} {named}",
+        f"{plural(len(wrong), 'column')} {named}",
         f"{columns[at[1]]} {1e3 * seen[at]:.4g} mm from the mean of run {run[row]}, where the axes "
         f"are {1e3 * moved[at]:.4g} mm from it",
         "readings that follow the axes, to half of their motion in half of the rows",

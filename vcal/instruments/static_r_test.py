@@ -22,6 +22,7 @@ from ..machine.plan import Plan
 from ..machine.ports import group
 from ..numerics.arrays import Array
 from ..numerics.rigid import Rotation, Scalar, Vector
+from ..words import counted
 from .base import LARGEST_NOISE, Column, Loader, Ports, TableInstrument, register
 from .conditions import ROTARY, file_column, linear_plan, linear_plan_table
 from .follow import cause
@@ -217,7 +218,7 @@ def _check_runs(run: np.ndarray, runs: np.ndarray) -> None:
             raise RowError(
                 int(rows[0]),
                 "column run",
-                f"{len(rows)} row(s) of run {k}",
+                f"{counted(len(rows), 'row')} of run {k}",
                 f"at least {_FEWEST}, as a run has a place of its own on the table",
                 "measure more, leave them out, or give them the run to which they belong",
             )

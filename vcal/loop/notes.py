@@ -17,6 +17,7 @@ from ..machine.plan import Plan
 from ..model.declared_noise import declared_whitener
 from ..model.forward import Model
 from ..model.measurement import CheckPoints, rows_in_words
+from ..words import counted, plural
 from .outcome.closure import Errors, FoundEffect, in_words
 from .outcome.unexplained import Unexplained
 from .residuals.confounded import confounded, unrecorded_time
@@ -24,6 +25,7 @@ from .residuals.outliers import at_an_end, too_many
 from .residuals.vibration import Vibration
 from .screening.candidates import Untestable
 from .screening.significance import LEAST_NOISE
+from .screening.unconverted import not_shown
 from .search.forward_selection import Added
 from .search.state import State, chi2_per_dof
 from .weighing.cross_validation import Rms, check_rms, fit_rms, held_apart, predicted_rms
@@ -145,9 +147,9 @@ def _few_check_points(facts: Facts) -> list[str]:
     if not 0 < count < _FEW_POINTS:
         return []
     return [
-        f"there are only {count} check points, and the rigid alignment is fitted with six "
-        f"parameters to their {3 * count} coordinates: the error elsewhere is larger than theirs "
-        "after alignment; measure more check points"
+        f"there {plural(count, 'is', 'are')} only {counted(count, 'check point')}, and the rigid "
+        f"alignment is fitted with six parameters to their {3 * count} coordinates: the error "
+        "elsewhere is larger than theirs after alignment; measure more check points"
     ]
 
 
@@ -383,6 +385,16 @@ def _no_machine(facts: Facts) -> list[str]:
     ]
 
 
+def _column_units(facts: Facts) -> list[str]:
+    """Note on own effects that depend on a column in the unit of the file."""
+    fit = facts.after
+    return [
+        f"{effect.key}: {column.words}; otherwise its value is wrong by this factor"
+        for place, effect in enumerate(fit.model.effects)
+        for column in not_shown(effect, facts.plan, fit.shapes.get(place, {}))
+    ]
+
+
 def _unconverged(facts: Facts) -> list[str]:
     if facts.state.fit.converged:
         return []
@@ -427,6 +439,7 @@ _NOTES = (
     _other_shapes,
     _confounding,
     _no_machine,
+    _column_units,
     _unconverged,
     _vibrating,
 )

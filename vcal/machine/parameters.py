@@ -9,13 +9,14 @@ import equinox as eqx
 import numpy as np
 
 from ..distributions import Distribution, Univariate
+from ..errors import StudyError
 from ..numerics.record import Record
 from ..units import in_name, si_factor
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect.
+    """One parameter of an effect. Raises `StudyError` for a unit that vcal does not know.
 
     An *amplitude* enters the deviation linearly. Its prior has the mean `mean` and the standard
     deviation `sigma` (`math.inf`: flat; zero: known), and is normal unless there is a `law`. A
@@ -50,6 +51,14 @@ class Parameter:
     For an amplitude, any distribution whose standardised form is that of the parameter; for a shape
     parameter, its distribution in `unit`. An identification uses only mean and standard deviation.
     """
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.unit, str):
+            return  # what is not text is reported with the class that made it
+        try:
+            si_factor(self.unit)
+        except ValueError as error:
+            raise StudyError(f"{self.name}: {error}; correct the unit") from error
 
     @property
     def label(self) -> str:

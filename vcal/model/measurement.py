@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..machine.plan import Plan
+from ..words import counted
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Measurement:
 def rows_in_words(numbers: Sequence[int], most: int = 5) -> str:
     """Number of rows, with the numbers of the first `most`: ``"7 rows (2, 3, 5, 8, 9, ...)"``."""
     shown = [*map(str, numbers[:most]), *(["..."] if len(numbers) > most else [])]
-    return f"{len(numbers)} row{'s' * (len(numbers) > 1)} ({', '.join(shown)})"
+    return f"{counted(len(numbers), 'row')} ({', '.join(shown)})"
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import StudyError
 from ..instruments.base import Column
-from ..registry import nearest
+from ..registry import closest
 from .messages import listed, refusal, shown
 
 _PREAMBLE = re.compile(r'#.*|"?sep=."?', re.IGNORECASE)
@@ -279,8 +279,10 @@ def _decimal_point(cell: str) -> str:
 
 
 def _missing(file: str, name: str, header: Sequence[str], free: Sequence[str]) -> StudyError:
-    do = "add the column or correct its name"
-    found = f"no such column{nearest(name, free)} among {listed(header)}"
+    do = "add the column"
+    if similar := closest(name, free):
+        do += f"; if {similar} holds this quantity, give it the name and the unit of {name}"
+    found = f"no such column among {listed(header)}"
     return refusal(file, f"column {name}", found, "a column of this name", do)
 
 

@@ -13,6 +13,7 @@ from ..instruments.base import Column
 from ..machine.chain import Chain
 from ..machine.error_functions import Basis, Fourier, Matern, unit_uniform
 from ..registry import nearest
+from ..words import counted
 from .csv_table import Table
 from .folder import Folder
 from .messages import listed, refusal
@@ -179,7 +180,7 @@ def _missing(table: Table, missing: Sequence[str], count: int) -> StudyError:
     return refusal(
         table.name,
         "column component",
-        f"{table.rows} rows without {listed(missing)}",
+        f"{counted(table.rows, 'row')} without {listed(missing)}",
         f"all {count} error motions and location errors of the machine's axes",
         "add the missing rows, with amplitudes of 0 for errors that are known to be zero",
     )

@@ -39,7 +39,13 @@ def refusal(file: str, where: str, found: str, expected: str, do: str) -> StudyE
 
 def shown(value: Any) -> str:
     """A value from a TOML file as the user wrote it, shortened where it is long."""
-    text = json.dumps(value, default=str)
+    try:
+        text = json.dumps(value, default=str)
+    except (ValueError, RecursionError):
+        # Python writes no number of thousands of digits, and no tree of a thousand levels.
+        if not isinstance(value, int):
+            return f"a {'table' if isinstance(value, dict) else 'list'} of many levels"
+        return f"a whole number of {value.bit_length()} bits"
     return text if len(text) <= 80 else text[:77] + "..."
 
 

@@ -19,6 +19,7 @@ from .folder import Folder
 from .messages import at, explain, listed, refusal, shown, source
 from .plugins.instruments import own_instruments
 from .plugins.trial import own_code_error
+from .toml_file import LARGEST_WHOLE
 
 Triple = tuple[float, float, float]
 _Offset = Annotated[float, Field(ge=-1e4, le=1e4)]
@@ -29,7 +30,6 @@ _Angle = Annotated[float, Field(ge=-720, le=720)]
 _Size = Annotated[float, Field(ge=1e-6, le=1e6)]
 """Size of an error, um or urad. A smaller number, or one of more than a metre, is in another unit.
 """
-_LARGEST_WHOLE = 2**63 - 1
 _SMALLEST, _LARGEST = 1e-15, 1e15
 """Sizes of nonzero numbers whose squares and products stay finite and nonzero."""
 COMPUTABLE = f"zero, or a number from {_SMALLEST:g} to {_LARGEST:g} in size"
@@ -305,7 +305,7 @@ class HoldoutSettings(Table):
     ``"random"``."""
     share: float = Field(default=0.2, ge=0.01, le=0.5)
     """Share of the rows with ``"last"`` and ``"random"``."""
-    seed: int = Field(default=0, ge=0, le=_LARGEST_WHOLE)
+    seed: int = Field(default=0, ge=0, le=LARGEST_WHOLE)
     """Seed of the random choice."""
     blocks: int = Field(default=5, ge=2, le=1000)
     """Number of blocks, of equally many rows in time."""
@@ -383,15 +383,7 @@ def validate(
     """
     for key, value in _numbers(raw):
         if isinstance(value, int):
-            if abs(value) > _LARGEST_WHOLE:
-                raise refusal(
-                    source(file, key, overrides),
-                    f"key {key}",
-                    shown(value),
-                    "a whole number of at most 2^63 - 1",
-                    "correct the value",
-                )
-            continue
+            continue  # checked on reading
         spread = key.startswith("model.effect.") and key.endswith("_sigma") and value == math.inf
         if not math.isfinite(value) and not spread:
             raise refusal(

@@ -61,7 +61,7 @@ def parse_with(
         row[key] = _value(value)
         if isinstance(row[key], int | float) and not computable(row[key]):
             found, expected = shown(value).strip('"'), "a finite number"
-            if math.isfinite(row[key]):
+            if isinstance(row[key], int) or math.isfinite(row[key]):
                 expected = COMPUTABLE
             raise refusal(file, f"key {key}", found, expected, "correct the value")
     if name not in catalogue:

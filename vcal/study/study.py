@@ -24,6 +24,7 @@ from ..model.forward import Model
 from ..model.measurement import CheckPoints, Measurement
 from ..numerics.spatial import require_float64
 from ..registry import nearest
+from ..words import counted, plural
 from .csv_table import Table
 from .declared_effects import catalogue_with, declared_effects, unknown_effect
 from .folder import Folder
@@ -133,13 +134,14 @@ class Study:
     @property
     def observers(self) -> tuple[str, str]:
         """``"Instrument"`` or ``"Instruments"``, and their kinds in words."""
-        return "Instrument" + "s" * (len(self.sets) > 1), "; ".join(one.label for one in self.sets)
+        return plural(len(self.sets), "Instrument"), "; ".join(one.label for one in self.sets)
 
     @property
     def observations(self) -> str:
         """Numbers of observations and of readings, in words."""
         return "; ".join(
-            f"{one.plan.rows} observations of {len(one.instrument.readings)} readings"
+            f"{counted(one.plan.rows, 'observation')} of "
+            f"{counted(len(one.instrument.readings), 'reading')}"
             + (f" ({count} more with a blank reading left out)" if count else "")
             for one in self.sets
             for count in [len(one.table.blank_rows)]
@@ -625,12 +627,13 @@ def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
     raise refusal(
         data,
         f"row {plan.row_name(plan.rows - 1)} (the last one)",
-        f"{readings} readings ({plan.rows} rows of {width}) for {len(flat)} parameters without a "
+        f"{counted(readings, 'reading')} ({counted(plan.rows, 'row')} of {width}) for "
+        f"{counted(len(flat), 'parameter')} without a "
         f"prior ({keys})",
         f"more than {needed - 1} readings, so that they outnumber the parameters even without any "
         "one row"
         if measured
-        else f"at least {needed} readings",
+        else f"at least {counted(needed, 'reading')}",
         "measure more rows, or give a prior (a *_sigma) to parameters that are known",
     )
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..instruments.base import TableInstrument
 from ..machine.plan import Plan
+from ..words import counted, plural
 from .csv_table import Table
 from .messages import listed, refusal
 
@@ -35,7 +36,7 @@ def check_unread(
     if others := [column for column in further if column in otherwise]:
         raise refusal(
             name,
-            f"header, column{'s' * (len(others) > 1)} {listed(others)}",
+            f"header, {plural(len(others), 'column')} {listed(others)}",
             f"readings of a {kind} with other settings than those of its [instrument]",
             f"{names}; or no readings, in a plan",
             "correct the settings or the columns, or remove the columns from a plan",
@@ -93,11 +94,12 @@ def check_repeated(table: Table, readings: Collection[str]) -> None:
     if len(repeated) <= again - len(repeated):
         return
     row, earlier = int(repeated[0]), int(first[repeated[0]])
-    more = f", and {len(repeated) - 1} more rows that repeat one" if len(repeated) > 1 else ""
+    others = len(repeated) - 1
+    more = f", and {counted(others, 'more row')} that {plural(others, 'repeats', 'repeat')} one"
     raise refusal(
         table.name,
         table.where(row),
-        f"the same as in {table.where(earlier)}, in every column{more}",
+        f"the same as in {table.where(earlier)}, in every column{more if others else ''}",
         "every reading once, as it would count twice",
         "remove the rows or, if the measurement was really repeated, add a column that "
         "distinguishes them, such as t_s or run",
@@ -161,7 +163,7 @@ def check_scatter(
     factor, unit = (float(own) / std, f" in the unit of {column}") if own else (1.0, " in SI")
     raise refusal(
         table.name,
-        f"column{'s' * (len(names) > 1)} {listed(names)}",
+        f"{plural(len(names), 'column')} {listed(names)}",
         f"readings with a standard deviation of {factor * std:.3g} over all rows, "
         f"{std / declared:.2g} of the declared noise of one reading",
         f"at least about {factor * declared:.3g}{unit}, as noise alone causes it",

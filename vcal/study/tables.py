@@ -12,6 +12,7 @@ from ..instruments.conditions import GROUPS, LINEAR, ROTARY, file_column, linear
 from ..machine.chain import Chain
 from ..model.measurement import CheckPoints
 from ..numerics.spatial import best_rigid
+from ..words import counted
 from .csv_table import Table
 from .folder import Folder
 from .messages import listed, refusal
@@ -75,7 +76,7 @@ def run_table(
         raise refusal(
             name,
             f"{table.where(table.rows - 1)}, column {columns[0].name}",
-            f"the end of the table after {complete.rows} row(s)"
+            f"the end of the table after {counted(complete.rows, 'row')}"
             + ("" if complete is table else " without a blank reading"),
             f"at least {_FEWEST_ROWS} rows",
             "measure more points",
@@ -112,7 +113,7 @@ def check_points(
         raise refusal(
             name,
             f"columns {listed(_TOOL_POINT)}",
-            f"{table.rows} check point(s) on a line",
+            f"{counted(table.rows, 'check point')} on a line",
             "at least 3 that are not on a line, as the alignment determines six parameters",
             "add points off that line, or remove the file",
         )

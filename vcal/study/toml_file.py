@@ -8,6 +8,11 @@ from typing import Any
 from ..errors import StudyError
 from .messages import refusal, shown
 
+LARGEST_WHOLE = 2**63 - 1
+"""Largest whole number of a study file, in size."""
+_MOST_LEVELS = 16
+"""Largest depth of a key; no key of a study file has half as many."""
+
 
 def read_setup(
     path: Path, overrides: Mapping[str, Any] | Sequence[str] = ()
@@ -43,6 +48,7 @@ def read_setup(
             "`key = value` below a [table], text in quotes",
             "correct the line",
         ) from error
+    check_tree(raw, path.name)
     given: dict[str, str] = {}
     for key, value in _pairs(overrides):
         said = value if isinstance(value, str) else shown(value)
@@ -64,8 +70,39 @@ def read_setup(
                     "remove one of them, or move the key into the table",
                 )
         given[key] = said
-        _put(raw, key, _toml_value(key, value), said)
+        parsed = _toml_value(key, value)
+        check_tree(parsed, f"{path.name} (override {shown(f'{key}={said}')})", key)
+        _put(raw, key, parsed, said)
     return raw, given
+
+
+def check_tree(tree: Any, file: str, key: str = "") -> None:
+    """Raise `StudyError` for a whole number outside 64 bits, and for a value below more than
+    `_MOST_LEVELS` keys. No later step can read such a file.
+    """
+    stack = [(key, tree)]
+    while stack:
+        key, value = stack.pop()
+        if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
+            raise refusal(
+                file,
+                f"key {key}",
+                shown(value),
+                "a whole number of at most 2^63 - 1",
+                "correct the value",
+            )
+        if key.count(".") >= _MOST_LEVELS:
+            raise refusal(
+                file,
+                f"key {'.'.join(key.split('.')[:3])}...",
+                f"a key of more than {_MOST_LEVELS} levels",
+                "tables and keys as in the reference of the study file",
+                "correct or remove the key",
+            )
+        if not isinstance(value, Mapping | list):
+            continue
+        items = value.items() if isinstance(value, Mapping) else enumerate(value)
+        stack += [(f"{key}.{part}" if key else str(part), inner) for part, inner in items]
 
 
 def _pairs(overrides: Mapping[str, Any] | Sequence[str]) -> Iterator[tuple[str, Any]]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...instruments.conditions import file_column
 from ...machine.plan import Plan
+from ...words import plural
 from ..screening.candidates import Untestable
 
 _TOGETHER = 0.95
@@ -67,7 +68,7 @@ def confounding(plan: Plan, names: Iterable[str]) -> list[str]:
             do = "measure in random order" if random else "vary them independently"
             found.append(
                 f"{column} is correlated with {', '.join(each)}: a dependence on one cannot be "
-                f"distinguished from one on the other{'s' * (len(each) > 1)}; {do}"
+                f"distinguished from one on the {plural(len(each), 'other')}; {do}"
             )
     return found
 

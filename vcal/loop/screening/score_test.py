@@ -257,8 +257,8 @@ class ScoreTest:
         return self._drops(len(effect.amplitudes), [(size, response)], null=False)[0]
 
     def _sums(self, c: int, responses: Sequence[tuple[int, Response]], null: bool):
-        """C'r (g, c), C'J (g, c, k), C'C (g, c, c) and C'r* (g, c, draws) of all steps, and what C'C
-        would be (g, c) if every displacement moved the readings as much as the port that moves
+        """C'r (g, c), C'J (g, c, k), C'C (g, c, c) and C'r* (g, c, draws) of all steps; and (g, c)
+        what C'C would be if every displacement moved the readings as much as the port that moves
         them most.
         """
         first = np.cumsum([0, *(size for size, _ in responses)])

@@ -7,6 +7,7 @@ import numpy as np
 
 from ...design.optimiser import Designed, Seen, Task, Value, valuation
 from ...study.study import Study
+from ...words import counted
 from ..html import text
 from ..html.picture import Picture, Shown, by_section
 from ..html.provenance import EXPANDED, NAMES, provenance_section
@@ -78,12 +79,13 @@ def page(
 
 def _facts(done: Designed, study: Study) -> list[tuple[str, str]]:
     task, settings = done.task, study.single.design
+    rows = counted(study.plan.rows, "row")
     chosen = [task.families[0].motions[i].name for i in task.families[0].chosen]
     found = [
         ("Machine", study.chain.text),
         study.observers,
         ("Goal", f"{settings.goal}: {task.criterion.words}"),
-        ("Plan", f"{len(task.space.groups)} {task.space.group}s, {study.plan.rows} rows"),
+        ("Plan", f"{counted(len(task.space.groups), task.space.group)}, {rows}"),
         ("Variables", f"{len(task.space.low)} within bounds"),
     ]
     if task.criterion.name != "volume":

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from ...effects.base import Effect, Setup
 from ...instruments.conditions import file_name
 from ...study.study import looked_for
+from ...words import counted
 from ..html.picture import Picture
 from ..html.sheet import Section, Table, sheet
 from ..html.text import DASH, number, sentence_of, unit
@@ -42,7 +43,7 @@ def catalogue(effects: Sequence[type[Effect]]) -> str:
     table = Table(("effect", "description", "disturbs", "kind"), rows, links=links)
     return sheet(
         "The catalogue of effects",
-        f"{len(effects)} effects; each has a page beside this one.",
+        f"{counted(len(effects), 'effect')}; each has a page beside this one.",
         [Section("Effects", tables=(table,))],
         kicker="vcal effects",
     )

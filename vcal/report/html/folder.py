@@ -137,7 +137,7 @@ class ReportFolder:
         try:
             content = json.loads((out / self.record).read_text(encoding="utf-8"))
             return content if str(content["schema"]).startswith(self.schema) else {}
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return {}
 
     def _seal(self, work: Path, files: Sequence[str]) -> None:

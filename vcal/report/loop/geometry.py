@@ -10,6 +10,7 @@ from ...geometry.error_motions import ErrorMotionTable
 from ...identification.fit import POORLY_DETERMINED, Learnt
 from ...loop.outcome.closure import Closure
 from ...study.study import Study
+from ...words import counted, plural
 from ..html import text
 from ..html.picture import Shown
 from ..html.provenance import NAMES
@@ -67,7 +68,8 @@ def _determined(closure: Closure) -> Section:
         f"leaves {found.unseen} practically at their prior."
     )
     fold = (
-        f"{len(found.hardly)} parameters that are poorly determined (less than 5 % of the "
+        f"{counted(len(found.hardly), 'parameter')} that "
+        f"{plural(len(found.hardly), 'is', 'are')} poorly determined (less than 5 % of the "
         "information is from the data)"
     )
     hardly = [(", ".join(found.hardly),)] if found.hardly else []

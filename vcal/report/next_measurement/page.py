@@ -9,6 +9,7 @@ from ...design.next_measurement import NextMeasurement
 from ...design.separation import ALPHA, Lambda, Separation
 from ...study.design.written_plan import plan_table
 from ...study.study import Study
+from ...words import counted
 from ..design.page import CONVENTIONS, FILES, tiles
 from ..html import text
 from ..html.picture import Picture, by_section
@@ -38,6 +39,7 @@ def page(
     """The page as one self-contained HTML text, pictures included."""
     shown = by_section(drawn)
     task, present, apart = done.task, done.present, done.separation
+    rows = counted(study.plan.rows, "row")
     sections = [
         _candidates(done),
         Section(
@@ -64,8 +66,8 @@ def page(
         facts=[
             ("Machine", study.chain.text),
             study.observers,
-            ("So far", f"{len(present.groups)} {present.group}s, {study.plan.rows} rows"),
-            ("Next", f"{len(task.space.groups)} {task.space.group}s"),
+            ("So far", f"{counted(len(present.groups), present.group)}, {rows}"),
+            ("Next", counted(len(task.space.groups), task.space.group)),
             ("Goal", _goal(done, study.single.design.goal)),
             ("Reason", why),
             ("Measuring time", text.duration(task.space.seconds(done.best.placed))),

@@ -12,6 +12,7 @@ from ...design.separation import ALPHA, Lambda
 from ...instruments.conditions import file_name
 from ...study.design.written_plan import plan_table
 from ...study.study import Study
+from ...words import counted, plural
 from ..design.pictures import in_space
 from ..design.record import DESIGN_SCHEMA
 from ..html import text
@@ -21,13 +22,12 @@ from ..html.provenance import plain, provenance_record
 def sentence(done: NextMeasurement) -> str:
     """The answer in one sentence."""
     count = len(done.task.space.groups)
-    several = count > 1
-    what = f"{count} further {done.task.space.group}{'s' * several}"
+    what = counted(count, f"further {done.task.space.group}")
     if done.separation is not None and done.separated is not None:
         first, second = (r.effect.key for r in done.separation.rivals)
         before, after = (lambda_text(x.smaller) for x in (done.separated, lambdas(done.best)))
         powers = [min(done.separation.powers(x)) for x in (done.separated, lambdas(done.best))]
-        verb = "raise" if several else "raises"
+        verb = plural(count, "raises", "raise")
         return (
             f"{what} {verb} the expected lack of fit between {first} and {second} from {before} to "
             f"{after}; detection power at {100 * ALPHA:g} %: {text.percent(powers[0])} before, "
@@ -36,7 +36,7 @@ def sentence(done: NextMeasurement) -> str:
     criterion = done.task.criterion
     words = f"{criterion.words} from {text.number(done.before.criterion)} to "
     after = f"{text.number(done.best.value.criterion)} {text.unit(criterion.unit)}"
-    return f"{what} bring{'s' * (not several)} the {words}{after}."
+    return f"{what} {plural(count, 'brings', 'bring')} the {words}{after}."
 
 
 def record(

@@ -7,6 +7,7 @@ from typing import Any
 from ...study.study import Study
 from ...uncertainty.comparison import Comparison
 from ...uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
+from ...words import counted, plural
 from ..html import text
 from ..html.picture import Picture, Shown, by_section
 from ..html.provenance import EXPANDED, NAMES, plain, provenance_section
@@ -90,7 +91,7 @@ def _facts(
         ("Machine", study.chain.text),
         study.observers,
         ("Plan", study.observations),
-        ("Identified", f"{len(result.entries)} parameters"),
+        ("Identified", counted(len(result.entries), "parameter")),
         ("Present but not identified", ", ".join(settings["with"]) or "nothing else"),
         ("Machines drawn", _count(result.ensemble.draws)),
     ]
@@ -238,7 +239,10 @@ def _unseen(result: VirtualCalibration) -> Section:
     )
     if not result.unseen:
         return Section(title, (determined, "Every direction is at least partly observable."))
-    fold = f"{len(result.hardly)} parameters that are poorly determined (less than 5 %)"
+    fold = (
+        f"{counted(len(result.hardly), 'parameter')} that "
+        f"{plural(len(result.hardly), 'is', 'are')} poorly determined (less than 5 %)"
+    )
     table = Table(("",), [(name,) for name in result.hardly], fold=fold)
     return Section(
         title,

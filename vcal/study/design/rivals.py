@@ -13,6 +13,7 @@ from ...design.separation import Rival, Separation
 from ...effects.base import Effect, Setup
 from ...errors import StudyError
 from ...loop.outcome.closure import Closure, FoundEffect
+from ...words import counted
 from ..simulated import parse_with
 from ..study import Study
 
@@ -35,7 +36,7 @@ def parse_rivals(texts: Sequence[str], study: Study) -> Wanted:
     """
     if len(texts) != 2:
         raise StudyError(
-            f"--separate: found {len(texts)} effect{'s' * (len(texts) != 1)}, expected two; give "
+            f"--separate: found {counted(len(texts), 'effect')}, expected two; give "
             "the option twice, such as --separate backlash:Y --separate scale_growth:Y"
         )
     place, files = _setup(study), study.files

@@ -12,9 +12,10 @@ import numpy as np
 
 from ...effects.base import Effect, Kind, Setup
 from ...effects.data_set import in_setup
+from ...errors import StudyError
+from ...loop.screening.unconverted import as_in_file
 from ...machine.parameters import Parameter
 from ...machine.plan import Plan
-from ...units import si_factor
 from ..messages import listed
 from .trial import Attribute, Trial, read_only
 
@@ -64,7 +65,11 @@ def _check(trial: Trial, kind: type[Effect], setup: Setup, plan: Plan) -> None:
 def check_effect(trial: Trial, effect: Effect, setup: Setup, plan: Plan) -> None:
     """Call the methods of an effect once; raises `StudyError` as `check_own` does."""
     with trial.calling("parameters", "a tuple of vcal.Parameter"):
-        parameters = effect.parameters
+        try:
+            parameters = effect.parameters
+        except StudyError as error:
+            said = str(error).removesuffix("; correct the unit")
+            raise trial.refusal("parameters", said, 'a unit such as "um/K"') from error
     _check_parameters(parameters, trial, effect.kind)
     _check_placement(effect.placement, trial)
     with trial.calling("needs", "a tuple of names"):
@@ -92,6 +97,13 @@ def check_effect(trial: Trial, effect: Effect, setup: Setup, plan: Plan) -> None
         raise trial.refusal("response", f"{type(response).__name__}", expected)
     for key, column in response.items():
         _check_column(key, column, effect, setup, plan, trial)
+    for column in as_in_file(effect, plan, shape):
+        raise trial.refusal(
+            "response",
+            f"the numbers of the column {column.name} in {column.unit}, as in the file, for "
+            f"{column.label}",
+            f"{column.factor:g} times these numbers, as the response is per unit in SI",
+        )
     if not shape:
         return
     expected = "an array of the shape (2, rows) for shape values of the shape (2, 1)"
@@ -155,12 +167,6 @@ def _check_parameters(parameters: Any, trial: Trial, kind: Kind) -> None:
     if not parameters or len(set(names)) < len(names):
         raise trial.refusal("parameters", listed(names), expected)
     for p in parameters:
-        try:
-            si_factor(p.unit)
-        except ValueError as error:
-            raise trial.refusal(
-                "parameters", f"{p.name}: {error}", 'a unit such as "um/K"'
-            ) from error
         if not p.sigma >= 0.0 or not math.isfinite(p.mean):
             found = f"{p.name} with mean {p.mean:g} and sigma {p.sigma:g}"
             raise trial.refusal("parameters", found, "a finite mean and a sigma of at least 0")

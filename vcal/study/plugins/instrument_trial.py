@@ -19,6 +19,7 @@ from ...machine.plan import Plan
 from ...machine.ports import PortLayout
 from ...model.forward import Model, observe_all, observe_with_jacobian, split_ports
 from ...numerics.rigid import Rotation, Vector
+from ...words import counted
 from ..messages import listed
 from .effects import ATTRIBUTES, check_effect
 from .instruments import INSIDE, check_names, readings_of
@@ -27,7 +28,7 @@ from .trial import Trial, read_only, shown
 _SAME, _NOTHING = 1e-6, 1e-12
 """Tolerance of a value that is written and read again: share of the largest value, and m or rad."""
 _PATH = (
-    "{} number(s) in a list, one for each of `readings`, computed by jax.numpy without float() or "
+    "{} in a list, one for each of `readings`, computed by jax.numpy without float() or "
     "if where the row, the tool or a port is used"
 )
 _ADDRESS = re.compile(r"0x[0-9a-f]+")
@@ -130,14 +131,14 @@ def _check_traced(
         own = split_ports(instrument, ports)
         return tuple(instrument.observe(row, Rotation.of(turn), Vector.of(tool), own))
 
-    expected = _PATH.format(m)
+    expected = _PATH.format(counted(m, "number"))
     first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], rows)
     with trial.calling("observe", expected):
         path = eqx.filter_make_jaxpr(one)
         traced = [path(instrument, first, jnp.eye(3), jnp.zeros(3)) for _ in range(2)]
     made = eqx.combine(*traced[0][1:])
     if len(made) != m:
-        raise trial.refusal("observe", f"{len(made)} number(s)", expected)
+        raise trial.refusal("observe", counted(len(made), "number"), expected)
     for name, value in zip(names, made, strict=True):
         if np.shape(value) != ():
             raise trial.refusal("observe", f"shape {np.shape(value)} for {name}", expected)
@@ -163,7 +164,7 @@ def _check_path(
     """
     n, m = plan.rows, len(names)
     still = jnp.zeros((n, len(PortLayout.of(chain.axes, instrument.ports))))
-    with trial.calling("observe", _PATH.format(m)):
+    with trial.calling("observe", _PATH.format(counted(m, "number"))):
         values, slopes = observe_with_jacobian(chain, instrument, plan.position, rows, still)
     values, slopes = np.asarray(values), np.asarray(slopes)
     trial.numbers("observe", values, (n, m), "finite readings of the nominal machine")
