@@ -42,9 +42,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _compile_quickly() -> None:
-    """Most programs of a test run once: to make them fast takes longer than to run them. What
-    vcal compiles with options of its own keeps them, and the flags pass on to processes that are
-    started from here.
+    """Most programs of a test run once: to make them fast takes longer than to run them. vcal's
+    own options give way to these flags, and the flags pass on to processes that are started from
+    here.
 
     XLA ends a process that has a flag it does not know, so it is asked in another one.
     """

@@ -41,11 +41,21 @@ def test_they_are_no_part_of_another_program():
 
 
 def test_an_option_that_the_compiler_no_longer_knows_is_left_out(monkeypatch, fresh_options):
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
     monkeypatch.setattr(programs, "_OPTIONS", programs._OPTIONS | {"xla_no_such_option": 1})
     known = programs._options()
     assert "xla_no_such_option" not in known
     # Every release that vcal runs with has this one.
     assert known["xla_backend_optimization_level"] == 1
+    assert float(filter_jit_outermost(powers)(np.zeros(1), False)[0][0]) == 0.0
+
+
+def test_an_option_that_the_user_has_set_keeps_its_value(monkeypatch, fresh_options):
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    own = programs._options()
+    programs._options.cache_clear()
+    monkeypatch.setenv("XLA_FLAGS", "--xla_other=1 --xla_backend_optimization_level=0")
+    assert programs._options() == own | {"xla_backend_optimization_level": "0"}
     assert float(filter_jit_outermost(powers)(np.zeros(1), False)[0][0]) == 0.0
 
 

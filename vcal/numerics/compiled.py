@@ -4,6 +4,7 @@ Only an outermost function, one that no other compiled function calls, may have 
 """
 
 import functools
+import os
 from collections.abc import Callable, Mapping
 from typing import ParamSpec, TypeVar
 
@@ -39,8 +40,14 @@ def known_options(options: Mapping[str, bool | int | str]) -> _Options:
 
 @functools.cache
 def _options() -> _Options:
-    """The accepted options; none on an accelerator, which has its own compiler."""
-    return known_options(_OPTIONS) if jax.default_backend() == "cpu" else {}
+    """The accepted options, with the values that the user has set in XLA_FLAGS; none on an
+    accelerator, which has its own compiler.
+    """
+    if jax.default_backend() != "cpu":
+        return {}
+    flags = (flag.partition("=") for flag in os.environ.get("XLA_FLAGS", "").split())
+    given = {name.removeprefix("--"): value for name, _, value in flags if value}
+    return known_options({name: given.get(name, value) for name, value in _OPTIONS.items()})
 
 
 def jit_outermost(function: Callable[_P, _T]) -> Callable[_P, _T]:
