@@ -96,7 +96,7 @@ def close_loop(
     state = fitted(model, measurement, None, room)
     before = state.fit
     interrupted = False
-    classes: list[Shapes] = []
+    undistinguished: list[Shapes] = []
 
     def reached(found: State) -> None:
         nonlocal state
@@ -137,14 +137,14 @@ def close_loop(
         run.weigh_again(state)
         progress("comparing shapes that the readings cannot distinguish")
         added = [item.effect for item in run.added(state)]
-        state, classes = with_shape_classes(state, added, room)
+        state, undistinguished = with_shape_classes(state, added, room)
     except KeyboardInterrupt:
         interrupted = True
     try:
         progress("comparing before and after")
-        return _finish(run, model, before, state, classes, settings, interrupted)
+        return _finish(run, model, before, state, undistinguished, settings, interrupted)
     except KeyboardInterrupt:  # the result is known, and the comparison takes a moment only
-        return _finish(run, model, before, state, classes, settings, interrupted)
+        return _finish(run, model, before, state, undistinguished, settings, interrupted)
 
 
 def _found(
