@@ -1,11 +1,13 @@
 """Every mistake in an input ends in one message: file, place, found, expected, what to do."""
 
+import itertools
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from known_files import write_frame
 from vcal.errors import StudyError
 from vcal.study import load_study
 from vcal.study.simulated import parse_with
@@ -90,6 +92,17 @@ def drop_column(column: str, file: str = "data.csv") -> Change:
         return [",".join(c for i, c in enumerate(r.split(",")) if i != place) for r in found]
 
     return lines(edit, file)
+
+
+def fill(column: str, value: str, file: str = "data.csv") -> Change:
+    """The same value in every row of a column."""
+
+    def edit(found: list[str]) -> list[str]:
+        place = found[0].split(",").index(column)
+        rows = [row.split(",") for row in found]
+        return [rows[0], *(r[:place] + [value] + r[place + 1 :] for r in rows[1:])]
+
+    return lines(lambda found: [",".join(row) for row in edit(found)], file)
 
 
 def both(*changes: Change) -> Change:
@@ -1091,6 +1104,52 @@ def test_values_of_with_that_no_number_can_be(small_tracker_study, value):
     with pytest.raises(StudyError, match="--with backlash:Y:size_um=.*, key size_um"):
         place = study.model.setup(study.plan)
         parse_with(f"backlash:Y:size_um={value}", study.catalogue, place)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("range_mm", "1500.5"), ("azimuth_rad", "0"), ("elevation_rad", "0"), ("azimuth_rad", "1.25")],
+)
+def test_a_channel_that_never_changes(small_tracker_study, column, value):
+    fill(column, value)(small_tracker_study)
+    told = f"column {column}: found a channel that never changes, {value} in every row"
+    check(small_tracker_study, (f"data.csv, {told}", "differ at least by their noise"))
+
+
+def test_a_channel_of_a_laser_frame_that_never_changes(tmp_path):
+    folder = write_frame(tmp_path / "frame", growth=5.0)
+    for columns in (("u_um",), ("u_um", "v_um")):
+        for column in columns:
+            fill(column, "0")(folder)
+        if len(columns) == 1:
+            check(folder, ("data.csv, column u_um: found a channel that never changes, 0 in",))
+        else:  # a perfect machine reads so
+            assert not load_study(folder).measurement.readings.any()
+
+
+def test_a_reflector_of_which_a_coordinate_never_changes(small_arm_study):
+    for column in ("base2_y_mm", "smr1_z_mm"):
+        fill(column, "12.5")(small_arm_study)
+        check(small_arm_study, ("column", f"{column}", "a channel that never changes, 12.5 in"))
+
+
+def test_a_base_may_be_measured_once(small_arm_study):
+    for k, c in itertools.product((1, 2, 3), "xyz"):
+        first = (small_arm_study / "data.csv").read_text().splitlines()[:2]
+        header, values = (line.split(",") for line in first)
+        column = f"base{k}_{c}_mm"
+        fill(column, values[header.index(column)])(small_arm_study)
+    assert load_study(small_arm_study).measurement is not None
+
+
+def test_few_rows_may_have_equal_readings(small_arm_study):
+    """As coarse digits may make them."""
+    folder = write_frame(small_arm_study.parent / "frame", growth=5.0)
+    fill("u_um", "0")(folder)
+    lines(lambda found: found[:11])(folder)
+    check(folder, ("column u_um: found a channel that never changes",))
+    lines(lambda found: found[:10])(folder)
+    assert load_study(folder).measurement.rows == 9
 
 
 OVERRIDES = {

@@ -254,6 +254,29 @@ def test_check_names_what_goes_together(small_tracker_study):
     assert shown.count("confounded") == 2
 
 
+def test_check_says_where_times_run_backwards(small_tracker_study):
+    data = small_tracker_study / "data.csv"
+    table = dict(read_table(data, []))
+
+    def told(**columns):
+        vcal.study.write_table(data, table | columns)
+        return " ".join(run("check", small_tracker_study).output.split())
+
+    assert "backwards" not in told()
+    assert "times t_s runs backwards at 47 rows (2, 3, 4, 5, 6, ...): eff" in told(
+        t_s=-table["t_s"]
+    )
+    slipped = table["t_s"].copy()
+    slipped[20] = slipped[18]
+    assert "t_s runs backwards at 1 row (21): effects of time follow" in told(t_s=slipped)
+    clock = np.tile(table["t_s"][:24], 2)
+    assert "t_s runs backwards at 1 row (25)" in told(t_s=clock)
+    assert "backwards" not in told(t_s=clock, run=np.repeat([0, 1], 24))
+    assert "t_s runs backwards at 23 rows (26, " in told(
+        t_s=np.concatenate([clock[:24], -clock[24:]]), run=np.repeat([0, 1], 24)
+    )
+
+
 def test_check_says_of_which_axis_little_is_covered(small_tracker_study):
     shown = " ".join(
         run("check", small_tracker_study, "--set", "machine.travel_mm.Z=[0, 3000]").output.split()

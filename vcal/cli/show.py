@@ -14,6 +14,7 @@ from ..effects.base import Effect, Setup
 from ..instruments.conditions import file_name, inside_name
 from ..loop.outcome.closure import Closure, Errors
 from ..loop.residuals.confounded import confounding
+from ..loop.residuals.times import backwards
 from ..loop.screening.candidates import candidates
 from ..loop.screening.unconverted import not_shown
 from ..loop.weighing.cross_validation import Rms
@@ -124,6 +125,7 @@ def show_study(study: Study) -> None:
     rows = [
         ("machine", f"{chain.text}; {travels}" if travels and not chain.arm else chain.text),
         *(line for one in study.sets for line in _data_set(study, one)),
+        *(("times", words) for words in backwards(plan)),
         ("check points", str(study.check.plan.rows) if study.check else "none"),
         *_lacking(study, [*study.model.effects, *found]),
         (

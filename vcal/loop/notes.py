@@ -21,6 +21,7 @@ from .outcome.closure import Errors, FoundEffect, in_words
 from .outcome.unexplained import Unexplained
 from .residuals.confounded import confounded, unrecorded_time
 from .residuals.outliers import at_an_end, too_many
+from .residuals.times import backwards
 from .residuals.vibration import Vibration
 from .screening.candidates import Untestable
 from .screening.significance import LEAST_NOISE
@@ -285,6 +286,11 @@ def _blank(facts: Facts) -> list[str]:
     ]
 
 
+def _times(facts: Facts) -> list[str]:
+    """Note on times that run backwards."""
+    return backwards(facts.plan)
+
+
 def _outliers(facts: Facts) -> list[str]:
     """Notes on outliers: more than may be left out, and those that may be a displacement."""
     plan, fit, said = facts.plan, facts.state.fit, []
@@ -385,6 +391,7 @@ _NOTES = (
     _noise,
     _little_left,
     _blank,
+    _times,
     _outliers,
     _other_shapes,
     _confounding,

@@ -16,6 +16,7 @@ from ..effects.registry import CATALOGUE
 from ..errors import KeyedError, RowError, StudyError
 from ..identification.rank import flat_rank
 from ..instruments.base import Instrument, InstrumentSettings, TableInstrument
+from ..instruments.conditions import LINEAR, file_name
 from ..instruments.several import DataSet as Member
 from ..instruments.several import several, with_tool
 from ..machine.chain import Chain, chain_from_dh, chain_from_string
@@ -43,7 +44,7 @@ from .plugins.instruments import (
     readings_of,
 )
 from .settings import AnySettings, LoopSettings, MachineSettings, StudySettings, validate
-from .table_checks import check_scatter
+from .table_checks import check_alive, check_scatter
 from .tables import check_points, run_table
 from .toml_file import read_setup
 
@@ -494,6 +495,10 @@ def _instrument(
     of the rows without a blank reading.
     """
     kind, table = instrument_class(settings, folder), whole.complete
+    if measured:
+        own = readings_of(settings, kind, chain.axes)
+        places = [file_name(axis, chain.axes) for axis in chain.axes if axis in LINEAR]
+        check_alive(table, own or places, settings.kind)
     with calling(settings, kind, "build", f"an instance of {kind.__name__}"):
         instrument = kind.build(settings, chain, table, folder.table)
     check_built(settings, kind, instrument, "build")
