@@ -4,11 +4,14 @@ import itertools
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from known_files import write_frame
+from vcal import CATALOGUE, Measurement, identify
 from vcal.errors import StudyError
+from vcal.loop.notes import _beyond_prior
 from vcal.study import load_study
 from vcal.study.simulated import parse_with
 
@@ -441,13 +444,28 @@ FAMILY = {
         replace("EXX", "EXU", ERRORS),
         ("row 1 (line 2), column component", "'EXU'", "the machine has no axis 'U'"),
     ),
+    **{
+        f"{column} = {value}": (
+            cell(4, column, value, ERRORS),
+            (f"row 4 (line 5), column {column}", f"found {value}", expected),
+        )
+        for column, value, expected in (
+            *((name, "1e+09", "a number from 0 to 1000; correct") for name in ("n1", "n2")),
+            *(
+                (name, "1e+09", "from 0 to 1000000")
+                for name in ("a0", "a1", "b1", "c1", "b2", "c2")
+            ),
+            ("n1", "1e-09", "zero, or a number from 0.01 to 1000"),
+            ("c2", "1e-09", "zero, or a number from 1e-06 to 1e+06"),
+        )
+    },
     "component twice": (
         replace("EYX", "EXX", ERRORS),
         ("row 2 (line 3), column component", "EXX again, first in row 1", "every component once"),
     ),
     "negative amplitude": (
         cell(4, "b1", "-15", ERRORS),
-        ("row 4 (line 5), column b1", "found -15", "a number of at least 0"),
+        ("row 4 (line 5), column b1", "found -15", "a number from 0 to 1000000"),
     ),
     "no wave number": (
         cell(4, "n1", "0", ERRORS),
@@ -1131,6 +1149,24 @@ def test_a_reflector_of_which_a_coordinate_never_changes(small_arm_study):
     for column in ("base2_y_mm", "smr1_z_mm"):
         fill(column, "12.5")(small_arm_study)
         check(small_arm_study, ("column", f"{column}", "a channel that never changes, 12.5 in"))
+
+
+def test_an_effect_of_a_size_that_is_not_expected(small_tracker_study):
+    """A range that is wrong by a factor is taken for a scale error of the range."""
+    study = load_study(small_tracker_study)
+    (effect,) = CATALOGUE["range_scale"].candidates(study.model.setup(study.plan))
+    found = {}
+    for factor in (1.0, 1.01):
+        readings = study.measurement.readings * [factor, 1.0, 1.0]
+        fit = identify(study.model.with_effects(effect), Measurement(study.plan, readings))
+        found[factor] = _beyond_prior(SimpleNamespace(after=fit))
+    assert found[1.0] == []
+    note = next(note for note in found[1.01] if note.startswith("range_scale: scale_um_per_m = "))
+    value, ratio = re.search(r"= (\S+) is (\S+) times the expected size of", note).groups()
+    scale = next(p for p in effect.amplitudes if p.label == "scale_um_per_m")
+    assert 5000.0 < float(value) < 15000.0
+    assert float(ratio) == pytest.approx(float(value) / scale.sigma, rel=0.01)
+    assert "units and scale factors of the data" in note and "scale_um_per_m_sigma" in note
 
 
 def test_a_base_may_be_measured_once(small_arm_study):

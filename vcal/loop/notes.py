@@ -41,6 +41,8 @@ _MANY = 50.0
 _BEYOND = 0.1
 """Share of the measured range beyond which a point is outside it, and least share of such check
 points that is reported."""
+_NOT_EXPECTED = 10.0
+"""Multiple of its prior standard deviation beyond which the size of an effect is not expected."""
 _SURELY, _FURTHER = 3.0, 1.5
 """Standard uncertainties, and multiple of the predicted error, by which the error at the check
 points significantly exceeds it."""
@@ -240,6 +242,32 @@ def _poorly_determined(facts: Facts) -> list[str]:
     ]
 
 
+def _beyond_prior(facts: Facts) -> list[str]:
+    """Note on effects whose size is many times that which their prior expects."""
+    said = []
+    for place, effect in enumerate(facts.after.model.effects):
+        if effect.kind != "systematic":
+            continue
+        sizes = [
+            (abs(value - p.mean) / p.sigma, p, value)
+            for _, p, value, _ in facts.after.values_of(place)
+            if p.informed and not p.shape and p.sigma > 0.0
+        ]
+        if not sizes:
+            continue
+        ratio, p, value = max(sizes, key=lambda size: size[0])
+        if ratio < _NOT_EXPECTED:
+            continue
+        about = f"{p.mean:g} ± " if p.mean else ""
+        said.append(
+            f"{effect.key}: {p.label} = {value:.4g} is {ratio:.3g} times the expected size of "
+            f"{about}{p.sigma:.3g} {p.unit} (standard deviation of its prior): compare the units "
+            "and scale factors of the data and of the study file with the measurement first; if "
+            f"they are right and the machine is like that, declare a larger {p.label}_sigma"
+        )
+    return said
+
+
 def _noise(facts: Facts) -> list[str]:
     """Note where the readings scatter differently from what is declared."""
     noise = facts.state.noise
@@ -388,6 +416,7 @@ _NOTES = (
     _beyond_prediction,
     _described_at_the_check,
     _poorly_determined,
+    _beyond_prior,
     _noise,
     _little_left,
     _blank,
