@@ -1079,7 +1079,7 @@ def test_own_effects(small_tracker_study, case):
     if case in ("unknown port", "no number"):
         effect('name = "mine"')(small_tracker_study)
     with pytest.raises(StudyError) as caught:
-        load_study(small_tracker_study)
+        load_study(small_tracker_study, trust=True)
     for fragment in expected:
         assert fragment in str(caught.value)
 
@@ -1164,7 +1164,7 @@ def test_an_effect_of_a_size_that_is_not_expected(small_tracker_study):
     note = next(note for note in found[1.01] if note.startswith("range_scale: scale_um_per_m = "))
     value, ratio = re.search(r"= (\S+) is (\S+) times the expected size of", note).groups()
     scale = next(p for p in effect.amplitudes if p.label == "scale_um_per_m")
-    assert 5000.0 < float(value) < 15000.0
+    assert 1000.0 < float(value) < 15000.0  # the scales of the axes take up the rest
     assert float(ratio) == pytest.approx(float(value) / scale.sigma, rel=0.01)
     assert "units and scale factors of the data" in note and "scale_um_per_m_sigma" in note
 
