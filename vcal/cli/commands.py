@@ -14,7 +14,7 @@ import typer
 from .. import __version__
 from ..demo import starts
 from ..words import counted
-from .session import INTERRUPTED, guarded, leave, listen, start, tell, working
+from .session import INTERRUPTED, guarded, leave, listen, say, start, tell, working
 
 app = typer.Typer(
     name="vcal",
@@ -45,6 +45,14 @@ Override = Annotated[
         metavar="KEY=VALUE",
         help="Replace a key of the study file for this run, for example loop.alpha=0.05. "
         "Repeatable.",
+    ),
+]
+Trust = Annotated[
+    bool,
+    typer.Option(
+        "--trust",
+        help="Run the Python files with effects and instruments that the study names. Read them "
+        "first: they can do anything that you can.",
     ),
 ]
 ReportFolder = Annotated[
@@ -81,7 +89,7 @@ def main() -> None:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"vcal {__version__}")
+        say(f"vcal {__version__}")
         raise typer.Exit
 
 
@@ -126,6 +134,7 @@ def loop(
         int | None, typer.Option(metavar="N", help="Number of added effects at which to stop.")
     ] = None,
     override: Override = None,
+    trust: Trust = False,
 ) -> None:
     """Find the effects that the declared model lacks, identify them, and write a report.
 
@@ -146,7 +155,8 @@ def loop(
         command += ["--effects", effects]
     for text in override or []:
         command += ["--set", text]
-    _close(setup, out, given, shlex.join(command))
+    command += ["--trust"] if trust else []
+    _close(setup, out, given, shlex.join(command), trust)
 
 
 @app.command()
@@ -161,7 +171,7 @@ def demo(
     _close(FOLDER / "setup.toml", out, [], shlex.join(command))
 
 
-def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
+def _close(setup: Path, out: Path, overrides: list[str], command: str, trust: bool = False) -> None:
     began = time.perf_counter()
     start()
     from .. import load_study
@@ -172,7 +182,7 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
 
     check_folder(out)  # before the work, not after it
     with working("reading the study") as progress:
-        study = load_study(setup, overrides)
+        study = load_study(setup, overrides, trust=trust)
         check_folder(out, (study.folder / name for name in study.hashes))
         if study.measurement is None:
             raise StudyError(
@@ -185,7 +195,7 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str) -> None:
         seconds = time.perf_counter() - began
         page = write_report(closure, study, out, command=command, seconds=seconds)
     show_closure(closure)
-    typer.echo(f"Report: {page}")
+    say(f"Report: {page}")
     if closure.interrupted:
         tell("interrupted: the report holds the results so far")
         raise typer.Exit(INTERRUPTED)
@@ -209,15 +219,15 @@ def init(
     from .start_studies import plans_in, write_start
 
     names = write_start(instrument, folder)
-    typer.echo(f"Wrote {folder}: {', '.join(names)}.")
+    say(f"Wrote {folder}: {', '.join(names)}.")
     plans = plans_in(folder)
     for name, is_plan in plans.items():
         if is_plan:
-            typer.echo(f"{name} is a plan without readings: measure them, or use vcal simulate.")
+            say(f"{name} is a plan without readings: measure them, or use vcal simulate.")
         else:
             its = f"The readings in {name} were" if len(plans) > 1 else "Its data were"
-            typer.echo(f"{its} simulated from the declared model, without any other effect.")
-    typer.echo(f"Put your machine and data in, then: vcal check {folder / 'setup.toml'}")
+            say(f"{its} simulated from the declared model, without any other effect.")
+    say(f"Put your machine and data in, then: vcal check {folder / 'setup.toml'}")
 
 
 @app.command()
@@ -243,6 +253,7 @@ def simulate(
     seed: Seed = 0,
     noise_factor: NoiseFactor = 1.0,
     override: Override = None,
+    trust: Trust = False,
 ) -> None:
     """Simulate the measurement of a study on a machine drawn from the priors.
 
@@ -253,7 +264,7 @@ def simulate(
     from ..study.simulated import parse_every_with, write_simulated
 
     with working("simulating"):
-        study = load_study(setup, override or [])
+        study = load_study(setup, override or [], trust=trust)
         place, files = study.model.setup(study.plan), study.files
         effects = parse_every_with(with_ or [], study.catalogue, place, files)
         result = write_simulated(
@@ -265,10 +276,10 @@ def simulate(
             overrides=override or [],
         )
     rows = counted(result.measurement.rows, "row")
-    typer.echo(f"Wrote {out}: {rows} of a machine drawn with seed {seed}.")
+    say(f"Wrote {out}: {rows} of a machine drawn with seed {seed}.")
     for effect in effects:
         values = (f"{p.label} = {value:.4g}" for p, value in result.values(effect))
-        typer.echo(f"In it, undeclared: {effect.key}, {', '.join(values)}")
+        say(f"In it, undeclared: {effect.key}, {', '.join(values)}")
 
 
 @app.command()
@@ -302,6 +313,7 @@ def uncertainty(
         ),
     ] = 1,
     override: Override = None,
+    trust: Trust = False,
 ) -> None:
     """Predict the uncertainty that a measurement plan will give, by GUM and by Monte Carlo.
 
@@ -318,6 +330,7 @@ def uncertainty(
     for option, texts in (("--with", with_), ("--set", override)):
         for text in texts or []:
             command += [option, text]
+    command += ["--trust"] if trust else []
     done = run_virtual(
         setup,
         out,
@@ -327,10 +340,11 @@ def uncertainty(
         noise_factor=noise_factor,
         digits=2 if digits == 2 else 1,
         overrides=override or [],
+        trust=trust,
         command=shlex.join(command),
     )
-    typer.echo(done.sentence)
-    typer.echo(f"Report: {done.page}")
+    say(done.sentence)
+    say(f"Report: {done.page}")
     if done.interrupted:
         tell("interrupted: the report holds the results so far; the same command resumes")
         raise typer.Exit(INTERRUPTED)
@@ -365,6 +379,7 @@ def design(
     ] = None,
     seed: Seed = 0,
     override: Override = None,
+    trust: Trust = False,
 ) -> None:
     """Improve a measurement plan before measuring, or plan the next measurement.
 
@@ -381,6 +396,7 @@ def design(
     for option, texts in (("--separate", separate), ("--set", override)):
         for text in texts or []:
             command += [option, text]
+    command += ["--trust"] if trust else []
     with working("reading the study") as progress:
         done = run_design(
             setup,
@@ -389,12 +405,13 @@ def design(
             separate=separate or [],
             seed=seed,
             overrides=override or [],
+            trust=trust,
             command=shlex.join(command),
             progress=progress,
         )
     for sentence in done.sentences:
-        typer.echo(sentence)
-    typer.echo(f"Report: {done.page}")
+        say(sentence)
+    say(f"Report: {done.page}")
 
 
 @app.command()
@@ -429,7 +446,7 @@ def reproduce(
 
     if name is None:
         for one in REPRODUCTIONS.values():
-            typer.echo(f"{one.name}: {one.summary}.")
+            say(f"{one.name}: {one.summary}.")
         return
     wanted = reproduction(name)
     if out is None:
@@ -438,18 +455,18 @@ def reproduce(
         )
     with working("starting") as progress:
         page = wanted.run(out, wanted.draws if draws is None else draws, seed, progress)
-    typer.echo(f"Report: {page}")
+    say(f"Report: {page}")
 
 
 @app.command()
 @guarded
-def check(setup: Setup, override: Override = None) -> None:
+def check(setup: Setup, override: Override = None, trust: Trust = False) -> None:
     """Read and check a study without a fit, and print a summary of it."""
     start()
     from .. import load_study
     from .show import show_study
 
-    show_study(load_study(setup, override or []))
+    show_study(load_study(setup, override or [], trust=trust))
 
 
 @app.command()
@@ -479,7 +496,7 @@ def effects(
 
         start()
         page = write_effects(chosen, {e.name: example(e) for e in chosen}, out)
-        print(f"Effects: {page}")
+        say(f"Effects: {page}")
     elif name is None:
         show_catalogue(chosen)
     else:

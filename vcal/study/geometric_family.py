@@ -25,8 +25,15 @@ _WAVES = ("n1", "n2")
 _SQUARENESS = {"EC0Y": "XY", "EB0Z": "XZ", "EA0Z": "YZ"}
 """Location errors of ISO 230-1 by name: the two axes that are not square."""
 
+_LARGEST, _SMALLEST = 1e6, 1e-6
+"""Amplitudes, um or urad. A smaller number, or one of more than a metre, is in another unit."""
+_MOST_WAVES, _FEWEST_WAVES = 1000.0, 0.01
+"""Half waves over the travel. Shorter ones lie between the points of any measurement; longer ones
+are straight lines."""
+
 FAMILY_COLUMNS: tuple[Column, ...] = tuple(
-    Column(name=name, low=0.0) for name in ("a0", "a1", "n1", "b1", "c1", "n2", "b2", "c2")
+    Column(name=name, low=0.0, high=_MOST_WAVES if name in _WAVES else _LARGEST)
+    for name in ("a0", "a1", "n1", "b1", "c1", "n2", "b2", "c2")
 )
 """Columns of the Fourier family's table. They hold half-widths and wave numbers, none negative."""
 
@@ -108,6 +115,7 @@ def _smooth(settings: SmoothSettings, chain: Chain) -> GeometricErrors:
 def _fourier(table: Table, chain: Chain) -> GeometricErrors:
     expected = (*error_motions(chain), *location_errors(chain))
     row_of = _rows_by_component(table, expected, chain.axes)
+    _check_sizes(table)
     for wave in _WAVES:
         i = wave[1]
         used = (table[f"b{i}"] > 0) | (table[f"c{i}"] > 0)
@@ -139,6 +147,21 @@ def _fourier(table: Table, chain: Chain) -> GeometricErrors:
             sigma = half_width / math.sqrt(3.0)
             locations.append(LocationError.of(chain, name, sigma, unit_uniform()))
     return GeometricErrors(motions=tuple(motions), locations=tuple(locations))
+
+
+def _check_sizes(table: Table) -> None:
+    """Raise `StudyError` for an amplitude or wave number that is not zero but too small."""
+    for name in (*_AMPLITUDES, *_WAVES):
+        least, most = (_FEWEST_WAVES, _MOST_WAVES) if name in _WAVES else (_SMALLEST, _LARGEST)
+        if (bad := (table[name] > 0.0) & (table[name] < least)).any():
+            row = int(np.argmax(bad))
+            raise table.refusal(
+                row,
+                name,
+                f"{table[name][row]:g}",
+                f"zero, or a number from {least:g} to {most:g}",
+                "correct the value or its unit",
+            )
 
 
 def _motion(name: str, basis: Basis) -> ErrorMotion:

@@ -16,6 +16,7 @@ from ..effects.registry import CATALOGUE
 from ..errors import KeyedError, RowError, StudyError
 from ..identification.rank import flat_rank
 from ..instruments.base import Instrument, InstrumentSettings, TableInstrument
+from ..instruments.conditions import LINEAR, file_name
 from ..instruments.several import DataSet as Member
 from ..instruments.several import several, with_tool
 from ..machine.chain import Chain, chain_from_dh, chain_from_string
@@ -24,7 +25,7 @@ from ..model.forward import Model
 from ..model.measurement import CheckPoints, Measurement
 from ..numerics.spatial import require_float64
 from ..registry import nearest
-from ..words import counted, plural
+from ..words import counted, plural, printable
 from .csv_table import Table
 from .declared_effects import catalogue_with, declared_effects, unknown_effect
 from .folder import Folder
@@ -44,7 +45,7 @@ from .plugins.instruments import (
     readings_of,
 )
 from .settings import AnySettings, LoopSettings, MachineSettings, StudySettings, validate
-from .table_checks import check_scatter
+from .table_checks import check_alive, check_scatter
 from .tables import check_points, run_table
 from .toml_file import read_setup
 
@@ -108,6 +109,8 @@ class Study:
     """Effects by name that the loop may test, including those of the user's own file."""
     hashes: Mapping[str, str]
     """SHA-256 of every input file by name."""
+    trust: bool = False
+    """Whether the Python files that it names may be run."""
 
     @property
     def single(self) -> StudySettings:
@@ -180,11 +183,14 @@ class Study:
         return self.settings.model_dump()
 
 
-def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = ()) -> Study:
+def load_study(
+    path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = (), *, trust: bool = False
+) -> Study:
     """Read a study file, or the ``setup.toml`` of a folder, and all files that it names.
 
     `overrides` replace keys before the checks: texts such as ``"instrument.joints=read"``, or a
-    mapping of keys to values. Raises `StudyError` for every mistake in the input, and
+    mapping of keys to values. Python files with effects and instruments of the user's own are run
+    only with `trust`. Raises `StudyError` for every mistake in the input, and
     `RuntimeError` where JAX runs in float32.
     """
     require_float64()
@@ -193,7 +199,7 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         path = path / "setup.toml"
     file = path.name
     raw, given = read_setup(path, overrides)
-    folder = Folder(path.parent)
+    folder = Folder(path.parent, trust)
     folder.path(file)
     settings = validate(raw, file, given, folder)
     catalogue = catalogue_with(folder, settings.model.effects_file)
@@ -204,7 +210,9 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
     measurement = None
     if readings is not None:
         blank = {one.file: rows for one in sets if (rows := one.table.blank_rows)}
-        measurement = Measurement(plan, readings, settings.name or path.parent.name, blank=blank)
+        measurement = Measurement(
+            plan, readings, printable(settings.name or path.parent.name, lines=False), blank=blank
+        )
     model = Model(chain, instrument)
     if settings.model.geometric is not None:
         model = model.with_effects(geometric_errors(settings.model.geometric, chain, folder, file))
@@ -233,7 +241,7 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         _check_fitted(model, measurement, listed(files.values()), settings.holdout is not None)
     _check_seen(settings, sets, file)
     return Study(
-        name=settings.name or path.resolve().parent.name,
+        name=printable(settings.name or path.resolve().parent.name, lines=False),
         path=path,
         settings=settings,
         chain=chain,
@@ -245,6 +253,7 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         check=_checked(settings, chain, sets, folder),
         catalogue=catalogue,
         hashes=folder.hashes,
+        trust=trust,
     )
 
 
@@ -526,6 +535,10 @@ def _instrument(
     of the rows without a blank reading.
     """
     kind, table = instrument_class(settings, folder), whole.complete
+    if measured:
+        own = readings_of(settings, kind, chain.axes)
+        places = [file_name(axis, chain.axes) for axis in chain.axes if axis in LINEAR]
+        check_alive(table, own or places, settings.kind)
     with calling(settings, kind, "build", f"an instance of {kind.__name__}"):
         instrument = kind.build(settings, chain, table, folder.table)
     check_built(settings, kind, instrument, "build")

@@ -170,7 +170,7 @@ def _family(study: Study, name: str) -> Effect:
     """The geometric errors of the study file `name`, which has to describe the same machine."""
     path = study.folder / name
     raw, given = read_setup(path)
-    settings = validate(raw, name, given, Folder(path.parent))
+    settings = validate(raw, name, given, Folder(path.parent, study.trust))
     chain = build_chain(settings.machine, name)
     same = [
         (j.name, j.kind, j.side, *j.travel.tolist(), *j.before.ravel().tolist())
