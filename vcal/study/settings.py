@@ -202,6 +202,46 @@ class SmoothSettings(Table):
     half their length."""
 
 
+class OneLinkSettings(Table):
+    """A row of ``[[model.geometric.link]]``: errors of one joint of an arm that are known, of
+    another size than those of the others, or shared with another joint.
+    """
+
+    joint: str
+    """Name of the joint: "J1" for the first row of ``[[machine.joint]]``, and so on."""
+    components: str = Field(default="XYZABC", pattern="^[XYZABC]+$")
+    """The errors that are meant: translations X, Y, Z and rotations A, B, C, such as "ZC"."""
+    fixed: bool = False
+    """Whether these errors are known to be zero, and not identified."""
+    translation_um: _Size | None = None
+    """Prior standard deviation of the error translations; that of the other links by default."""
+    rotation_urad: _Size | None = None
+    """Prior standard deviation of the error rotations; that of the other links by default."""
+    bounded: bool = False
+    """Whether these sizes are half-widths of uniform distributions instead. An identification uses
+    their standard deviation, the half-width divided by the square root of 3."""
+    tie: str | None = None
+    """Joint with the same errors, such as one of the same gearbox: one parameter stands for both.
+    """
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        sized = [k for k in ("translation_um", "rotation_urad") if getattr(self, k) is not None]
+        ways = [*(["fixed"] if self.fixed else []), *(["tie"] if self.tie else [])]
+        ways += sized[:1]
+        if len(ways) != 1:
+            raise ValueError(
+                f"found {listed(ways) if ways else 'none of them'}, expected one of fixed = true, "
+                "tie, and sizes (translation_um, rotation_urad); keep or add one of them"
+            )
+        if self.bounded and not sized:
+            raise ValueError(
+                "found bounded without a size, expected it with translation_um or rotation_urad; "
+                "add the half-width, or remove it"
+            )
+        return self
+
+
 class LinkSettings(Table):
     """``[model.geometric]`` of an arm: constant errors of each link."""
 
@@ -218,6 +258,8 @@ class LinkSettings(Table):
     """The same for its three error rotations; `link_rotation_urad` by default."""
     slide_smoothness: float = Field(default=0.5, ge=0.02, le=10)
     """Correlation length of these error motions over the travel, as in a machine tool's family."""
+    link: tuple[OneLinkSettings, ...] = ()
+    """Errors of single joints that are fixed, bounded, of another size, or shared."""
 
 
 class AnyFamilySettings(Table):
