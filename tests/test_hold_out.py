@@ -20,6 +20,8 @@ def turned(count, upright):
     q = poses(ARM, count, seed=4)
     q[:upright, 3] = 0.0
     q[:upright, 4] = math.pi / 2.0 - q[:upright, 1] - q[:upright, 2]
+    q[upright:, 3] = 0.0
+    q[upright:, 4] = math.pi / 2.0 - q[upright:, 1] - q[upright:, 2] + 1.5
     # Upright to a tenth of a degree, so that a fit exists.
     q[:upright, 3:5] += 2e-3 * np.random.default_rng(6).standard_normal((upright, 2))
     return q

@@ -126,6 +126,15 @@ class MachineSettings(Table):
     """Position and travel of every rotary axis of the chain."""
     joint: tuple[JointSettings, ...] = ()
     """Joints of an arm from base to flange, in place of a chain."""
+    urdf: FileName | None = None
+    """URDF file in the study folder that describes an arm, in place of a chain or of joint rows.
+    Its moving joints from the base to the tip are J1, J2, ..., with columns q1_cmd_deg (or
+    q1_cmd_mm of a prismatic one), ..."""
+    base_link: str | None = None
+    """Link of the URDF file that is the base; by default the one that no joint carries."""
+    tip_link: str | None = None
+    """Link of the URDF file in whose frame the tool offset is; by default the only one that carries
+    no other."""
     convention: Literal["standard", "modified"] = "standard"
     """Denavit-Hartenberg convention of the joint rows: Rz(theta) Tz(d) Tx(a) Rx(alpha), or modified
     (Craig), Rx(alpha) Tx(a) Rz(theta) Tz(d)."""
@@ -142,28 +151,43 @@ class MachineSettings(Table):
 
     @model_validator(mode="after")
     def _one_machine(self) -> Self:
-        if (self.chain is None) == (not self.joint):
-            found = (
-                "both a chain and joint rows" if self.joint else "neither a chain nor joint rows"
-            )
+        ways = [
+            *(["a chain"] if self.chain is not None else []),
+            *(["joint rows"] if self.joint else []),
+            *(["a urdf"] if self.urdf is not None else []),
+        ]
+        if len(ways) != 1:
+            found = {0: "neither a chain nor joint rows", 2: f"both {' and '.join(ways)}"}
             raise ValueError(
-                f"found {found}, expected either `chain` (axes of a machine tool) or "
-                "[[machine.joint]] rows; keep or add one of them"
+                f"found {found.get(len(ways), ', '.join(ways))}, expected either `chain` (axes of "
+                "a machine tool) or [[machine.joint]] rows, or a `urdf` file; keep or add one of "
+                "them"
             )
-        for key in ("convention", "coupling"):
-            if not self.joint and key in self.model_fields_set:
+        needed = {
+            "convention": ("joint rows", bool(self.joint)),
+            "coupling": ("joint rows or a urdf", bool(self.joint) or self.urdf is not None),
+            "base_link": ("a urdf", self.urdf is not None),
+            "tip_link": ("a urdf", self.urdf is not None),
+        }
+        for key, (what, there) in needed.items():
+            if key in self.model_fields_set and not there:
                 raise ValueError(
-                    f"found {key} together with a chain, expected it with joint rows only; remove "
-                    "it, or describe the machine by [[machine.joint]] rows"
+                    f"found {key} together with {ways[0]}, expected it with {what} only; remove "
+                    "it, or describe the machine in that way"
                 )
         if not isinstance(self.up, str) and not any(self.up):
             raise ValueError(
                 "found up = [0, 0, 0], expected the direction against gravity; correct the vector"
             )
-        if self.joint and self.rotary:
+        if self.chain is None and self.rotary:
             raise ValueError(
-                "found rotary together with joint rows, expected it with a `chain` only; describe "
+                f"found rotary together with {ways[0]}, expected it with a `chain` only; describe "
                 "the axes in the rows, or remove it"
+            )
+        if self.urdf is not None and self.travel_mm:
+            raise ValueError(
+                "found travel_mm together with a urdf, expected the bounds in the limits of its "
+                "joints; remove it"
             )
         if self.joint and self.travel_mm:
             raise ValueError(
@@ -591,7 +615,8 @@ def _model(raw: Mapping[str, Any]) -> Any:
     """``[model]`` with the keys of the named family."""
     family = at(raw, ("model", "geometric", "family"))
     geometric: type[Table]
-    if at(raw, ("machine", "joint")) and not at(raw, ("machine", "chain")):
+    arm = at(raw, ("machine", "joint")) or at(raw, ("machine", "urdf"))
+    if arm and not at(raw, ("machine", "chain")):
         geometric = LinkSettings
     else:
         families = {"fourier": FourierSettings, "smooth": SmoothSettings}

@@ -171,7 +171,7 @@ def _family(study: Study, name: str) -> Effect:
     path = study.folder / name
     raw, given = read_setup(path)
     settings = validate(raw, name, given, Folder(path.parent))
-    chain = build_chain(settings.machine, name)
+    chain = build_chain(settings.machine, name, Folder(path.parent))
     same = [
         (j.name, j.kind, j.side, *j.travel.tolist(), *j.before.ravel().tolist())
         for j in chain.joints
