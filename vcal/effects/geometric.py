@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ..distributions import Univariate
 from ..machine.chain import Chain
-from ..machine.error_functions import Basis, Constant, Legendre
+from ..machine.error_functions import Basis, Constant, Legendre, Matern, Together
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array, namespace
@@ -113,16 +113,35 @@ class GeometricErrors(Effect):
         return columns
 
 
-def link_errors(chain: Chain, translation_m: float, rotation_rad: float) -> GeometricErrors:
-    """Six constant errors per joint of an arm, with their prior standard deviations."""
-    motions = tuple(
-        ErrorMotion(
-            f"E{c}{axis}", axis, Constant(translation_m if c in TRANSLATIONS else rotation_rad)
-        )
-        for axis in chain.axes
-        for c in "XYZABC"
-    )
-    return GeometricErrors(motions=motions)
+def link_errors(
+    chain: Chain,
+    translation_m: float,
+    rotation_rad: float,
+    slide_translation_m: float = 0.0,
+    slide_rotation_rad: float = 0.0,
+    smoothness: float = 0.5,
+) -> GeometricErrors:
+    """Six constant errors per joint of an arm, with their prior standard deviations.
+
+    A prismatic joint also has six error motions along its travel (ISO 230-1: positioning,
+    straightness, roll, pitch and yaw), smooth functions of the sizes `slide_translation_m` and
+    `slide_rotation_rad` with the correlation length `smoothness` times the travel; none of size
+    zero.
+    """
+    motions = []
+    for joint in chain.joints:
+        slides = not joint.turns and bool(np.isfinite(joint.travel).all())
+        # The eigenfunctions are the expensive part, and all six motions of a joint share them.
+        unit = Matern(joint.travel.tolist(), 1.0, smoothness) if slides else None
+        for c in "XYZABC":
+            moves = c in TRANSLATIONS
+            basis: Basis = Constant(translation_m if moves else rotation_rad)
+            size = slide_translation_m if moves else slide_rotation_rad
+            if unit is not None and size > 0.0:
+                smooth = eqx.tree_at(lambda b: b.sigma, unit, unit.sigma * size)
+                basis = Together((basis, smooth))
+            motions.append(ErrorMotion(f"E{c}{joint.name}", joint.name, basis))
+    return GeometricErrors(motions=tuple(motions))
 
 
 @register

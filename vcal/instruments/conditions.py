@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from ..machine.chain import Chain
+from ..machine.chain import REVOLUTE, SLIDING, Chain
 from ..machine.plan import Plan
 from .base import Instrument
 
@@ -46,11 +46,14 @@ _TEMPERATURE = "_degC"
 _INSIDE = {_COLUMNS[name][0]: name for name in ("t", "order")}
 """Name inside vcal of a column of conditions; instruments derive or read the other columns."""
 _JOINT_COLUMNS = {
-    "commanded_": ("q{}_cmd_deg", math.degrees(1.0)),
-    "read_": ("q{}_read_deg", math.degrees(1.0)),
-    "move_": ("move_q{}_deg", math.degrees(1.0)),
-    "dir_": ("dir_q{}", 1.0),
+    "commanded_": "q{}_cmd{}",
+    "read_": "q{}_read{}",
+    "move_": "move_q{}{}",
+    "dir_": "dir_q{}",
 }
+_JOINT_UNITS = {REVOLUTE: ("_deg", math.degrees(1.0)), SLIDING: ("_mm", 1e3)}
+"""Unit at the end of a column of a joint's position, and its factor from SI, by the first letter of
+the joint's name."""
 
 
 def linear_plan(
@@ -141,10 +144,11 @@ def inside_name(column: str, axes: tuple[str, ...]) -> str:
 
 def _joint(column: str, axes: tuple[str, ...]) -> str:
     """The same for a column of a joint of an arm."""
-    for prefix, (name, _) in _JOINT_COLUMNS.items():
-        match = re.fullmatch(name.format(r"(\d+)"), column)
-        if match and f"J{match[1]}" in axes:
-            return f"{prefix}J{match[1]}"
+    for prefix, name in _JOINT_COLUMNS.items():
+        for letter, (unit, _) in _JOINT_UNITS.items():
+            match = re.fullmatch(name.format(r"(\d+)", unit), column)
+            if match and f"{letter}{match[1]}" in axes:
+                return f"{prefix}{letter}{match[1]}"
     return column
 
 
@@ -175,12 +179,13 @@ def file_name(covariate: str, axes: tuple[str, ...]) -> str:
 def file_column(covariate: str, axes: tuple[str, ...]) -> tuple[str, float]:
     """Name of a covariate or axis in the files, and the factor from SI to the unit in that name.
 
-    Joints of an arm have columns by number (``"q2_cmd_deg"`` for commanded positions); derived
-    covariates (``"dir_q2"``, ``"tilt"``) have names of their own.
+    Joints of an arm have columns by number (``"q2_cmd_deg"`` for commanded positions of a revolute
+    joint, ``"q1_cmd_mm"`` of a prismatic one); derived covariates (``"dir_q2"``, ``"tilt"``) have
+    names of their own.
     """
-    if match := re.fullmatch(r"(commanded_|read_|dir_|move_)?J(\d+)", covariate):
-        name, factor = _JOINT_COLUMNS[match[1] or "commanded_"]
-        return name.format(match[2]), factor
+    if match := re.fullmatch(r"(commanded_|read_|dir_|move_)?([JL])(\d+)", covariate):
+        name, (unit, factor) = _JOINT_COLUMNS[match[1] or "commanded_"], _JOINT_UNITS[match[2]]
+        return name.format(match[3], unit), 1.0 if match[1] == "dir_" else factor
     if covariate in axes and covariate in _POSITION:
         unit, factor = _POSITION[covariate]
         return f"{covariate.lower()}{unit}", factor

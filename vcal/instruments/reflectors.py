@@ -14,7 +14,7 @@ from pydantic import Field
 
 from ..effects.base import Effect, Response
 from ..errors import KeyedError, RowError
-from ..machine.chain import Chain
+from ..machine.chain import SLIDING, Chain
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..machine.ports import COMPONENTS, group
@@ -32,7 +32,7 @@ from .base import (
     register,
 )
 from .base_drift import BaseDrift
-from .conditions import inside_name
+from .conditions import file_column, inside_name
 from .frame import Station, displaced
 
 _MOTIONS = ("t1", "t2", "t3", "r1", "r2", "r3")
@@ -42,6 +42,8 @@ _NOTHING = 1e-9
 _MOST = 100
 """Most reflectors on the tool or the base: each one adds three columns and three unknowns."""
 
+_FARTHEST_MM = 1e5
+"""Farthest position of a prismatic joint; a larger number is in another unit."""
 _OTHER_UNIT, _LARGE_M = 5.0, 0.05
 """Ratio of sizes that indicates another unit, and the least size at which it is checked."""
 
@@ -144,6 +146,8 @@ class Reflectors(TableInstrument):
     """Their principal axes, one per row."""
     base_u: np.ndarray
     """Standard uncertainty along (m) and about these axes (rad); zero without reflectors."""
+    uncoupled: np.ndarray | None = None
+    """Matrix from positions of the joints to their columns (SI), where the control couples them."""
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -159,10 +163,11 @@ class Reflectors(TableInstrument):
         cls, settings: ReflectorsSettings, axes: Sequence[str], readings: bool
     ) -> list[Column]:
         found = [Column(name="pose", low=0, integer=True, unique_with=("pose",))]
-        for i in range(len(axes)):
-            found.append(Column(name=f"q{i + 1}_cmd_deg", low=-720.0, high=720.0))
-            if settings.joints == "read":
-                found.append(Column(name=f"q{i + 1}_read_deg", low=-720.0, high=720.0))
+        for axis in axes:
+            most = _FARTHEST_MM if axis.startswith(SLIDING) else 720.0
+            for kind in ("commanded", "read") if settings.joints == "read" else ("commanded",):
+                name = file_column(f"{kind}_{axis}", tuple(axes))[0]
+                found.append(Column(name=name, low=-most, high=most))
         if readings:
             found += [
                 Column(name=f"{kind}{k}_{c}_mm", low=-1e5, high=1e5)
@@ -195,17 +200,17 @@ class Reflectors(TableInstrument):
             base_centre=np.zeros(3) if drift is None else drift.centre,
             base_axes=np.eye(3) if drift is None else drift.axes,
             base_u=np.zeros(6) if drift is None else drift.u,
+            uncoupled=None if chain.coupling is None else np.linalg.inv(chain.coupling),
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
-        number = len(chain.joints)
-        commanded = np.deg2rad(np.column_stack([table[f"q{i + 1}_cmd_deg"] for i in range(number)]))
+        commanded = _joint_positions(chain, table, "commanded")
         pose = np.asarray(table["pose"], int)
         move, direction = (np.asarray(v) for v in moves(commanded, pose))
         covariates: dict[str, np.ndarray] = {"order": pose.astype(float)}
         position = commanded
-        if all(f"q{i + 1}_read_deg" in table for i in range(number)):
-            read = np.deg2rad(np.column_stack([table[f"q{i + 1}_read_deg"] for i in range(number)]))
+        if all(file_column(f"read_{axis}", chain.axes)[0] in table for axis in chain.axes):
+            read = _joint_positions(chain, table, "read")
             covariates |= {f"read_{axis}": read[:, i] for i, axis in enumerate(chain.axes)}
             position = read if self.joints == "read" else commanded
         for i, axis in enumerate(chain.axes):
@@ -225,10 +230,15 @@ class Reflectors(TableInstrument):
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
         table: dict[str, np.ndarray] = {"pose": np.asarray(plan.groups["pose"])}
-        for i, axis in enumerate(plan.axes):
-            table[f"q{i + 1}_cmd_deg"] = np.rad2deg(plan.covariates[f"commanded_{axis}"])
-            if f"read_{axis}" in plan.covariates:
-                table[f"q{i + 1}_read_deg"] = np.rad2deg(plan.covariates[f"read_{axis}"])
+        for kind in ("commanded", "read"):
+            if any(f"{kind}_{axis}" not in plan.covariates for axis in plan.axes):
+                continue
+            angle = np.column_stack([plan.covariates[f"{kind}_{axis}"] for axis in plan.axes])
+            if self.uncoupled is not None:
+                angle = angle @ self.uncoupled.T
+            for i, axis in enumerate(plan.axes):
+                name, factor = file_column(f"{kind}_{axis}", plan.axes)
+                table[name] = angle[:, i] * factor
         for k in range(self.count):
             for i, c in enumerate("xyz"):
                 table[f"smr{k + 1}_{c}_mm"] = readings[:, 3 * k + i] * 1e3
@@ -318,7 +328,9 @@ def _check_size(chain: Chain, plan: Plan, seen: np.ndarray) -> None:
     nominal = _nominal_poses(chain, position)[1]
     size, expected = (np.sqrt(((p - p.mean(0)) ** 2).sum(1).mean()) for p in (seen, nominal))
     small = expected > _LARGE_M and size < expected / _OTHER_UNIT
-    radians = np.abs(position).max() <= math.radians(2.0 * math.pi)
+    turning = [joint.turns for joint in chain.joints]
+    angles = np.abs(position[:, turning])
+    radians = angles.size > 0 and angles.max() <= math.radians(2.0 * math.pi)
     if not small and not (radians and size > _LARGE_M and size > _OTHER_UNIT * expected):
         return
     raise RowError(
@@ -366,6 +378,14 @@ def _points(table: Mapping[str, np.ndarray], kind: str, count: int) -> np.ndarra
         )
         * 1e-3
     )
+
+
+def _joint_positions(
+    chain: Chain, table: Mapping[str, np.ndarray], kind: Literal["commanded", "read"]
+) -> np.ndarray:
+    """Positions of the joints (n, joints), m or rad, from their columns."""
+    columns = (file_column(f"{kind}_{axis}", chain.axes) for axis in chain.axes)
+    return chain.positions(np.column_stack([table[name] / factor for name, factor in columns]))
 
 
 def _nominal_poses(chain: Chain, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

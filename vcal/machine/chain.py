@@ -10,10 +10,13 @@ Conventions (stated here once):
 - A rotary axis (ISO 230-1) is displaced by its error translation and tilted by its error rotation
   about its reference point, then rotates about the displaced and tilted axis. Its errors are in the
   frame of what carries it, and do not rotate with it.
-- A revolute joint (standard DH) rotates by theta + q about z, then has its error twist, then d, a
-  and alpha. Its errors rotate with it.
+- A revolute joint of an arm rotates by theta + q about z, then has its error twist, then what is
+  left of its row: d, a and alpha (standard DH), or d alone (modified DH, where a and alpha come
+  before theta). Its errors rotate with it. A prismatic joint of an arm translates by q along z in
+  the place of that rotation; its errors move with it.
 """
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
@@ -46,6 +49,13 @@ _ABOUT = dict(zip("ABC", _DIRECTIONS.values(), strict=True))
 """Nominal directions of rotary axes: A turns about X, B about Y, C about Z (ISO 841)."""
 UPRIGHT = "+Z"
 """The axis that points against gravity by default."""
+Up = str | Sequence[float]
+"""The direction against gravity: an axis such as ``"-Z"``, or a vector of any length."""
+Convention = Literal["standard", "modified"]
+"""Denavit-Hartenberg rows with a and alpha behind the joint, or before it (Craig)."""
+REVOLUTE, SLIDING = "J", "L"
+"""First letter of the names of the joints of an arm: ``"J2"`` turns, ``"L1"`` slides. As with the
+axes of machine tools (X, C), the name tells the unit of the position."""
 
 
 class Joint(Record):
@@ -109,6 +119,9 @@ class Chain(Record):
     """The declaration of the chain, for reports."""
     up: tuple[float, float, float] = eqx.field(static=True, default=(0.0, 0.0, 1.0))
     """Unit vector against gravity in the frame of the bed, or of an arm's base."""
+    coupling: tuple[tuple[float, ...], ...] | None = eqx.field(static=True, default=None)
+    """Matrix C from the commands to the positions of the joints, q = C c (SI), where the control
+    counts a joint from another one; None: the commands are the positions."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -123,6 +136,16 @@ class Chain(Record):
     def joint(self, name: str) -> Joint:
         """A joint by name."""
         return self.joints[self.axes.index(name)]
+
+    def positions(self, command: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n axes"]:
+        """Positions of the joints from their commands, q = C c, m or rad."""
+        return command if self.coupling is None else command @ np.array(self.coupling).T
+
+    def commands(self, position: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n axes"]:
+        """Commands that lead to positions of the joints, c = C^-1 q, m or rad."""
+        if self.coupling is None:
+            return position
+        return np.linalg.solve(np.array(self.coupling), np.asarray(position).T).T
 
     def pose(
         self, q: Sequence[Scalar], twists: Sequence[Sequence[Scalar]]
@@ -231,8 +254,12 @@ class Chain(Record):
 
     @property
     def arm(self) -> bool:
-        """Whether it is an arm of revolute joints, whose link errors are not small."""
-        return any(joint.kind == "revolute" for joint in self.joints)
+        """Whether it is described by joint rows, with link errors that are not small: an arm, also
+        on a rail or a column, or a gantry with a head.
+        """
+        return any(
+            joint.kind == "revolute" or joint.name.startswith(SLIDING) for joint in self.joints
+        )
 
     @property
     def linear(self) -> bool:
@@ -320,7 +347,7 @@ def chain_from_string(
     travel: Mapping[str, Sequence[float]] | None = None,
     tool_offset_m: Sequence[float] = (0.0, 0.0, 0.0),
     rotary_m: Mapping[str, Sequence[float]] | None = None,
-    up: str = UPRIGHT,
+    up: Up = UPRIGHT,
 ) -> Chain:
     """A machine tool from its ISO 10791-6 description, such as ``"w X b Y Z t"`` or, with rotary
     axes A, B or C, ``"w C A b X Y Z t"``.
@@ -330,7 +357,7 @@ def chain_from_string(
     (``"XFYZ"``), is accepted too. `travel` is in m or rad. `rotary_m` gives a point on every rotary
     axis with all axes at zero, m: its reference point, about which it tilts. In the frame of the
     machine, the tool point is then at the tool offset `tool_offset_m`, m. `up` is the axis that
-    points against gravity, ``"+Y"`` where the spindle is horizontal.
+    points against gravity, ``"+Y"`` where the spindle is horizontal, or a vector of any length.
 
     Raises `ValueError` if the string does not start with ``w`` and end with ``t`` with one bed in
     between, if it names an axis twice or an axis other than X, Y, Z, A, B and C, or if the axes in
@@ -389,55 +416,111 @@ def chain_from_string(
     )
 
 
-def _upward(up: str) -> tuple[float, float, float]:
-    sign = -1.0 if up[0] == "-" else 1.0
-    x, y, z = (0.0 if v == 0.0 else sign * v for v in _DIRECTIONS[up[1]])
+def _upward(up: Up) -> tuple[float, float, float]:
+    if isinstance(up, str):
+        sign = -1.0 if up[0] == "-" else 1.0
+        x, y, z = (0.0 if v == 0.0 else sign * v for v in _DIRECTIONS[up[1]])
+        return x, y, z
+    length = math.hypot(*up)
+    if not (len(up) == 3 and 0.0 < length < math.inf):
+        raise ValueError(f"up: found {[*up]}, expected three numbers that are not all zero")
+    x, y, z = (0.0 if v == 0.0 else float(v) / length for v in up)
     return x, y, z
 
 
-def _standing(up: str) -> str:
-    return "" if up == UPRIGHT else f", {up} up"
+def _standing(up: Up) -> str:
+    direction = _upward(up)
+    if direction == _upward(UPRIGHT):
+        return ""
+    for name in ("+X", "-X", "+Y", "-Y", "-Z"):
+        if direction == _upward(name):
+            return f", {name} up"
+    return f", ({', '.join(f'{v:.4g}' for v in direction)}) up"
 
 
 def chain_from_dh(
     rows: Sequence[Mapping[str, float | str]],
     tool_offset_m: Sequence[float] = (0.0, 0.0, 0.0),
-    up: str = UPRIGHT,
+    up: Up = UPRIGHT,
+    convention: Convention = "standard",
+    coupling: Sequence[Sequence[float]] | None = None,
 ) -> Chain:
-    """A chain from standard Denavit-Hartenberg rows, base to flange.
+    """A chain from Denavit-Hartenberg rows, base to flange.
 
     Each row has ``type`` (``"revolute"`` or ``"prismatic"``), ``a`` and ``d`` (m), ``alpha`` and
-    ``theta`` (rad): T = Rz(theta) Tz(d) Tx(a) Rx(alpha). The joint variable is added to theta or to
-    d. The error twist acts after the joint's motion and before the link. Optional ``low`` and
-    ``high`` (m or rad) bound the joint variable. Joints are named J1, J2, ... `tool_offset_m` is
-    the tool point in the frame of the flange, m. `up` is the axis of the base that points against
-    gravity, ``"-Z"`` for a hanging arm.
+    ``theta`` (rad). With the ``"standard"`` `convention` T = Rz(theta) Tz(d) Tx(a) Rx(alpha), with
+    the ``"modified"`` one (Craig) T = Rx(alpha) Tx(a) Rz(theta) Tz(d). The joint variable is added
+    to theta or to d. The error twist acts after the joint's motion and before what follows it in
+    the row. Optional ``low`` and ``high`` (m or rad) bound the joint variable. Joints are named by
+    their number, J1, J2, ... where they are revolute and L1, L2, ... where they are prismatic.
+    `tool_offset_m` is the tool point in the frame of the flange, m. `up` is the axis of the base
+    that points against gravity, ``"-Z"`` for a hanging arm, or a vector of any length. `coupling`
+    is the matrix from the commands to the joint variables, in SI.
+
+    Raises `ValueError` for a convention that is not known, and for a coupling that is not an
+    invertible matrix of as many rows and columns as joints.
     """
+    if convention not in ("standard", "modified"):
+        raise ValueError(f"found {convention!r}, expected 'standard' or 'modified'; correct it")
     joints = []
     for i, row in enumerate(rows):
         a, d = float(row.get("a", 0.0)), float(row.get("d", 0.0))
         alpha, theta = float(row.get("alpha", 0.0)), float(row.get("theta", 0.0))
-        before, after = np.eye(4), np.eye(4)
+        turn, link, along = np.eye(4), np.eye(4), np.eye(4)
         ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-        before[:3, :3] = [[ct, -st, 0.0], [st, ct, 0.0], [0.0, 0.0, 1.0]]
-        after[:3, 3] = a, 0.0, d
-        after[:3, :3] = [[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]]
+        turn[:3, :3] = [[ct, -st, 0.0], [st, ct, 0.0], [0.0, 0.0, 1.0]]
+        along[2, 3], link[0, 3] = d, a
+        link[:3, :3] = [[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]]
+        slides = row["type"] == "prismatic"
+        first = convention == "modified"
         joints.append(
             Joint(
-                name=f"J{i + 1}",
-                kind="prismatic" if row["type"] == "prismatic" else "revolute",
+                name=f"{SLIDING if slides else REVOLUTE}{i + 1}",
+                kind="prismatic" if slides else "revolute",
                 side="tool",
                 direction=np.asarray(_DIRECTIONS["Z"]),
-                before=before,
-                after=after,
+                before=link @ turn if first else turn,
+                after=along if first else along @ link,
                 travel=np.asarray([row.get("low", -np.inf), row.get("high", np.inf)], float),
             )
         )
+    return chain_of_joints(joints, tool_offset_m, f"{convention} DH", up, coupling)
+
+
+def chain_of_joints(
+    joints: Sequence[Joint],
+    tool_offset_m: Sequence[float],
+    described: str,
+    up: Up = UPRIGHT,
+    coupling: Sequence[Sequence[float]] | None = None,
+) -> Chain:
+    """An arm of `joints` from base to flange; `described` says in reports how it was given. The
+    other arguments and the errors raised are those of `chain_from_dh`.
+    """
+    matrix = None
+    if coupling is not None:
+        matrix = tuple(tuple(float(v) for v in row) for row in coupling)
+        count = len(joints)
+        if len(matrix) != count or any(len(row) != count for row in matrix):
+            raise ValueError(
+                f"found a coupling of {len(matrix)} rows of {[len(row) for row in matrix]} numbers, "
+                f"expected {count} rows of {count}, one row and one column for every joint"
+            )
+        if np.linalg.matrix_rank(np.array(matrix)) < count:
+            raise ValueError(
+                "found a coupling that is not invertible, expected one from which the commands "
+                "follow; a row of zeros is a joint that no command moves"
+            )
+        if np.array_equal(np.array(matrix), np.eye(count)):
+            matrix = None
     return Chain(
         joints=tuple(joints),
         tool_side=tuple(range(len(joints))),
         workpiece_side=(),
         tool_offset=np.asarray(tool_offset_m, float),
-        text=f"{len(joints)} joints, standard DH" + _standing(up),
+        text=f"{len(joints)} joints, {described}"
+        + (", coupled" if matrix is not None else "")
+        + _standing(up),
         up=_upward(up),
+        coupling=matrix,
     )

@@ -175,3 +175,22 @@ class Constant(Basis):
 
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
         return namespace(x).ones_like(x)[..., None]
+
+
+class Together(Basis):
+    """The functions of several families with normal coefficients, side by side: a constant error of
+    a link and the error motion along its travel.
+    """
+
+    sigma: np.ndarray
+    labels: tuple[str, ...] = eqx.field(static=True)
+    parts: tuple[Basis, ...]
+
+    def __init__(self, parts: Sequence[Basis]):
+        self.parts = tuple(parts)
+        self.sigma = np.concatenate([part.sigma for part in self.parts])
+        self.labels = tuple(label for part in self.parts for label in part.labels)
+
+    def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
+        values = [part.functions(x) for part in self.parts]
+        return namespace(values[0]).concatenate(values, -1)

@@ -57,14 +57,29 @@ def geometric_errors(settings: Any, chain: Chain, folder: Folder, file: str) -> 
     a wave number of zero, and for an axis without a declared travel.
     """
     if isinstance(settings, LinkSettings):
-        return link_errors(
-            chain, settings.link_translation_um * _MICRO, settings.link_rotation_urad * _MICRO
-        )
+        return _links(settings, chain, file)
     _check_travel(chain, file)
     if isinstance(settings, SmoothSettings):
         return _smooth(settings, chain)
     assert isinstance(settings, FourierSettings)
     return _fourier(folder.table(settings.table, FAMILY_COLUMNS, labels=("component",)), chain)
+
+
+def _links(settings: LinkSettings, chain: Chain, file: str) -> GeometricErrors:
+    """Constant errors of every link, and error motions of prismatic joints along their travel."""
+    for i, joint in enumerate(chain.joints):
+        if not joint.turns and not np.isfinite(joint.travel).all():
+            raise refusal(
+                file,
+                f"key machine.joint.{i}",
+                "a prismatic joint without bounds",
+                "low_mm and high_mm, the travel over which its error motions are declared",
+                "add them",
+            )
+    sizes = settings.link_translation_um * _MICRO, settings.link_rotation_urad * _MICRO
+    slides = (settings.slide_translation_um, settings.slide_rotation_urad)
+    varying = [size if own is None else own * _MICRO for size, own in zip(sizes, slides, strict=True)]
+    return link_errors(chain, *sizes, *varying, smoothness=settings.slide_smoothness)
 
 
 def _smooth(settings: SmoothSettings, chain: Chain) -> GeometricErrors:

@@ -126,9 +126,17 @@ class MachineSettings(Table):
     """Position and travel of every rotary axis of the chain."""
     joint: tuple[JointSettings, ...] = ()
     """Joints of an arm from base to flange, in place of a chain."""
-    up: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"] = "+Z"
-    """The axis that points against gravity: "+Y" for a horizontal spindle, "-Z" for an arm that
-    hangs from the ceiling."""
+    convention: Literal["standard", "modified"] = "standard"
+    """Denavit-Hartenberg convention of the joint rows: Rz(theta) Tz(d) Tx(a) Rx(alpha), or modified
+    (Craig), Rx(alpha) Tx(a) Rz(theta) Tz(d)."""
+    coupling: tuple[tuple[float, ...], ...] | None = None
+    """Matrix from the commanded positions of all joints, in the units of their columns, to the
+    joint variables of the rows: one row per joint. For an arm that counts joint 3 from the
+    horizontal, the third row is [0, -1, 1, 0, 0, 0]. The identity by default."""
+    up: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z"] | Triple = "+Z"
+    """The direction against gravity in the frame of the bed or of the arm's base: an axis ("+Y" for
+    a horizontal spindle, "-Z" for an arm that hangs from the ceiling), or a vector of any length,
+    such as [0.5, 0, 0.87] for a base on a slope."""
     base: str | None = None
     """A remark on the place of the arm's base, whose pose is always identified."""
 
@@ -141,6 +149,16 @@ class MachineSettings(Table):
             raise ValueError(
                 f"found {found}, expected either `chain` (axes of a machine tool) or "
                 "[[machine.joint]] rows; keep or add one of them"
+            )
+        for key in ("convention", "coupling"):
+            if not self.joint and key in self.model_fields_set:
+                raise ValueError(
+                    f"found {key} together with a chain, expected it with joint rows only; remove "
+                    "it, or describe the machine by [[machine.joint]] rows"
+                )
+        if not isinstance(self.up, str) and not any(self.up):
+            raise ValueError(
+                "found up = [0, 0, 0], expected the direction against gravity; correct the vector"
             )
         if self.joint and self.rotary:
             raise ValueError(
@@ -193,6 +211,13 @@ class LinkSettings(Table):
     """Prior standard deviation of each of the three error translations of a link."""
     link_rotation_urad: _Size
     """Prior standard deviation of each of the three error rotations of a link."""
+    slide_translation_um: _Size | None = None
+    """Prior standard deviation of the three error translations of a prismatic joint that vary along
+    its travel (positioning and straightness); `link_translation_um` by default."""
+    slide_rotation_urad: _Size | None = None
+    """The same for its three error rotations; `link_rotation_urad` by default."""
+    slide_smoothness: float = Field(default=0.5, ge=0.02, le=10)
+    """Correlation length of these error motions over the travel, as in a machine tool's family."""
 
 
 class AnyFamilySettings(Table):

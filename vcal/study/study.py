@@ -296,7 +296,18 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
                     "high": high,
                 }
             )
-        return chain_from_dh(rows, offset, machine.up)
+        try:
+            coupling = _coupling_si(machine)
+            return chain_from_dh(rows, offset, machine.up, machine.convention, coupling)
+        except ValueError as error:
+            found, _, expected = str(error).partition(", expected ")
+            raise refusal(
+                file,
+                "key machine.coupling",
+                found.removeprefix("found "),
+                expected.partition(";")[0],
+                "correct the matrix",
+            ) from error
     travel = {axis: (low * 1e-3, high * 1e-3) for axis, (low, high) in machine.travel_mm.items()}
     rotary = {}
     for axis, row in machine.rotary.items():
@@ -347,6 +358,21 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
             )
     _check_offset(machine.tool_offset_mm, chain, file, "machine.tool_offset_mm")
     return chain
+
+
+def _coupling_si(machine: MachineSettings) -> np.ndarray | None:
+    """The matrix from commands to joint variables in SI, from that between the file's units."""
+    if machine.coupling is None:
+        return None
+    rows = {len(row) for row in machine.coupling}
+    if rows != {len(machine.joint)} or len(machine.coupling) != len(machine.joint):
+        raise ValueError(
+            f"found {len(machine.coupling)} rows of {listed(str(n) for n in sorted(rows))} "
+            f"numbers, expected {len(machine.joint)} rows of {len(machine.joint)} numbers, one row "
+            "and one column for every joint"
+        )
+    units = np.array([math.radians(1.0) if j.type == "revolute" else 1e-3 for j in machine.joint])
+    return units[:, None] * np.array(machine.coupling) / units
 
 
 def _check_offset(offset: Sequence[float], chain: Chain, file: str, key: str) -> None:

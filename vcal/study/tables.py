@@ -33,8 +33,8 @@ _QUANTITY = re.compile(
     r"v_[a-c]_rad_s|a_[a-c]_rad_s2|since_[a-c]_deg"
 )
 """Optional columns of conditions for effects; they hold numbers."""
-_JOINT_COLUMN = re.compile(r"q(\d+)_(?:cmd|read)_deg")
-_MOVES = re.compile(r"(dir|move)_(q|J)\d+(_deg)?")
+_JOINT_COLUMN = re.compile(r"q(\d+)_(cmd|read)_(deg|mm)")
+_MOVES = re.compile(r"(dir|move)_(q|J|L)\d+(_deg|_mm)?")
 """Covariates that are computed from the commanded angles of an arm."""
 
 
@@ -150,19 +150,10 @@ def _check_machine(
 
     An instrument with joint angles needs an arm, any other one the axes X, Y and Z.
     """
-    if not _is_tool(chain) and len({joint.kind for joint in chain.joints}) > 1:
-        raise refusal(
-            file,
-            "key machine.joint",
-            f"rotary and linear joints in one machine, {chain.text!r}, for which no instrument "
-            "exists",
-            "rotary joints only, or a machine.chain with X, Y, Z and rotary axes A, B, C",
-            "describe a machine tool by its chain and [machine.rotary.C]",
-        )
     joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
     if joints:
-        fits = all(joint.kind == "revolute" for joint in chain.joints)
-        expected = "an arm of revolute [[machine.joint]] rows"
+        fits = not _is_tool(chain)
+        expected = "an arm of [[machine.joint]] rows"
     else:
         turning = kind.rotary
         fits = {*LINEAR} <= {*chain.axes} <= ({*LINEAR, *ROTARY} if turning else {*LINEAR})
@@ -186,8 +177,9 @@ def _condition(name: str) -> Column | None:
         return Column(name=name, low=0, integer=True)
     if name == "t_s" or name.startswith("dir_") or _QUANTITY.fullmatch(name):
         return Column(name=name)
-    if _JOINT_COLUMN.fullmatch(name):
-        return Column(name=name, low=-720.0, high=720.0)
+    if match := _JOINT_COLUMN.fullmatch(name):
+        most = 720.0 if match[3] == "deg" else 1e5
+        return Column(name=name, low=-most, high=most)
     return None
 
 
@@ -261,7 +253,36 @@ def _check_conditions(table: Table, chain: Chain) -> None:
                 found, expected = f"{values[row]:g}", "+1 or -1, the last direction of travel"
                 raise table.refusal(row, name, found, expected, "correct the value")
         _check_travel(table, name, chain)
+    if chain.coupling is not None:
+        _check_coupled(table, chain)
     _check_extent(table, chain)
+
+
+def _check_coupled(table: Table, chain: Chain) -> None:
+    """Raise `StudyError` where commands lead a joint that is coupled to others out of its travel.
+
+    The bounds of a joint are those of its position, not those of its command.
+    """
+    for kind in ("commanded", "read"):
+        columns = [file_column(f"{kind}_{axis}", chain.axes) for axis in chain.axes]
+        if any(name not in table for name, _ in columns):
+            continue
+        position = chain.positions(np.column_stack([table[n] / factor for n, factor in columns]))
+        for i, (joint, (name, factor)) in enumerate(zip(chain.joints, columns, strict=True)):
+            low, high = joint.travel
+            slack = 1e-9 * max((abs(b) for b in (low, high) if math.isfinite(b)), default=0.0)
+            bad = (position[:, i] < low - slack) | (position[:, i] > high + slack)
+            if bad.any():
+                row = int(np.argmax(bad))
+                raise table.refusal(
+                    row,
+                    name,
+                    f"{table[name][row]:.10g}, with machine.coupling a position of joint {i + 1} "
+                    f"of {position[row, i] * factor:.10g}, outside the travel",
+                    f"positions from {low * factor:.10g} to {high * factor:.10g} "
+                    f"(machine.joint.{i})",
+                    "correct the coupling, the position or the travel",
+                )
 
 
 def _check_extent(table: Table, chain: Chain) -> None:
@@ -341,7 +362,9 @@ def _check_tool_points(table: Table, chain: Chain) -> None:
 
 def _check_travel(table: Table, name: str, chain: Chain) -> None:
     if match := _JOINT_COLUMN.fullmatch(name):
-        place, unit = int(match[1]) - 1, math.radians(1.0)
+        if chain.coupling is not None:
+            return
+        place, unit = int(match[1]) - 1, math.radians(1.0) if match[3] == "deg" else 1e-3
         key = f"machine.joint.{place}"
     else:
         columns = {file_column(axis, chain.axes)[0]: axis for axis in chain.axes}
