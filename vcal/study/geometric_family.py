@@ -78,7 +78,9 @@ def _links(settings: LinkSettings, chain: Chain, file: str) -> GeometricErrors:
             )
     sizes = settings.link_translation_um * _MICRO, settings.link_rotation_urad * _MICRO
     slides = (settings.slide_translation_um, settings.slide_rotation_urad)
-    varying = [size if own is None else own * _MICRO for size, own in zip(sizes, slides, strict=True)]
+    varying = [
+        size if own is None else own * _MICRO for size, own in zip(sizes, slides, strict=True)
+    ]
     return link_errors(chain, *sizes, *varying, smoothness=settings.slide_smoothness)
 
 
