@@ -243,7 +243,8 @@ class OneLinkSettings(Table):
     """Prior standard deviation of the error rotations; that of the other links by default."""
     bounded: bool = False
     """Whether these sizes are half-widths of uniform distributions instead. An identification uses
-    their standard deviation, the half-width divided by the square root of 3."""
+    their standard deviation, the half-width divided by the square root of 3. An error of a
+    prismatic joint is then constant along its travel."""
     tie: str | None = None
     """Joint with the same errors, such as one of the same gearbox: one parameter stands for both.
     """
