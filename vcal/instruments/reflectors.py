@@ -214,10 +214,11 @@ class Reflectors(TableInstrument):
         cls, settings: ReflectorsSettings, axes: Sequence[str], readings: bool
     ) -> list[Column]:
         found = [Column(name="pose", low=0, integer=True, unique_with=("pose",))]
-        for axis in axes:
+        for i in range(len(axes)):
+            axis = f"J{i + 1}"
             most = _FARTHEST_MM if slides(axes, axis) else 720.0
             for kind in ("commanded", "read") if settings.joints == "read" else ("commanded",):
-                name = file_column(f"{kind}_{axis}", axes)[0]
+                name, _ = file_column(f"{kind}_{axis}", axes)
                 found.append(Column(name=name, low=-most, high=most))
         if readings:
             found += [

@@ -49,12 +49,19 @@ def squareness_errors(chain: Chain) -> tuple[str, ...]:
 
 
 def location_errors(chain: Chain) -> tuple[str, ...]:
-    """ISO 230-1 names of all location errors: squareness, then two positions and two directions of
-    every rotary axis (``"EX0C", "EY0C", "EA0C", "EB0C"``).
+    """ISO 230-1 names of all location errors: squareness, two parallelism errors of every secondary
+    linear axis (``"EA0W", "EB0W"``), then two positions and two directions of every rotary axis
+    (``"EX0C", "EY0C", "EA0C", "EB0C"``).
     """
+    across = {"U": "BC", "V": "AC", "W": "AB"}
+    beside = [f"E{c}0{axis}" for axis in chain.axes for c in across.get(axis, "")]
     own = {"A": "YZBC", "B": "XZAC", "C": "XYAB"}
     turning = [joint.name for joint in chain.joints if joint.turns]
-    return (*squareness_errors(chain), *(f"E{c}0{axis}" for axis in turning for c in own[axis]))
+    return (
+        *squareness_errors(chain),
+        *beside,
+        *(f"E{c}0{axis}" for axis in turning for c in own[axis]),
+    )
 
 
 def geometric_errors(settings: Any, chain: Chain, folder: Folder, file: str) -> GeometricErrors:
