@@ -657,11 +657,15 @@ ARMS = {
             replace('type = "revolute"\na', 'type = "prismatic"\na'),
             replace("low_deg = -170\nhigh_deg = 170\n", ""),
         ),
-        (
-            "setup.toml, key machine.joint",
-            "found rotary and linear joints in one machine",
-            "rotary joints only, or a machine.chain with X, Y, Z and rotary axes",
+        ("data.csv, column q1_cmd_mm", "no such column"),
+    ),
+    "sliding joint without bounds": (
+        both(
+            replace('type = "revolute"\na', 'type = "prismatic"\na'),
+            replace("low_deg = -170\nhigh_deg = 170\n", ""),
+            replace("q1_cmd_deg", "q1_cmd_mm", "data.csv"),
         ),
+        ("setup.toml, key machine.joint.0", "a prismatic joint without bounds", "low_mm and high"),
     ),
     "more parameters than readings": (
         # 3 rows of 3 readings against a base pose, a reflector, and six links without a prior.

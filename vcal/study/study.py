@@ -48,6 +48,7 @@ from .settings import AnySettings, LoopSettings, MachineSettings, StudySettings,
 from .table_checks import check_alive, check_scatter
 from .tables import check_points, run_table
 from .toml_file import read_setup
+from .urdf import chain_from_urdf
 
 _SHORTEST_MM, _FARTHEST_MM = 0.1, 1e6
 """Least travel and farthest position; a smaller or larger number is in another unit."""
@@ -204,7 +205,7 @@ def load_study(
     settings = validate(raw, file, given, folder)
     catalogue = catalogue_with(folder, settings.model.effects_file)
     _check_wanted(settings.loop.effects or (), catalogue, file, given)
-    chain = build_chain(settings.machine, file)
+    chain = build_chain(settings.machine, file, folder)
     sets = _data_sets(settings, chain, folder, file)
     instrument, plan, readings = _together(sets, chain)
     measurement = None
@@ -294,9 +295,13 @@ def _check_wanted(
         raise unknown_effect(name, choice, where, f"loop.effects.{i}")
 
 
-def build_chain(machine: MachineSettings, file: str) -> Chain:
-    """The chain of a ``[machine]``; raises `StudyError` that names the key in `file`."""
+def build_chain(machine: MachineSettings, file: str, folder: Folder) -> Chain:
+    """The chain of a ``[machine]``, whose files are in `folder`; raises `StudyError` that names the
+    key in `file`.
+    """
     offset = [v * 1e-3 for v in machine.tool_offset_mm]
+    if machine.urdf is not None:
+        return _from_urdf(machine, machine.urdf, offset, file, folder)
     if machine.chain is None:
         rows = []
         for joint in machine.joint:
@@ -314,17 +319,10 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
                 }
             )
         try:
-            coupling = _coupling_si(machine)
+            coupling = _coupling_si(machine, [joint.type == "revolute" for joint in machine.joint])
             return chain_from_dh(rows, offset, machine.up, machine.convention, coupling)
         except ValueError as error:
-            found, _, expected = str(error).partition(", expected ")
-            raise refusal(
-                file,
-                "key machine.coupling",
-                found.removeprefix("found "),
-                expected.partition(";")[0],
-                "correct the matrix",
-            ) from error
+            raise _wrong_coupling(error, file) from error
     travel = {axis: (low * 1e-3, high * 1e-3) for axis, (low, high) in machine.travel_mm.items()}
     rotary = {}
     for axis, row in machine.rotary.items():
@@ -377,18 +375,58 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
     return chain
 
 
-def _coupling_si(machine: MachineSettings) -> np.ndarray | None:
-    """The matrix from commands to joint variables in SI, from that between the file's units."""
+def _from_urdf(
+    machine: MachineSettings, name: str, offset: Sequence[float], file: str, folder: Folder
+) -> Chain:
+    """The chain of a URDF file."""
+    path = folder.path(name, "a URDF file")
+
+    def read(coupling: np.ndarray | None) -> Chain:
+        return chain_from_urdf(
+            path,
+            name,
+            file,
+            base_link=machine.base_link,
+            tip_link=machine.tip_link,
+            tool_offset_m=offset,
+            up=machine.up,
+            coupling=coupling,
+        )
+
+    chain = read(None)
+    if machine.coupling is None:
+        return chain
+    try:
+        return read(_coupling_si(machine, [joint.turns for joint in chain.joints]))
+    except ValueError as error:
+        raise _wrong_coupling(error, file) from error
+
+
+def _wrong_coupling(error: ValueError, file: str) -> StudyError:
+    found, _, expected = str(error).partition(", expected ")
+    return refusal(
+        file,
+        "key machine.coupling",
+        found.removeprefix("found "),
+        expected.partition(";")[0],
+        "correct the matrix",
+    )
+
+
+def _coupling_si(machine: MachineSettings, turning: Sequence[bool]) -> np.ndarray | None:
+    """The matrix from commands to joint variables in SI, from that between the file's units; the
+    joints are `turning` or slide.
+    """
     if machine.coupling is None:
         return None
-    rows = {len(row) for row in machine.coupling}
-    if rows != {len(machine.joint)} or len(machine.coupling) != len(machine.joint):
+    count, rows = len(turning), {len(row) for row in machine.coupling}
+    if rows != {count} or len(machine.coupling) != count:
         raise ValueError(
             f"found {len(machine.coupling)} rows of {listed(str(n) for n in sorted(rows))} "
-            f"numbers, expected {len(machine.joint)} rows of {len(machine.joint)} numbers, one row "
-            "and one column for every joint"
+            f"numbers, expected {count} rows of {count} numbers, one row and one column for every "
+            "joint"
         )
-    units = np.array([math.radians(1.0) if j.type == "revolute" else 1e-3 for j in machine.joint])
+    units = np.array([math.radians(1.0) if turns else 1e-3 for turns in turning])
     return units[:, None] * np.array(machine.coupling) / units
 
 
