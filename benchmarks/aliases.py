@@ -25,8 +25,9 @@ PITCHES = (5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17
 """mm."""
 SIZE_UM = 6.0
 FIRST_SEED = 41_000
-NEAR_MM, NEAR = 0.005, 4.0
-"""A member of the class is the true pitch to this, or to so many of its own uncertainties."""
+BETWEEN = 0.25
+"""Periods within the travel by which a member of the class may differ from the true pitch, as its
+estimate has an uncertainty: one step of the loop's scan, a hundredth of the distance of aliases."""
 
 
 def one_set(step: float, pitch: float, seed: int) -> dict:
@@ -60,16 +61,19 @@ def one_set(step: float, pitch: float, seed: int) -> dict:
         shapes = [shape["pitch"] for shape in found.shapes] or [float(value)]
         line["status"], line["pitches"] = found.status, [float(f"{p:.5g}") for p in shapes]
         line["value"], line["u"] = float(value), float(u)
-        nearest = min(shapes, key=lambda p: abs(p - pitch))
-        own = NEAR * u if len(shapes) == 1 else NEAR_MM
-        line["true_in"] = bool(abs(nearest - pitch) <= max(NEAR_MM, own))
-        line["spans"] = bool(abs(value - pitch) <= 2.0 * u + NEAR_MM)
     check = {name: found.check for name, found in closure.errors.items()}
     line["check"] = {name: [float(f"{c.value:.5g}"), float(f"{c.u:.3g}")]
                      for name, c in check.items()}  # fmt: skip
     before, after = check["before"], check["after"]
     line["worse"] = bool(after.value > before.value + after.u)
     return line | {"seconds": round(time.perf_counter() - begun, 2)}
+
+
+def true_in(line: dict) -> bool:
+    """Whether a member of the class is the true pitch."""
+    covered = (STEPS[line["step"]] - 1) * line["step"]
+    away = (abs(1.0 / p - 1.0 / line["pitch"]) for p in line["pitches"])
+    return min(away) * covered <= BETWEEN
 
 
 def work(options: argparse.Namespace) -> None:
@@ -90,8 +94,8 @@ def summary(lines: list[dict]) -> dict:
         "seen": len(seen),
         "named": len(named),
         "as_a_class": sum(len(x["pitches"]) > 1 for x in named),
-        "true_in_class": sum(x["true_in"] for x in named),
-        "true_within_U": sum(x["spans"] for x in named),
+        "true_in_class": sum(map(true_in, named)),
+        "true_within_U": sum(abs(x["value"] - x["pitch"]) <= 2.0 * x["u"] for x in named),
         "worse_by_more_than_u": sum(x["worse"] for x in lines),
         "other_names": sum(bool(set(x["found"]) - {"screw_cyclic X"}) for x in lines),
         "unseen": len(unseen),

@@ -322,6 +322,7 @@ def summary(lines: Sequence[dict], p_without: Callable[[dict], float]) -> dict:
     outside = [x for x in outside if outcome(x) != "not detectable"]
     pairs = [x for x in group["pairs"] if outcome(x) != "not detectable"]
     several = [x for x in group["several"] if outcome(x) != "not detectable"]
+    zero = [x for x in group["zero"] if outcome(x) != "not detectable"]
     nothing = [x for x in group["clean"] if x["verdict"] != "failed"]
     every = undisturbed(lines)
     ratios = [ratio(x) for x in seen]
@@ -362,6 +363,8 @@ def summary(lines: Sequence[dict], p_without: Callable[[dict], float]) -> dict:
             "pairs_both": share(pairs, CERTAIN),
             "several_all": share(several, CERTAIN),
             "several_wrong": share(several, {"wrong"}),
+            "zero_right": share(zero, CERTAIN),
+            "zero_wrong": share(zero, {"wrong"}),
             "beyond_right": share(beyond["catalogue"], CERTAIN),
             "beyond_wrong": share(beyond["catalogue"], {"wrong"}),
             "beyond_both": share(beyond["pairs"], CERTAIN),

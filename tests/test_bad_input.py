@@ -1,12 +1,17 @@
 """Every mistake in an input ends in one message: file, place, found, expected, what to do."""
 
+import itertools
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from known_files import write_frame
+from vcal import CATALOGUE, Measurement, identify
 from vcal.errors import StudyError
+from vcal.loop.notes import _beyond_prior
 from vcal.study import load_study
 from vcal.study.simulated import parse_with
 
@@ -90,6 +95,17 @@ def drop_column(column: str, file: str = "data.csv") -> Change:
         return [",".join(c for i, c in enumerate(r.split(",")) if i != place) for r in found]
 
     return lines(edit, file)
+
+
+def fill(column: str, value: str, file: str = "data.csv") -> Change:
+    """The same value in every row of a column."""
+
+    def edit(found: list[str]) -> list[str]:
+        place = found[0].split(",").index(column)
+        rows = [row.split(",") for row in found]
+        return [rows[0], *(r[:place] + [value] + r[place + 1 :] for r in rows[1:])]
+
+    return lines(lambda found: [",".join(row) for row in edit(found)], file)
 
 
 def both(*changes: Change) -> Change:
@@ -428,13 +444,28 @@ FAMILY = {
         replace("EXX", "EXU", ERRORS),
         ("row 1 (line 2), column component", "'EXU'", "the machine has no axis 'U'"),
     ),
+    **{
+        f"{column} = {value}": (
+            cell(4, column, value, ERRORS),
+            (f"row 4 (line 5), column {column}", f"found {value}", expected),
+        )
+        for column, value, expected in (
+            *((name, "1e+09", "a number from 0 to 1000; correct") for name in ("n1", "n2")),
+            *(
+                (name, "1e+09", "from 0 to 1000000")
+                for name in ("a0", "a1", "b1", "c1", "b2", "c2")
+            ),
+            ("n1", "1e-09", "zero, or a number from 0.01 to 1000"),
+            ("c2", "1e-09", "zero, or a number from 1e-06 to 1e+06"),
+        )
+    },
     "component twice": (
         replace("EYX", "EXX", ERRORS),
         ("row 2 (line 3), column component", "EXX again, first in row 1", "every component once"),
     ),
     "negative amplitude": (
         cell(4, "b1", "-15", ERRORS),
-        ("row 4 (line 5), column b1", "found -15", "a number of at least 0"),
+        ("row 4 (line 5), column b1", "found -15", "a number from 0 to 1000000"),
     ),
     "no wave number": (
         cell(4, "n1", "0", ERRORS),
@@ -626,11 +657,15 @@ ARMS = {
             replace('type = "revolute"\na', 'type = "prismatic"\na'),
             replace("low_deg = -170\nhigh_deg = 170\n", ""),
         ),
-        (
-            "setup.toml, key machine.joint",
-            "found rotary and linear joints in one machine",
-            "rotary joints only, or a machine.chain with X, Y, Z and rotary axes",
+        ("data.csv, column q1_cmd_mm", "no such column"),
+    ),
+    "sliding joint without bounds": (
+        both(
+            replace('type = "revolute"\na', 'type = "prismatic"\na'),
+            replace("low_deg = -170\nhigh_deg = 170\n", ""),
+            replace("q1_cmd_deg", "q1_cmd_mm", "data.csv"),
         ),
+        ("setup.toml, key machine.joint.0", "a prismatic joint without bounds", "low_mm and high"),
     ),
     "more parameters than readings": (
         # 3 rows of 3 readings against a base pose, a reflector, and six links without a prior.
@@ -1048,7 +1083,7 @@ def test_own_effects(small_tracker_study, case):
     if case in ("unknown port", "no number"):
         effect('name = "mine"')(small_tracker_study)
     with pytest.raises(StudyError) as caught:
-        load_study(small_tracker_study)
+        load_study(small_tracker_study, trust=True)
     for fragment in expected:
         assert fragment in str(caught.value)
 
@@ -1091,6 +1126,70 @@ def test_values_of_with_that_no_number_can_be(small_tracker_study, value):
     with pytest.raises(StudyError, match="--with backlash:Y:size_um=.*, key size_um"):
         place = study.model.setup(study.plan)
         parse_with(f"backlash:Y:size_um={value}", study.catalogue, place)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("range_mm", "1500.5"), ("azimuth_rad", "0"), ("elevation_rad", "0"), ("azimuth_rad", "1.25")],
+)
+def test_a_channel_that_never_changes(small_tracker_study, column, value):
+    fill(column, value)(small_tracker_study)
+    told = f"column {column}: found a channel that never changes, {value} in every row"
+    check(small_tracker_study, (f"data.csv, {told}", "differ at least by their noise"))
+
+
+def test_a_channel_of_a_laser_frame_that_never_changes(tmp_path):
+    folder = write_frame(tmp_path / "frame", growth=5.0)
+    for columns in (("u_um",), ("u_um", "v_um")):
+        for column in columns:
+            fill(column, "0")(folder)
+        if len(columns) == 1:
+            check(folder, ("data.csv, column u_um: found a channel that never changes, 0 in",))
+        else:  # a perfect machine reads so
+            assert not load_study(folder).measurement.readings.any()
+
+
+def test_a_reflector_of_which_a_coordinate_never_changes(small_arm_study):
+    for column in ("base2_y_mm", "smr1_z_mm"):
+        fill(column, "12.5")(small_arm_study)
+        check(small_arm_study, ("column", f"{column}", "a channel that never changes, 12.5 in"))
+
+
+def test_an_effect_of_a_size_that_is_not_expected(small_tracker_study):
+    """A range that is wrong by a factor is taken for a scale error of the range."""
+    study = load_study(small_tracker_study)
+    (effect,) = CATALOGUE["range_scale"].candidates(study.model.setup(study.plan))
+    found = {}
+    for factor in (1.0, 1.01):
+        readings = study.measurement.readings * [factor, 1.0, 1.0]
+        fit = identify(study.model.with_effects(effect), Measurement(study.plan, readings))
+        found[factor] = _beyond_prior(SimpleNamespace(after=fit))
+    assert found[1.0] == []
+    note = next(note for note in found[1.01] if note.startswith("range_scale: scale_um_per_m = "))
+    value, ratio = re.search(r"= (\S+) is (\S+) times the expected size of", note).groups()
+    scale = next(p for p in effect.amplitudes if p.label == "scale_um_per_m")
+    assert 1000.0 < float(value) < 15000.0  # the scales of the axes take up the rest
+    assert float(ratio) == pytest.approx(float(value) / scale.sigma, rel=0.01)
+    assert "units and scale factors of the data" in note and "scale_um_per_m_sigma" in note
+
+
+def test_a_base_may_be_measured_once(small_arm_study):
+    for k, c in itertools.product((1, 2, 3), "xyz"):
+        first = (small_arm_study / "data.csv").read_text().splitlines()[:2]
+        header, values = (line.split(",") for line in first)
+        column = f"base{k}_{c}_mm"
+        fill(column, values[header.index(column)])(small_arm_study)
+    assert load_study(small_arm_study).measurement is not None
+
+
+def test_few_rows_may_have_equal_readings(small_arm_study):
+    """As coarse digits may make them."""
+    folder = write_frame(small_arm_study.parent / "frame", growth=5.0)
+    fill("u_um", "0")(folder)
+    lines(lambda found: found[:11])(folder)
+    check(folder, ("column u_um: found a channel that never changes",))
+    lines(lambda found: found[:10])(folder)
+    assert load_study(folder).measurement.rows == 9
 
 
 OVERRIDES = {

@@ -32,6 +32,7 @@ from vcal.loop.outcome.closure import Errors
 from vcal.loop.weighing.cross_validation import Rms
 from vcal.plots import signatures
 from vcal.report.effects.page import page as effect_page
+from vcal.report.html.sheet import sheet
 from vcal.study import load_study, read_table
 from vcal.study.settings import (
     DataSettings,
@@ -254,6 +255,29 @@ def test_check_names_what_goes_together(small_tracker_study):
     assert shown.count("confounded") == 2
 
 
+def test_check_says_where_times_run_backwards(small_tracker_study):
+    data = small_tracker_study / "data.csv"
+    table = dict(read_table(data, []))
+
+    def told(**columns):
+        vcal.study.write_table(data, table | columns)
+        return " ".join(run("check", small_tracker_study).output.split())
+
+    assert "backwards" not in told()
+    assert "times t_s runs backwards at 47 rows (2, 3, 4, 5, 6, ...): eff" in told(
+        t_s=-table["t_s"]
+    )
+    slipped = table["t_s"].copy()
+    slipped[20] = slipped[18]
+    assert "t_s runs backwards at 1 row (21): effects of time follow" in told(t_s=slipped)
+    clock = np.tile(table["t_s"][:24], 2)
+    assert "t_s runs backwards at 1 row (25)" in told(t_s=clock)
+    assert "backwards" not in told(t_s=clock, run=np.repeat([0, 1], 24))
+    assert "t_s runs backwards at 23 rows (26, " in told(
+        t_s=np.concatenate([clock[:24], -clock[24:]]), run=np.repeat([0, 1], 24)
+    )
+
+
 def test_check_says_of_which_axis_little_is_covered(small_tracker_study):
     shown = " ".join(
         run("check", small_tracker_study, "--set", "machine.travel_mm.Z=[0, 3000]").output.split()
@@ -284,6 +308,48 @@ def test_check_lists_what_is_read(small_tracker_study):
     )
     assert columns.endswith("range_mm, azimuth_rad, elevation_rad")
     assert ignored == "remark: no more than half of the cells are numbers"
+
+
+BAD = "a\x1b]0;title\x07\x1b[31mRED\x1b[2J\u202e\u2028b\nvcal: fake line [bold]x[/bold]"
+SHOWN = r"a\x1b]0;title\x07\x1b[31mRED\x1b[2J\u202e\u2028b\nvcal: fake line [bold]x[/bold]"
+
+
+def harmless(text):
+    """Whether no character of a text controls a terminal."""
+    assert not re.findall("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2028\u2029]", text)
+    return text
+
+
+def test_a_name_cannot_control_the_terminal(small_tracker_study, tmp_path):
+    override = ("--set", f"name={json.dumps(BAD)}")
+    printed = harmless(run("check", small_tracker_study, *override).output)
+    assert printed.startswith(f"{SHOWN}: ")
+    study = load_study(small_tracker_study, {"name": BAD})
+    assert study.name == study.measurement.name == SHOWN
+    assert SHOWN in html.unescape(harmless(sheet(study.name, "", ())))
+    assert SHOWN in html.unescape(harmless(sheet(BAD.replace("\n", "\\n"), "", ())))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--set", f"{BAD}=1"),
+        ("--set", f"loop.effects=[{json.dumps(BAD)}]"),
+        ("--set", f"data.data={json.dumps(BAD)}"),
+        ("--set", f"machine.chain={json.dumps(BAD)}"),
+    ],
+)
+def test_a_message_cannot_control_the_terminal(small_tracker_study, options):
+    assert harmless(refused("check", small_tracker_study, *options)).count("\n") == 1
+
+
+def test_a_column_cannot_control_the_terminal(small_tracker_study):
+    data = small_tracker_study / "data.csv"
+    text = data.read_text().replace("T_air_degC", "humidity\x1b[2J_pct", 1)
+    data.write_text(text)
+    assert r"humidity\x1b[2J_pct" in harmless(run("check", small_tracker_study).output)
+    data.write_text(text.replace("range_mm", "range\x1b[2J_mm", 1))
+    assert r"range\x1b[2J_mm" in harmless(refused("check", small_tracker_study))
 
 
 def test_counts_in_singular_and_plural():

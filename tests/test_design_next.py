@@ -194,7 +194,7 @@ def test_an_effect_that_cannot_be_differentiated(few_points, tmp_path, monkeypat
     monkeypatch.setattr("vcal.design.next_measurement.CANDIDATES", 4)
     copy = declare(few_points, tmp_path, "")
     (copy / "mine.py").write_text(OWN, encoding="utf-8")
-    own = ("--set", "model.effects_file=mine.py")
+    own = ("--set", "model.effects_file=mine.py", "--trust")
     out = tmp_path / "out"
     design(copy, out, "--next", "--separate", "far_step:Y", "--separate", "backlash:Y", *own)
     found = strict(out / "result.json")

@@ -371,7 +371,7 @@ def test_an_effect_of_the_users_own(lifted, tmp_path):
     (folder / "own.py").write_text(OWN)
     setup = folder / "setup.toml"
     setup.write_text(setup.read_text() + '\n[model]\neffects_file = "own.py"\n')
-    study = load_study(setup)
+    study = load_study(setup, trust=True)
     assert "coolant_lift" not in CATALOGUE
     closure = close_loop(
         study.model, study.measurement, effects=study.catalogue.values(), draws=200

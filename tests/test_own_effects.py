@@ -4,20 +4,23 @@ import dataclasses
 import re
 import sys
 import typing
+from functools import partial
 
 import numpy as np
 import pytest
 
 import vcal.cli.loop
-from designing import run
+from designing import run, run_trusted
 from vcal.cli.loop import close_study
 from vcal.effects.registry import load_effects
 from vcal.errors import StudyError
 from vcal.loop.screening.candidates import UntestableError
 from vcal.model.measurement import Measurement
 from vcal.report.html.folder import ReportFolder
-from vcal.study import load_study, read_table, write_table
+from vcal.study import read_table, write_table
 from vcal.study.simulated import parse_with
+
+load_study = partial(vcal.load_study, trust=True)
 
 OWN = '''\
 import vcal
@@ -124,6 +127,39 @@ def with_own(folder, text):
     return folder
 
 
+RUNS = "from pathlib import Path\n(Path(__file__).parent / 'was_run').write_text('yes')\n"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("check",),
+        *((verb, "--out", "out") for verb in ("loop", "simulate", "uncertainty", "design")),
+    ],
+)
+@pytest.mark.parametrize("key", ["model.effects_file", "instrument.kind_file"])
+def test_a_file_that_is_only_named_is_not_run(
+    small_tracker_study, tmp_path, monkeypatch, command, key
+):
+    """Whoever checks a study of somebody else has not asked for that."""
+    monkeypatch.chdir(tmp_path)
+    (small_tracker_study / "own.py").write_text(RUNS + OWN, encoding="utf-8")
+    verb, *options = command
+    told = run(verb, small_tracker_study, *options, "--set", f"{key}=own.py", code=2).stderr
+    assert told.startswith("vcal: own.py, file: found Python code with ")
+    assert "repeat the command with --trust (in Python: load_study(..., trust=True))" in told
+    assert not (small_tracker_study / "was_run").exists() and not (tmp_path / "out").exists()
+
+
+def test_a_file_that_is_trusted_is_run(small_tracker_study):
+    (small_tracker_study / "own.py").write_text(RUNS + OWN, encoding="utf-8")
+    own = ("--set", "model.effects_file=own.py")
+    assert "quill_sag" in run_trusted("check", small_tracker_study, *own).stdout
+    assert (small_tracker_study / "was_run").exists()
+    with pytest.raises(StudyError, match="permission to run it"):
+        vcal.load_study(small_tracker_study, ["model.effects_file=own.py"])
+
+
 @pytest.mark.parametrize("case", WRONG)
 def test_a_class_that_cannot_be_used(small_tracker_study, case):
     old, new, expected = WRONG[case]
@@ -201,7 +237,7 @@ def test_a_column_in_another_unit_than_its_parameter(
 def test_a_column_that_may_be_converted(small_tracker_study, column, unit, response, said):
     values = response.format(f'plan.covariate("{column}")')
     folder = of_a_column(small_tracker_study, column, unit, values)
-    printed = " ".join(run("check", folder).output.split())
+    printed = " ".join(run_trusted("check", folder).output.split())
     assert (said in printed) if said else "multiply the column" not in printed
 
 
@@ -213,7 +249,7 @@ def test_units_that_are_unknown_are_refused_where_they_are_written():
 def test_an_unknown_unit_in_every_command(small_tracker_study, tmp_path):
     folder = with_own(small_tracker_study, OWN.replace('"um/m"', '"um/pct"'))
     for more in (("check", folder), ("loop", folder, "--out", tmp_path / "out")):
-        told = run(*more, code=2).stderr
+        told = run_trusted(*more, code=2).stderr
         assert "own.py, class QuillSag, parameters: found k: unit 'um/pct': found 'pct'" in told
 
 
@@ -277,12 +313,12 @@ def test_a_method_that_ends_the_program(small_tracker_study, method):
     text = re.sub(rf"(def {method}\(.*\n)", r"\1        exit(0)\n", OWN)
     assert text != OWN
     folder = with_own(small_tracker_study, text)
-    told = run("check", folder, code=2).stderr
+    told = run_trusted("check", folder, code=2).stderr
     assert "own.py, " in told and f"{method}: found SystemExit: 0 (line " in told
     if method == "candidates":
         with open(folder / "setup.toml", "a", encoding="utf-8") as file:
             file.write('\n[[model.effect]]\nname = "quill_sag"\n')
-        told = run("check", folder, code=2).stderr
+        told = run_trusted("check", folder, code=2).stderr
         assert "candidates: found SystemExit: 0 (line " in told
 
 
@@ -304,10 +340,10 @@ def test_a_file_in_the_folder_of_the_report(small_tracker_study, monkeypatch):
     setup = small_tracker_study / "setup.toml"
     text = setup.read_text(encoding="utf-8") + '\n[model]\neffects_file = "out/own_effect.py"\n'
     setup.write_text(text, encoding="utf-8")
-    told = run("loop", setup, "--out", out, code=2).stderr
+    told = run_trusted("loop", setup, "--out", out, code=2).stderr
     assert f"{out}, output folder: found own_effect.py, which the study reads, expected" in told
     (out / "own_effect.py").write_text(OWN + "# mine\n", encoding="utf-8")
-    told = run("loop", setup, "--out", out, code=2).stderr
+    told = run_trusted("loop", setup, "--out", out, code=2).stderr
     assert f"{out}, output folder: found own_effect.py, not as the earlier report left it" in told
     assert "rename or move what is to be kept, or choose another folder" in told
     assert (out / "own_effect.py").read_text(encoding="utf-8") == OWN + "# mine\n"

@@ -14,6 +14,7 @@ import vcal
 from test_rotary import BALLS, SETUP, TOOL, errors_of, frame, point, positions
 from vcal.errors import StudyError
 from vcal.identification.batch import identify_alone, identify_one, prepare_batch
+from vcal.instruments.follow import cause, followed
 from vcal.machine.chain import chain_from_string
 from vcal.model.forward import Model
 from vcal.model.simulate import simulate
@@ -317,6 +318,29 @@ def test_what_does_not_fit_is_one_message(small, overrides, said):
     assert "expected" in str(caught.value)
 
 
+def test_every_sign_that_fits_is_named():
+    """Of a circle on a rotary table any of three; c_deg first, which is most often wrong."""
+    chain = chain_from_string("w C b X Y Z t", rotary_m={"C": (0.0, 0.0, 0.0)})
+    columns = {axis: i for i, axis in enumerate(chain.axes)}
+    position = np.zeros((20, 4))
+    position[:, columns["C"]] = np.linspace(0.0, 6.0, 20)
+    place = np.tile([0.2, 0.0, 0.1], (20, 1))
+    position = np.asarray(followed(chain, position, place))
+
+    def off(points):
+        return np.linalg.norm(points - points.mean(0), axis=1)
+
+    assert np.max(off(chain.tool_point(position))) < 1e-12
+    for axis in "CXY":
+        wrong = position.copy()
+        wrong[:, columns[axis]] *= -1.0
+        assert np.median(off(chain.tool_point(wrong))) > 1e-3
+        assert cause(chain, chain.axes, wrong, off, 1e-6) == (
+            "they do with the other sign in c_deg, or in x_mm, or in y_mm: correct the one that is "
+            "wrong on the machine, probably c_deg"
+        )
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -325,7 +349,7 @@ def test_what_does_not_fit_is_one_message(small, overrides, said):
             "with the other sign in c_deg: correct that",
         ),
         (lambda row: dict.fromkeys(POSITIONS[:5], "20"), "the same in all rows"),
-        (lambda row: {"run": str(int(row["t_s"]) // 40)}, r"row\(s\) of run 0"),
+        (lambda row: {"run": str(int(row["t_s"]) // 40)}, r"rows? of run 0"),
         (
             lambda row: {c: str(1e-3 * float(row[c])) for c in row if c.endswith("_ext_mm")},
             r"^data.csv, columns x_ext_mm, y_ext_mm, z_ext_mm: found readings with a standard "

@@ -298,7 +298,7 @@ def test_own_effects(small_tracker_study):
         '\n[loop]\nseed = 3\neffects = ["wobble", "backlash"]\n[model]\neffects_file = "own.py"\n'
         '[[model.effect]]\nname = "wobble"\nsize_um = 2\n',
     )
-    study = load_study(small_tracker_study)
+    study = load_study(small_tracker_study, trust=True)
     assert "wobble" in study.catalogue
     assert "own.py" in study.hashes
     assert study.model.effects[-1].given == (("size", 2.0, 0.0),)
@@ -311,7 +311,7 @@ def test_own_effects_stay_with_their_study(small_tracker_study):
     (small_tracker_study / "own.py").write_text(own, encoding="utf-8")
     append(small_tracker_study, '\n[model]\neffects_file = "own.py"\n')
     for _ in range(2):
-        assert "wobble" in load_study(small_tracker_study).catalogue
+        assert "wobble" in load_study(small_tracker_study, trust=True).catalogue
         assert "wobble" not in CATALOGUE
 
 

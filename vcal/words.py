@@ -1,4 +1,11 @@
-"""Words of messages that depend on a number."""
+"""Words of messages: plurals, and texts of a user that are safe to print."""
+
+import unicodedata
+
+_UNSEEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
+"""Unicode categories of characters that a terminal obeys or that are not seen: control codes,
+changes of the direction of writing, separators of lines.
+"""
 
 
 def plural(count: int, one: str, several: str = "") -> str:
@@ -12,3 +19,18 @@ def plural(count: int, one: str, several: str = "") -> str:
 def counted(count: int, one: str, several: str = "") -> str:
     """A number with its noun: ``"1 reading"``, ``"3 readings"``."""
     return f"{count} {plural(count, one, several)}"
+
+
+def printable(text: str, lines: bool = True) -> str:
+    """A text with control characters written as escapes: ``\\x1b`` for the escape character.
+
+    Ends of lines and tabs are kept with `lines`, as in a text of vcal's own. A text of the user
+    that stands in one line is taken without.
+    """
+    kept = "\n\t" if lines else ""
+    return "".join(
+        c.encode("unicode_escape").decode()
+        if unicodedata.category(c) in _UNSEEN and c not in kept
+        else c
+        for c in text
+    )

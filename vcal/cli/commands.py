@@ -14,7 +14,7 @@ import typer
 from .. import __version__
 from ..demo import starts
 from ..words import counted
-from .session import INTERRUPTED, guarded, leave, listen, start, tell, working
+from .session import INTERRUPTED, guarded, leave, listen, say, start, tell, working
 
 app = typer.Typer(
     name="vcal",
@@ -45,6 +45,14 @@ Override = Annotated[
         metavar="KEY=VALUE",
         help="Replace a key of the study file for this run, for example loop.alpha=0.05. "
         "Repeatable.",
+    ),
+]
+Trust = Annotated[
+    bool,
+    typer.Option(
+        "--trust",
+        help="Run the Python files with effects and instruments that the study names. Read them "
+        "first: they can do anything that you can.",
     ),
 ]
 ReportFolder = Annotated[
@@ -81,7 +89,7 @@ def main() -> None:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"vcal {__version__}")
+        say(f"vcal {__version__}")
         raise typer.Exit
 
 
@@ -133,6 +141,7 @@ def loop(
         ),
     ] = False,
     override: Override = None,
+    trust: Trust = False,
 ) -> None:
     """Find the effects that the declared model lacks, identify them, and write a report.
 
@@ -155,7 +164,8 @@ def loop(
         command.append("--compensate-anyway")
     for text in override or []:
         command += ["--set", text]
-    _close(setup, out, given, shlex.join(command), compensate_anyway)
+    command += ["--trust"] if trust else []
+    _close(setup, out, given, shlex.join(command), trust, compensate_anyway)
 
 
 @app.command()
@@ -171,7 +181,12 @@ def demo(
 
 
 def _close(
-    setup: Path, out: Path, overrides: list[str], command: str, compensate_anyway: bool = False
+    setup: Path,
+    out: Path,
+    overrides: list[str],
+    command: str,
+    trust: bool = False,
+    compensate_anyway: bool = False,
 ) -> None:
     began = time.perf_counter()
     start()
@@ -183,7 +198,7 @@ def _close(
 
     check_folder(out)  # before the work, not after it
     with working("reading the study") as progress:
-        study = load_study(setup, overrides)
+        study = load_study(setup, overrides, trust=trust)
         check_folder(out, (study.folder / name for name in study.hashes))
         if study.measurement is None:
             raise StudyError(
@@ -203,7 +218,7 @@ def _close(
             compensate_anyway=compensate_anyway,
         )
     show_closure(closure)
-    typer.echo(f"Report: {page}")
+    say(f"Report: {page}")
     if closure.interrupted:
         tell("interrupted: the report holds the results so far")
         raise typer.Exit(INTERRUPTED)
@@ -227,15 +242,15 @@ def init(
     from .start_studies import plans_in, write_start
 
     names = write_start(instrument, folder)
-    typer.echo(f"Wrote {folder}: {', '.join(names)}.")
+    say(f"Wrote {folder}: {', '.join(names)}.")
     plans = plans_in(folder)
     for name, is_plan in plans.items():
         if is_plan:
-            typer.echo(f"{name} is a plan without readings: measure them, or use vcal simulate.")
+            say(f"{name} is a plan without readings: measure them, or use vcal simulate.")
         else:
             its = f"The readings in {name} were" if len(plans) > 1 else "Its data were"
-            typer.echo(f"{its} simulated from the declared model, without any other effect.")
-    typer.echo(f"Put your machine and data in, then: vcal check {folder / 'setup.toml'}")
+            say(f"{its} simulated from the declared model, without any other effect.")
+    say(f"Put your machine and data in, then: vcal check {folder / 'setup.toml'}")
 
 
 @app.command()
@@ -261,6 +276,7 @@ def simulate(
     seed: Seed = 0,
     noise_factor: NoiseFactor = 1.0,
     override: Override = None,
+    trust: Trust = False,
 ) -> None:
     """Simulate the measurement of a study on a machine drawn from the priors.
 
@@ -271,7 +287,7 @@ def simulate(
     from ..study.simulated import parse_every_with, write_simulated
 
     with working("simulating"):
-        study = load_study(setup, override or [])
+        study = load_study(setup, override or [], trust=trust)
         place, files = study.model.setup(study.plan), study.files
         effects = parse_every_with(with_ or [], study.catalogue, place, files)
         result = write_simulated(
@@ -283,10 +299,10 @@ def simulate(
             overrides=override or [],
         )
     rows = counted(result.measurement.rows, "row")
-    typer.echo(f"Wrote {out}: {rows} of a machine drawn with seed {seed}.")
+    say(f"Wrote {out}: {rows} of a machine drawn with seed {seed}.")
     for effect in effects:
         values = (f"{p.label} = {value:.4g}" for p, value in result.values(effect))
-        typer.echo(f"In it, undeclared: {effect.key}, {', '.join(values)}")
+        say(f"In it, undeclared: {effect.key}, {', '.join(values)}")
 
 
 @app.command()
@@ -320,6 +336,7 @@ def uncertainty(
         ),
     ] = 1,
     override: Override = None,
+    trust: Trust = False,
 ) -> None:
     """Predict the uncertainty that a measurement plan will give, by GUM and by Monte Carlo.
 
@@ -336,6 +353,7 @@ def uncertainty(
     for option, texts in (("--with", with_), ("--set", override)):
         for text in texts or []:
             command += [option, text]
+    command += ["--trust"] if trust else []
     done = run_virtual(
         setup,
         out,
@@ -345,10 +363,11 @@ def uncertainty(
         noise_factor=noise_factor,
         digits=2 if digits == 2 else 1,
         overrides=override or [],
+        trust=trust,
         command=shlex.join(command),
     )
-    typer.echo(done.sentence)
-    typer.echo(f"Report: {done.page}")
+    say(done.sentence)
+    say(f"Report: {done.page}")
     if done.interrupted:
         tell("interrupted: the report holds the results so far; the same command resumes")
         raise typer.Exit(INTERRUPTED)
@@ -383,6 +402,7 @@ def design(
     ] = None,
     seed: Seed = 0,
     override: Override = None,
+    trust: Trust = False,
 ) -> None:
     """Improve a measurement plan before measuring, or plan the next measurement.
 
@@ -399,6 +419,7 @@ def design(
     for option, texts in (("--separate", separate), ("--set", override)):
         for text in texts or []:
             command += [option, text]
+    command += ["--trust"] if trust else []
     with working("reading the study") as progress:
         done = run_design(
             setup,
@@ -407,12 +428,13 @@ def design(
             separate=separate or [],
             seed=seed,
             overrides=override or [],
+            trust=trust,
             command=shlex.join(command),
             progress=progress,
         )
     for sentence in done.sentences:
-        typer.echo(sentence)
-    typer.echo(f"Report: {done.page}")
+        say(sentence)
+    say(f"Report: {done.page}")
 
 
 @app.command()
@@ -447,7 +469,7 @@ def reproduce(
 
     if name is None:
         for one in REPRODUCTIONS.values():
-            typer.echo(f"{one.name}: {one.summary}.")
+            say(f"{one.name}: {one.summary}.")
         return
     wanted = reproduction(name)
     if out is None:
@@ -456,18 +478,18 @@ def reproduce(
         )
     with working("starting") as progress:
         page = wanted.run(out, wanted.draws if draws is None else draws, seed, progress)
-    typer.echo(f"Report: {page}")
+    say(f"Report: {page}")
 
 
 @app.command()
 @guarded
-def check(setup: Setup, override: Override = None) -> None:
+def check(setup: Setup, override: Override = None, trust: Trust = False) -> None:
     """Read and check a study without a fit, and print a summary of it."""
     start()
     from .. import load_study
     from .show import show_study
 
-    show_study(load_study(setup, override or []))
+    show_study(load_study(setup, override or [], trust=trust))
 
 
 @app.command()
@@ -497,7 +519,7 @@ def effects(
 
         start()
         page = write_effects(chosen, {e.name: example(e) for e in chosen}, out)
-        print(f"Effects: {page}")
+        say(f"Effects: {page}")
     elif name is None:
         show_catalogue(chosen)
     else:

@@ -37,6 +37,7 @@ def run_design(
     separate: Sequence[str],
     seed: int,
     overrides: Sequence[str],
+    trust: bool = False,
     command: str,
     progress: Callable[[str], None],
 ) -> Done:
@@ -51,7 +52,7 @@ def run_design(
             "--separate: found it without --next, expected both, as a further measurement is what "
             "separates effects; add --next, or leave out --separate"
         )
-    study = load_study(setup, overrides)
+    study = load_study(setup, overrides, trust=trust)
     if following:
         return _next(study, out, separate, seed, command, began, progress)
     task = StudyDesign.of(study).task()

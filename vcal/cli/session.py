@@ -18,6 +18,7 @@ import typer
 from .. import enable_float64
 from ..errors import StudyError
 from ..study.plugins.trial import own_code_error
+from ..words import printable
 
 MISTAKE = 2
 """Exit code where the input cannot be used."""
@@ -63,7 +64,12 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def tell(message: str) -> None:
     """Print a message to the user on stderr."""
-    typer.echo(f"vcal: {message}", err=True)
+    say(f"vcal: {message}", err=True)
+
+
+def say(text: str, err: bool = False) -> None:
+    """Print a text, in which the user's own words cannot control the terminal."""
+    typer.echo(printable(text), err=err)
 
 
 def listen() -> None:
@@ -171,4 +177,4 @@ def working(text: str) -> Iterator[Callable[[str], None]]:
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(text, total=None)
-        yield lambda step: progress.update(task, description=step)
+        yield lambda step: progress.update(task, description=printable(step, lines=False))

@@ -15,6 +15,7 @@ from ..effects.cyclic import ScrewCyclic
 from ..instruments.conditions import file_name, inside_name
 from ..loop.outcome.closure import Closure, Errors
 from ..loop.residuals.confounded import confounding
+from ..loop.residuals.times import backwards
 from ..loop.screening.candidates import candidates
 from ..loop.screening.unconverted import not_shown
 from ..loop.weighing.cross_validation import Rms
@@ -27,7 +28,7 @@ from ..study import Study, read_header
 from ..study.declared_effects import choices
 from ..study.messages import shown
 from ..study.study import DataSet, looked_for
-from ..words import counted, plural
+from ..words import counted, plural, printable
 
 _MOST_PITCHES = 6
 """Most pitches that one line lists."""
@@ -41,46 +42,46 @@ _LITTLE = 0.3
 def show_closure(closure: Closure) -> None:
     """Print the verdict, the effects found, and the errors before and after."""
     console = _console()
-    console.print(Text(closure.sentence, style="bold"))
+    console.print(_text(closure.sentence, style="bold"))
     for found in (*closure.found, *closure.hints):
         if closure.hints and found is closure.hints[0]:
             console.print(Text("Hints, compensated by the average of what each may be:"))
         values = _values(parameters(closure, found))
         at = f"if it is {found.effect.key}, " if found.joint else ""
         console.print(
-            Text(
+            _text(
                 f"  {found.effect.name} {found.placement}".rstrip()
                 + f": {at}{values}, {_probability(found.p_value)}, {found.status}"
             ),
             soft_wrap=True,
         )
         if found.hint:
-            console.print(Text(f"    a hint only: {found.hint}"))
+            console.print(_text(f"    a hint only: {found.hint}"))
         if found.equivalent:
-            console.print(Text(f"    equivalent on these data: {', '.join(found.equivalent)}"))
+            console.print(_text(f"    equivalent on these data: {', '.join(found.equivalent)}"))
         if instead := [
             f"{name} {place}".strip() + f" ({100 * p:.0f} %)"
             for name, place, p in found.alternatives[:_FEW_RIVALS]
             if p >= _LEAST_PROBABILITY
         ]:
-            console.print(Text(f"    alternatives: {', '.join(instead)}"))
+            console.print(_text(f"    alternatives: {', '.join(instead)}"))
         if found.separation:
-            console.print(Text(f"    to decide: {found.separation}"))
+            console.print(_text(f"    to decide: {found.separation}"))
     for effect, listed in declared(closure):
         if any(u > 0.0 for *_, u in listed):
             many = len(listed) > FEW
             values = in_short(effect, listed) if many else f"{_values(listed)}, declared"
-            console.print(Text(f"  {effect.key}: {values}"), soft_wrap=True)
+            console.print(_text(f"  {effect.key}: {values}"), soft_wrap=True)
     if closure.unexplained is not None:
-        console.print(Text(f"  {closure.unexplained.reason}"))
+        console.print(_text(f"  {closure.unexplained.reason}"))
     console.print(_errors_table(closure.errors))
     if closure.suspected:
         plan = closure.after.measurement.plan
         rows = ", ".join(plan.row_name(s.row) for s in closure.suspected[:_MOST])
         more = ", ..." if len(closure.suspected) > _MOST else ""
-        console.print(Text(f"Outliers, left out of the fit: rows {rows}{more}."))
+        console.print(_text(f"Outliers, left out of the fit: rows {rows}{more}."))
     for note in closure.notes:
-        console.print(Text(f"Note: {note}."))
+        console.print(_text(f"Note: {note}."))
 
 
 def _probability(p: float) -> str:
@@ -131,6 +132,7 @@ def show_study(study: Study) -> None:
     rows = [
         ("machine", f"{chain.text}; {travels}" if travels and not chain.arm else chain.text),
         *(line for one in study.sets for line in _data_set(study, one)),
+        *(("times", words) for words in backwards(plan)),
         ("check points", str(study.check.plan.rows) if study.check else "none"),
         *_lacking(study, [*study.model.effects, *found]),
         (
@@ -155,10 +157,10 @@ def show_study(study: Study) -> None:
         for column in not_shown(effect, plan, shape):
             rows.append(("units", f"{effect.key}: {column.words}"))
     console = _console()
-    console.print(Text(f"{study.name}: {study.path} can be used.", style="bold"), soft_wrap=True)
+    console.print(_text(f"{study.name}: {study.path} can be used.", style="bold"), soft_wrap=True)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 2))
     for label, value in rows:
-        table.add_row(Text(label), Text(value))
+        table.add_row(_text(label), _text(value))
     console.print(table)
 
 
@@ -315,18 +317,18 @@ def show_catalogue(catalogue: Iterable[type[Effect]]) -> None:
     table.add_column("description")
     for effect in catalogue:
         only = "" if looked_for(effect) else " (only if declared)"
-        table.add_row(Text(effect.name), Text(effect.summary + only))
+        table.add_row(_text(effect.name), _text(effect.summary + only))
     _console().print(table)
 
 
 def show_effect(effect: type[Effect], example: tuple[Effect, Setup] | None) -> None:
     """Print the description of an effect, and the keys and columns of an example."""
     console = _console()
-    console.print(Text(f"{effect.name}: {effect.summary}", style="bold"), soft_wrap=True)
-    console.print(Text(f"\n{inspect.cleandoc(effect.__doc__ or '')}\n"), soft_wrap=True)
-    console.print(Text(f"Disturbs the {effect.where}; {effect.kind}."))
+    console.print(_text(f"{effect.name}: {effect.summary}", style="bold"), soft_wrap=True)
+    console.print(_text(f"\n{inspect.cleandoc(effect.__doc__ or '')}\n"), soft_wrap=True)
+    console.print(_text(f"Disturbs the {effect.where}; {effect.kind}."))
     if not looked_for(effect):
-        console.print(Text("The loop does not search for it; a study can declare it."))
+        console.print(_text("The loop does not search for it; a study can declare it."))
     if example is None:
         return
     instance, setup = example
@@ -341,7 +343,7 @@ def show_effect(effect: type[Effect], example: tuple[Effect, Setup] | None) -> N
         for key, values in choices(instance, setup).items()
     )
     console.print(
-        Text(
+        _text(
             f"For example, with {place}:\n{chosen}"
             f"  parameters (standard deviation of the prior): {', '.join(priors)}\n"
             f"  depends on: {', '.join(columns) or 'no recorded column'}"
@@ -352,6 +354,11 @@ def show_effect(effect: type[Effect], example: tuple[Effect, Setup] | None) -> N
 
 def _plain(value: Any) -> str:
     return value if isinstance(value, str) else shown(value)
+
+
+def _text(words: str, style: str = "") -> Text:
+    """A text for the terminal, in which the user's own words cannot control it."""
+    return Text(printable(words), style=style)
 
 
 def _console() -> Console:

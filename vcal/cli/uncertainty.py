@@ -40,6 +40,7 @@ def run_virtual(
     noise_factor: float,
     digits: Literal[1, 2],
     overrides: Sequence[str],
+    trust: bool = False,
     command: str,
 ) -> Done:
     """Predict the uncertainty of a study's plan and write the report to `out`.
@@ -52,7 +53,7 @@ def run_virtual(
     number = parse_draws(draws)
     check_noise_factor(noise_factor)
     check_uncertainty_folder(out)
-    study = load_study(setup, overrides)
+    study = load_study(setup, overrides, trust=trust)
     _check_shapes(study)
     truth = _truth(study, effects)
     settings: dict[str, Any] = {

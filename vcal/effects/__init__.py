@@ -11,10 +11,10 @@ The instruments, the model and the loop stand on it.
 from importlib import import_module
 from pkgutil import iter_modules
 
-from .base import Effect, Setup
+from .base import Effect, Reference, Setup
 from .registry import CATALOGUE, effect_class, load_effects, register
 
 for _module in sorted(module.name for module in iter_modules(__path__)):
     import_module(f".{_module}", __name__)
 
-__all__ = ["CATALOGUE", "Effect", "Setup", "effect_class", "load_effects", "register"]
+__all__ = ["CATALOGUE", "Effect", "Reference", "Setup", "effect_class", "load_effects", "register"]

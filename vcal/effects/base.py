@@ -267,6 +267,14 @@ class Effect(Record):
         """
         return ()
 
+    def tilts(self, plan: Plan) -> Mapping[str, Float[Array, "n 3"]]:
+        """Rotation (n, 3) of the body that carries an arm or a slide, in the frame of the bed, per
+        unit of each amplitude; empty unless the effect tilts such a body. Recorded accelerometers
+        and inclinometers are compared with it.
+        """
+        del plan
+        return {}
+
     def alike(self, other: "Effect") -> bool:
         """Whether another is the same effect at the same placement, whatever its declared values.
 

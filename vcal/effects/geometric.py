@@ -28,6 +28,8 @@ class ErrorMotion(Record):
     """ISO 230-1 name, such as ``"EXY"``."""
     axis: str = eqx.field(static=True)
     basis: Basis
+    tied: str = eqx.field(static=True, default="")
+    """Name of the error motion whose parameters it shares; empty for parameters of its own."""
 
     @property
     def unit(self) -> str:
@@ -94,6 +96,7 @@ class GeometricErrors(Effect):
         return tuple(
             Parameter(f"{m.name}.{label}", m.unit, sigma=float(sigma) / 1e-6, law=m.basis.law)
             for m in self.motions
+            if not m.tied
             for label, sigma in zip(m.basis.labels, m.basis.sigma, strict=True)
         ) + tuple(
             Parameter(e.name, e.unit, sigma=float(e.sigma) / 1e-6, law=e.law)
@@ -105,7 +108,7 @@ class GeometricErrors(Effect):
         for m in self.motions:
             functions = m.basis.functions(plan.x(m.axis))
             for label, values in zip(m.basis.labels, _columns(functions), strict=True):
-                columns[m.name, f"{m.name}.{label}"] = values
+                columns[m.name, f"{m.tied or m.name}.{label}"] = values
         for e in self.locations:
             for port, factor in e.column:
                 x = plan.x(e.axis)

@@ -16,6 +16,8 @@ from .wrapper import Wrapper
 
 _DETERMINED = 2.0
 """Least size of an effect, in standard uncertainties, from which its reference value follows."""
+_ODDS = 0.5
+"""Prior odds of another reference value against the declared one."""
 
 
 class FreeReference(Wrapper):
@@ -27,6 +29,11 @@ class FreeReference(Wrapper):
     that of k times that of T0. It has the name and the placement of `effect`, and is a candidate
     beside it (`with_free_reference`): the readings decide whether the reference is as declared.
     """
+
+    @property
+    def odds(self) -> float:  # type: ignore[override]
+        """Half of those of the effect: a reference value is as declared more often than not."""
+        return _ODDS * self.effect.odds
 
     @property
     def reference(self) -> Reference:
@@ -105,6 +112,12 @@ def with_free_reference(effect: Effect) -> Effect | None:
         inner = with_free_reference(effect.effect)
         return None if inner is None else replace(effect, effect=inner)
     return None if effect.reference is None else FreeReference(effect, placement=effect.placement)
+
+
+def same_effect(effect: Effect) -> int:
+    """A number that an effect shares with itself with a free reference value."""
+    inner = effect.effect if isinstance(effect, OfDataSet) else effect
+    return id(inner.effect if isinstance(inner, FreeReference) else inner)
 
 
 def with_known_reference(effect: Effect) -> Effect:

@@ -17,6 +17,8 @@ from ..machine.chain import Chain
 _ABOUT = {("X", "Y"): ("C", 1.0), ("X", "Z"): ("B", -1.0), ("Y", "Z"): ("A", 1.0)}
 """The axis about which the later one of two axes is rotated, and the sign of first x second along
 it."""
+_MAIN = {"U": "X", "V": "Y", "W": "Z"}
+"""Axes to which secondary axes are parallel."""
 _SQUARE = 1e-6
 """Largest cosine of an angle that is nominally a right angle."""
 
@@ -92,11 +94,14 @@ class StraightLines:
         rotated in the positive sense from the reference axis, as for EC0Y.
         """
         found = []
-        for first, second in itertools.combinations(sorted(self.axes), 2):
-            about, sign = _ABOUT[first, second]
+        in_order = sorted(self.axes, key=lambda axis: (axis in _MAIN, axis))
+        for first, second in itertools.combinations(in_order, 2):
             a, b = self.along[first], self.along[second]
             if abs(a @ b) > _SQUARE:
                 continue
+            main = _MAIN.get(first, first), _MAIN.get(second, second)
+            about, sign = _ABOUT[tuple(sorted(main))]
+            sign = sign if main[0] < main[1] else -sign
             turn = sign * np.cross(a, b)
             weights = self.on(second, self.slope(second), np.cross(turn, b))
             weights = weights - self.on(first, self.slope(first), np.cross(turn, a))

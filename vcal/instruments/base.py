@@ -266,6 +266,8 @@ class TableInstrument(Instrument):
     """Chain of a study without a ``[machine]``; where this is None, the study must have one."""
     rotary: ClassVar[bool] = False
     """Whether it can measure machines with rotary axes."""
+    parallel: ClassVar[bool] = False
+    """Whether it can measure machines with secondary linear axes U, V, W, such as a quill."""
     positioned: ClassVar[bool] = False
     """Whether the axis positions are in columns of its own; otherwise the table has ``x_mm``, ...
     for every linear axis, which `columns` does not list.

@@ -28,8 +28,9 @@ _COLUMNS = {
     "order": ("pose", 1.0),
 }
 """Column and factor from SI of covariates whose names inside differ from those in the files."""
-LINEAR, ROTARY = "XYZ", "ABC"
-"""Axes of machine tools."""
+MAIN, PARALLEL, ROTARY = "XYZ", "UVW", "ABC"
+"""Axes of machine tools: main linear axes, those parallel to them, and rotary axes."""
+LINEAR = MAIN + PARALLEL
 _DEG = math.degrees(1.0)
 _POSITION = {**dict.fromkeys(LINEAR, ("_mm", 1e3)), **dict.fromkeys(ROTARY, ("_deg", _DEG))}
 """Unit at the end of a column of positions, and its factor from SI."""
@@ -190,7 +191,7 @@ def file_column(covariate: str, axes: tuple[str, ...]) -> tuple[str, float]:
     if covariate in axes and covariate in _POSITION:
         unit, factor = _POSITION[covariate]
         return f"{covariate.lower()}{unit}", factor
-    if match := re.fullmatch(r"(dir|a|v|since)_([A-CX-Z])", covariate):
+    if match := re.fullmatch(r"(dir|a|v|since)_([A-CU-Z])", covariate):
         unit, factor = _MOTION[match[1], match[2]]
         return f"{match[1]}_{match[2].lower()}{unit}", factor
     # A column such as T_gradient_K_per_m is read and written without a conversion.

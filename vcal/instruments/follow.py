@@ -3,7 +3,7 @@ the nominal kinematics of the machine.
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from ..machine.chain import Chain
 from ..machine.plan import Plan
 from ..numerics.arrays import Array
 from ..words import plural
-from .conditions import LINEAR, file_column
+from .conditions import LINEAR, ROTARY, file_column
 
 _MOST_OFF = 0.02
 """Largest plausible error of a machine, as a share of the size of the measured region."""
@@ -176,23 +176,33 @@ def cause(
     off: Callable[[np.ndarray], np.ndarray],
     allowed: float,
 ) -> str:
-    """The single change of the positions with which the median of `off` is within `allowed`; empty
-    where there is none. With linear axes only, each change of a sign gives the same mirror image,
-    of positions or of readings.
+    """The single changes of the positions with which the median of `off` is within `allowed`; empty
+    where there is none. All changes of a sign are named, rotary axes first, as several may have the
+    same effect on these positions. With linear axes only, each change of a sign gives the same
+    mirror image, of positions or of readings.
     """
-    columns = {axis: file_column(axis, axes) for axis in axes}
-    changes = [({axis: -1.0}, "the other sign") for axis in axes]
-    turning = {axis: factor for axis, (_, factor) in columns.items() if axis not in LINEAR}
-    changes += [({axis: f}, "radians turned into degrees") for axis, f in turning.items()]
-    changes.append((turning, "radians turned into degrees"))
-    for factors, words in changes:
+
+    def follows(factors: Mapping[str, float]) -> bool:
         changed = position * np.array([factors.get(axis, 1.0) for axis in axes])
-        if np.median(off(chain.tool_point(changed))) <= allowed:
-            if chain.linear:
-                return (
-                    "the readings are a mirror image of that: compare the signs and the order of "
-                    "the columns of positions and readings with the machine"
-                )
+        return bool(np.median(off(chain.tool_point(changed))) <= allowed)
+
+    columns = {axis: file_column(axis, axes) for axis in axes}
+    likely = sorted(axes, key=lambda axis: (axis in LINEAR, ROTARY[::-1].find(axis)))
+    signs = [axis for axis in likely if follows({axis: -1.0})]
+    if signs and chain.linear:
+        return (
+            "the readings are a mirror image of that: compare the signs and the order of "
+            "the columns of positions and readings with the machine"
+        )
+    if signs:
+        first, *others = (columns[axis][0] for axis in signs)
+        either = "".join(f", or in {name}" for name in others)
+        return f"they do with the other sign in {first}{either}: correct " + (
+            f"the one that is wrong on the machine, probably {first}" if others else "that"
+        )
+    turning = {axis: factor for axis, (_, factor) in columns.items() if axis not in LINEAR}
+    for factors in (*({axis: factor} for axis, factor in turning.items()), turning):
+        if factors and follows(factors):
             names = ", ".join(columns[axis][0] for axis in factors)
-            return f"they do with {words} in {names}: correct that"
+            return f"they do with radians turned into degrees in {names}: correct that"
     return ""

@@ -68,6 +68,7 @@ class LaserTracker(TableInstrument):
     Settings = LaserTrackerSettings
     derived = _READ
     rotary = True
+    parallel = True
 
     station: np.ndarray
     orientation: np.ndarray

@@ -4,14 +4,15 @@ import dataclasses
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import Field
+from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation as Turn
 
 from ..effects.base import Effect, Response
 from ..errors import KeyedError, RowError
@@ -49,6 +50,10 @@ _OTHER_UNIT, _LARGE_M = 5.0, 0.05
 """Ratio of sizes that indicates another unit, and the least size at which it is checked."""
 
 
+_Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Angle = Annotated[float, Field(ge=-360, le=360)]
+
+
 class ReflectorsSettings(InstrumentSettings):
     """Keys of ``[instrument]`` for ``kind = "reflectors"``."""
 
@@ -60,6 +65,46 @@ class ReflectorsSettings(InstrumentSettings):
     """Noise of each coordinate of a reflector, one standard deviation."""
     joints: Literal["commanded", "read"] = "commanded"
     """Which joint positions move the model: those commanded or those read back."""
+    station_mm: tuple[_Coordinate, _Coordinate, _Coordinate] | None = None
+    """Place of the tracker in the frame of the arm's base, where it is known; without it, the pose
+    of the tracker is identified freely."""
+    euler_xyz_deg: tuple[_Angle, _Angle, _Angle] | None = None
+    """Rotation of the tracker in that frame, R = Rx Ry Rz."""
+    station_sigma_um: float = Field(default=0.0, ge=0, le=1e6)
+    """Prior standard deviation of each coordinate of `station_mm`; 0 where it is known."""
+    station_sigma_urad: float = Field(default=0.0, ge=0, le=1e6)
+    """Prior standard deviation of each rotation of the tracker; 0 where it is known."""
+    reflectors_mm: tuple[tuple[_Coordinate, _Coordinate, _Coordinate], ...] | None = None
+    """Coordinates of every reflector on the tool, from the tool point in the frame of the flange,
+    where they are known; without them, they are identified freely."""
+    reflectors_sigma_um: float = Field(default=0.0, ge=0, le=1e6)
+    """Prior standard deviation of each of these coordinates; 0 where they are known."""
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if (self.station_mm is None) != (self.euler_xyz_deg is None):
+            missing = "station_mm" if self.station_mm is None else "euler_xyz_deg"
+            raise ValueError(
+                f"found a pose of the tracker without {missing}, expected both station_mm and "
+                "euler_xyz_deg, or neither; add or remove one"
+            )
+        uses = {
+            "station_sigma_um": "station_mm",
+            "station_sigma_urad": "station_mm",
+            "reflectors_sigma_um": "reflectors_mm",
+        }
+        for key, needed in uses.items():
+            if key in self.model_fields_set and getattr(self, needed) is None:
+                raise ValueError(
+                    f"found {key} without {needed}, expected the value that it is the uncertainty "
+                    f"of; add {needed}, or remove it"
+                )
+        if self.reflectors_mm is not None and len(self.reflectors_mm) != self.tool_reflectors:
+            raise ValueError(
+                f"found reflectors_mm of {len(self.reflectors_mm)} reflectors, expected "
+                f"{self.tool_reflectors} (tool_reflectors); add or remove some"
+            )
+        return self
 
 
 class ToolPoints(Effect):
@@ -149,6 +194,11 @@ class Reflectors(TableInstrument):
     """Standard uncertainty along (m) and about these axes (rad); zero without reflectors."""
     uncoupled: np.ndarray | None = None
     """Matrix from positions of the joints to their columns (SI), where the control couples them."""
+    station_u: tuple[float, float] | None = eqx.field(static=True, default=None)
+    """Prior standard deviation of the declared place (m) and rotation (rad) of the tracker; None
+    where they are free."""
+    points_u: float | None = eqx.field(static=True, default=None)
+    """Prior standard deviation of the declared positions of the reflectors, m; None: free."""
 
     @property
     def ports(self) -> tuple[str, ...]:
@@ -164,10 +214,11 @@ class Reflectors(TableInstrument):
         cls, settings: ReflectorsSettings, axes: Sequence[str], readings: bool
     ) -> list[Column]:
         found = [Column(name="pose", low=0, integer=True, unique_with=("pose",))]
-        for axis in axes:
+        for i in range(len(axes)):
+            axis = f"J{i + 1}"
             most = _FARTHEST_MM if slides(axes, axis) else 720.0
             for kind in ("commanded", "read") if settings.joints == "read" else ("commanded",):
-                name = file_column(f"{kind}_{axis}", axes)[0]
+                name, _ = file_column(f"{kind}_{axis}", axes)
                 found.append(Column(name=name, low=-most, high=most))
         if readings:
             found += [
@@ -195,9 +246,19 @@ class Reflectors(TableInstrument):
             base_count=settings.base_reflectors,
             sigma=settings.sigma_um * 1e-6,
             joints=settings.joints,
-            station=np.zeros(3),
-            orientation=np.eye(3),
-            points=_on_a_circle(settings.tool_reflectors),
+            station=1e-3 * np.array(settings.station_mm or (0.0, 0.0, 0.0)),
+            orientation=Turn.from_euler(
+                "XYZ", settings.euler_xyz_deg or (0.0, 0.0, 0.0), degrees=True
+            ).as_matrix(),
+            points=_on_a_circle(settings.tool_reflectors)
+            if settings.reflectors_mm is None
+            else 1e-3 * np.array(settings.reflectors_mm),
+            station_u=None
+            if settings.station_mm is None
+            else (settings.station_sigma_um * 1e-6, settings.station_sigma_urad * 1e-6),
+            points_u=None
+            if settings.reflectors_mm is None
+            else settings.reflectors_sigma_um * 1e-6,
             base_centre=np.zeros(3) if drift is None else drift.centre,
             base_axes=np.eye(3) if drift is None else drift.axes,
             base_u=np.zeros(6) if drift is None else drift.u,
@@ -267,13 +328,16 @@ class Reflectors(TableInstrument):
         _check_size(chain, plan, np.asarray(readings)[:, :3])
         rotations, origins = _nominal_poses(chain, np.asarray(plan.position))
         measured = readings.reshape(plan.rows, self.count, 3)
-        points = np.zeros((self.count, 3))
-        orientation, station = np.eye(3), np.zeros(3)
+        points = np.zeros((self.count, 3)) if self.points_u is None else self.points
+        orientation, station = self.orientation, self.station
         # The base's pose and the points on the tool appear as a product; alternate between the
         # two closed-form solutions, which halves the error in every round.
         for _ in range(200):
-            model = origins[:, None] + np.einsum("nij,kj->nki", rotations, points)
-            orientation, station = best_rigid(measured.reshape(-1, 3), model.reshape(-1, 3))
+            if self.station_u is None:
+                model = origins[:, None] + np.einsum("nij,kj->nki", rotations, points)
+                orientation, station = best_rigid(measured.reshape(-1, 3), model.reshape(-1, 3))
+            if self.points_u is not None:
+                break
             seen = measured @ orientation.T + station
             new = np.einsum("nji,nkj->ki", rotations, seen - origins[:, None]) / plan.rows
             if np.abs(new - points).max() < 1e-7:
@@ -282,9 +346,19 @@ class Reflectors(TableInstrument):
         return dataclasses.replace(self, station=station, orientation=orientation, points=points)
 
     def effects(self, plan: Plan) -> tuple[Effect, ...]:
-        found = (Station(), ToolPoints(count=self.count))
+        found: list[Effect] = []
+        if self.station_u is None:
+            found.append(Station())
+        elif any(self.station_u):
+            found.append(Station(given=_given("XYZ", self.station_u[0], "ABC", self.station_u[1])))
+        if self.points_u is None:
+            found.append(ToolPoints(count=self.count))
+        elif self.points_u > 0.0:
+            points = ToolPoints(count=self.count)
+            names = [p.name for p in points.parameters]
+            found.append(ToolPoints(count=self.count, given=_given(names, self.points_u)))
         if self.base_u.max() <= _NOTHING:
-            return found
+            return tuple(found)
         # A point at v moves by e along an axis e, and by e x (v - c) about it, c the middle.
         levers = np.cross(self.base_axes, self.base_centre) @ self.orientation.T
         along, about = self.base_axes @ self.orientation.T, -self.base_axes
@@ -299,6 +373,14 @@ class Reflectors(TableInstrument):
 
     def clusters(self, plan: Plan) -> np.ndarray:
         return np.zeros(plan.rows, int)
+
+
+def _given(*sizes: Any) -> tuple[tuple[str, float, float], ...]:
+    """Declared values of zero of parameters, with their standard deviations (m or rad): names,
+    size, names, size, ...
+    """
+    pairs = zip(sizes[::2], sizes[1::2], strict=True)
+    return tuple((name, 0.0, size * 1e6) for names, size in pairs for name in names)
 
 
 def moves(

@@ -106,7 +106,7 @@ def close_loop(
     before = state.fit
     declared(state.scored)
     interrupted, stopped, sizes = False, "", None
-    classes: list[Shapes] = []
+    undistinguished: list[Shapes] = []
 
     def reached(found: State) -> None:
         nonlocal state
@@ -148,13 +148,13 @@ def close_loop(
         run.weigh_again(state)
         progress("comparing shapes that the readings cannot distinguish")
         added = [item.effect for item in run.added(state)]
-        state, classes = with_shape_classes(state, added, room)
+        state, undistinguished = with_shape_classes(state, added, room)
     except KeyboardInterrupt:
         interrupted = True
     except np.linalg.LinAlgError as error:  # the effects that were added hold without the rest
         interrupted, stopped = True, str(error)
     sizes = sizes or misdeclared(state, model, room)
-    result = (run, model, before, state, classes, settings, interrupted, stopped, sizes)
+    result = (run, model, before, state, undistinguished, settings, interrupted, stopped, sizes)
     try:
         progress("comparing before and after")
         return _finish(*result)

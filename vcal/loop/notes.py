@@ -23,6 +23,7 @@ from .outcome.misdeclared import Misdeclared
 from .outcome.unexplained import Unexplained
 from .residuals.confounded import confounded, unrecorded_time
 from .residuals.outliers import at_an_end, too_many
+from .residuals.times import backwards
 from .residuals.vibration import Vibration
 from .screening.candidates import Untestable
 from .screening.significance import LEAST_NOISE
@@ -42,6 +43,8 @@ _MANY = 50.0
 _BEYOND = 0.1
 """Share of the measured range beyond which a point is outside it, and least share of such check
 points that is reported."""
+_NOT_EXPECTED = 10.0
+"""Multiple of its prior standard deviation beyond which the size of an effect is not expected."""
 _SURELY, _FURTHER = 3.0, 1.5
 """Standard uncertainties, and multiple of the predicted error, by which the error at the check
 points significantly exceeds it."""
@@ -307,6 +310,32 @@ def _poorly_determined(facts: Facts) -> list[str]:
     ]
 
 
+def _beyond_prior(facts: Facts) -> list[str]:
+    """Note on effects whose size is many times that which their prior expects."""
+    said = []
+    for place, effect in enumerate(facts.after.model.effects):
+        if effect.kind != "systematic":
+            continue
+        sizes = [
+            (abs(value - p.mean) / p.sigma, p, value)
+            for _, p, value, _ in facts.after.values_of(place)
+            if p.informed and not p.shape and p.sigma > 0.0
+        ]
+        if not sizes:
+            continue
+        ratio, p, value = max(sizes, key=lambda size: size[0])
+        if ratio < _NOT_EXPECTED:
+            continue
+        about = f"{p.mean:g} ± " if p.mean else ""
+        said.append(
+            f"{effect.key}: {p.label} = {value:.4g} is {ratio:.3g} times the expected size of "
+            f"{about}{p.sigma:.3g} {p.unit} (standard deviation of its prior): compare the units "
+            "and scale factors of the data and of the study file with the measurement first; if "
+            f"they are right and the machine is like that, declare a larger {p.label}_sigma"
+        )
+    return said
+
+
 def _noise(facts: Facts) -> list[str]:
     """Note where the readings scatter differently from what is declared."""
     noise = facts.state.noise
@@ -351,6 +380,11 @@ def _blank(facts: Facts) -> list[str]:
         f"left out: {rows_in_words(rows)} of {file}, as a reading is blank"
         for file, rows in facts.after.measurement.blank.items()
     ]
+
+
+def _times(facts: Facts) -> list[str]:
+    """Note on times that run backwards."""
+    return backwards(facts.plan)
 
 
 def _outliers(facts: Facts) -> list[str]:
@@ -474,9 +508,11 @@ _NOTES = (
     _beyond_prediction,
     _described_at_the_check,
     _poorly_determined,
+    _beyond_prior,
     _noise,
     _little_left,
     _blank,
+    _times,
     _outliers,
     _other_shapes,
     _confounding,

@@ -46,6 +46,8 @@ from ..numerics.rigid import (
 from .plan import Axes
 
 _DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+_PARALLEL = dict(zip("UVW", _DIRECTIONS.values(), strict=True))
+"""Nominal directions of secondary linear axes: U is parallel to X, V to Y, W to Z (ISO 841)."""
 _ABOUT = dict(zip("ABC", _DIRECTIONS.values(), strict=True))
 """Nominal directions of rotary axes: A turns about X, B about Y, C about Z (ISO 841)."""
 UPRIGHT = "+Z"
@@ -349,7 +351,8 @@ def chain_from_string(
     up: Up = UPRIGHT,
 ) -> Chain:
     """A machine tool from its ISO 10791-6 description, such as ``"w X b Y Z t"`` or, with rotary
-    axes A, B or C, ``"w C A b X Y Z t"``.
+    axes A, B or C, ``"w C A b X Y Z t"``; a quill or a second column is a secondary axis U, V or W,
+    parallel to X, Y or Z: ``"w X b Y Z W t"``.
 
     Axes between ``b`` (bed) and ``t`` (tool) carry the tool, axes between ``w`` (workpiece) and
     ``b`` carry the workpiece. The short form without spaces, with ``F`` or ``b`` for the bed
@@ -359,8 +362,8 @@ def chain_from_string(
     points against gravity, ``"+Y"`` where the spindle is horizontal, or a vector of any length.
 
     Raises `ValueError` if the string does not start with ``w`` and end with ``t`` with one bed in
-    between, if it names an axis twice or an axis other than X, Y, Z, A, B and C, or if the axes in
-    `rotary_m` are not the rotary axes of the chain.
+    between, if it names an axis twice or one other than X to Z, U to W and A to C, or if the axes
+    in `rotary_m` are not the rotary axes of the chain.
     """
     letters = re.findall(r"[A-Za-z]\d*", text)
     if letters and letters[0] != "w" and letters[-1] != "t":
@@ -371,10 +374,12 @@ def chain_from_string(
         raise ValueError(f"chain {text!r}: {expected}")
     axes = [letter for letter in letters[1:-1] if letter != "b"]
     for axis in axes:
-        if axis not in _DIRECTIONS and axis not in _ABOUT:
+        beside = _PARALLEL if {*_DIRECTIONS} <= {*axes} else {}
+        if axis not in {**_DIRECTIONS, **beside, **_ABOUT}:
             raise ValueError(
                 f"chain {text!r}: axis {axis!r} is none of the linear axes X, Y, Z and the rotary "
-                f"axes A, B, C; {expected}"
+                "axes A, B, C, nor, in a chain with all of X, Y and Z, of the secondary axes U, V, "
+                f"W; {expected}"
             )
         if axes.count(axis) > 1:
             raise ValueError(f"chain {text!r}: axis {axis!r} appears twice; {expected}")
@@ -399,7 +404,7 @@ def chain_from_string(
                 name=axis,
                 kind="rotary" if axis in _ABOUT else "prismatic",
                 side="workpiece" if letters.index(axis) < bed else "tool",
-                direction=np.asarray({**_DIRECTIONS, **_ABOUT}[axis]),
+                direction=np.asarray({**_DIRECTIONS, **_PARALLEL, **_ABOUT}[axis]),
                 before=before,
                 after=after,
                 travel=np.asarray((travel or {}).get(axis, (-np.inf, np.inf)), float),

@@ -168,10 +168,16 @@ class Constant(Basis):
 
     sigma: np.ndarray
     labels: tuple[str, ...] = eqx.field(static=True)
+    distribution: Univariate | None
 
-    def __init__(self, sigma: float):
+    def __init__(self, sigma: float, distribution: Univariate | None = None):
         self.sigma = np.array([sigma])
         self.labels = ("0",)
+        self.distribution = distribution
+
+    @property
+    def law(self) -> Univariate | None:
+        return self.distribution
 
     def functions(self, x: Float[Array, " n"]) -> Float[Array, "n k"]:
         return namespace(x).ones_like(x)[..., None]

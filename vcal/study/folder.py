@@ -49,6 +49,8 @@ class Folder:
     """The folder of one study; it reads the tables and keeps the hash of every file read."""
 
     root: Path
+    trust: bool = False
+    """Whether Python files that the study names may be run."""
     hashes: dict[str, str] = field(default_factory=dict)
     """SHA-256 in hexadecimal, by the file name in the study."""
     _modules: dict[str, ModuleType] = field(default_factory=dict)
@@ -76,9 +78,19 @@ class Folder:
 
         The file is executed once per study, however often the study names it. Its registrations
         are undone, so that they do not leak into the next study. Raises `StudyError` as `run_file`
-        does.
+        does, and for a file of a study that is not trusted: a study may come from somebody else,
+        and to check it must not run their code.
         """
         path = self.path(name, f"a Python file with {what} classes")
+        if not self.trust:
+            raise refusal(
+                name,
+                "file",
+                f"Python code with {what} classes, which the study names",
+                "permission to run it, as it can do anything that you can",
+                "read it, then repeat the command with --trust "
+                "(in Python: load_study(..., trust=True))",
+            )
         if name not in self._modules:
             with unchanged():
                 self._modules[name] = run_file(path, what)

@@ -1,7 +1,8 @@
 """Geometric errors of the machine from the family declared in ``[model.geometric]``."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -11,7 +12,14 @@ from ..effects.geometric import ErrorMotion, GeometricErrors, LocationError, lin
 from ..errors import StudyError
 from ..instruments.base import Column
 from ..machine.chain import Chain
-from ..machine.error_functions import Basis, Fourier, Matern, unit_uniform
+from ..machine.error_functions import (
+    Basis,
+    Constant,
+    Fourier,
+    Matern,
+    Together,
+    unit_uniform,
+)
 from ..registry import nearest
 from ..words import counted
 from .csv_table import Table
@@ -25,8 +33,15 @@ _WAVES = ("n1", "n2")
 _SQUARENESS = {"EC0Y": "XY", "EB0Z": "XZ", "EA0Z": "YZ"}
 """Location errors of ISO 230-1 by name: the two axes that are not square."""
 
+_LARGEST, _SMALLEST = 1e6, 1e-6
+"""Amplitudes, um or urad. A smaller number, or one of more than a metre, is in another unit."""
+_MOST_WAVES, _FEWEST_WAVES = 1000.0, 0.01
+"""Half waves over the travel. Shorter ones lie between the points of any measurement; longer ones
+are straight lines."""
+
 FAMILY_COLUMNS: tuple[Column, ...] = tuple(
-    Column(name=name, low=0.0) for name in ("a0", "a1", "n1", "b1", "c1", "n2", "b2", "c2")
+    Column(name=name, low=0.0, high=_MOST_WAVES if name in _WAVES else _LARGEST)
+    for name in ("a0", "a1", "n1", "b1", "c1", "n2", "b2", "c2")
 )
 """Columns of the Fourier family's table. They hold half-widths and wave numbers, none negative."""
 
@@ -42,12 +57,19 @@ def squareness_errors(chain: Chain) -> tuple[str, ...]:
 
 
 def location_errors(chain: Chain) -> tuple[str, ...]:
-    """ISO 230-1 names of all location errors: squareness, then two positions and two directions of
-    every rotary axis (``"EX0C", "EY0C", "EA0C", "EB0C"``).
+    """ISO 230-1 names of all location errors: squareness, two parallelism errors of every secondary
+    linear axis (``"EA0W", "EB0W"``), then two positions and two directions of every rotary axis
+    (``"EX0C", "EY0C", "EA0C", "EB0C"``).
     """
+    across = {"U": "BC", "V": "AC", "W": "AB"}
+    beside = [f"E{c}0{axis}" for axis in chain.axes for c in across.get(axis, "")]
     own = {"A": "YZBC", "B": "XZAC", "C": "XYAB"}
     turning = [joint.name for joint in chain.joints if joint.turns]
-    return (*squareness_errors(chain), *(f"E{c}0{axis}" for axis in turning for c in own[axis]))
+    return (
+        *squareness_errors(chain),
+        *beside,
+        *(f"E{c}0{axis}" for axis in turning for c in own[axis]),
+    )
 
 
 def geometric_errors(settings: Any, chain: Chain, folder: Folder, file: str) -> GeometricErrors:
@@ -82,7 +104,76 @@ def _links(settings: LinkSettings, chain: Chain, file: str) -> GeometricErrors:
     varying = [
         size if own is None else own * _MICRO for size, own in zip(sizes, slides, strict=True)
     ]
-    return link_errors(chain, *sizes, *varying, smoothness=settings.slide_smoothness)
+    errors = link_errors(chain, *sizes, *varying, smoothness=settings.slide_smoothness)
+    motions = {motion.name: motion for motion in errors.motions}
+    changed: dict[str, int] = {}
+    for i, row in enumerate(settings.link):
+        for key, joint in (("joint", row.joint), ("tie", row.tie)):
+            if joint is not None and joint not in chain.axes:
+                raise refusal(
+                    file,
+                    f"key model.geometric.link.{i}.{key}",
+                    f"the unknown joint {joint!r}{nearest(joint, chain.axes)}",
+                    f"one of {listed(chain.axes)}",
+                    "correct the name",
+                )
+        for c in dict.fromkeys(row.components):
+            name = f"E{c}{row.joint}"
+            if name in changed:
+                raise refusal(
+                    file,
+                    f"key model.geometric.link.{i}",
+                    f"{name} again, first in link.{changed[name]}",
+                    "every error in one row",
+                    "remove it from the components of one of the rows",
+                )
+            changed[name] = i
+            own = row.translation_um if c in "XYZ" else row.rotation_urad
+            if row.fixed:
+                motions.pop(name)
+            elif row.tie is not None:
+                motions[name] = _tied(motions, name, f"E{c}{row.tie}", i, file)
+            elif own is not None:
+                size = own * _MICRO
+                law = unit_uniform() if row.bounded else None
+                sigma = size / math.sqrt(3.0) if row.bounded else size
+                motions[name] = _resized(motions[name], Constant(sigma, law))
+    return GeometricErrors(motions=tuple(motions.values()))
+
+
+def _resized(motion: ErrorMotion, constant: Constant) -> ErrorMotion:
+    """An error of a link with another constant part."""
+    basis = motion.basis
+    if isinstance(basis, Together):
+        if constant.law is None:
+            return replace(motion, basis=Together((constant, *basis.parts[1:])))
+        # The functions along the travel are normal: a bounded constant replaces both.
+    return replace(motion, basis=constant)
+
+
+def _tied(
+    motions: Mapping[str, ErrorMotion], name: str, other: str, row: int, file: str
+) -> ErrorMotion:
+    """An error of a joint that is that of another joint."""
+    wanted, same = motions.get(name), motions.get(other)
+    wrong = ""
+    if other == name:
+        wrong = f"{name} tied to itself"
+    elif same is None or wanted is None:
+        wrong = f"{name} tied to {other}, which is fixed"
+    elif same.tied:
+        wrong = f"{name} tied to {other}, which is tied to {same.tied}"
+    elif isinstance(wanted.basis, Together) or isinstance(same.basis, Together):
+        wrong = f"{name} tied to {other}, one of which varies along a travel"
+    if wrong or wanted is None or same is None:
+        raise refusal(
+            file,
+            f"key model.geometric.link.{row}.tie",
+            wrong,
+            "the joint whose errors are the parameters, a revolute one like the joint itself",
+            "name another joint, or remove the row",
+        )
+    return replace(wanted, basis=same.basis, tied=other)
 
 
 def _smooth(settings: SmoothSettings, chain: Chain) -> GeometricErrors:
@@ -108,6 +199,7 @@ def _smooth(settings: SmoothSettings, chain: Chain) -> GeometricErrors:
 def _fourier(table: Table, chain: Chain) -> GeometricErrors:
     expected = (*error_motions(chain), *location_errors(chain))
     row_of = _rows_by_component(table, expected, chain.axes)
+    _check_sizes(table)
     for wave in _WAVES:
         i = wave[1]
         used = (table[f"b{i}"] > 0) | (table[f"c{i}"] > 0)
@@ -139,6 +231,21 @@ def _fourier(table: Table, chain: Chain) -> GeometricErrors:
             sigma = half_width / math.sqrt(3.0)
             locations.append(LocationError.of(chain, name, sigma, unit_uniform()))
     return GeometricErrors(motions=tuple(motions), locations=tuple(locations))
+
+
+def _check_sizes(table: Table) -> None:
+    """Raise `StudyError` for an amplitude or wave number that is not zero but too small."""
+    for name in (*_AMPLITUDES, *_WAVES):
+        least, most = (_FEWEST_WAVES, _MOST_WAVES) if name in _WAVES else (_SMALLEST, _LARGEST)
+        if (bad := (table[name] > 0.0) & (table[name] < least)).any():
+            row = int(np.argmax(bad))
+            raise table.refusal(
+                row,
+                name,
+                f"{table[name][row]:g}",
+                f"zero, or a number from {least:g} to {most:g}",
+                "correct the value or its unit",
+            )
 
 
 def _motion(name: str, basis: Basis) -> ErrorMotion:

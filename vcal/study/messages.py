@@ -9,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from ..errors import StudyError
 from ..registry import closest, nearest
+from ..words import printable
 
 _QUOTED = r"'([^']*)'"
 _MOST_LINES = 5
@@ -33,8 +34,11 @@ _TABLE = ("dict_type", "model_type", "model_attributes_type")
 
 
 def refusal(file: str, where: str, found: str, expected: str, do: str) -> StudyError:
-    """The error to raise for one mistake, in the form that all messages share."""
-    return StudyError(f"{file}, {where}: found {found}, expected {expected}; {do}")
+    """The error to raise for one mistake, in the form that all messages share: in one line, with
+    control characters of the user's texts written as escapes.
+    """
+    message = f"{file}, {where}: found {found}, expected {expected}; {do}"
+    return StudyError(printable(message, lines=False))
 
 
 def shown(value: Any) -> str:

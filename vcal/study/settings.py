@@ -126,6 +126,15 @@ class MachineSettings(Table):
     """Position and travel of every rotary axis of the chain."""
     joint: tuple[JointSettings, ...] = ()
     """Joints of an arm from base to flange, in place of a chain."""
+    urdf: FileName | None = None
+    """URDF file in the study folder that describes an arm, in place of a chain or of joint rows.
+    Its moving joints from the base to the tip are J1, J2, ..., with columns q1_cmd_deg (or
+    q1_cmd_mm of a prismatic one), ..."""
+    base_link: str | None = None
+    """Link of the URDF file that is the base; by default the one that no joint carries."""
+    tip_link: str | None = None
+    """Link of the URDF file in whose frame the tool offset is; by default the only one that carries
+    no other."""
     convention: Literal["standard", "modified"] = "standard"
     """Denavit-Hartenberg convention of the joint rows: Rz(theta) Tz(d) Tx(a) Rx(alpha), or modified
     (Craig), Rx(alpha) Tx(a) Rz(theta) Tz(d)."""
@@ -142,28 +151,43 @@ class MachineSettings(Table):
 
     @model_validator(mode="after")
     def _one_machine(self) -> Self:
-        if (self.chain is None) == (not self.joint):
-            found = (
-                "both a chain and joint rows" if self.joint else "neither a chain nor joint rows"
-            )
+        ways = [
+            *(["a chain"] if self.chain is not None else []),
+            *(["joint rows"] if self.joint else []),
+            *(["a urdf"] if self.urdf is not None else []),
+        ]
+        if len(ways) != 1:
+            found = {0: "neither a chain nor joint rows", 2: f"both {' and '.join(ways)}"}
             raise ValueError(
-                f"found {found}, expected either `chain` (axes of a machine tool) or "
-                "[[machine.joint]] rows; keep or add one of them"
+                f"found {found.get(len(ways), ', '.join(ways))}, expected either `chain` (axes of "
+                "a machine tool) or [[machine.joint]] rows, or a `urdf` file; keep or add one of "
+                "them"
             )
-        for key in ("convention", "coupling"):
-            if not self.joint and key in self.model_fields_set:
+        needed = {
+            "convention": ("joint rows", bool(self.joint)),
+            "coupling": ("joint rows or a urdf", bool(self.joint) or self.urdf is not None),
+            "base_link": ("a urdf", self.urdf is not None),
+            "tip_link": ("a urdf", self.urdf is not None),
+        }
+        for key, (what, there) in needed.items():
+            if key in self.model_fields_set and not there:
                 raise ValueError(
-                    f"found {key} together with a chain, expected it with joint rows only; remove "
-                    "it, or describe the machine by [[machine.joint]] rows"
+                    f"found {key} together with {ways[0]}, expected it with {what} only; remove "
+                    "it, or describe the machine in that way"
                 )
         if not isinstance(self.up, str) and not any(self.up):
             raise ValueError(
                 "found up = [0, 0, 0], expected the direction against gravity; correct the vector"
             )
-        if self.joint and self.rotary:
+        if self.chain is None and self.rotary:
             raise ValueError(
-                "found rotary together with joint rows, expected it with a `chain` only; describe "
+                f"found rotary together with {ways[0]}, expected it with a `chain` only; describe "
                 "the axes in the rows, or remove it"
+            )
+        if self.urdf is not None and self.travel_mm:
+            raise ValueError(
+                "found travel_mm together with a urdf, expected the bounds in the limits of its "
+                "joints; remove it"
             )
         if self.joint and self.travel_mm:
             raise ValueError(
@@ -202,6 +226,47 @@ class SmoothSettings(Table):
     half their length."""
 
 
+class OneLinkSettings(Table):
+    """A row of ``[[model.geometric.link]]``: errors of one joint of an arm that are known, of
+    another size than those of the others, or shared with another joint.
+    """
+
+    joint: str
+    """Name of the joint: "J1" for the first row of ``[[machine.joint]]``, and so on."""
+    components: str = Field(default="XYZABC", pattern="^[XYZABC]+$")
+    """The errors that are meant: translations X, Y, Z and rotations A, B, C, such as "ZC"."""
+    fixed: bool = False
+    """Whether these errors are known to be zero, and not identified."""
+    translation_um: _Size | None = None
+    """Prior standard deviation of the error translations; that of the other links by default."""
+    rotation_urad: _Size | None = None
+    """Prior standard deviation of the error rotations; that of the other links by default."""
+    bounded: bool = False
+    """Whether these sizes are half-widths of uniform distributions instead. An identification uses
+    their standard deviation, the half-width divided by the square root of 3. An error of a
+    prismatic joint is then constant along its travel."""
+    tie: str | None = None
+    """Joint with the same errors, such as one of the same gearbox: one parameter stands for both.
+    """
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        sized = [k for k in ("translation_um", "rotation_urad") if getattr(self, k) is not None]
+        ways = [*(["fixed"] if self.fixed else []), *(["tie"] if self.tie else [])]
+        ways += sized[:1]
+        if len(ways) != 1:
+            raise ValueError(
+                f"found {listed(ways) if ways else 'none of them'}, expected one of fixed = true, "
+                "tie, and sizes (translation_um, rotation_urad); keep or add one of them"
+            )
+        if self.bounded and not sized:
+            raise ValueError(
+                "found bounded without a size, expected it with translation_um or rotation_urad; "
+                "add the half-width, or remove it"
+            )
+        return self
+
+
 class LinkSettings(Table):
     """``[model.geometric]`` of an arm: constant errors of each link."""
 
@@ -218,6 +283,8 @@ class LinkSettings(Table):
     """The same for its three error rotations; `link_rotation_urad` by default."""
     slide_smoothness: float = Field(default=0.5, ge=0.02, le=10)
     """Correlation length of these error motions over the travel, as in a machine tool's family."""
+    link: tuple[OneLinkSettings, ...] = ()
+    """Errors of single joints that are fixed, bounded, of another size, or shared."""
 
 
 class AnyFamilySettings(Table):
@@ -541,7 +608,8 @@ def _model(raw: Mapping[str, Any]) -> Any:
     """``[model]`` with the keys of the named family."""
     family = at(raw, ("model", "geometric", "family"))
     geometric: type[Table]
-    if at(raw, ("machine", "joint")) and not at(raw, ("machine", "chain")):
+    arm = at(raw, ("machine", "joint")) or at(raw, ("machine", "urdf"))
+    if arm and not at(raw, ("machine", "chain")):
         geometric = LinkSettings
     else:
         families = {"fourier": FourierSettings, "smooth": SmoothSettings}

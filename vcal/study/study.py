@@ -16,6 +16,7 @@ from ..effects.registry import CATALOGUE
 from ..errors import KeyedError, RowError, StudyError
 from ..identification.rank import flat_rank
 from ..instruments.base import Instrument, InstrumentSettings, TableInstrument
+from ..instruments.conditions import LINEAR, file_name
 from ..instruments.several import DataSet as Member
 from ..instruments.several import several, with_tool
 from ..machine.chain import Chain, chain_from_dh, chain_from_string
@@ -24,7 +25,7 @@ from ..model.forward import Model
 from ..model.measurement import CheckPoints, Measurement
 from ..numerics.spatial import require_float64
 from ..registry import nearest
-from ..words import counted, plural
+from ..words import counted, plural, printable
 from .csv_table import Table
 from .declared_effects import catalogue_with, declared_effects, unknown_effect
 from .folder import Folder
@@ -44,9 +45,10 @@ from .plugins.instruments import (
     readings_of,
 )
 from .settings import AnySettings, LoopSettings, MachineSettings, StudySettings, validate
-from .table_checks import check_scatter
+from .table_checks import check_alive, check_scatter
 from .tables import check_points, run_table
 from .toml_file import read_setup
+from .urdf import chain_from_urdf
 
 _SHORTEST_MM, _FARTHEST_MM = 0.1, 1e6
 """Least travel and farthest position; a smaller or larger number is in another unit."""
@@ -108,6 +110,8 @@ class Study:
     """Effects by name that the loop may test, including those of the user's own file."""
     hashes: Mapping[str, str]
     """SHA-256 of every input file by name."""
+    trust: bool = False
+    """Whether the Python files that it names may be run."""
 
     @property
     def single(self) -> StudySettings:
@@ -180,11 +184,14 @@ class Study:
         return self.settings.model_dump()
 
 
-def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = ()) -> Study:
+def load_study(
+    path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = (), *, trust: bool = False
+) -> Study:
     """Read a study file, or the ``setup.toml`` of a folder, and all files that it names.
 
     `overrides` replace keys before the checks: texts such as ``"instrument.joints=read"``, or a
-    mapping of keys to values. Raises `StudyError` for every mistake in the input, and
+    mapping of keys to values. Python files with effects and instruments of the user's own are run
+    only with `trust`. Raises `StudyError` for every mistake in the input, and
     `RuntimeError` where JAX runs in float32.
     """
     require_float64()
@@ -193,18 +200,20 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         path = path / "setup.toml"
     file = path.name
     raw, given = read_setup(path, overrides)
-    folder = Folder(path.parent)
+    folder = Folder(path.parent, trust)
     folder.path(file)
     settings = validate(raw, file, given, folder)
     catalogue = catalogue_with(folder, settings.model.effects_file)
     _check_wanted(settings.loop.effects or (), catalogue, file, given)
-    chain = build_chain(settings.machine, file)
+    chain = build_chain(settings.machine, file, folder)
     sets = _data_sets(settings, chain, folder, file)
     instrument, plan, readings = together(sets, chain)
     measurement = None
     if readings is not None:
         blank = {one.file: rows for one in sets if (rows := one.table.blank_rows)}
-        measurement = Measurement(plan, readings, settings.name or path.parent.name, blank=blank)
+        measurement = Measurement(
+            plan, readings, printable(settings.name or path.parent.name, lines=False), blank=blank
+        )
     model = Model(chain, instrument)
     if settings.model.geometric is not None:
         model = model.with_effects(geometric_errors(settings.model.geometric, chain, folder, file))
@@ -233,7 +242,7 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         _check_fitted(model, measurement, listed(files.values()), settings.holdout is not None)
     _check_seen(settings, sets, file)
     return Study(
-        name=settings.name or path.resolve().parent.name,
+        name=printable(settings.name or path.resolve().parent.name, lines=False),
         path=path,
         settings=settings,
         chain=chain,
@@ -245,6 +254,7 @@ def load_study(path: Path | str, overrides: Mapping[str, Any] | Sequence[str] = 
         check=_checked(settings, chain, sets, folder),
         catalogue=catalogue,
         hashes=folder.hashes,
+        trust=trust,
     )
 
 
@@ -285,9 +295,13 @@ def _check_wanted(
         raise unknown_effect(name, choice, where, f"loop.effects.{i}")
 
 
-def build_chain(machine: MachineSettings, file: str) -> Chain:
-    """The chain of a ``[machine]``; raises `StudyError` that names the key in `file`."""
+def build_chain(machine: MachineSettings, file: str, folder: Folder) -> Chain:
+    """The chain of a ``[machine]``, whose files are in `folder`; raises `StudyError` that names the
+    key in `file`.
+    """
     offset = [v * 1e-3 for v in machine.tool_offset_mm]
+    if machine.urdf is not None:
+        return _from_urdf(machine, machine.urdf, offset, file, folder)
     if machine.chain is None:
         rows = []
         for joint in machine.joint:
@@ -305,17 +319,10 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
                 }
             )
         try:
-            coupling = _coupling_si(machine)
+            coupling = _coupling_si(machine, [joint.type == "revolute" for joint in machine.joint])
             return chain_from_dh(rows, offset, machine.up, machine.convention, coupling)
         except ValueError as error:
-            found, _, expected = str(error).partition(", expected ")
-            raise refusal(
-                file,
-                "key machine.coupling",
-                found.removeprefix("found "),
-                expected.partition(";")[0],
-                "correct the matrix",
-            ) from error
+            raise _wrong_coupling(error, file) from error
     travel = {axis: (low * 1e-3, high * 1e-3) for axis, (low, high) in machine.travel_mm.items()}
     rotary = {}
     for axis, row in machine.rotary.items():
@@ -368,18 +375,58 @@ def build_chain(machine: MachineSettings, file: str) -> Chain:
     return chain
 
 
-def _coupling_si(machine: MachineSettings) -> np.ndarray | None:
-    """The matrix from commands to joint variables in SI, from that between the file's units."""
+def _from_urdf(
+    machine: MachineSettings, name: str, offset: Sequence[float], file: str, folder: Folder
+) -> Chain:
+    """The chain of a URDF file."""
+    path = folder.path(name, "a URDF file")
+
+    def read(coupling: np.ndarray | None) -> Chain:
+        return chain_from_urdf(
+            path,
+            name,
+            file,
+            base_link=machine.base_link,
+            tip_link=machine.tip_link,
+            tool_offset_m=offset,
+            up=machine.up,
+            coupling=coupling,
+        )
+
+    chain = read(None)
+    if machine.coupling is None:
+        return chain
+    try:
+        return read(_coupling_si(machine, [joint.turns for joint in chain.joints]))
+    except ValueError as error:
+        raise _wrong_coupling(error, file) from error
+
+
+def _wrong_coupling(error: ValueError, file: str) -> StudyError:
+    found, _, expected = str(error).partition(", expected ")
+    return refusal(
+        file,
+        "key machine.coupling",
+        found.removeprefix("found "),
+        expected.partition(";")[0],
+        "correct the matrix",
+    )
+
+
+def _coupling_si(machine: MachineSettings, turning: Sequence[bool]) -> np.ndarray | None:
+    """The matrix from commands to joint variables in SI, from that between the file's units; the
+    joints are `turning` or slide.
+    """
     if machine.coupling is None:
         return None
-    rows = {len(row) for row in machine.coupling}
-    if rows != {len(machine.joint)} or len(machine.coupling) != len(machine.joint):
+    count, rows = len(turning), {len(row) for row in machine.coupling}
+    if rows != {count} or len(machine.coupling) != count:
         raise ValueError(
             f"found {len(machine.coupling)} rows of {listed(str(n) for n in sorted(rows))} "
-            f"numbers, expected {len(machine.joint)} rows of {len(machine.joint)} numbers, one row "
-            "and one column for every joint"
+            f"numbers, expected {count} rows of {count} numbers, one row and one column for every "
+            "joint"
         )
-    units = np.array([math.radians(1.0) if j.type == "revolute" else 1e-3 for j in machine.joint])
+    units = np.array([math.radians(1.0) if turns else 1e-3 for turns in turning])
     return units[:, None] * np.array(machine.coupling) / units
 
 
@@ -526,6 +573,10 @@ def _instrument(
     of the rows without a blank reading.
     """
     kind, table = instrument_class(settings, folder), whole.complete
+    if measured:
+        own = readings_of(settings, kind, chain.axes)
+        places = [file_name(axis, chain.axes) for axis in chain.axes if axis in LINEAR]
+        check_alive(table, own or places, settings.kind)
     with calling(settings, kind, "build", f"an instance of {kind.__name__}"):
         instrument = kind.build(settings, chain, table, folder.table)
     check_built(settings, kind, instrument, "build")

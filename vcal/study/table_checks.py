@@ -120,7 +120,35 @@ unit; noise that is declared cautiously is not that much too large. A standard d
 second is none at all, as for a simulated perfect machine.
 """
 _FEWEST = 10
-"""Least number of rows for this check."""
+"""Least number of rows for these checks."""
+_AXIS = re.compile(r"_[xyz](?=_)")
+"""The direction in the name of a coordinate (``smr1_x_mm``)."""
+
+
+def check_alive(table: Table, columns: Collection[str], kind: str) -> None:
+    """Raise `StudyError` for a column of readings that is the same in every row: a channel that is
+    not connected, or a value that was filled in. A fit would take it for an exact measurement.
+
+    Accepted are fewer than `_FEWEST` rows, `columns` that are all constant (see `check_scatter`),
+    and a target of which every coordinate is constant, as it may have been measured once (the
+    reflectors on a base).
+    """
+    targets: dict[str, list[str]] = {}
+    for name in columns:
+        if table.rows >= _FEWEST and table[name].dtype.kind == "f":
+            targets.setdefault(_AXIS.sub("", name), []).append(name)
+    still = {name: bool(np.ptp(table[name]) == 0.0) for of in targets.values() for name in of}
+    once = [of for of in targets.values() if len(of) > 1 and all(still[name] for name in of)]
+    dead = [name for name in table if still.get(name) and not any(name in of for of in once)]
+    if not dead or all(still.values()):
+        return
+    raise refusal(
+        table.name,
+        f"{plural(len(dead), 'column')} {listed(dead)}",
+        f"a channel that never changes, {table[dead[0]][0]:.10g} in every row",
+        f"readings of a {kind}, which differ at least by their noise",
+        "export the readings again, or measure with an instrument that has only the other channels",
+    )
 
 
 def check_scatter(
@@ -132,8 +160,8 @@ def check_scatter(
 ) -> None:
     """Raise `StudyError` where readings (n, m) are constant, or scatter far less than their noise.
 
-    `columns` are those of the readings. A single constant reading is accepted, as it may be zero by
-    definition.
+    `columns` are those of the readings. All readings may be zero, as those of a simulated perfect
+    machine.
     """
     if (np.ptp(readings, axis=0) == 0.0).all():
         if readings.any():
@@ -145,8 +173,8 @@ def check_scatter(
                 "export the readings again",
             )
         return
-    reduced = np.asarray(instrument.reduce(readings, plan))
     noise, present = instrument.noise(plan, readings), instrument.present(plan)
+    reduced = np.asarray(instrument.reduce(readings, plan))
     still = []
     for i, name in enumerate(instrument.readings):
         rows = present[:, i]

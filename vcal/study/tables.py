@@ -8,7 +8,16 @@ import numpy as np
 
 from ..errors import StudyError
 from ..instruments.base import Column, InstrumentSettings, TableInstrument
-from ..instruments.conditions import GROUPS, LINEAR, ROTARY, file_column, linear_plan, misnamed
+from ..instruments.conditions import (
+    GROUPS,
+    LINEAR,
+    MAIN,
+    PARALLEL,
+    ROTARY,
+    file_column,
+    linear_plan,
+    misnamed,
+)
 from ..machine.chain import Chain
 from ..model.measurement import CheckPoints
 from ..numerics.spatial import best_rigid
@@ -66,7 +75,7 @@ def run_table(
         further = [c for c in header if c not in known and not _condition(c)]
         check_unread(name, kind.kind, further, reading_names, kind.read_otherwise)
     # An instrument without columns of its own reads the positions.
-    linear = {file_column(axis, chain.axes)[0] for axis in chain.axes if axis in LINEAR}
+    linear = {file_column(axis, chain.axes)[0] for axis in chain.axes if axis in MAIN}
     read = reading_names or {c.name for c in places} & linear
     table = folder.table(
         name, columns, _condition, labels=kind.labels, readings=read if measured else ()
@@ -156,10 +165,12 @@ def _check_machine(
         fits = not _is_tool(chain)
         expected = "an arm of [[machine.joint]] rows"
     else:
-        turning = kind.rotary
-        fits = {*LINEAR} <= {*chain.axes} <= ({*LINEAR, *ROTARY} if turning else {*LINEAR})
+        others = {*(ROTARY if kind.rotary else ()), *(PARALLEL if kind.parallel else ())}
+        fits = {*MAIN} <= {*chain.axes} <= {*MAIN, *others}
         expected = "a machine.chain with the axes X, Y and Z"
-        expected += ", and rotary axes A, B, C where it has some" if turning else " alone"
+        if kind.parallel:
+            expected += ", secondary axes U, V, W"
+        expected += ", and rotary axes A, B, C where it has some" if kind.rotary else " alone"
     if not fits:
         raise refusal(
             file,

@@ -4,6 +4,7 @@ import numpy as np
 
 from ...effects.clock import CLOCKS
 from ...instruments.conditions import file_column
+from ...instruments.recorded import response_column
 from ...machine.plan import Plan, of_set
 
 _SAME = 0.9999
@@ -19,7 +20,8 @@ gaps."""
 
 def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
     """Axes, covariates and groups by their internal names, (n,) each; of columns that are identical
-    but for scale and offset only the first.
+    but for scale and offset only the first. Recorded responses (`vcal.instruments.recorded`) are no
+    causes, and are left out.
 
     Quantities that only one data set has are nan in the rows of the others. The axes are given for
     all rows together and for each data set.
@@ -30,6 +32,8 @@ def distinct_covariates(plan: Plan) -> dict[str, np.ndarray]:
     distinct: dict[str, np.ndarray] = {}
     directions: list[tuple[np.ndarray, np.ndarray]] = []
     for name in names:
+        if response_column(name) is not None:
+            continue
         x = plan.values(name)
         there = np.isfinite(x)
         if name.rpartition(":")[2] == "point" or not there.any() or np.ptp(x[there]) == 0:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...effects.base import Effect
+from ...effects.reference import same_effect
 from .score_test import Peak, ScoreTest, Tested, largest
 from .significance import corrected, effective_trials
 
@@ -81,13 +82,14 @@ def screen(state: ScoreTest, effects: Sequence[Effect], *, peaks: int = 10) -> S
     for kind, members in groups.items():
         kind_null = state.rarest(largest(t.drops.null for t in members), state.null_cost)
         trials = effective_trials(kind_null)
+        instances = len({same_effect(t.effect) for t in members})
         best = float(state.rarest(largest(t.largest() for t in members), state.cost))
         found = sorted(
             (peak for t in members for peak in t.peaks(peaks)), key=lambda peak: -peak.log_bayes
         )
         best_drop = max(best_drop, *(peak.statistic for peak in found))
         kinds.append(
-            KindResult(kind, found, len(members), best, trials, float(corrected(best, trials)))
+            KindResult(kind, found, instances, best, trials, float(corrected(best, trials)))
         )
         null.append(-np.log(np.maximum(corrected(kind_null, trials), 1e-300)))
     if not kinds:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import cho_solve
 
+from ...effects.reference import same_effect, with_known_reference
 from ...identification.fit import Fit, declared_chi2
 from ..screening.size_evidence import at_its_shape, over_scales, size_allowance, size_surplus
 from .rivals import Rival
@@ -163,7 +164,9 @@ def same_for_these_data(base: Fit, a: Rival, b: Rival) -> bool:
     """Whether the data cannot distinguish two rivals: they have as many parameters, fit alike, and
     either describes what the other one is fitted to.
     """
-    if len(a.effect.parameters) != len(b.effect.parameters):
+    # A constant part of a free reference value that the model takes up anyway does not count.
+    counts = {len(with_known_reference(r.effect).parameters) for r in (a, b)}
+    if len(counts) > 1:
         return False
     noise = max(1.0, min(a.fit.chi2 / a.fit.dof, b.fit.chi2 / b.fit.dof))
     return (
@@ -202,7 +205,9 @@ class Names:
             others = [r for r in members if r.effect.key != best.effect.key]
             mine = not others or any(r is best for r in members)
             key = best.effect.key if mine else others[0].effect.key
-            distinct = {id(r.effect): math.exp(r.log_weight - top) for r in reversed(members)}
+            distinct = {
+                same_effect(r.effect): math.exp(r.log_weight - top) for r in reversed(members)
+            }
             weights[key] = weights.get(key, 0.0) + sum(distinct.values())
             found.setdefault(key, []).extend(members)
         return cls(weights, found)

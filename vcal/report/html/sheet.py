@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import jinja2
 
+from ...words import printable
 from .picture import Picture
 
 Tone = Literal["good", "plain", "caution", "bad"]
@@ -139,7 +140,10 @@ def sheet(
 
 
 def _render(template: str, **values: Any) -> str:
-    """A template of this folder; every value is escaped for HTML, an undefined one is an error."""
+    """A template of this folder; every value is escaped for HTML, an undefined one is an error.
+
+    Control characters, which a text of the user may hold, are written as escapes.
+    """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -147,4 +151,4 @@ def _render(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(**values)
+    return printable(environment.get_template(template).render(**values))

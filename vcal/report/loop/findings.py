@@ -241,7 +241,8 @@ def unexplained(closure: Closure, shown: Shown) -> list[Section]:
     if own_effect(closure) is not None:
         paragraphs.append(
             f"An effect of your own may explain it. {FILE} beside this page is a file to start "
-            "from; named in the study as effects_file, it is tested beside the catalogue."
+            "from; named in the study as effects_file, it is tested beside the catalogue by "
+            "vcal loop --trust."
         )
     paragraphs.append(
         "A known cause that is not in the catalogue can be tested: write it as an effect in a file "

@@ -23,7 +23,7 @@ Give it a name and a reason, correct `response`, and name this file in the study
     [model]
     effects_file = "own_effect.py"
 
-`vcal loop` then tests it beside the catalogue.
+`vcal loop --trust` then runs this file and tests it beside the catalogue.
 """
 
 import jax.numpy as jnp

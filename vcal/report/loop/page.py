@@ -13,6 +13,7 @@ from ..html.provenance import plain, provenance_section
 from ..html.sheet import Badge, Section, Tile, sheet
 from .findings import data_sets, declared_effects, errors, identified, unexplained
 from .geometry import conventions, geometry, noise
+from .recorded import recorded_responses
 from .tested import not_tested, tested
 
 _BADGES = {
@@ -55,6 +56,7 @@ def page(
             errors(closure),
             *data_sets(closure, study),
             *identified(closure, shown),
+            *recorded_responses(closure),
             *declared_effects(closure),
             *unexplained(closure, shown),
             *([Section("Volumetric error", pictures=volumetric)] if volumetric else []),

@@ -8,6 +8,7 @@ from typing import Any
 from ...geometry.acceptance import GeometricTest
 from ...identification.fit import Fit
 from ...loop.outcome.closure import Closure, Errors, FoundEffect
+from ...loop.outcome.confirmed import Confirmation, confirmations
 from ...loop.outcome.misdeclared import Misdeclared
 from ...loop.outcome.unexplained import Unexplained
 from ...loop.screening.candidates import Untestable
@@ -113,7 +114,23 @@ def record(
         "interrupted": closure.interrupted,
     }
     several = [_data_set(closure, one) for one in study.sets if one.name]
-    return plain(found | ({"data_sets": several} if several else {}))
+    recorded = [_confirmation(one) for one in confirmations(closure)]
+    found |= {"data_sets": several} if several else {}
+    found |= {"recorded_responses": recorded} if recorded else {}
+    return plain(found)
+
+
+def _confirmation(one: Confirmation) -> dict[str, Any]:
+    return {
+        "column": one.column,
+        "effect": one.effect,
+        "coefficient": one.coefficient,
+        "expanded_uncertainty": one.expanded,
+        "across": one.across,
+        "across_expanded_uncertainty": one.across_expanded,
+        "share": one.share,
+        "p_value": one.p_value,
+    }
 
 
 def _sizes(found: Misdeclared | None) -> dict[str, Any] | None:

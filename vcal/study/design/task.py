@@ -170,8 +170,9 @@ def _family(study: Study, name: str) -> Effect:
     """The geometric errors of the study file `name`, which has to describe the same machine."""
     path = study.folder / name
     raw, given = read_setup(path)
-    settings = validate(raw, name, given, Folder(path.parent))
-    chain = build_chain(settings.machine, name)
+    folder = Folder(path.parent, study.trust)
+    settings = validate(raw, name, given, folder)
+    chain = build_chain(settings.machine, name, folder)
     same = [
         (j.name, j.kind, j.side, *j.travel.tolist(), *j.before.ravel().tolist())
         for j in chain.joints
