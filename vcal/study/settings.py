@@ -351,6 +351,9 @@ class DataSetSettings(Table):
     tool_offset_mm: ToolOffset | None = None
     """Vector from the frame of the last axis to the tool point; by default that of ``[machine]``.
     """
+    tool: str | None = None
+    """Name of the tool, where data sets of reflectors have the same one: the places of its
+    reflectors are then the same unknowns in all data sets with that name."""
     start_s: float = 0.0
     """Time of its ``t_s = 0`` on the common clock of the study."""
     must_see: dict[str, int] = {}
