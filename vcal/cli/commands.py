@@ -133,6 +133,13 @@ def loop(
     max_effects: Annotated[
         int | None, typer.Option(metavar="N", help="Number of added effects at which to stop.")
     ] = None,
+    compensate_anyway: Annotated[
+        bool,
+        typer.Option(
+            "--compensate-anyway",
+            help="Write the compensation table even where compensation does not reduce the error.",
+        ),
+    ] = False,
     override: Override = None,
     trust: Trust = False,
 ) -> None:
@@ -153,10 +160,12 @@ def loop(
         quoted = ", ".join(f'"{name}"' for name in names)
         given.append(f"loop.effects=[{quoted}]")
         command += ["--effects", effects]
+    if compensate_anyway:
+        command.append("--compensate-anyway")
     for text in override or []:
         command += ["--set", text]
     command += ["--trust"] if trust else []
-    _close(setup, out, given, shlex.join(command), trust)
+    _close(setup, out, given, shlex.join(command), trust, compensate_anyway)
 
 
 @app.command()
@@ -171,7 +180,14 @@ def demo(
     _close(FOLDER / "setup.toml", out, [], shlex.join(command))
 
 
-def _close(setup: Path, out: Path, overrides: list[str], command: str, trust: bool = False) -> None:
+def _close(
+    setup: Path,
+    out: Path,
+    overrides: list[str],
+    command: str,
+    trust: bool = False,
+    compensate_anyway: bool = False,
+) -> None:
     began = time.perf_counter()
     start()
     from .. import load_study
@@ -193,7 +209,14 @@ def _close(setup: Path, out: Path, overrides: list[str], command: str, trust: bo
         closure = close_study(study, study.measurement, progress)
         progress("writing the report")
         seconds = time.perf_counter() - began
-        page = write_report(closure, study, out, command=command, seconds=seconds)
+        page = write_report(
+            closure,
+            study,
+            out,
+            command=command,
+            seconds=seconds,
+            compensate_anyway=compensate_anyway,
+        )
     show_closure(closure)
     say(f"Report: {page}")
     if closure.interrupted:

@@ -1,6 +1,7 @@
 """The command `vcal loop`: closing the loop with the settings of a study file."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from ..loop.outcome.closure import Closure
 from ..loop.screening.candidates import UntestableError
 from ..model.measurement import Measurement
 from ..study import Study
+from ..study.discrete_changes import check_declared
 from ..study.messages import listed, refusal
 
 
@@ -26,6 +28,7 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
             effects=study.tried,
             **study.options.model_dump(exclude={"effects"}),
             require_testable=bool(study.options.effects),
+            declared=partial(check_declared, study),
             progress=progress,
         )
     except UntestableError as error:

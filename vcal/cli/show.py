@@ -43,7 +43,9 @@ def show_closure(closure: Closure) -> None:
     """Print the verdict, the effects found, and the errors before and after."""
     console = _console()
     console.print(_text(closure.sentence, style="bold"))
-    for found in closure.effects:
+    for found in (*closure.found, *closure.hints):
+        if closure.hints and found is closure.hints[0]:
+            console.print(Text("Hints, compensated by the average of what each may be:"))
         values = _values(parameters(closure, found))
         at = f"if it is {found.effect.key}, " if found.joint else ""
         console.print(
@@ -53,6 +55,8 @@ def show_closure(closure: Closure) -> None:
             ),
             soft_wrap=True,
         )
+        if found.hint:
+            console.print(_text(f"    a hint only: {found.hint}"))
         if found.equivalent:
             console.print(_text(f"    equivalent on these data: {', '.join(found.equivalent)}"))
         if instead := [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..identification.fit import Fit
-from ..identification.model_averaging import Alternatives, between_model_variance
+from ..identification.model_averaging import Alternatives, model_average
 from .compensated import compensated_in_blocks
 from .error_motions import NODES, Spread, functions_on, line_of
 from .straight_lines import StraightLines
@@ -92,7 +92,7 @@ def geometric_tests(
     modelled = (u > 0.0) | (np.abs(found) > 1e6 * _SAME)
     if not modelled.any():
         return []
-    between = between_model_variance(
+    moved, between = model_average(
         alternatives, lambda other: weights @ sampled(other)[0], np.zeros(len(deviations))
     )
     return [
@@ -100,7 +100,7 @@ def geometric_tests(
             name=one.name,
             what=one.what,
             axis=one.axis,
-            value=float(found[k]),
+            value=float(found[k] + moved[k]),
             u=math.hypot(u[k], math.sqrt(between[k])),
             unit=one.unit,
             information=float(information[k]),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..identification.fit import Fit
-from ..identification.model_averaging import Alternatives, between_model_variance
+from ..identification.model_averaging import Alternatives, model_average
 from ..machine.plan import Plan
 from ..units import si_factor
 
@@ -58,7 +58,7 @@ def error_motion_tables(
     Value and standard uncertainty are those of the posterior, E = F theta and sqrt(F C F'), with F
     the functions of the family; refinements by `geometric_order` are included. Where the identity
     of an effect is uncertain (`alternatives`), the between-model variance of the error motions is
-    part of the uncertainty.
+    part of the uncertainty, and the value is the average of the models where that is predicted.
     """
     lines = [line_of(fit, axis, nodes) for axis in fit.model.chain.axes]
     functions = functions_on(fit, lines)
@@ -67,7 +67,7 @@ def error_motion_tables(
         alternatives, lines, {name: len(mean) for name, (_, mean) in functions.items()}
     )
     return [
-        _table(name, *functions[name], between[name], fit, spread, lines)
+        _table(name, *functions[name], *between[name], fit, spread, lines)
         for name in _sorted(functions, fit.model.chain.axes)
     ]
 
@@ -104,8 +104,10 @@ def functions_on(fit: Fit, lines: Sequence[np.ndarray]) -> dict[str, tuple[np.nd
 
 def _between_models(
     alternatives: Sequence[Alternatives], lines: Sequence[np.ndarray], sizes: Mapping[str, int]
-) -> dict[str, np.ndarray]:
-    """Between-model variance of every error motion (nodes,), m^2 or rad^2; `sizes` gives nodes."""
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Change by averaging over the models (nodes,), m or rad, and between-model variance (nodes,),
+    of every error motion; `sizes` gives nodes.
+    """
 
     def of(fit: Fit) -> np.ndarray:
         functions = functions_on(fit, lines)
@@ -115,9 +117,9 @@ def _between_models(
 
     if not sizes:
         return {}  # no error motions are declared, as for circles of an R-test
-    variance = between_model_variance(alternatives, of, np.zeros(sum(sizes.values())))
-    parts = np.split(variance, np.cumsum(list(sizes.values()))[:-1])
-    return dict(zip(sizes, parts, strict=True))
+    found = model_average(alternatives, of, np.zeros(sum(sizes.values())))
+    moved, variance = (np.split(v, np.cumsum(list(sizes.values()))[:-1]) for v in found)
+    return dict(zip(sizes, zip(moved, variance, strict=True), strict=True))
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,7 @@ def _table(
     name: str,
     block: np.ndarray,
     mean: np.ndarray,
+    moved: np.ndarray,
     between: np.ndarray,
     fit: Fit,
     spread: Spread,
@@ -195,7 +198,7 @@ def _table(
         unit=unit,
         position=np.zeros(0) if located else lines[axes.index(axis)] / si_factor(position_unit),
         position_unit=position_unit,
-        value=(mean + block @ fit.theta) / si,
+        value=(mean + block @ fit.theta + moved) / si,
         u=np.sqrt(u**2 + between) / si,
         prior=prior / si,
         information=information,

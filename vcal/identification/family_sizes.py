@@ -6,6 +6,7 @@ data would absorb an effect.
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import equinox as eqx
 import numpy as np
@@ -24,8 +25,24 @@ _WIDE = np.log(3.0)
 stays near one; without a prior it would drift as long as the iteration runs."""
 
 
-def learned_sizes(fit: Fit) -> dict[str, float]:
+def declared_kind(name: str) -> str:
+    """Which declared size an error has, by its ISO 230-1 name: that of translations, of rotations,
+    of squareness and direction, or of positions of axes.
+    """
+    turns = name[1] in "ABC"
+    if name[2:].startswith("0"):
+        return "squareness" if turns else "location"
+    return "rotation" if turns else "translation"
+
+
+def _own_name(name: str) -> str:
+    return name
+
+
+def learned_sizes(fit: Fit, group: Callable[[str], str] = _own_name) -> dict[str, float]:
     """Factor on the prior size of every error motion and location error, by its ISO 230-1 name.
+
+    `group` gives the group of an error that shares a factor; by default every error has its own.
 
     The factors maximise the marginal likelihood of the linearised fit by expectation maximisation,
     with a normal prior on every ln f of the standard deviation s = ln 3. For n coefficients with
@@ -36,6 +53,7 @@ def learned_sizes(fit: Fit) -> dict[str, float]:
     Raises `RuntimeError` where the iteration does not converge.
     """
     groups: dict[str, list[int]] = {}
+    names: dict[str, str] = {}
     k = 0
     for effect in fit.model.effects:
         own = {
@@ -44,7 +62,9 @@ def learned_sizes(fit: Fit) -> dict[str, float]:
         }
         for p in effect.amplitudes:
             if isinstance(effect, GeometricErrors) and p.name not in own:
-                groups.setdefault(p.name.split(".")[0], []).append(k)
+                name = p.name.split(".")[0]
+                names[name] = group(name)
+                groups.setdefault(names[name], []).append(k)
             k += 1
     target = fit.whitened + fit.jacobian @ fit.theta
     normal, pull = fit.jacobian.T @ fit.jacobian, fit.jacobian.T @ target
@@ -62,7 +82,7 @@ def learned_sizes(fit: Fit) -> dict[str, float]:
             break
     else:
         raise RuntimeError(f"sizes of the family: no convergence after {_ROUNDS} iterations")
-    return {name: float(factors[members[0]]) for name, members in groups.items()}
+    return {name: float(factors[groups[its][0]]) for name, its in names.items()}
 
 
 def _factor(n: int, square: float) -> float:

@@ -1,4 +1,4 @@
-"""Between-model variance: the uncertainty added where the identity of an effect is uncertain."""
+"""Model averaging: predictions and their variance where the identity of an effect is uncertain."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,20 +19,35 @@ class Alternatives:
     of p d^2 (law of total variance; Hoeting et al. 1999, Statist. Sci. 14, 382). What is
     unexplained is certainly there (p = 1): the declared parameters have absorbed a part of it, and
     d is the change of the prediction when an empirical description is added.
+
+    Where the chosen model is no more probable than the others together, the average is predicted:
+    the prediction moves by the sum of p d, and the variance about it is that of d, the sum of p d^2
+    less the square of that sum.
     """
 
     found: Fit
     others: tuple[tuple[float, Fit], ...]
     """(probability, fit) of the other models. The probabilities leave out the penalty for a size
     beyond its prior, which counts only where models are ranked."""
+    averaged: bool = False
+    """Whether the average of the models is predicted instead of the chosen one."""
 
 
-def between_model_variance(
-    alternatives: Sequence[Alternatives], of: Callable[[Fit], np.ndarray], variance: np.ndarray
-) -> np.ndarray:
-    """`variance` of the quantity `of(fit)`, plus the sum of p d^2 over all alternatives."""
+def model_average(
+    alternatives: Sequence[Alternatives], of: Callable[[Fit], np.ndarray], none: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Change of the quantity `of(fit)` by averaging over the models, and its between-model
+    variance, for independent alternatives. `none` is an array of zeros of its shape.
+    """
+    moved = variance = none
     for one in alternatives:
         named = of(one.found) if one.others else None
+        mean = none
         for probability, other in one.others:
-            variance = variance + probability * (of(other) - named) ** 2
-    return variance
+            change = of(other) - named
+            mean = mean + probability * change
+            variance = variance + probability * change**2
+        if one.averaged:
+            moved = moved + mean
+            variance = np.maximum(variance - mean**2, 0.0)
+    return moved, variance

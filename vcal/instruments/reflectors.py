@@ -491,7 +491,14 @@ def _joint_positions(
 
 
 def _nominal_poses(chain: Chain, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    r, t = (np.asarray(values) for values in _flange_poses(chain, position))
+    return r, t + r @ np.asarray(chain.tool_offset)
+
+
+@eqx.filter_jit
+def _flange_poses(chain: Chain, position: Array) -> tuple[Array, Array]:
+    """Rotations (n, 3, 3) and positions (n, 3), m, of the flange. Compiled once for all numbers of
+    the chain.
+    """
     zero = jnp.zeros((len(chain.joints), 6))
-    r, t = jax.jit(jax.vmap(lambda q: chain.pose_as_arrays(q, zero)))(position)
-    r = np.asarray(r)
-    return r, np.asarray(t) + r @ np.asarray(chain.tool_offset)
+    return jax.vmap(lambda q: chain.pose_as_arrays(q, zero))(position)

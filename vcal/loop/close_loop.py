@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -25,18 +26,21 @@ from ..units import si_factor
 from .empirical import EMPIRICAL
 from .notes import Facts, notes
 from .outcome.closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
+from .outcome.gain import no_gain
+from .outcome.misdeclared import Misdeclared
 from .outcome.unexplained import from_structure
 from .residuals.vibration import vibration
 from .screening.candidates import UntestableError
 from .screening.screening import Screening
-from .search.certainty import doubted, jump_time_uncertainty
+from .search.certainty import doubted, hinted, jump_time_uncertainty
 from .search.forward_selection import Added, place_of
 from .search.initial_shapes import initial_shapes
 from .search.search import Search
 from .search.shape_classes import Shapes, with_shape_classes
+from .search.sizes import misdeclared
 from .search.state import State, at_noise_found, chi2_per_dof, fitted, reported_noise_scales
 from .settings import checked, classes_of
-from .weighing.cross_validation import check_rms, fit_rms, heldout_rms
+from .weighing.cross_validation import check_rms, fit_rms, heldout_fall, heldout_rms
 from .weighing.weighing import CERTAIN, Weighed
 
 _SOME = 6
@@ -60,6 +64,7 @@ def close_loop(
     max_effects: int = 16,
     learn: bool = False,
     require_testable: bool = False,
+    declared: Callable[[Fit], None] = lambda fit: None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Closure:
     """Find, name and add the effects that are missing from `model`.
@@ -73,7 +78,11 @@ def close_loop(
     them. `check` adds the error at independent points. `draws` and `seed` define the null
     residuals, `max_effects` limits the number of added effects. `learn` learns the sizes of the
     declared families (`vcal.identification.family_sizes`) for the final fit, after the search.
+    `declared` receives the fit of the declared model before the search, and may raise.
     `progress` receives a text before every step.
+
+    Where the declared sizes of the families do not fit, and other sizes are more probable than any
+    effect that could be missing, the search starts from a fit with these sizes.
 
     `KeyboardInterrupt` ends the search, and the result holds what was found so far; before the
     declared model is fitted it is passed on. Raises `RuntimeError` in float32, `ValueError` for
@@ -100,7 +109,8 @@ def close_loop(
     progress("fitting the declared model")
     state = fitted(model, measurement, None, room)
     before = state.fit
-    interrupted = False
+    declared(state.scored)
+    interrupted, stopped, sizes = False, "", None
     undistinguished: list[Shapes] = []
 
     def reached(found: State) -> None:
@@ -108,6 +118,7 @@ def close_loop(
         state = found
 
     try:
+        state, sizes = run.with_fitting_sizes(state)
         state = run.rounds(state, max_effects, reached)
         if run.described_by_noise(state):
             run.unexplained = None
@@ -145,11 +156,15 @@ def close_loop(
         state, undistinguished = with_shape_classes(state, added, room)
     except KeyboardInterrupt:
         interrupted = True
+    except np.linalg.LinAlgError as error:  # the effects that were added hold without the rest
+        interrupted, stopped = True, str(error)
+    sizes = sizes or misdeclared(state, model, room)
+    result = (run, model, before, state, undistinguished, settings, interrupted, stopped, sizes)
     try:
         progress("comparing before and after")
-        return _finish(run, model, before, state, undistinguished, settings, interrupted)
+        return _finish(*result)
     except KeyboardInterrupt:  # the result is known, and the comparison takes a moment only
-        return _finish(run, model, before, state, undistinguished, settings, interrupted)
+        return _finish(*result)
 
 
 def _found(
@@ -177,6 +192,7 @@ def _found(
             *_reference(after, place),
         ],
         p_value=item.p_value,
+        probability=weighed.probability,
         log_evidence=weighed.best.log_bayes,
         delta_bic=weighed.best.delta_bic,
         heldout_gain=item.gain,
@@ -220,16 +236,24 @@ def _finish(
     classes: Sequence[Shapes],
     settings: dict,
     interrupted: bool,
+    stopped: str,
+    sizes: Misdeclared | None,
 ) -> Closure:
     """The result of a search: the final fit with the estimated noise, and the errors of the
     declared `model` before and of the identified one after it.
+
+    `stopped` says which equations without a solution ended the search.
     """
     nominal = _nominal(model, state, run.room)
     noise, scales = reported_noise_scales(state)
     after = at_noise_found(state, run.room)
     found = [_found(item, after, state, classes, run.room) for item in run.added(state)]
     found = [doubted(effect, state.fit, run.unexplained, run.untestable) for effect in found]
-    alternatives = [_alternatives(item.weighed, classes) for item in run.added(state)]
+    found = [hinted(effect, state.fit, run.unexplained) for effect in found]
+    alternatives = [
+        replace(_alternatives(item.weighed, classes), averaged=bool(effect.hint))
+        for item, effect in zip(run.added(state), found, strict=True)
+    ]
     alternatives += [one.alternatives for one in classes]
     described = run.unexplained.empirical if run.unexplained is not None else None
     if described is not None:
@@ -246,6 +270,7 @@ def _finish(
         "before": errors(before, run.check),
         "after": errors(after, run.check, alternatives),
     }
+    useless = no_gain(wrong, heldout_fall(nominal, after, alternatives))
     swings = vibration(state.fit)
     return Closure(
         verdict=verdict,
@@ -276,6 +301,8 @@ def _finish(
         noise_uneven=state.noise is not None and state.noise.uneven,
         settings=settings,
         interrupted=interrupted,
+        sizes=sizes,
+        no_gain=useless,
         notes=notes(
             Facts(
                 before=before,
@@ -290,6 +317,9 @@ def _finish(
                 untestable=run.untestable,
                 vibration=swings,
                 interrupted=interrupted,
+                stopped=stopped,
+                sizes=sizes,
+                no_gain=useless,
                 room=run.room,
             )
         ),
@@ -374,10 +404,11 @@ def errors(
     fit: Fit, check: CheckPoints | None, alternatives: Sequence[Alternatives] = ()
 ) -> Errors:
     """Errors of a fitted model on all data. The alternatives to its effects are part of the
-    uncertainty at the check points.
+    uncertainty at the check points, and of the prediction where it is that of their average.
     """
     aligned, raw = (None, None) if check is None else check_rms(fit, check, alternatives)
-    return Errors(aligned, raw, heldout_rms(fit), fit_rms(fit), chi2_per_dof(fit), _by_set(fit))
+    heldout = heldout_rms(fit, alternatives=alternatives)
+    return Errors(aligned, raw, heldout, fit_rms(fit), chi2_per_dof(fit), _by_set(fit))
 
 
 def _by_set(fit: Fit) -> dict[str, SetErrors]:

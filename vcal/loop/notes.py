@@ -19,6 +19,7 @@ from ..model.forward import Model
 from ..model.measurement import CheckPoints, rows_in_words
 from ..words import counted, plural
 from .outcome.closure import Errors, FoundEffect, in_words
+from .outcome.misdeclared import Misdeclared
 from .outcome.unexplained import Unexplained
 from .residuals.confounded import confounded, unrecorded_time
 from .residuals.outliers import at_an_end, too_many
@@ -72,6 +73,12 @@ class Facts:
     untestable: Sequence[Untestable]
     vibration: Vibration | None
     interrupted: bool
+    stopped: str
+    """What ended the search early, where equations had no solution."""
+    sizes: Misdeclared | None
+    """Declared sizes that do not fit."""
+    no_gain: str
+    """Sentence where compensation does not reduce the error."""
     room: int
 
     @property
@@ -88,6 +95,33 @@ class Facts:
 def notes(facts: Facts) -> list[str]:
     """All notes, the most important first."""
     return [note for about in _NOTES for note in about(facts)]
+
+
+def _stopped(facts: Facts) -> list[str]:
+    """Note where equations without a solution ended the search."""
+    if not facts.stopped:
+        return []
+    return [
+        f"the search ended early, as the equations of one of its steps have no solution "
+        f"({facts.stopped}); what was found by then holds"
+    ]
+
+
+def _sizes(facts: Facts) -> list[str]:
+    """Note on declared sizes that do not fit."""
+    sizes = facts.sizes
+    if sizes is None:
+        return []
+    test = sizes.test
+    chance = "" if test.gross else f" (p = {test.p_value:.1g} by chance)"
+    do = (
+        "compare the numbers of the machine, and the signs, units and order of the columns, with "
+        "the machine"
+        if test.gross
+        else "declare the sizes that the errors have"
+    )
+    used = "; the search and the result use the sizes that fit" if sizes.used else ""
+    return [f"the declared sizes do not fit: {sizes.words}{chance}{used}; {do}"]
 
 
 def _held_out(facts: Facts) -> list[str]:
@@ -203,6 +237,11 @@ def _beyond_at_the_check(facts: Facts) -> list[str]:
                     "not include the error of the extrapolation; measure over the whole range"
                 )
     return said
+
+
+def _gain(facts: Facts) -> list[str]:
+    """Note where compensation does not reduce the error."""
+    return [facts.no_gain.rstrip(".")] if facts.no_gain else []
 
 
 def _worse(facts: Facts) -> list[str]:
@@ -456,6 +495,9 @@ def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
 
 
 _NOTES = (
+    _stopped,
+    _gain,
+    _sizes,
     _held_out,
     _inconsistent_data_sets,
     _elsewhere,

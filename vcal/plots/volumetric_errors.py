@@ -12,7 +12,7 @@ from matplotlib.ticker import LogFormatter
 
 from ..geometry.compensated import compensated_in_blocks, compensated_points
 from ..identification.fit import Fit
-from ..identification.model_averaging import Alternatives, between_model_variance
+from ..identification.model_averaging import Alternatives, model_average
 from ..loop.weighing.cross_validation import heldout_residuals, squared_errors
 from ..model.measurement import CheckPoints
 from ..numerics.spatial import after_alignment, align_rigid
@@ -90,10 +90,11 @@ def error_field(
 
     found, jacobian = points(after)
     left, turn = after_alignment(found, nominal)
-    errors = [1e6 * identified(before), -1e6 * left]
+    moved, between = model_average(alternatives, identified, np.zeros_like(nominal))
+    errors = [1e6 * identified(before), 1e6 * (moved - left)]
     free = align_rigid(nominal, turn @ jacobian)
     variance = ((free @ after.covariance) * free).sum((1, 2))
-    variance += between_model_variance(alternatives, identified, np.zeros_like(nominal)).sum(1)
+    variance += between.sum(1)
     shape = (len(PLANES), nodes, nodes)
     if variance.max() == 0.0 and max(np.abs(e).max() for e in errors) < _NOTHING_UM:
         return None

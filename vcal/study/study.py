@@ -216,7 +216,7 @@ def load_study(
     _check_wanted(settings.loop.effects or (), catalogue, file, given)
     chain = build_chain(settings.machine, file, folder)
     sets = _data_sets(settings, chain, folder, file)
-    instrument, plan, readings = _together(sets, chain)
+    instrument, plan, readings = together(sets, chain)
     measurement = None
     if readings is not None:
         blank = {one.file: rows for one in sets if (rows := one.table.blank_rows)}
@@ -672,7 +672,7 @@ def _planned(
     return plan
 
 
-def _together(sets: Sequence[DataSet], chain: Chain) -> tuple[Instrument, Plan, np.ndarray | None]:
+def together(sets: Sequence[DataSet], chain: Chain) -> tuple[Instrument, Plan, np.ndarray | None]:
     """Instrument, plan and readings of all data sets."""
     if not sets[0].name:
         return sets[0].instrument, sets[0].plan, sets[0].readings

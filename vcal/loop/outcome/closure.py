@@ -9,6 +9,7 @@ from ...identification.fit import Fit
 from ...identification.model_averaging import Alternatives
 from ...instruments.conditions import file_column, in_file
 from ...model.measurement import CheckPoints
+from ...words import counted
 from ..empirical import Empirical
 from ..residuals.outliers import Outlier
 from ..residuals.variance_components import Component
@@ -16,6 +17,7 @@ from ..residuals.vibration import Vibration
 from ..screening.candidates import Untestable
 from ..screening.screening import Screening
 from ..weighing.cross_validation import Rms
+from .misdeclared import Misdeclared
 from .unexplained import Unexplained, way
 
 Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
@@ -69,6 +71,8 @@ class FoundEffect:
     """(name, value, unit, standard uncertainty), from the final fit, at the placement of `effect`.
     At another placement of its class, size and sign may differ."""
     p_value: float
+    probability: float
+    """Of its name, among all rivals."""
     log_evidence: float
     delta_bic: float
     heldout_gain: float
@@ -79,6 +83,9 @@ class FoundEffect:
     separation: str
     """The measurement that would distinguish it from its rivals, in words; empty where none is
     needed."""
+    hint: str = ""
+    """Reason why it is a hint only: no more likely than its rivals together, no value above its
+    uncertainty, or less than what is left unexplained. Empty for an effect that counts as found."""
     shapes: tuple[Mapping[str, float], ...] = ()
     """Values of its shape parameters, in their units, that the readings cannot distinguish, the
     most probable first; empty where there is one only. The model holds their mean
@@ -159,6 +166,11 @@ class Closure:
     """Whether the kinds of reading differ in the ratio of estimated to declared noise. The final
     fit then uses `noise_components`."""
     interrupted: bool = False
+    sizes: Misdeclared | None = None
+    """Declared sizes that do not fit; None where they fit."""
+    no_gain: str = ""
+    """Sentence where compensation does not reduce the error (`vcal.loop.outcome.gain`); else empty.
+    """
     vibration: Vibration | None = None
     """A vibration in the residual, which runs of several feed rates can reveal."""
     notes: list[str] = field(default_factory=list)
@@ -225,9 +237,28 @@ class Closure:
     @property
     def sentence(self) -> str:
         """The verdict in words."""
-        names = [e.name for e in self.effects]
+        said = " ".join(filter(None, (self._verdict_in_words, self.no_gain)))
+        gross = self.sizes is not None and self.sizes.test.gross
+        if gross and self.sizes is not None and self.sizes.words not in said:
+            return f"The machine is not as declared: {self.sizes.words}. {said}"
+        return said
+
+    @property
+    def found(self) -> list[FoundEffect]:
+        """The effects that are more likely than not, with a value above its uncertainty."""
+        return [effect for effect in self.effects if not effect.hint]
+
+    @property
+    def hints(self) -> list[FoundEffect]:
+        """The other effects that were added (`FoundEffect.hint`)."""
+        return [effect for effect in self.effects if effect.hint]
+
+    @property
+    def _verdict_in_words(self) -> str:
+        names, hints = [e.name for e in self.found], [e.name for e in self.hints]
         listed = _and(names)
         if self.interrupted:
+            listed = _and(names + hints)
             return f"Interrupted before the search ended; found by then: {listed or 'nothing'}."
         tried = set(self.settings.get("effects", ()))
         tested = {kind.kind for screening in self.screenings for kind in screening.kinds}
@@ -241,17 +272,25 @@ class Closure:
                 f"No effect was found, but {self._scatter()} times as declared: the noise is "
                 "larger than declared, or an effect is missing that none of those tried describes."
             )
+        if self.verdict == "nothing_missing" and self.sizes is not None:
+            return f"No effect was found, but the declared sizes do not fit: {self.sizes.words}."
         if self.verdict == "nothing_missing":
             return "The declared model explains the measurement: nothing is missing."
         if self.verdict == "named":
             return f"The declared model lacked {listed}."
         if self.verdict == "ambiguous":
             likely = all(
-                2.0 * p < 1.0 for found in self.effects for *_, p in found.alternatives
+                2.0 * p < 1.0 for found in self.found for *_, p in found.alternatives
             )  # else a rival is more probable
-            how = "most likely" if likely else "it may be"
-            return f"The declared model lacks something: {how} {listed}, but not for certain."
+            how = "most likely" if likely and names else "it may be"
+            more = f", and perhaps {_and(hints)}" if names and hints else ""
+            listed = listed or _and(hints)
+            return f"The declared model lacks something: {how} {listed}{more}, but not for certain."
         found = f"Found {listed}; the rest is unexplained" if names else "Unexplained"
+        if hints:
+            several = counted(len(hints), "further effect" if names else "effect")
+            found = f"Found {listed}, hints of {several}" if names else f"Hints of {several}"
+            found += "; the rest is unexplained"
         limit = ", and no more effects may be added (max_effects)" if self.full else ""
         return f"{found}{limit}: {self._remainder()}."
 

@@ -17,6 +17,9 @@ from ..screening.score_test import ScoreTest
 from ..weighing.rivals import impossible_sizes
 from .state import State, without
 
+_LIKELY, _COVERAGE = 0.5, 2.0
+"""Probability, and expanded uncertainty in standard uncertainties, above which an effect counts as
+found."""
 _OUT = 3.0
 """Standard uncertainties by which a shape parameter would have to leave its grid to count as
 outside."""
@@ -43,6 +46,31 @@ def doubted(
         or impossible_size(fit, place)
     )
     return replace(found, status="ambiguous", separation=why) if why else found
+
+
+def hinted(found: FoundEffect, fit: Fit, rest: Unexplained | None) -> FoundEffect:
+    """The effect as found in a fit, or the same as a hint: where it is no more likely than all its
+    rivals together, no amplitude exceeds its expanded uncertainty (k = 2), or it explains less than
+    what is left unexplained.
+
+    What is unexplained counts where it has no description, neither an empirical one nor noise that
+    is correlated in time: small effects may then be parts of it.
+    """
+    place = next(i for i, e in enumerate(fit.model.effects) if e.alike(found.effect))
+    amplitudes = {p.name for p in found.effect.amplitudes}
+    values = [(abs(value), u) for name, value, _, u in found.parameters if name in amplitudes]
+    why = ""
+    if found.probability <= _LIKELY:
+        why = "its rivals together are as likely"
+    elif values and all(value <= _COVERAGE * u for value, u in values):
+        why = "no value of it exceeds its expanded uncertainty (k = 2)"
+    elif rest is not None and rest.empirical is None and not rest.words:
+        mine = fit.places_of(place)[0]
+        theta, covariance = fit.theta[mine], fit.planned_covariance[np.ix_(mine, mine)]
+        if theta @ np.linalg.solve(covariance, theta) < declared_chi2(fit) - fit.dof:
+            # Its name may be certain all the same.
+            return replace(found, hint="it explains less than what is left unexplained")
+    return replace(found, hint=why, status="ambiguous") if why else found
 
 
 def part_of_unexplained(fit: Fit, place: int, rest: Unexplained | None) -> str:

@@ -14,6 +14,7 @@ from ...identification.fit import Fit, declared_chi2
 from ...identification.identify import identify
 from ..empirical import Empirical
 from ..outcome.closure import Rejected, in_words
+from ..outcome.misdeclared import Misdeclared
 from ..residuals.autocorrelation import Serial, gain_beside, serial
 from ..screening.score_test import Peak
 from ..screening.screening import Screening
@@ -21,6 +22,7 @@ from ..screening.size_evidence import over_scales
 from ..weighing.rivals import Rival, refit_all
 from ..weighing.weighing import Weighed, classes_of, likelier, weigh
 from .forward_selection import Added, ForwardSelection, Kept, place_of
+from .sizes import LIKELIER, sizes_that_fit, tested_sizes
 from .state import State, fitted, without
 
 T = TypeVar("T")
@@ -56,6 +58,37 @@ class Search(ForwardSelection):
         self._again = _AGAIN
         self._instead, self._exchanges = _INSTEAD, _EXCHANGES
         self._bars = _BARS
+
+    def with_fitting_sizes(self, state: State) -> tuple[State, Misdeclared | None]:
+        """The state from which the search starts: with the declared sizes, or with those that the
+        readings show where the declared ones do not fit and these are more probable than the most
+        probable effect that may be missing. Also what does not fit then.
+        """
+        test = tested_sizes(state.scored, state.model)
+        found = sizes_that_fit(state, state.model, test, self.room) if test.misfit else None
+        if found is None:
+            return state, None
+        self.progress("comparing declared sizes with those that fit")
+        model, factors, gain = found
+        kept = self._kept()
+        _, screening = self._screened(state)
+        self._restore(kept)
+        instances = {kind.kind: kind.instances for kind in screening.kinds}
+        best = max(
+            (
+                peak.log_bayes_at_its_size
+                + math.log(peak.effect.odds / instances[peak.effect.name])
+                for peak in screening.peaks
+            ),
+            default=-math.inf,
+        )
+        if gain <= max(best, LIKELIER):
+            return state, None
+        try:
+            wide = fitted(model, state.fit.measurement, None, self.room)
+        except np.linalg.LinAlgError:
+            return state, None
+        return wide, Misdeclared(test, factors, True)
 
     def rounds(self, state: State, most: int, reached: Callable[[State], None]) -> State:
         """Add effects until nothing is added or there are `most`, then revise them.

@@ -145,23 +145,71 @@ def rms(squares: np.ndarray, shared: np.ndarray | None = None) -> Rms:
     return Rms(value * 1e6, u * 1e6)
 
 
+def heldout_fall(before: Fit, after: Fit, alternatives: Sequence[Alternatives] = ()) -> Rms | None:
+    """Fall of the mean squared held-out error from one fit to another of the same rows, relative to
+    that of the first, with its standard uncertainty, which is that of the differences of the rows;
+    None where no row is held out. `alternatives` are those of the second fit.
+    """
+    old, new = heldout_residuals(before), averaged_residuals(after, alternatives)
+    both = np.isfinite(old).all(axis=1) & np.isfinite(new).all(axis=1)
+    if not both.any():
+        return None
+    a, b = (squared_errors(fit, np.where(both[:, None], r, np.nan))
+            for fit, r in ((before, old), (after, new)))  # fmt: skip
+    shared = _shared(after)[both]
+    groups = np.unique(shared, return_inverse=True)[1]
+    count = groups.max() + 1
+    if count < _FEW:
+        groups, count = np.arange(len(a)), len(a)
+    sums = np.bincount(groups, a - b - (a - b).mean())
+    error = math.sqrt(count / max(count - 1, 1) * float(sums @ sums)) / len(a)
+    return Rms(float((a - b).mean() / a.mean()), error / float(a.mean()))
+
+
+def _shared(fit: Fit) -> np.ndarray:
+    """Cluster (n,) of every row: rows of one fold, pose or run share errors."""
+    plan = fit.measurement.plan
+    common = [folds_of(fit.model, fit.measurement)[0]]
+    common += [np.asarray(plan.groups[name]) for name in ("pose", "run") if name in plan.groups]
+    return np.unique(np.column_stack(common), axis=0, return_inverse=True)[1].ravel()
+
+
+def averaged_residuals(fit: Fit, alternatives: Sequence[Alternatives] = ()) -> np.ndarray:
+    """`heldout_residuals` of the average of models where that is predicted."""
+    return heldout_residuals(fit) + _averaged(alternatives, heldout_residuals)
+
+
+def _averaged(
+    alternatives: Sequence[Alternatives], of: Callable[[Fit], np.ndarray]
+) -> np.ndarray | float:
+    """Change of the quantity `of(fit)` by the models that are averaged."""
+    moved: np.ndarray | float = 0.0
+    for one in alternatives:
+        if one.averaged and one.others:
+            named = of(one.found)
+            for probability, other in one.others:
+                change = probability * (of(other) - named)
+                # A model that cannot predict a row changes nothing there.
+                moved = moved + np.where(np.isfinite(change), change, 0.0)
+    return moved
+
+
 def fit_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
     """3-D rms of the residuals of the fitted rows, um; of `rows` (n,) only."""
     return rms(squared_errors(fit, np.where((fit.used & rows)[:, None], fit.residual, np.nan)))
 
 
-def heldout_rms(fit: Fit, rows: np.ndarray | bool = True) -> Rms:
-    """3-D rms of the held-out residuals, um; of `rows` (n,) only.
+def heldout_rms(
+    fit: Fit, rows: np.ndarray | bool = True, alternatives: Sequence[Alternatives] = ()
+) -> Rms:
+    """3-D rms of the held-out residuals, um; of `rows` (n,) only. Where the average of models is
+    predicted (`Alternatives.averaged`), they are those of the average.
 
     Rows of one fold, pose or run share errors and count as clusters (`rms`).
     """
-    plan = fit.measurement.plan
     kept = np.broadcast_to(rows, fit.used.shape)[:, None]
-    residual = np.where(kept, heldout_residuals(fit), np.nan)
-    common = [folds_of(fit.model, fit.measurement)[0]]
-    common += [np.asarray(plan.groups[name]) for name in ("pose", "run") if name in plan.groups]
-    _, shared = np.unique(np.column_stack(common), axis=0, return_inverse=True)
-    return rms(squared_errors(fit, residual), shared.ravel()[np.isfinite(residual).all(1)])
+    residual = np.where(kept, averaged_residuals(fit, alternatives), np.nan)
+    return rms(squared_errors(fit, residual), _shared(fit)[np.isfinite(residual).all(1)])
 
 
 def check_rms(
@@ -171,9 +219,11 @@ def check_rms(
     the check points may be in any frame), and raw.
 
     The uncertainty combines the scatter over the points, the posterior covariance of the parameters
-    and the between-model variance of the effects in `alternatives`.
+    and the between-model variance of the effects in `alternatives`; where their average is
+    predicted, the error is that of the average.
     """
     points, jacobian = compensated_points(fit, check.plan)
+    points = points + _averaged(alternatives, lambda f: compensated_points(f, check.plan)[0])
 
     def errors(points: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
         raw = check.tool_point - points, np.eye(3)
@@ -183,8 +233,14 @@ def check_rms(
     between_models = np.zeros(2)
     for doubt in alternatives:
         named = compensated_points(doubt.found, check.plan)[0]
-        for probability, other in doubt.others:
-            moved = points + compensated_points(other, check.plan)[0] - named
+        # `points` holds the average already; without the change of this effect the named one.
+        own = _averaged([doubt], lambda f: compensated_points(f, check.plan)[0])
+        weights = [p for p, _ in doubt.others]
+        models = [(p, compensated_points(other, check.plan)[0]) for p, other in doubt.others]
+        if doubt.averaged:
+            models.append((max(1.0 - sum(weights), 0.0), named))
+        for probability, of_other in models:
+            moved = points - own + of_other - named
             left = (rms((error**2).sum(1)) for error, _ in errors(moved))
             change = [a.value - b.value for a, b in zip(left, found, strict=True)]
             between_models += probability * np.square(change)

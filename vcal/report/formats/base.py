@@ -25,6 +25,8 @@ class Results:
     """Error motions and location errors of the identified machine."""
     deviations: Sequence[GeometricTest]
     """Its geometric deviations as ISO 230-1 defines them."""
+    anyway: bool = False
+    """Whether a compensation is stated even where it does not reduce the error."""
 
 
 class Format(ABC):

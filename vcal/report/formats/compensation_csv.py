@@ -2,6 +2,7 @@
 
 Source: the posterior of the identified machine (`geometry.error_motions`).
 Sign: error = actual − nominal; a compensation subtracts the value.
+None where compensation does not reduce the error (`Closure.no_gain`), unless asked for.
 Units: positions in mm or deg, values and uncertainties in um or urad, as the columns state.
 """
 
@@ -18,7 +19,9 @@ class CompensationCsv(Format):
     file = "compensation.csv"
     summary = "error motions on a grid with their standard uncertainty"
 
-    def text(self, results: Results) -> str:
+    def text(self, results: Results) -> str | None:
+        if results.closure.no_gain and not results.anyway:
+            return None
         return compensation_csv(results.motions)
 
 

@@ -104,12 +104,26 @@ def data_sets(closure: Closure, study: Study) -> list[Section]:
 
 
 def identified(closure: Closure, shown: Shown) -> list[Section]:
-    """A heading, and a subsection for every effect that was added."""
-    sections = [
-        _effect(closure, found, shown.get(f"effect {i}", ()))
+    """A heading and a subsection for every effect that was found, then the same for hints."""
+    sections = {
+        found.effect.key: _effect(closure, found, shown.get(f"effect {i}", ()))
         for i, found in enumerate(closure.effects, start=1)
+    }
+    own = [sections[one.effect.key] for one in closure.found]
+    hints = [sections[one.effect.key] for one in closure.hints]
+    rows = [
+        (one.name, text.percent(one.probability), f"{one.hint[0].upper()}{one.hint[1:]}.")
+        for one in closure.hints
     ]
-    return [Section("Identified effects"), *sections] if sections else []
+    about = (
+        "These effects were added to the model and do not count as found. What is compensated for "
+        "each is the average of the effects that it may be, weighted by their probabilities."
+    )
+    table = Table(("effect", "probability", "why it is a hint only"), rows, "lrl")
+    return [
+        *([Section("Identified effects"), *own] if own else []),
+        *([Section("Hints", (about,), tables=(table,)), *hints] if hints else []),
+    ]
 
 
 def _effect(closure: Closure, found: FoundEffect, drawn: tuple[Picture, ...]) -> Section:

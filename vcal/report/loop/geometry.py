@@ -42,7 +42,9 @@ def geometry(
     header = (
         "error", "axis", "lowest", "highest", "largest U (k = 2)", "unit", f"{_INFORMATION}, mean",
     )  # fmt: skip
-    fold = "Error motions in numbers (on a grid in compensation.csv)"
+    fold = "Error motions in numbers"
+    if not closure.no_gain:
+        fold += " (on a grid in compensation.csv)"
     folded = Table(header, motions, "llrrrlr", fold=fold)
     note = (
         "Information: 1 − variance after / variance before the measurement, both from noise and "

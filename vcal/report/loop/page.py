@@ -79,6 +79,10 @@ def page(
 
 
 def _badge(closure: Closure) -> Badge:
+    if closure.sizes is not None and closure.sizes.test.gross:
+        return Badge("Machine not as declared", "bad")
+    if closure.sizes is not None and closure.verdict == "nothing_missing":
+        return Badge("Declared sizes do not fit", "caution")
     if closure.louder:
         return Badge("Noise larger than declared", "caution")
     return _BADGES[closure.verdict] if closure.verdict else Badge("Interrupted", "caution")

@@ -9,6 +9,7 @@ from ...geometry.acceptance import GeometricTest
 from ...identification.fit import Fit
 from ...loop.outcome.closure import Closure, Errors, FoundEffect
 from ...loop.outcome.confirmed import Confirmation, confirmations
+from ...loop.outcome.misdeclared import Misdeclared
 from ...loop.outcome.unexplained import Unexplained
 from ...loop.screening.candidates import Untestable
 from ...loop.weighing.cross_validation import Rms
@@ -61,6 +62,17 @@ def record(
         "verdict": closure.verdict,
         "sentence": closure.sentence,
         "effects": [_effect(closure, effect) for effect in closure.effects],
+        "hints": [
+            {
+                "effect": hint.effect.name,
+                "placement": hint.placement,
+                "probability": hint.probability,
+                "reason": hint.hint,
+            }
+            for hint in closure.hints
+        ],
+        "no_gain": closure.no_gain,
+        "declared_sizes": _sizes(closure.sizes),
         "declared": [
             {"effect": e.name, "placement": e.placement, "parameters": _parameters(listed)}
             for e, listed in declared(closure)
@@ -121,6 +133,29 @@ def _confirmation(one: Confirmation) -> dict[str, Any]:
     }
 
 
+def _sizes(found: Misdeclared | None) -> dict[str, Any] | None:
+    """Declared sizes that do not fit."""
+    if found is None:
+        return None
+    return {
+        "p_value": found.test.p_value,
+        "ratio": found.test.ratio,
+        "factors": dict(found.factors),
+        "used": found.used,
+        "gross": found.test.gross,
+        "largest": [
+            {
+                "effect": key,
+                "parameter": p.name,
+                "value": value,
+                "unit": p.unit,
+                "declared_sigmas": times,
+            }
+            for key, p, times, value in found.test.largest
+        ],
+    }
+
+
 def _test(test: GeometricTest) -> dict[str, Any]:
     return {
         "name": test.name,
@@ -151,6 +186,8 @@ def _effect(closure: Closure, found: FoundEffect) -> dict[str, Any]:
         "fitted_placement": found.effect.placement,
         "parameters": _parameters(parameters(closure, found)),
         "status": found.status,
+        "found": not found.hint,
+        "probability": found.probability,
         "p_value": found.p_value,
         "log_evidence": found.log_evidence,
         "delta_bic": found.delta_bic,

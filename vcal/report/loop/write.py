@@ -42,13 +42,22 @@ def check_folder(out: Path | str, reads: Iterable[Path] = ()) -> None:
 
 
 def write_report(
-    closure: Closure, study: Study, out: Path | str, *, command: str = "", seconds: float = math.nan
+    closure: Closure,
+    study: Study,
+    out: Path | str,
+    *,
+    command: str = "",
+    seconds: float = math.nan,
+    compensate_anyway: bool = False,
 ) -> Path:
     """Write the report of a closed loop into the folder `out`; returns the path of its page.
 
     `index.html` is the self-contained page, `report.json` the record for programs; every one of
     the `FORMATS` adds its file. Where something is left unexplained, `own_effect.py` is an effect
     of the user's own to start from. Pictures lie beside them.
+
+    The compensation table is left out where compensation does not reduce the error, unless
+    `compensate_anyway`.
 
     Page and record quote `command` and `seconds`, the run time of the loop. Raises `StudyError` as
     `check_folder` does.
@@ -59,7 +68,7 @@ def write_report(
         tables = error_motion_tables(fit, alternatives=others)
         size = 0 if closure.check is None else closure.check.plan.rows
         tests = geometric_tests(fit, alternatives=others, size=size)
-        results = Results(closure, study, tables, tests)
+        results = Results(closure, study, tables, tests, compensate_anyway)
         written = {name: kind().text(results) for name, kind in FORMATS.items()}
         about = {name: kind.summary for name, kind in FORMATS.items()}
         written[FILE] = own_effect(closure)
