@@ -319,6 +319,10 @@ class ModelSettings(Table):
 
     geometric: Table | None = None
     """Family of the geometric errors of the machine; none by default."""
+    previous: FileName | None = Field(default=None, alias="from")
+    """Report of an earlier campaign of the same arm (its ``report.json``), whose posterior of the
+    geometric errors, with all correlations, takes the place of their prior. The file declares the
+    same ``[model.geometric]``. Effects that were found there are not carried over."""
     effect: tuple[EffectSettings, ...] = ()
     """Declared effects."""
     effects_file: FileName | None = None

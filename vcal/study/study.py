@@ -44,6 +44,7 @@ from .plugins.instruments import (
     instrument_class,
     readings_of,
 )
+from .previous_campaign import with_posterior
 from .settings import (
     AnySettings,
     LoopSettings,
@@ -225,7 +226,18 @@ def load_study(
         )
     model = Model(chain, instrument)
     if settings.model.geometric is not None:
-        model = model.with_effects(geometric_errors(settings.model.geometric, chain, folder, file))
+        errors: Effect = geometric_errors(settings.model.geometric, chain, folder, file)
+        if settings.model.previous is not None:
+            errors = with_posterior(errors, settings.model.previous, chain, folder, file)
+        model = model.with_effects(errors)
+    elif settings.model.previous is not None:
+        raise refusal(
+            file,
+            "key model.from",
+            "it without [model.geometric]",
+            "the [model.geometric] of that campaign",
+            "add it, or remove the key",
+        )
     model = model.with_effects(*instrument.effects(plan))
     files = {one.name: one.file for one in sets}
     model = model.with_effects(
