@@ -60,13 +60,10 @@ class Theory:
     """The best plain least squares of order 1 to 5."""
 
 
-def theory(task: Task, known: Known) -> dict[tuple[Varied, float], Theory]:
-    """Both estimates for all designs."""
-    found = {}
-    for design in designs():
-        aligned, raw = bayes_um(task, design.poses, known)
-        found[design.key] = Theory(aligned, raw, best_plain(task, design.poses, known))
-    return found
+def theory(task: Task, design: Design, known: Known) -> Theory:
+    """Both estimates for a design."""
+    aligned, raw = bayes_um(task, design.poses, known)
+    return Theory(aligned, raw, best_plain(task, design.poses, known))
 
 
 @dataclass(frozen=True)
