@@ -120,9 +120,9 @@ def test_at_z_zero_the_points_see_no_rotation_of_y_and_z():
     u = (2 * x - 0.4) / 0.4
     legendre = [u, 1.5 * u**2 - 0.5]
     columns = []
-    for part, functions in rows.items():
+    for own, functions in rows.items():
         for f in functions:
-            columns.append(np.concatenate([f * (part == c) for c in "XYZ"]))
+            columns.append(np.concatenate([f * (own == c) for c in "XYZ"]))
     for f in legendre:
         columns.append(np.concatenate([-f * y, f * x, 0 * x]))
         columns.append(np.concatenate([0 * x, 0 * x, f * y]))

@@ -332,17 +332,12 @@ def _gains(r: Results) -> Figure:
     )  # fmt: skip
 
 
-def _shapes(r: Results) -> dict[str, ArrayPoses]:
-    """The nominal design, and those that were found."""
-    found = _results(r)
-    return {"nominal": nominal_poses()} | {
-        f"found for {k}, {short}": found[short][k].optimised.poses
-        for k in ("S", "P") for short in ("60 mm", "250 mm")
-    }  # fmt: skip
-
-
 def _artefacts(r: Results) -> Figure:
-    balls = {name: 1e3 * np.asarray(poses.balls) for name, poses in _shapes(r).items()}
+    shapes = {"nominal": nominal_poses()} | {
+        f"found for {k}, {short}": r.searched[k][_SHORT[short]].optimised.poses
+        for k in KNOWN[:2] for short in ("60 mm", "250 mm")
+    }  # fmt: skip
+    balls = {name: 1e3 * np.asarray(poses.balls) for name, poses in shapes.items()}
     high = 1.15 * max(float(np.abs(b[:, 1:]).max()) for b in balls.values())
     return panels(
         *([Panel("" if i > 1 else name, "x, mm", f"{'xyz'[i]}, mm",
@@ -549,8 +544,9 @@ SHOWN: dict[str, Callable[[Results], Table | Figure]] = {
     "poses": lambda r: spaces(
         {name: [mark("plot", *balls.T, "o-", color=_COLOURS[i % 4], ms=2.6, lw=0.8)
                 for i, balls in enumerate(1e3 * np.asarray(one.centres))]
-         for name, one in _shapes(r).items()
-         if name in ("nominal", "found for S, 60 mm")},
+         for name, one in (
+             ("nominal", nominal_poses()),
+             ("found for S, 60 mm", r.searched["S"][_SHORT["60 mm"]].optimised.poses))},
         np.array([TRAVEL[c] for c in "XYZ"]) + np.array(TOOL)[:, None], 4.6,
     ),
     "time": lambda r: panels([_front(r)], width=8.2, height=4.2),

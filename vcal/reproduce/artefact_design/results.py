@@ -17,7 +17,7 @@ from .expected import Plain, Task, bayes_um, plain_least_squares, task
 from .influences import Cost, costs
 from .influences import exact as with_influences
 from .machines import calibrate
-from .searches import FREEDOMS, STARTS, STEPS, Optimised, Robust, Searches, optimise, robust
+from .searches import FREEDOMS, STARTS, STEPS, Polished, Robust, Searches, optimise, robust
 from .setting import KNOWN, NOMINAL, POSES, TRAVEL, Known, ball_line, placed
 from .stylus import Star, star
 from .sweep import Drawn, Theory, Varied, designs, drawn, exact, theory
@@ -57,7 +57,7 @@ class Effort:
 class Searched:
     """A design found by search, judged on machines that the search did not use."""
 
-    optimised: Optimised
+    optimised: Polished
     checked: Drawn
     """Fresh machines, exact kinematics."""
 

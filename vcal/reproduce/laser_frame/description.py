@@ -150,7 +150,7 @@ def _step(step: Step) -> dict[str, Any]:
         "segments": [
             {"number": s.number, "start_mm": [1e3 * v for v in s.start],
              "end_mm": [1e3 * v for v in s.end], "places_mm": 1e3 * p * s.length}
-            for s, p in zip(layout.segments, layout.shares, strict=True)
+            for s, p in layout.beams
         ],
     }  # fmt: skip
 
@@ -253,7 +253,7 @@ def _places(r: Results) -> Table:
         "beam | points | places from its start, mm",
         [(f"{one.number}: {one.axis} from ({', '.join(f'{1e3 * x:.0f}' for x in one.start)})",
           len(s), ", ".join(f"{1e3 * x * one.length:.0f}" for x in s))
-         for one, s in zip(best.segments, best.shares, strict=True)],
+         for one, s in best.beams],
     )  # fmt: skip
 
 

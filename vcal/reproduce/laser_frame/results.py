@@ -16,6 +16,12 @@ CYCLES = 30_000
 LEAST = 200
 """Cycles of the smallest campaign."""
 
+_LOOKS = {
+    "“3d”": ("3d", 0.0),
+    "“planar”": ("planar", 0.0),
+    f"“3d”, lever {1e3 * LEVER_M:g} mm": ("3d", LEVER_M),
+}
+"""Path and lever of the diode."""
 _CAMPAIGNS: dict[str, tuple[str, Machine, Fitted]] = {
     "planar, noise": ("planar", "none", "thirteen with prior"),
     "planar, all errors": ("planar", "all", "thirteen with prior"),
@@ -37,14 +43,9 @@ class Results(Computed):
     def largest(self) -> Budget:
         return point_budget(1.3, Facts().longest)
 
-    @part("what the beams see")
-    def seen(self) -> dict[str, Seen]:
-        """By path and lever."""
-        return {
-            "“3d”": seen("3d"),
-            "“planar”": seen("planar"),
-            f"“3d”, lever {1e3 * LEVER_M:g} mm": seen("3d", LEVER_M),
-        }
+    @each("what the beams see, {}", _LOOKS)
+    def seen(self, name: str) -> Seen:
+        return seen(*_LOOKS[name])
 
     @part("variants of the evaluation")
     def variants(self) -> tuple[Variant, ...]:

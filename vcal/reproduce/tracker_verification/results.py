@@ -1,6 +1,7 @@
 """The whole of a reproduction as numbers, and the verified machine as a measuring machine."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -79,14 +80,8 @@ def probing(trials: Trials, probe: Probe) -> Probing:
         alone = sum(float(e @ covariance[k, :, k] @ e) for k in (i, j))
         common = 2.0 * float(e @ covariance[i, :, j] @ e)
         extra = 2.0 * probe.variance
-        lengths.append(
-            ProbedLength(
-                name,
-                float(np.linalg.norm(away)),
-                (alone - common + extra) ** 0.5,
-                (alone + extra) ** 0.5,
-            )
-        )
+        u, independent = (alone - common + extra) ** 0.5, (alone + extra) ** 0.5
+        lengths.append(ProbedLength(name, float(np.linalg.norm(away)), u, independent))
     return Probing(probe, np.sqrt(own**2 + probe.variance), own, tuple(lengths))
 
 
@@ -94,28 +89,17 @@ THREE, ONE = Setting(), Setting(angle_sigmas=1.0)
 ALL_THREE = Setting(range_sigmas=3.0)
 """24 urad as three standard deviations, as one, and with the range's noise as three as well."""
 
-_REPEATABILITY_UM = 2.0
-_EXPANSION = 10.0
-_WARMING = 2.0
-_POSE_UM, _POSE_URAD = 20.0, 20.0
-_SCATTER = Influences(repeatability_um=_REPEATABILITY_UM)
-_WARM = Influences(expansion_um_per_m_kelvin=_EXPANSION, warming_kelvin=_WARMING)
-_LOOSE = Influences(pose_um=_POSE_UM, pose_urad=_POSE_URAD)
+_SCATTER: dict[str, Any] = {"repeatability_um": 2.0}
+_WARM: dict[str, Any] = {"expansion_um_per_m_kelvin": 10.0, "warming_kelvin": 2.0}
+_LOOSE: dict[str, Any] = {"pose_um": 20.0, "pose_urad": 20.0}
 
 INFLUENCES = {
     "tracker noise alone": Influences(),
-    "and repeatability": _SCATTER,
-    "and warming up": _WARM,
-    "and tracker's pose": _LOOSE,
-    "and pose, fitted": replace(_LOOSE, fit_pose=True),
-    "all of these, pose fitted": Influences(
-        repeatability_um=_REPEATABILITY_UM,
-        expansion_um_per_m_kelvin=_EXPANSION,
-        warming_kelvin=_WARMING,
-        pose_um=_POSE_UM,
-        pose_urad=_POSE_URAD,
-        fit_pose=True,
-    ),
+    "and repeatability": Influences(**_SCATTER),
+    "and warming up": Influences(**_WARM),
+    "and tracker's pose": Influences(**_LOOSE),
+    "and pose, fitted": Influences(**_LOOSE, fit_pose=True),
+    "all of these, pose fitted": Influences(**_SCATTER, **_WARM, **_LOOSE, fit_pose=True),
 }
 """Influences in addition to the tracker's noise, by name; the sizes are assumed."""
 
