@@ -128,3 +128,14 @@ def test_check_says_which_pitches_cannot_be_distinguished_or_seen(tmp_path):
     assert "cannot be distinguished" in said
     unseen = said[said.index("cannot be distinguished") :]
     assert "pitches of 50, 25, 16.67, 12.5, 10," in unseen and "cannot be seen" in unseen
+
+
+def test_the_loop_says_which_pitches_were_not_seen(tmp_path):
+    study = vcal.load_study(_study(tmp_path, 50.0, 20, 10.0))
+    closure = vcal.close_loop(
+        study.model, study.measurement, effects=["screw_cyclic"], draws=100, max_effects=1
+    )
+    assert not closure.effects
+    assert "screw_cyclic X with a pitch of 50 or 25 or 16.67 or 12.5 or 10 or 8.333 ... mm" in (
+        closure.unseen
+    )

@@ -292,3 +292,62 @@ def test_records_of_an_axes_survive_pickling():
     axes = Axes(("J1", "J2"), {"J1"})
     assert pickle.loads(pickle.dumps(axes)) == axes
     assert dataclasses.replace(Plan(axes, np.zeros((1, 2)))).axes.sliding == {"J1"}
+
+
+@pytest.fixture(scope="module")
+def twice(tmp_path_factory):
+    """An arm that was measured from two places with one tool: upright in the first data set, turned
+    in the second.
+    """
+    folder = tmp_path_factory.mktemp("twice")
+    arm = COLUMN[1:]
+    q = poses(arm, 120, seed=7)
+    q[:60, 3] = 0.0
+    q[:60, 4] = math.pi / 2.0 - q[:60, 1] - q[:60, 2]
+    reflector = np.array([0.01, 0.0, 0.12])
+    for name, rows in (("one", slice(0, 60)), ("two", slice(60, 120))):
+        write_arm(folder / name, arm, q[rows], reflector=reflector, seed=len(name) + rows.start)
+    setup = (folder / "one" / "setup.toml").read_text()
+    machine, rest = setup.split("[instrument]")
+    instrument, geometric = rest.split("[model.geometric]")
+    data = "".join(
+        f'[[data]]\nname = "{name}"\nfile = "{name}.csv"\ntool = "probe"\n'
+        f"[data.instrument]{instrument}"
+        for name in ("one", "two")
+    )
+    (folder / "setup.toml").write_text(f"{machine}{data}[model.geometric]{geometric}")
+    for name in ("one", "two"):
+        (folder / f"{name}.csv").write_text((folder / name / "data.csv").read_text())
+    return folder
+
+
+def test_one_tool_in_two_data_sets(twice):
+    study = load_study(twice)
+    keys = [effect.key for effect in study.model.effects]
+    assert keys == ["geometric", "station one", "station two", "tool_points probe"]
+    first, second = (one.instrument for one in study.sets)
+    np.testing.assert_array_equal(first.points, second.points)
+    fit = fitted(study)
+    assert fit_rms(fit).value < 45.0
+    place = keys.index("tool_points probe")
+    values = {p.name: (value * 1e-6, u * 1e-6) for _, p, value, u in fit.values_of(place)}
+    found = first.points[0] + [values[f"1.{c}"][0] for c in "XYZ"]
+    assert np.linalg.norm(found - [0.01, 0.0, 0.12]) < 5e-3
+    # Alone, the first data set does not determine the height of the reflector.
+    apart = (twice / "setup.toml").read_text().replace('tool = "probe"\n', "", 1)
+    (twice / "apart.toml").write_text(apart)
+    with pytest.raises(StudyError, match="station one Z, tool_points one 1.Z are not identified"):
+        load_study(twice / "apart.toml")
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"data.1.instrument.reflectors_mm": [[1, 2, 3]]}, ("data.1.tool", "other reflectors_mm")),
+        ({"data.1.tool_offset_mm": [0, 0, 50]}, ("data.1.tool", "another tool_offset_mm")),
+    ],
+)
+def test_tools_of_one_name_that_differ(twice, keys, words):
+    with pytest.raises(StudyError) as refused:
+        load_study(twice, keys)
+    assert all(word in str(refused.value) for word in words), str(refused.value)

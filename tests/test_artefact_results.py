@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from vcal.cli import app
 from vcal.reproduce import REPRODUCTIONS, reproduction
-from vcal.reproduce.artefact_design.results import Effort, compute
+from vcal.reproduce.artefact_design.results import Effort, Results
 
 FEW = (("N", 5), ("N", 11), ("N", 17))
 LITTLE = Effort(
@@ -24,7 +24,7 @@ LITTLE = Effort(
 @pytest.mark.campaign
 def test_the_folder(tmp_path, monkeypatch):
     def little(draws, seed, progress):
-        return compute(draws, seed, progress, LITTLE)
+        return Results(draws, seed, progress, LITTLE)
 
     few = replace(reproduction("artefact-design"), compute=little)
     monkeypatch.setitem(REPRODUCTIONS, few.name, few)

@@ -521,7 +521,7 @@ BALLS = {
     "negative index": (cell(2, "pose", "-1"), ("data.csv, row 2 (line 3), column pose", "-1")),
     "too few balls in a pose": (
         lines(lambda found: found[:3] + found[7:]),
-        ("data.csv, row 1", "column pose", "2 ball(s)", "at least 3"),
+        ("data.csv, row 1", "column pose", "2 balls", "at least 3"),
     ),
     "ball calibrated twice": (
         cell(2, "ball", "0", "artefact.csv"),

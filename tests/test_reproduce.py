@@ -19,8 +19,8 @@ from vcal.model.forward import observe_all, tool_columns, tool_points_with_jacob
 from vcal.plots.panels import Panel, bars, mark, panels
 from vcal.report import Table
 from vcal.reproduce import REPRODUCTIONS, reproduction
-from vcal.reproduce.document import Page, Row, rows_table, table
-from vcal.reproduce.registry import Reproduction
+from vcal.reproduce.document import Row, rows_table, section, table
+from vcal.reproduce.registry import Computed, Reproduction, each, part
 from vcal.reproduce.tracker_verification.compared import normal_length
 from vcal.reproduce.tracker_verification.family import find_family, rank_of
 from vcal.reproduce.tracker_verification.results import Probe, probing
@@ -55,7 +55,10 @@ def results(runners):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(computing, "Runner", runner)
         patch.setattr(computing, "TESTS", FEW)
-        found = computing.compute(DRAWS, 3, steps.append, SMALL)
+        found = computing.Results(DRAWS, 3, steps.append, SMALL)
+        assert not steps and not runners
+        every = [dict(one) for one in (found.few, found.many, found.rungs, found.influences)]
+        assert all(every) and found.rank and found.probing
     assert len(steps) == len(set(steps)) > 10
     return found
 
@@ -117,9 +120,9 @@ def test_at_z_zero_the_points_see_no_rotation_of_y_and_z():
     u = (2 * x - 0.4) / 0.4
     legendre = [u, 1.5 * u**2 - 0.5]
     columns = []
-    for part, functions in rows.items():
+    for own, functions in rows.items():
         for f in functions:
-            columns.append(np.concatenate([f * (part == c) for c in "XYZ"]))
+            columns.append(np.concatenate([f * (own == c) for c in "XYZ"]))
     for f in legendre:
         columns.append(np.concatenate([-f * y, f * x, 0 * x]))
         columns.append(np.concatenate([0 * x, 0 * x, f * y]))
@@ -313,9 +316,6 @@ def test_a_text_becomes_sections():
     figure = panels([Panel(marks=[mark("plot", [0, 1], [0, 1])])], width=2.0, height=2.0)
     one = table("error | u | share", [("EXX", 1.23456, "10 %"), ("EYX", None, "–")], fold="All")
     text = """\
-What came
-out.
-# First
 One
 paragraph.
 
@@ -325,22 +325,20 @@ over two lines
 :numbers in µm
 :curve what it shows
 ~ small print
-# Second
 """
-    page = Page(text, [], {"numbers": one}, {"curve": figure})
-    first, second = page.sections()
-    assert page.summary == "What came out."
+    shown = {"numbers": one, "curve": figure}.__getitem__
+    first, second = section("First", text, shown), section("Second", "", shown)
     assert (first.title, second.title, second.paragraphs) == ("First", "Second", ())
     assert first.paragraphs == ("One paragraph.", "Another one.")
     assert first.points == ("a point over two lines",) and first.note == "small print"
-    (shown,) = first.tables
-    assert shown == Table(
+    (numbers,) = first.tables
+    assert numbers == Table(
         ("error", "u", "share"), [["EXX", "1.23", "10 %"], ["EYX", "–", "–"]], "lrr", "in µm", "All"
     )
     (picture,) = first.pictures
     assert (picture.name, picture.caption) == ("curve", "what it shows")
     with pytest.raises(KeyError, match="surface"):
-        replace(page, text="# First\n:surface").sections()
+        section("First", ":surface", shown)
 
 
 def test_a_notebook_shows_results_and_single_sections():
@@ -352,7 +350,9 @@ def test_a_notebook_shows_results_and_single_sections():
         compute=lambda draws, seed, progress, size=1.0: size * (draws + seed),
         rows=lambda value: [Row("sum", 3.5, value, "um")],
         record=lambda value: {"sum": np.float64(value)},
-        page=lambda value: Page(f"Sum {value:g}.\n# All\n:numbers\n# Rest\nNone.", [], {}, {}),
+        head=lambda value: (f"Sum\n{value:g}.", []),
+        texts={"All": lambda value: ":numbers", "Rest": lambda value: "None."},
+        shown={"half": lambda value: table("half", [(0.5 * value,)])},
         counted="draws",
         draws=5,
         least=2,
@@ -362,16 +362,38 @@ def test_a_notebook_shows_results_and_single_sections():
     section = result.section("All")._repr_html_()
     assert '<td>sum</td><td class="n">3.5</td><td class="n">2.500</td>' in section
     assert "<h2" not in rows_table(result.rows)._repr_html_()
+    half = result.show("half")._repr_html_()
+    assert "1.25" in half and "<h2" not in half and "<td>sum" not in half
     assert "Rest" not in section and "Rest" in result._repr_html_()
     record = result.record()
     row = {"quantity": "sum", "seed": 3.5, "vcal": 2.5, "unit": "um", "note": ""}
     assert record["table"] == [row] and record["sum"] == 2.5
     assert (record["draws"], record["seed"]) == (4, 1)
     assert "Sum 2.5." in result.html()
-    with pytest.raises(KeyError, match="Nothing"):
-        result.section("Nothing")
+    for wrong in (result.section, result.show):
+        with pytest.raises(KeyError, match="Nothing"):
+            wrong("Nothing")
     with pytest.raises(StudyError, match="found draws = 1, seed = 0, expected at least 2 draws"):
         campaign.results(1)
+
+
+def test_results_are_computed_once_and_when_they_are_asked_for():
+    class Squares(Computed):
+        @part("the sum")
+        def total(self):
+            return sum(self.squares.values())
+
+        @each("the square of {}", (1, 2, 3))
+        def squares(self, number):
+            return self.draws * number**2
+
+    said = []
+    found = Squares(10, progress=said.append)
+    assert found.squares[2] == 40 and said == ["the square of 2"]
+    assert found.total == 140 == found.total and list(found.squares) == [1, 2, 3]
+    assert said[1:] == ["the sum", "the square of 1", "the square of 3"]
+    with pytest.raises(KeyError, match="4"):
+        found.squares[4]
 
 
 def test_printed_numbers_are_shown_as_printed():

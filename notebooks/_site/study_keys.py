@@ -112,7 +112,7 @@ def _says(model: type[BaseModel]) -> str:
 def _key(model: type[BaseModel], name: str, field: FieldInfo) -> Key:
     holds = _holds(field.annotation, field.metadata)
     default = "required" if field.is_required() else _shown(field.default)
-    return Key(name, holds, default, _meaning(model, name, field))
+    return Key(field.alias or name, holds, default, _meaning(model, name, field))
 
 
 def _meaning(model: type[BaseModel], name: str, field: FieldInfo) -> str:

@@ -50,7 +50,7 @@ def plans_in(folder: Path) -> dict[str, bool]:
     raw, given = read_setup(path)
     root = Folder(folder)
     settings = validate(raw, path.name, given, root)
-    chain = build_chain(settings.machine, path.name)
+    chain = build_chain(settings.machine, path.name, root)
     if isinstance(settings, StudySettings):
         tables = [(settings.data.data, settings.instrument)]
     else:

@@ -96,6 +96,67 @@ class OfDataSet(Effect):
         return self.effect.shape_odds(plan.part(self.data_set), values, uncertainties)
 
 
+class SharedByDataSets(Effect):
+    """An effect of the instruments of several data sets with one set of parameters, such as the
+    places of the reflectors on a tool that all of them measured.
+
+    It has the name of the effect, and its placement is the name of what is shared. Raises
+    `ValueError` where the parameters differ.
+    """
+
+    effects: tuple[OfDataSet, ...]
+
+    @classmethod
+    def of(cls, effects: Mapping[str, Effect], what: str) -> "SharedByDataSets":
+        """From the effects of the data sets by their names, with the same declared values."""
+        made = tuple(OfDataSet.of(effect, name) for name, effect in effects.items())
+        first, *others = effects.values()
+        for other in others:
+            if other.parameters != first.parameters or other.given != first.given:
+                raise ValueError(
+                    f"{what}: found effects with different parameters, expected the same ones in "
+                    f"the data sets {', '.join(effects)}"
+                )
+        return cls(made, placement=what, given=first.given, priors=first.priors)
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Identifier of the effect."""
+        return self.effects[0].name
+
+    @property
+    def summary(self) -> str:  # type: ignore[override]
+        """Summary of the effect, with what is shared."""
+        return f"{self.effects[0].effect.summary}, {self.placement}"
+
+    @property
+    def kind(self):  # type: ignore[override]
+        """Kind of the effect."""
+        return self.effects[0].kind
+
+    @property
+    def where(self):  # type: ignore[override]
+        """The instrument."""
+        return "instrument"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.effects[0].parameters
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(name for effect in self.effects for name in effect.needs)
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        found: dict[tuple[str, str], Array] = {}
+        for effect in self.effects:
+            found |= effect.response(plan, shape)
+        return found
+
+    def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
+        return np.any([effect.rows(plan) for effect in self.effects], axis=0)
+
+
 def in_setup(kind: type[Effect], setup: Setup) -> list[Effect]:
     """The candidates of a class of effects in a setup: those of the machine once, those of an
     instrument once for every data set.

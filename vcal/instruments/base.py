@@ -238,6 +238,13 @@ class Instrument(Record):
         return None
 
     @property
+    def on_tool(self) -> tuple[str, ...]:
+        """Names of its effects that belong to the tool, so that several data sets measured with
+        that tool may share their parameters; none by default.
+        """
+        return ()
+
+    @property
     def members(self) -> Mapping[str, "Instrument"]:
         """The instruments of several data sets by their names; empty for a single instrument."""
         return {}
@@ -287,6 +294,17 @@ class TableInstrument(Instrument):
     """
     Settings: ClassVar[type[InstrumentSettings]] = InstrumentSettings
     """Keys of the ``[instrument]`` table, validated; their names end in the unit."""
+
+    def with_tool_of(
+        self, other: Self, chain: Chain, plan: Plan, readings: np.ndarray | None
+    ) -> Self:
+        """The same instrument with the initial values that another one of the same kind has for
+        what is on the tool (`on_tool`), and its other initial values to match; itself by default.
+
+        Raises `ValueError` that says what differs, where it cannot be the same tool.
+        """
+        del other, chain, plan, readings
+        return self
 
     # --- edges: from and to files -------------------------------------------------------------
     @classmethod

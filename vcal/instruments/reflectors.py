@@ -324,11 +324,30 @@ class Reflectors(TableInstrument):
     def lengths(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
         return np.ones((plan.rows, 3 * self.count))
 
+    @property
+    def on_tool(self) -> tuple[str, ...]:
+        return (ToolPoints.name,)
+
     def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> Self:
         _check_size(chain, plan, np.asarray(readings)[:, :3])
+        return self._placed(chain, plan, readings, self.points_u is not None)
+
+    def with_tool_of(
+        self, other: Self, chain: Chain, plan: Plan, readings: np.ndarray | None
+    ) -> Self:
+        if self.count != other.count:
+            raise ValueError(f"{self.count} reflectors in place of {other.count}")
+        declared = self.points_u is not None
+        if self.points_u != other.points_u or declared and (self.points != other.points).any():
+            raise ValueError("other reflectors_mm or another reflectors_sigma_um")
+        same = dataclasses.replace(self, points=other.points)
+        return same if readings is None else same._placed(chain, plan, readings, True)
+
+    def _placed(self, chain: Chain, plan: Plan, readings: np.ndarray, known: bool) -> Self:
+        """Initial pose of the base, and initial positions of the reflectors unless `known`."""
         rotations, origins = _nominal_poses(chain, np.asarray(plan.position))
         measured = readings.reshape(plan.rows, self.count, 3)
-        points = np.zeros((self.count, 3)) if self.points_u is None else self.points
+        points = self.points if known else np.zeros((self.count, 3))
         orientation, station = self.orientation, self.station
         # The base's pose and the points on the tool appear as a product; alternate between the
         # two closed-form solutions, which halves the error in every round.
@@ -336,7 +355,7 @@ class Reflectors(TableInstrument):
             if self.station_u is None:
                 model = origins[:, None] + np.einsum("nij,kj->nki", rotations, points)
                 orientation, station = best_rigid(measured.reshape(-1, 3), model.reshape(-1, 3))
-            if self.points_u is not None:
+            if known:
                 break
             seen = measured @ orientation.T + station
             new = np.einsum("nji,nkj->ki", rotations, seen - origins[:, None]) / plan.rows

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..effects.base import Effect
 from ..effects.clock import CLOCKS
-from ..effects.data_set import OfDataSet
+from ..effects.data_set import OfDataSet, SharedByDataSets
 from ..machine.chain import Chain
 from ..machine.plan import Plan, joined, of_set
 from ..numerics.arrays import Array
@@ -26,6 +26,8 @@ class DataSet(NamedTuple):
     plan: Plan
     tool: Sequence[float] = (0.0, 0.0, 0.0)
     """Tool point of this instrument relative to that of the chain, in the last axis's frame, m."""
+    shared: str = ""
+    """Name of the tool that it shares with other data sets; empty for a tool of its own."""
 
 
 class Several(Instrument):
@@ -45,6 +47,8 @@ class Several(Instrument):
     """Tool point of every data set relative to that of the chain, in the last axis's frame (sets,
     3), m.
     """
+    shared: tuple[str, ...] = eqx.field(static=True, default=())
+    """Name of the tool that every data set shares with others; empty for a tool of its own."""
 
     @property
     def members(self) -> Mapping[str, Instrument]:
@@ -182,11 +186,16 @@ class Several(Instrument):
         return eqx.tree_at(lambda s: s.instruments, self, tuple(begun))
 
     def effects(self, plan: Plan) -> tuple[Effect, ...]:
-        return tuple(
-            OfDataSet.of(effect, name)
-            for name, (member, part, *_) in zip(self.names, self._each(plan), strict=True)
-            for effect in member.effects(part)
-        )
+        found: list[Effect] = []
+        together: dict[tuple[str, str], dict[str, Effect]] = {}
+        tools = self.shared or ("",) * len(self.names)
+        for name, tool, (member, part, *_) in zip(self.names, tools, self._each(plan), strict=True):
+            for effect in member.effects(part):
+                if tool and effect.name in member.on_tool:
+                    together.setdefault((tool, effect.name), {})[name] = effect
+                else:
+                    found.append(OfDataSet.of(effect, name))
+        return (*found, *(SharedByDataSets.of(e, tool) for (tool, _), e in together.items()))
 
 
 def _replaced(plan: Plan, name: str, rows: slice, part: Plan) -> Plan:
@@ -224,6 +233,7 @@ def several(sets: Mapping[str, DataSet]) -> tuple[Several, Plan]:
         instruments=tuple(one.instrument for one in sets.values()),
         sizes=tuple(one.plan.rows for one in sets.values()),
         tools=np.array([one.tool for one in sets.values()], float),
+        shared=tuple(one.shared for one in sets.values()),
     )
     return instrument, plan
 

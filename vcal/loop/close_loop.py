@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from ..effects.base import Effect
 from ..effects.clock import CLOCKS
+from ..effects.cyclic import ScrewCyclic
 from ..effects.data_set import OfDataSet
 from ..effects.reference import FreeReference
 from ..effects.registry import CATALOGUE
@@ -18,6 +19,7 @@ from ..identification.fit import Fit, normalised_residuals
 from ..identification.identify import identify
 from ..identification.model_averaging import Alternatives
 from ..instruments.conditions import file_column
+from ..machine.plan import Plan
 from ..model.forward import Model
 from ..model.measurement import CheckPoints, Measurement
 from ..units import si_factor
@@ -29,6 +31,7 @@ from .outcome.misdeclared import Misdeclared
 from .outcome.unexplained import from_structure
 from .residuals.vibration import vibration
 from .screening.candidates import UntestableError
+from .screening.screening import Screening
 from .search.certainty import doubted, hinted, jump_time_uncertainty
 from .search.forward_selection import Added, place_of
 from .search.initial_shapes import initial_shapes
@@ -40,6 +43,8 @@ from .settings import checked, classes_of
 from .weighing.cross_validation import check_rms, fit_rms, heldout_fall, heldout_rms
 from .weighing.weighing import CERTAIN, Weighed
 
+_SOME = 6
+"""Most unseen pitches that are listed."""
 _ROOM = 16
 """Parameters that added effects may have before the solver must be recompiled."""
 
@@ -146,7 +151,7 @@ def close_loop(
                 full,
             )
         run.weigh_again(state)
-        progress("comparing shapes that the readings cannot distinguish")
+        progress("looking for shapes that the readings cannot distinguish")
         added = [item.effect for item in run.added(state)]
         state, undistinguished = with_shape_classes(state, added, room)
     except KeyboardInterrupt:
@@ -281,7 +286,14 @@ def _finish(
         suspected=state.outliers,
         rejected=still_rejected(run.rejected, found),
         untestable=run.untestable,
-        unseen=[e.key for first in run.screenings[:1] for e in first.unseen],
+        unseen=[
+            name
+            for first in run.screenings[:1]
+            for name in (
+                *(e.key for e in first.unseen),
+                *_unseen_pitches(first, after.measurement.plan),
+            )
+        ],
         screenings=run.screenings,
         noise_scale=noise,
         noise_components=() if state.noise is None else state.noise.parts,
@@ -312,6 +324,19 @@ def _finish(
             )
         ),
     )
+
+
+def _unseen_pitches(screening: Screening, plan: Plan) -> Iterable[str]:
+    """Pitches that positions in equal steps do not show, with the effect that has them."""
+    for kind in screening.kinds:
+        effects = {id(p.effect): p.effect for p in kind.peaks if isinstance(p.effect, ScrewCyclic)}
+        for effect in effects.values():
+            found = effect.aliases(plan)
+            if found is not None and found.unseen:
+                (p,) = effect.shapes
+                some = " or ".join(f"{pitch / p.si:.4g}" for pitch in found.unseen[:_SOME])
+                more = " ..." if len(found.unseen) > _SOME else ""
+                yield f"{effect.key} with a pitch of {some}{more} {p.unit}"
 
 
 def still_rejected(rejected: Iterable[Rejected], found: Iterable[FoundEffect]) -> list[Rejected]:

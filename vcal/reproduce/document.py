@@ -1,13 +1,15 @@
-"""A page from its description: one text with places for tables and pictures, read into sections.
+"""A page from its description: sections of text with places for tables and pictures.
 
-A blank line or a mark at the start of a line begins a block: a paragraph, or with its mark a
-heading (``# ``), a point of a list (``- ``), small print (``~ ``), and ``:name`` for the table or
-the picture of that name, with the rest of the block as its note or caption. What comes before the
-first heading is the summary.
+A blank line or a mark at the start of a line begins a block of a section: a paragraph, or with its
+mark a point of a list (``- ``), small print (``~ ``), and ``:name`` for the table or the picture of
+that name, with the rest of the block as its note or caption.
+
+Texts, tables and pictures are functions of what is computed, called when they are shown: a section
+costs what it shows.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..plots import png
-from ..report import Picture, Section, Table, Tile
+from ..report import Picture, Section, Table
 from ..report.html.text import DASH, number, unit
 
 
@@ -31,48 +33,26 @@ class Row:
     note: str = ""
 
 
-@dataclass(frozen=True)
-class Page:
-    """The description of a page."""
-
-    text: str
-    tiles: Sequence[Tile]
-    tables: Mapping[str, Table]
-    pictures: Mapping[str, Figure]
-
-    @property
-    def summary(self) -> str:
-        """What comes before the first heading."""
-        return " ".join(self.text.partition("\n# ")[0].split())
-
-    def sections(self) -> list[Section]:
-        """The sections, tables and pictures included.
-
-        Raises `KeyError` for a table or a picture that is not there.
-        """
-        found: list[Section] = []
-        text = re.sub(r"^# .*$", r"\g<0>\n", self.text, flags=re.MULTILINE)
-        for block in re.split(r"\n\s*\n|\n(?=# |:|- |~ )", text):
-            block = " ".join(block.split())
-            mark, _, words = block.partition(" ")
-            if mark == "#":
-                found.append(Section(words))
-            if mark == "#" or not found or not block:
-                continue
-            last, name = found[-1], mark.removeprefix(":")
-            if mark == "-":
-                found[-1] = replace(last, points=(*last.points, words))
-            elif mark == "~":
-                found[-1] = replace(last, note=words)
-            elif mark == name:
-                found[-1] = replace(last, paragraphs=(*last.paragraphs, block))
-            elif name in self.tables:
-                one = replace(self.tables[name], note=words)
-                found[-1] = replace(last, tables=(*last.tables, one))
+def section(title: str, text: str, shown: Callable[[str], Table | Figure]) -> Section:
+    """A section of a text; `shown` gives its tables and pictures by name, and raises for others."""
+    found = Section(title)
+    for block in re.split(r"\n\s*\n|\n(?=:|- |~ )", text):
+        block = " ".join(block.split())
+        mark, _, words = block.partition(" ")
+        if mark == "-":
+            found = replace(found, points=(*found.points, words))
+        elif mark == "~":
+            found = replace(found, note=words)
+        elif mark.startswith(":"):
+            one = shown(mark[1:])
+            if isinstance(one, Table):
+                found = replace(found, tables=(*found.tables, replace(one, note=words)))
             else:
-                picture = Picture(name, "", words, png(self.pictures[name]))
-                found[-1] = replace(last, pictures=(*last.pictures, picture))
-        return found
+                picture = Picture(mark[1:], "", words, png(one))
+                found = replace(found, pictures=(*found.pictures, picture))
+        elif block:
+            found = replace(found, paragraphs=(*found.paragraphs, block))
+    return found
 
 
 def table(

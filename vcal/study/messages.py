@@ -235,13 +235,13 @@ def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
         if isinstance(part, int) or named:
             named = False
             continue  # a row of an array of tables, or one of several named tables
-        field = model.model_fields.get(part)
+        field = {f.alias or n: f for n, f in model.model_fields.items()}.get(part)
         row = loc[i + 1] if i + 1 < len(loc) else None
         inner = _model_in(field.annotation, row) if field else None
         if field is None or inner is None:
             return []
         model, named = inner, get_origin(field.annotation) is dict
-    return list(model.model_fields)
+    return [field.alias or name for name, field in model.model_fields.items()]
 
 
 def _model_in(annotation: Any, row: str | int | None = None) -> type[BaseModel] | None:

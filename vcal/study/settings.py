@@ -319,6 +319,10 @@ class ModelSettings(Table):
 
     geometric: Table | None = None
     """Family of the geometric errors of the machine; none by default."""
+    previous: FileName | None = Field(default=None, alias="from")
+    """Report of an earlier campaign of the same arm (its ``report.json``), whose posterior of the
+    geometric errors, with all correlations, takes the place of their prior. The file declares the
+    same ``[model.geometric]``. Effects that were found there are not carried over."""
     effect: tuple[EffectSettings, ...] = ()
     """Declared effects."""
     effects_file: FileName | None = None
@@ -351,6 +355,9 @@ class DataSetSettings(Table):
     tool_offset_mm: ToolOffset | None = None
     """Vector from the frame of the last axis to the tool point; by default that of ``[machine]``.
     """
+    tool: str | None = None
+    """Name of the tool, where data sets of reflectors have the same one: the places of its
+    reflectors are then the same unknowns in all data sets with that name."""
     start_s: float = 0.0
     """Time of its ``t_s = 0`` on the common clock of the study."""
     must_see: dict[str, int] = {}

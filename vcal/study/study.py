@@ -44,7 +44,15 @@ from .plugins.instruments import (
     instrument_class,
     readings_of,
 )
-from .settings import AnySettings, LoopSettings, MachineSettings, StudySettings, validate
+from .previous_campaign import with_posterior
+from .settings import (
+    AnySettings,
+    LoopSettings,
+    MachineSettings,
+    SeveralSettings,
+    StudySettings,
+    validate,
+)
 from .table_checks import check_alive, check_scatter
 from .tables import check_points, run_table
 from .toml_file import read_setup
@@ -77,6 +85,8 @@ class DataSet:
     """Readings (n, m), SI; None for a table without columns of readings."""
     table: Table
     """The whole table, including the rows with a blank reading, which the plan leaves out."""
+    tool: str = ""
+    """Name of the tool that it shares with other data sets; empty for one of its own."""
 
     @property
     def label(self) -> str:
@@ -216,7 +226,18 @@ def load_study(
         )
     model = Model(chain, instrument)
     if settings.model.geometric is not None:
-        model = model.with_effects(geometric_errors(settings.model.geometric, chain, folder, file))
+        errors: Effect = geometric_errors(settings.model.geometric, chain, folder, file)
+        if settings.model.previous is not None:
+            errors = with_posterior(errors, settings.model.previous, chain, folder, file)
+        model = model.with_effects(errors)
+    elif settings.model.previous is not None:
+        raise refusal(
+            file,
+            "key model.from",
+            "it without [model.geometric]",
+            "the [model.geometric] of that campaign",
+            "add it, or remove the key",
+        )
     model = model.with_effects(*instrument.effects(plan))
     files = {one.name: one.file for one in sets}
     model = model.with_effects(
@@ -510,7 +531,51 @@ def _data_sets(
             f"the readings of a {without[0].settings.kind}, as the other data sets have readings",
             "add them, or remove this data set",
         )
-    return tuple(found)
+    return _with_shared_tools(settings, found, file)
+
+
+def _with_shared_tools(
+    settings: SeveralSettings, sets: Sequence[DataSet], file: str
+) -> tuple[DataSet, ...]:
+    """The data sets, those with the same tool with the same initial positions of its reflectors.
+
+    Raises `StudyError` for an instrument without anything on the tool, and for tools of one name
+    that differ.
+    """
+    found = list(sets)
+    first: dict[str, int] = {}
+    for i, (row, one) in enumerate(zip(settings.data, sets, strict=True)):
+        if row.tool is None:
+            continue
+        k = first.setdefault(row.tool, i)
+        other = sets[k]
+        if not one.instrument.on_tool:
+            raise refusal(
+                file,
+                f"key data.{i}.tool",
+                f"{row.tool!r} for a {one.settings.kind}, which has nothing on the tool",
+                "a tool for the reflectors of an arm only",
+                "remove the key",
+            )
+        try:
+            if one.settings.kind != other.settings.kind:
+                raise ValueError(f"a {one.settings.kind} in place of a {other.settings.kind}")
+            if (one.chain.tool_offset != other.chain.tool_offset).any():
+                raise ValueError("another tool_offset_mm")
+            again = one.instrument.with_tool_of(other.instrument, one.chain, one.plan, one.readings)
+        except ValueError as error:
+            raise refusal(
+                file,
+                f"key data.{i}.tool",
+                f"{row.tool!r} with {error}",
+                f"the same as in {other.name}",
+                "correct it, or give the tool another name",
+            ) from error
+        if k != i:
+            found[i] = replace(one, instrument=again)
+    return tuple(
+        replace(one, tool=row.tool or "") for one, row in zip(found, settings.data, strict=True)
+    )
 
 
 def _check_twice(
@@ -628,6 +693,7 @@ def together(sets: Sequence[DataSet], chain: Chain) -> tuple[Instrument, Plan, n
             one.instrument,
             one.plan,
             tuple(np.asarray(one.chain.tool_offset) - np.asarray(chain.tool_offset)),
+            one.tool,
         )
         for one in sets
     }

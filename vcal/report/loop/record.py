@@ -5,6 +5,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
+from ...effects.previous import posterior_of
 from ...geometry.acceptance import GeometricTest
 from ...identification.fit import Fit
 from ...loop.outcome.closure import Closure, Errors, FoundEffect
@@ -113,6 +116,8 @@ def record(
         "notes": list(closure.notes),
         "interrupted": closure.interrupted,
     }
+    if study.chain.arm and (posterior := _posterior(closure.after, study)) is not None:
+        found["posterior"] = posterior
     several = [_data_set(closure, one) for one in study.sets if one.name]
     recorded = [_confirmation(one) for one in confirmations(closure)]
     found |= {"data_sets": several} if several else {}
@@ -154,6 +159,32 @@ def _sizes(found: Misdeclared | None) -> dict[str, Any] | None:
             for key, p, times, value in found.test.largest
         ],
     }
+
+
+def _posterior(fit: Fit, study: Study) -> dict[str, Any] | None:
+    """Expectation and covariance of the geometric errors of an arm, for ``[model] from`` of a later
+    campaign; None without any.
+    """
+    for effect, place in zip(fit.model.effects, fit.model.places, strict=True):
+        own = range(len(fit.theta))[place]
+        values = np.array([value for _, _, value, _ in fit.parameter_values()][place])
+        steps = np.array([p.step / p.si for _, p in fit.entries[place]])
+        covariance = fit.covariance[np.ix_(own, own)] * np.outer(steps, steps)
+        known = posterior_of(effect, values, covariance)
+        if known is None:
+            continue
+        parameters, mean, matrix = known
+        return {
+            "machine": study.chain.text,
+            "parameters": [
+                {"name": p.name, "unit": p.unit, "value": float(value)}
+                for p, value in zip(parameters, mean, strict=True)
+            ],
+            "covariance": [
+                [float(f"{v:.9g}") for v in row[: i + 1]] for i, row in enumerate(matrix.tolist())
+            ],
+        }
+    return None
 
 
 def _test(test: GeometricTest) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """The whole of the reproduction as numbers."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -22,6 +21,7 @@ from ...dynamics.setpoints import circle_set
 from ...dynamics.structure import assemble
 from ...dynamics.unknowns import SpringFactor, applied
 from ...numerics.arrays import Array
+from ..registry import Computed, part
 from .measured import MATRIX_U, Joint, RTestRun, both_ways, fit_matrix, measure
 from .moves import Compensated, Positioning, compensated, positioned
 from .setting import (
@@ -97,79 +97,82 @@ class RTestOf:
         return float(self.ways[way].runs[self.place(plane, acceleration), i, j])
 
 
-@dataclass(frozen=True)
-class Results:
-    """Everything that was computed."""
+class Results(Computed):
+    """Everything: the machine is measured and identified from its catalogue, and `draws` others."""
 
-    seed: int
-    draws: int
-    catalogue: Model
-    true: Model
-    """The machine that is measured."""
-    identified: Model
-    simulated: RTestOf
-    """R-test of the catalogue's machine, without noise: what the publication simulated."""
-    measured: RTestOf
-    joint: Joint
-    """E from all circles of `measured` at once."""
-    joint_no_device: Joint
-    """The same as if the probes had no errors but noise."""
-    found: Identified
-    catalogue_matrix_u: Float[np.ndarray, "3 3"]
-    """Standard deviation of E by what the catalogue leaves open, um s^2/m."""
-    by_circles: dict[str, Compensated]
-    """What the joint matrix leaves of other movements of the true machine."""
-    by_machine: dict[str, Compensated]
-    """What the matrix of the identified machine leaves of them."""
-    campaign: Campaign
+    @part("the machine by its catalogue")
+    def catalogue(self) -> Model:
+        return Model.of(*described()[:2])
 
+    @part("the machine that is measured")
+    def true(self) -> Model:
+        return Model.of(*real())
 
-def compute(draws: int, seed: int, progress: Callable[[str], None]) -> Results:
-    """Measure the machine, identify it from its catalogue, and do so for `draws` machines."""
-    progress("the machines")
-    catalogue, true = Model.of(*described()[:2]), Model.of(*real())
-    chain = catalogue.machine.chain
-    progress("the R-tests")
-    levels = circle_set(RADIUS_M, LEVELS)
-    simulated = _evaluated(
-        measure(catalogue.loop, chain, circle_set(RADIUS_M, SIMULATED_LEVELS), seed,
-                noise=0.0, device=0.0)
-    )  # fmt: skip
-    measured = _evaluated(measure(true.loop, chain, levels, seed))
-    progress("the matrix from all circles")
-    joint, bare = (fit_matrix(measured.run, chain, device=d) for d in (True, False))
-    progress("the machine from all circles")
-    found = _identify(catalogue, measured.run)
-    identified = Model.of(found.machine, found.controller)
-    progress("other movements")
-    by_circles, by_machine = (compensated(true.loop, E) for E in (joint.matrix, identified.matrix))
-    progress(f"{draws} machines, each of 30 circles")
-    many = campaign(
-        catalogue.machine,
-        catalogue.controller,
-        UNKNOWNS,
-        levels,
-        Noise(1e-6 * INTERNAL_UM, 1e-6 * EXTERNAL_UM, SAMPLES),
-        draws=draws,
-        seed=seed,
-        matrix_u=MATRIX_U,
-    )
-    return Results(
-        seed=seed,
-        draws=draws,
-        catalogue=catalogue,
-        true=true,
-        identified=identified,
-        simulated=simulated,
-        measured=measured,
-        joint=joint,
-        joint_no_device=bare,
-        found=found,
-        catalogue_matrix_u=_prior_of_matrix(catalogue),
-        by_circles=by_circles,
-        by_machine=by_machine,
-        campaign=many,
-    )
+    @part("the R-test of the catalogue's machine")
+    def simulated(self) -> RTestOf:
+        """Without noise: what the publication simulated."""
+        circles, chain = circle_set(RADIUS_M, SIMULATED_LEVELS), self.catalogue.machine.chain
+        return _evaluated(
+            measure(self.catalogue.loop, chain, circles, self.seed, noise=0.0, device=0.0)
+        )
+
+    @part("the R-test of the machine that is measured")
+    def measured(self) -> RTestOf:
+        circles, chain = circle_set(RADIUS_M, LEVELS), self.catalogue.machine.chain
+        return _evaluated(measure(self.true.loop, chain, circles, self.seed))
+
+    @part("the matrix from all circles")
+    def joint(self) -> Joint:
+        return fit_matrix(self.measured.run, self.catalogue.machine.chain)
+
+    @part("the matrix as if the probes had no errors but noise")
+    def joint_no_device(self) -> Joint:
+        return fit_matrix(self.measured.run, self.catalogue.machine.chain, device=False)
+
+    @part("the machine from all circles")
+    def found(self) -> Identified:
+        run, c = self.measured.run, self.catalogue
+        seen = measured_phasors(run.measurement, run.instrument)
+        given = task(c.machine, c.controller, UNKNOWNS, seen, matrix_u=MATRIX_U)
+        return identify_machine(given, seen)
+
+    @part("the identified machine")
+    def identified(self) -> Model:
+        return Model.of(self.found.machine, self.found.controller)
+
+    @part("what the catalogue leaves open of the matrix")
+    def catalogue_matrix_u(self) -> Float[np.ndarray, "3 3"]:
+        """Standard deviation, um s^2/m, by drawing: factors are no matter of derivatives."""
+
+        def matrix(z: Array) -> Array:
+            machine, _ = applied(UNKNOWNS, self.catalogue.machine, self.catalogue.controller, z)
+            return compliance(assemble(machine))
+
+        z = jax.random.normal(jax.random.key(0), (2000, len(UNKNOWNS)))
+        return 1e6 * np.asarray(jax.jit(jax.vmap(matrix))(jnp.asarray(z))).std(0)
+
+    @part("other movements, less the matrix from all circles")
+    def by_circles(self) -> dict[str, Compensated]:
+        return compensated(self.true.loop, self.joint.matrix)
+
+    @part("other movements, less the matrix of the identified machine")
+    def by_machine(self) -> dict[str, Compensated]:
+        return compensated(self.true.loop, self.identified.matrix)
+
+    @part("many machines, each of 30 circles")
+    def campaign(self) -> Campaign:
+        noise = Noise(1e-6 * INTERNAL_UM, 1e-6 * EXTERNAL_UM, SAMPLES)
+        given = self.catalogue.machine, self.catalogue.controller, UNKNOWNS
+        circles = circle_set(RADIUS_M, LEVELS)
+        return campaign(*given, circles, noise, draws=self.draws, seed=self.seed, matrix_u=MATRIX_U)
+
+    @property
+    def exz_of_the_circle(self) -> tuple[float, float]:
+        """EXZ of the publication's circles: simulated, measured."""
+        return (
+            self.simulated.element("XZ", "YZ", SIMULATED_M_S2),
+            self.measured.element("XZ", "YZ", MEASURED_M_S2),
+        )
 
 
 def _evaluated(run: RTestRun) -> RTestOf:
@@ -184,36 +187,10 @@ def _evaluated(run: RTestRun) -> RTestOf:
     return RTestOf(run, both_ways(run), ratio)
 
 
-def _identify(catalogue: Model, run: RTestRun) -> Identified:
-    seen = measured_phasors(run.measurement, run.instrument)
-    given = task(catalogue.machine, catalogue.controller, UNKNOWNS, seen, matrix_u=MATRIX_U)
-    return identify_machine(given, seen)
-
-
-def _prior_of_matrix(catalogue: Model, draws: int = 2000) -> Float[np.ndarray, "3 3"]:
-    """By drawing from it: what is open by factors is no matter of derivatives."""
-
-    def matrix(z: Array) -> Array:
-        return compliance(
-            assemble(applied(UNKNOWNS, catalogue.machine, catalogue.controller, z)[0])
-        )
-
-    z = jax.random.normal(jax.random.key(0), (draws, len(UNKNOWNS)))
-    return 1e6 * np.asarray(jax.jit(jax.vmap(matrix))(jnp.asarray(z))).std(0)
-
-
 def element(matrix: Float[np.ndarray, "3 3"], name: str) -> float:
     """An element by its name, such as ``"XZ"``."""
     i, j = ("XYZ".index(c) for c in name)
     return float(matrix[i, j])
-
-
-def exz_of_the_circle(results: Results) -> tuple[float, float]:
-    """EXZ of the publication's circles: simulated, measured."""
-    return (
-        results.simulated.element("XZ", "YZ", SIMULATED_M_S2),
-        results.measured.element("XZ", "YZ", MEASURED_M_S2),
-    )
 
 
 def single_circle_U() -> float:

@@ -1,6 +1,6 @@
 """The description of this reproduction: printed numbers, record and page."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -8,16 +8,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...design import ArrayPoses
-from ...plots.panels import GREEN, Panel, bars, mark, panels, spaces
+from ...plots.panels import GREEN, Mark, Panel, bars, mark, panels, spaces
 from ...plots.style import AFTER, BEFORE, DOTS, INK, MARK
 from ...plots.style import NOMINAL as GREY
 from ...report import Table, Tile
 from ...report.html.text import DASH, number, percent, unit
-from ..document import Page, Row, picked, table
+from ..document import Row, picked, table
 from ..registry import Reproduction
 from .influences import AIR_K, LOAD_KG, SIZES, TAU_H, WARM_K
-from .results import LEAST, MACHINES, PLACES, SHOWN, Results, compute, nominal_poses
-from .searches import FREEDOMS, NOMINAL_DESIGN
+from .results import LEAST, MACHINES, PLACES, Results, Searched, nominal_poses
+from .searches import FREEDOMS, NOMINAL_DESIGN, Robust
 from .setting import (
     BALLS,
     GRID,
@@ -36,7 +36,7 @@ from .setting import (
     Known,
 )
 from .stylus import SIDE_M
-from .sweep import VARIED, Drawn
+from .sweep import Drawn, Varied
 from .timing import BALL_S, NOMINAL_S, SETUP_S
 
 _SWEEPS = {
@@ -50,6 +50,14 @@ _SHORT = {
     "250 mm": "poses, artefact within 250 mm",
 }
 """What was searched, by a name for which there is room."""
+_TIPS = {
+    "one straight stylus": "straight",
+    "straight and to the side": "alternating",
+    "tips and poses searched": "found",
+}
+_NOMINAL: tuple[Varied, float] = "N", 11
+_AT_POINT, _DENSITY = "|error| at a point, µm", "density, 1/µm"
+_COLOURS = AFTER, BEFORE, MARK, GREEN
 _COLOUR: Mapping[Known, str] = {"S": AFTER, "P": BEFORE, "B": GREEN}
 
 
@@ -71,7 +79,7 @@ def rows(r: Results) -> list[Row]:
         found.append(Row(f"{what}, {known}", None, value, unit, note))
 
     for k in KNOWN:
-        nominal, best = r.theory[k]["N", 11], min(r.plain[k], key=lambda p: p.aligned_um)
+        nominal, best = r.theory[k][_NOMINAL], min(r.plain[k], key=lambda p: p.aligned_um)
         add("rms, nominal design", k, nominal.aligned,
             f"aligned, expected; the bound of all linear estimates; raw {nominal.raw:.2f} um; "
             f"{r.fresh} drawn machines {r.nominal[k].rms:.3f} um")  # fmt: skip
@@ -182,113 +190,17 @@ def record(r: Results) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def page(r: Results) -> Page:
-    """The page of the results."""
-    nominal = {k: r.theory[k]["N", 11] for k in KNOWN}
+def _head(r: Results) -> tuple[str, list[Tile]]:
+    nominal = {k: r.theory[k][_NOMINAL] for k in KNOWN}
     gains = [percent(r.searched[k][_SHORT["60 mm"]].optimised.gain) for k in KNOWN]
     shares = [DASH if (share := r.trade[k].share) is None else percent(share) for k in KNOWN]
-    best, all_, sag = min(p.aligned_um for p in r.plain["S"]), r.costs["S"]["all"], "ram sags"
-    worst = max(abs(one.off) for own in r.searched.values() for one in own.values())
-    square = (r.exact["S"]["N", 11].after.reshape(r.draws, -1) ** 2).mean(1)
-    relative = float(0.5 * square.std() / square.mean() / np.sqrt(r.draws))
+    best = min(p.aligned_um for p in r.plain["S"])
     text = f"""\
 The artefact of {NOMINAL[0]} balls in twelve poses brings a machine from {number(r.before_um[0])} µm
 to {_each(t.aligned for t in nominal.values())} µm, depending on what the {PAIR_UM:g} µm of its
 reference distances mean (S, P, B), if the family's own functions are identified with their prior;
 plain least squares does not get below {number(best)} µm. The same balls in as many poses, placed by
 gradient, leave {" / ".join(gains)} less.
-# The machine before
-Errors of the family of Table 1 amount to {number(r.before_um[0])} µm (root mean square over
-{" x ".join(map(str, GRID))} points and all machines) after the best rigid alignment, to
-{number(r.before_um[1])} µm without. An artefact whose poses are unknown cannot see a rigid motion
-of the whole work space: only the aligned figure can be lowered. It is given below unless stated
-otherwise.
-:family Left: EXX of {SHOWN} machines (the publication's Fig. 4). Right: error of {r.draws} machines
-at points of the grid, after rigid alignment (its Fig. 5).
-# Balls and offsets
-More balls and larger offsets lower the error, as published, for every meaning of the {PAIR_UM:g}
-µm: S, distances of one artefact that is the same in all poses; P, distances with a new error in
-every pose; B, ball centres. All designs meet the same machines.
-
-Plain least squares fits Legendre polynomials to the distances of all pairs. The family has waves
-that polynomials of these orders cannot follow and that a few balls alias: orders of two and more
-can be worse than none. With the family's own functions and their prior the estimate is the best
-linear one, and the lines are that bound. Not aligned, {number(nominal["S"].raw)} µm are left of
-{number(r.before_um[1])} µm: rigid motion, which no pose sees.
-:sweeps rms on the grid, µm: theory and {r.draws} drawn machines; least squares: the best order, S.
-:plain Plain least squares of least norm at the nominal design, µm.
-:sets Three sets of twelve diagonals; the publication's figure does not say which. All results are
-judged against the first, the strongest. µm.
-:sweep_N {_caption(r, "N")}
-:sweep_a {_caption(r, "a")}
-:sweep_b {_caption(r, "b")}
-:distributions Error at single points of {r.draws} machines, before and after compensation (Fig. 9),
-artefact S.
-# Heat and weight
-What the publication leaves for later, as effects in the truth: the axes warm up by {WARM_K:g} K
-with a time constant of {TAU_H:g} h while the artefact is measured, the air swings by {AIR_K:g} K,
-the ram carries {LOAD_KG:g} kg, the artefact grows and sags with its inclination. The machine is
-judged at 20 °C with the load.
-
-With all of them, {r.draws} machines drawn with exact kinematics have
-{number(r.influenced["ignored"].rms)} µm if they are ignored (theory {number(all_.ignored)} µm),
-{number(r.influenced["identified"].rms)} µm if they are identified as well (theory
-{number(all_.identified)} µm).
-:costs Expected rms on the grid, µm; assumed: standard deviation. The sag of the ram is
-{number(r.costs["S"][sag].size)} µm of the machine's own error.
-:influences Expected error after compensation with one influence in the truth, and with all.
-# Poses and balls by gradient
-Expected error as a function of orientations, places and balls, minimised along its exact gradient
-from several starts. Balls keep to the travel, 50 mm from each other and {1e3 * LENGTH:g} mm from
-first to last. Every design found was then judged on {r.fresh} machines that the search did not use;
-theory was off by {percent(worst)} at most.
-:searched
-:gains Bars: theory. Dots: {r.fresh} fresh machines with exact kinematics.
-:artefacts Balls of the artefacts, from above (left) and from the side, 1500 mm long.
-:poses The artefact in its twelve poses, in the work space of the tool point.
-# Error against time
-A pose takes {SETUP_S:g} s, a ball {BALL_S:g} s, the nominal design {number(NOMINAL_S / 60.0)} min.
-For every number of balls and poses the poses were chosen out of many by exchange; the bound holds
-for every other choice from these. Then the gradient moved poses and balls, within 60 mm.
-- {_cheapest(r, "S")}
-- {_cheapest(r, "P")}
-- {_cheapest(r, "B")}
-:designs
-:time Designs that no other one beats in both, poses x balls at the line of P; the others have the
-same. Crosses: the nominal one.
-# A star stylus
-Every second ball of a pose is touched with a stylus {1e3 * SIDE_M:g} mm to the side, as many
-touches in the same poses. With one tip the rotations of Z move all touches of a pose alike, which
-its unknown place takes up; two tips see them. In the last column tips (by as much again) and poses
-were searched by gradient.
-:stylus
-:star Expected error. First two: the nominal poses.
-# If the machine is another one
-Designs against families of machines, each identified with its own prior: the gain of a design that
-was searched for one family, and of one that was searched for the average over all. With many
-touches the prior has little weight, and the design hardly matters; with few of them it does.
-{
-        "".join(
-            f":families_{i} Expected rms, µm, artefact {one.known}; average: root mean square."
-            + chr(10)
-            for i, one in enumerate(r.robust.values())
-        )
-    }
-# All numbers
-The publication prints what it assumes; its results are in figures without numbers.
-:numbers
-# What is printed and what is assumed
-- Printed: chain [w b X Y Z t] and work space, Table 1, the balls and their offsets, {PAIR_UM:g} µm,
-twelve diagonal poses, the grid.
-- Assumed: the tool ({", ".join(f"{1e3 * v:g}" for v in TOOL)}) mm; a touch is off by {PROBE_UM:g}
-µm in every direction; all observed are coordinates of touches, with six unknowns per pose (the
-distances of the publication for plain least squares).
-- Table 1 names two squarenesses B; the third is taken to be EC0Y. All three are uniform within
-±{SQUARENESS_URAD:g} µrad.
-- Offsets: a to either side in turn, b up and down in pairs.
-- Sets of twelve poses: {", ".join(f"“{name}”" for name in POSES)}; centres and directions are in
-result.json.
-- Uncertainty of a campaign's rms: about {percent(relative)}, from {r.draws} machines.
 """
     aligned = [number(t.aligned) for t in nominal.values()]
     tiles = [
@@ -299,7 +211,7 @@ result.json.
              f"S; P −{gains[1]}, B −{gains[2]}, within 60 mm"),
         Tile("time for the nominal error", shares[0], f"S; P {shares[1]}, B {shares[2]}"),
     ]  # fmt: skip
-    return Page(text, tiles, _tables(r), _pictures(r))
+    return text, tiles
 
 
 def _each(values: Iterable[float]) -> str:
@@ -325,7 +237,21 @@ def _cheapest(r: Results, known: Known) -> str:
     )
 
 
-def _tables(r: Results) -> dict[str, Table]:
+def _worst(r: Results) -> float:
+    return max(abs(one.off) for own in r.searched.values() for one in own.values())
+
+
+def _relative(r: Results) -> float:
+    """Relative standard uncertainty of the rms of a campaign."""
+    square = (r.exact["S"][_NOMINAL].after.reshape(r.draws, -1) ** 2).mean(1)
+    return float(0.5 * square.std() / square.mean() / np.sqrt(r.draws))
+
+
+def _robust(r: Results, i: int) -> tuple[str, Robust]:
+    return list(r.robust.items())[i]
+
+
+def _sweeps(r: Results) -> Table:
     drawn = {(k, key): one.rms for k in KNOWN for key, one in r.exact[k].items()}
     sweeps = []
     for key, t in r.theory["S"].items():
@@ -333,129 +259,94 @@ def _tables(r: Results) -> dict[str, Table]:
         name = f"N = {value}" if varied == "N" else f"{varied} = {1e3 * value:g} mm"
         both = [v for k in KNOWN for v in (r.theory[k][key].aligned, drawn.get((k, key)))]
         sweeps.append((name, *both, f"{number(t.plain.aligned_um)} ({t.plain.order})"))
-    searched = [
-        ("nominal", k, r.theory[k]["N", 11].aligned, "", r.nominal[k].rms, "") for k in KNOWN
+    header = "design | S | drawn | P | drawn | B | drawn | least squares (order)"
+    return table(header, sweeps, fold="All designs")
+
+
+def _searched(r: Results) -> Table:
+    header = "free | artefact | expected, µm | gain | drawn, µm | theory less drawn"
+    nominal = [
+        ("nominal", k, r.theory[k][_NOMINAL].aligned, "", r.nominal[k].rms, "") for k in KNOWN
     ]
-    searched += [
+    found = [
         (name, k, one.optimised.rms_um, f"−{percent(one.optimised.gain)}", one.checked.rms,
          f"{100 * one.off:+.1f} %")
         for name in r.searched["S"] for k in KNOWN for one in [r.searched[k][name]]
     ]  # fmt: skip
-    found = {
-        "sweeps": table("design | S | drawn | P | drawn | B | drawn | least squares (order)",
-                        sweeps, fold="All designs"),
-        "plain": table(
-            f"order | columns seen | {' | '.join(KNOWN)} | raw, S",
-            [(p.order, f"{p.rank} of {p.columns}", *(r.plain[k][i].aligned_um for k in KNOWN),
-              p.raw_um) for i, p in enumerate(r.plain["S"])],
-        ),
-        "sets": table(f"poses | {' | '.join(KNOWN)}",
-                      [(name, *(own[k] for k in KNOWN)) for name, own in r.sets.items()]),
-        "costs": table(
-            "influence | assumed | S ignored | identified | P ignored | identified | B ignored | "
-            "identified",
-            [(name, f"{SIZES[name][1]:g} {unit(SIZES[name][0].split(', ')[-1])}"
-              if name in SIZES else "", *(v for k in KNOWN for v in
-              (r.costs[k][name].ignored, r.costs[k][name].identified))) for name in r.costs["S"]],
-        ),
-        "searched": table(
-            "free | artefact | expected, µm | gain | drawn, µm | theory less drawn", searched
-        ),
-        "designs": table(
-            "artefact | poses x balls | min | share | exchange, µm | bound, µm | gradient, µm | "
-            "on the front",
-            [(k, f"{d.count} x {d.balls}", d.seconds / 60.0, percent(d.seconds / NOMINAL_S),
-              d.chosen.rms_um, d.chosen.bound_um, d.rms_um, "yes" if d in t.front else "")
-             for k, t in r.trade.items() for d in t.designs],
-            fold="All designs",
-        ),
-        "stylus": table(
-            "artefact | straight, µm | alternating, µm | gain | searched, µm",
-            [(k, s.straight, s.alternating, f"−{percent(s.gain)}", s.found)
-             for k, s in r.star.items()],
-        ),
-    }  # fmt: skip
-    for i, (shape, one) in enumerate(r.robust.items()):
-        found[f"families_{i}"] = table(
-            " | ".join([shape, *one.families, "average"]),
-            [(name if name == NOMINAL_DESIGN else f"optimised for {name}", *values,
-              one.average_um(name)) for name, values in one.rms_um.items()],
-        )  # fmt: skip
-    return found
+    return table(header, nominal + found)
 
 
-def _pictures(r: Results) -> dict[str, Figure]:
-    nominal, usual = r.exact["S"]["N", 11], nominal_poses()
-    x, colours = 1e3 * np.linspace(*TRAVEL["X"], PLACES), (AFTER, BEFORE, MARK, GREEN)
-    edges = np.linspace(0.0, float(np.quantile(nominal.before, 0.999)), 50)
-    before = mark("hist", nominal.before, edges, density=True, color=GREY)
+def _families(shape: str, one: Robust) -> Table:
+    return table(
+        " | ".join([shape, *one.families, "average"]),
+        [(name if name == NOMINAL_DESIGN else f"optimised for {name}", *values,
+          one.average_um(name)) for name, values in one.rms_um.items()],
+    )  # fmt: skip
+
+
+def _results(r: Results) -> dict[str, dict[Known, Searched]]:
+    """What was searched, by short names."""
+    return {short: {k: r.searched[k][name] for k in KNOWN} for short, name in _SHORT.items()}
+
+
+def _before(r: Results) -> Mark:
+    before = r.exact["S"][_NOMINAL].before
+    edges = np.linspace(0.0, float(np.quantile(before, 0.999)), 50)
+    return mark("hist", before, edges, density=True, color=GREY)
+
+
+def _family(r: Results) -> Figure:
+    x = 1e3 * np.linspace(*TRAVEL["X"], PLACES)
+    return panels(
+        [Panel("EXX of drawn machines", "X, mm", "µm",
+               [mark("plot", x, values, lw=1.1, color=_COLOURS[i % 4])
+                for i, values in enumerate(r.functions)]),
+         Panel("Volumetric error, not compensated", _AT_POINT, _DENSITY, [_before(r)])],
+        width=9.6, height=3.3,
+    )  # fmt: skip
+
+
+def _distributions(r: Results) -> Figure:
     after = {n: r.exact["S"]["N", n].after for n in (5, 11, 17)}
     most = np.linspace(0.0, max(float(np.quantile(v, 0.998)) for v in after.values()), 50)
-    at_point, density = "|error| at a point, µm", "density, 1/µm"
-    results = {short: {k: r.searched[k][name] for k in KNOWN} for short, name in _SHORT.items()}
-    shapes = {"nominal": usual} | {
-        f"found for {k}, {short}": results[short][k].optimised.poses
-        for k in ("S", "P") for short in ("60 mm", "250 mm")
+    return panels(
+        [Panel("before compensation", _AT_POINT, _DENSITY, [_before(r)]),
+         Panel("after compensation", _AT_POINT, _DENSITY,
+               [mark("hist", v, most, density=True, histtype="step", lw=1.6, color=colour,
+                     label=f"{n} balls")
+                for (n, v), colour in zip(after.items(), (MARK, AFTER, GREEN), strict=True)],
+               "inside")],
+        width=8.2, height=3.4,
+    )  # fmt: skip
+
+
+def _gains(r: Results) -> Figure:
+    found = _results(r)
+    return _bars(
+        "Twelve poses of eleven balls, searched by gradient",
+        {"nominal": {k: r.theory[k][_NOMINAL].aligned for k in KNOWN},
+         **{n: {k: one.optimised.rms_um for k, one in by.items()}
+            for n, by in found.items()}},
+        {"nominal": {k: r.nominal[k].rms for k in KNOWN},
+         **{n: {k: one.checked.rms for k, one in by.items()} for n, by in found.items()}},
+    )  # fmt: skip
+
+
+def _artefacts(r: Results) -> Figure:
+    shapes = {"nominal": nominal_poses()} | {
+        f"found for {k}, {short}": r.searched[k][_SHORT[short]].optimised.poses
+        for k in KNOWN[:2] for short in ("60 mm", "250 mm")
     }  # fmt: skip
     balls = {name: 1e3 * np.asarray(poses.balls) for name, poses in shapes.items()}
     high = 1.15 * max(float(np.abs(b[:, 1:]).max()) for b in balls.values())
-    tips = {"one straight stylus": "straight", "straight and to the side": "alternating",
-            "tips and poses searched": "found"}  # fmt: skip
-    space = np.array([TRAVEL[c] for c in "XYZ"]) + np.array(TOOL)[:, None]
-    return {
-        "family": panels(
-            [Panel("EXX of drawn machines", "X, mm", "µm",
-                   [mark("plot", x, values, lw=1.1, color=colours[i % 4])
-                    for i, values in enumerate(r.functions)]),
-             Panel("Volumetric error, not compensated", at_point, density, [before])],
-            width=9.6, height=3.3,
-        ),
-        **{f"sweep_{varied}": _sweep(r, varied) for varied in VARIED},
-        "distributions": panels(
-            [Panel("before compensation", at_point, density, [before]),
-             Panel("after compensation", at_point, density,
-                   [mark("hist", v, most, density=True, histtype="step", lw=1.6, color=colour,
-                         label=f"{n} balls")
-                    for (n, v), colour in zip(after.items(), (MARK, AFTER, GREEN), strict=True)],
-                   "inside")],
-            width=8.2, height=3.4,
-        ),
-        "influences": _bars(
-            "Influences in the truth, artefact S",
-            {name: {n: getattr(c, name) for n, c in r.costs["S"].items()}
-             for name in ("ignored", "identified")},
-            {n: {"all": one.rms} for n, one in r.influenced.items()}, 10.5,
-        ),
-        "gains": _bars(
-            "Twelve poses of eleven balls, searched by gradient",
-            {"nominal": {k: r.theory[k]["N", 11].aligned for k in KNOWN},
-             **{n: {k: one.optimised.rms_um for k, one in by.items()}
-                for n, by in results.items()}},
-            {"nominal": {k: r.nominal[k].rms for k in KNOWN},
-             **{n: {k: one.checked.rms for k, one in by.items()} for n, by in results.items()}},
-        ),
-        "artefacts": panels(
-            *([Panel("" if i > 1 else name, "x, mm", f"{'xyz'[i]}, mm",
-                     [mark("plot", b[:, 0], b[:, i], "-", color=DOTS, lw=0.8),
-                      mark("plot", b[:, 0], b[:, i], "o", color=AFTER, ms=6)],
-                     settings={"ylim": (-high, high)}) for i in (1, 2)]
-              for name, b in balls.items()),
-            width=9.6, height=2.0 * len(balls) + 0.5,
-        ),
-        "poses": spaces(
-            {name: [mark("plot", *balls.T, "o-", color=colours[i % 4], ms=2.6, lw=0.8)
-                    for i, balls in enumerate(1e3 * np.asarray(one.centres))]
-             for name, one in {"nominal": usual,
-                               "found for S, 60 mm": shapes["found for S, 60 mm"]}.items()},
-            space, 4.6,
-        ),
-        "time": panels([_front(r)], width=8.2, height=4.2),
-        "star": _bars(
-            "A star stylus, equal touches",
-            {label: {k: getattr(r.star[k], name) for k in KNOWN} for label, name in tips.items()},
-            width=8.2,
-        ),
-    }  # fmt: skip
+    return panels(
+        *([Panel("" if i > 1 else name, "x, mm", f"{'xyz'[i]}, mm",
+                 [mark("plot", b[:, 0], b[:, i], "-", color=DOTS, lw=0.8),
+                  mark("plot", b[:, 0], b[:, i], "o", color=AFTER, ms=6)],
+                 settings={"ylim": (-high, high)}) for i in (1, 2)]
+          for name, b in balls.items()),
+        width=9.6, height=2.0 * len(balls) + 0.5,
+    )  # fmt: skip
 
 
 def _bars(title: str, series: Any, dots: Any = None, width: float = 9.0) -> Figure:
@@ -506,16 +397,178 @@ def _front(r: Results) -> Panel:
                  "right", {"ylim": (0.0, None)})  # fmt: skip
 
 
+TEXTS: dict[str, Callable[[Results], str]] = {
+    "The machine before": lambda r: f"""\
+Errors of the family of Table 1 amount to {number(r.before_um[0])} µm (root mean square over
+{" x ".join(map(str, GRID))} points and all machines) after the best rigid alignment, to
+{number(r.before_um[1])} µm without. An artefact whose poses are unknown cannot see a rigid motion
+of the whole work space: only the aligned figure can be lowered. It is given below unless stated
+otherwise.
+:family Left: EXX of {len(r.functions)} machines (the publication's Fig. 4). Right: error of
+{r.draws} machines at points of the grid, after rigid alignment (its Fig. 5).
+""",
+    "Balls and offsets": lambda r: f"""\
+More balls and larger offsets lower the error, as published, for every meaning of the {PAIR_UM:g}
+µm: S, distances of one artefact that is the same in all poses; P, distances with a new error in
+every pose; B, ball centres. All designs meet the same machines.
+
+Plain least squares fits Legendre polynomials to the distances of all pairs. The family has waves
+that polynomials of these orders cannot follow and that a few balls alias: orders of two and more
+can be worse than none. With the family's own functions and their prior the estimate is the best
+linear one, and the lines are that bound. Not aligned, {number(r.theory["S"][_NOMINAL].raw)} µm are
+left of {number(r.before_um[1])} µm: rigid motion, which no pose sees.
+:sweeps rms on the grid, µm: theory and {r.draws} drawn machines; least squares: the best order, S.
+:plain Plain least squares of least norm at the nominal design, µm.
+:sets Three sets of twelve diagonals; the publication's figure does not say which. All results are
+judged against the first, the strongest. µm.
+:sweep_N {_caption(r, "N")}
+:sweep_a {_caption(r, "a")}
+:sweep_b {_caption(r, "b")}
+:distributions Error at single points of {r.draws} machines, before and after compensation (Fig. 9),
+artefact S.
+""",
+    "Heat and weight": lambda r: f"""\
+What the publication leaves for later, as effects in the truth: the axes warm up by {WARM_K:g} K
+with a time constant of {TAU_H:g} h while the artefact is measured, the air swings by {AIR_K:g} K,
+the ram carries {LOAD_KG:g} kg, the artefact grows and sags with its inclination. The machine is
+judged at 20 °C with the load.
+
+With all of them, {r.draws} machines drawn with exact kinematics have
+{number(r.influenced["ignored"].rms)} µm if they are ignored (theory
+{number(r.costs["S"]["all"].ignored)} µm), {number(r.influenced["identified"].rms)} µm if they are
+identified as well (theory {number(r.costs["S"]["all"].identified)} µm).
+:costs Expected rms on the grid, µm; assumed: standard deviation. The sag of the ram is
+{number(r.costs['S']['ram sags'].size)} µm of the machine's own error.
+:influences Expected error after compensation with one influence in the truth, and with all.
+""",
+    "Poses and balls by gradient": lambda r: f"""\
+Expected error as a function of orientations, places and balls, minimised along its exact gradient
+from several starts. Balls keep to the travel, 50 mm from each other and {1e3 * LENGTH:g} mm from
+first to last. Every design found was then judged on {r.fresh} machines that the search did not use;
+theory was off by {percent(_worst(r))} at most.
+:searched
+:gains Bars: theory. Dots: {r.fresh} fresh machines with exact kinematics.
+:artefacts Balls of the artefacts, from above (left) and from the side, 1500 mm long.
+:poses The artefact in its twelve poses, in the work space of the tool point.
+""",
+    "Error against time": lambda r: f"""\
+A pose takes {SETUP_S:g} s, a ball {BALL_S:g} s, the nominal design {number(NOMINAL_S / 60.0)} min.
+For every number of balls and poses the poses were chosen out of many by exchange; the bound holds
+for every other choice from these. Then the gradient moved poses and balls, within 60 mm.
+- {_cheapest(r, "S")}
+- {_cheapest(r, "P")}
+- {_cheapest(r, "B")}
+:designs
+:time Designs that no other one beats in both, poses x balls at the line of P; the others have the
+same. Crosses: the nominal one.
+""",
+    "A star stylus": lambda r: f"""\
+Every second ball of a pose is touched with a stylus {1e3 * SIDE_M:g} mm to the side, as many
+touches in the same poses. With one tip the rotations of Z move all touches of a pose alike, which
+its unknown place takes up; two tips see them. In the last column tips (by as much again) and poses
+were searched by gradient.
+:stylus
+:star Expected error. First two: the nominal poses.
+""",
+    "If the machine is another one": lambda r: f"""\
+Designs against families of machines, each identified with its own prior: the gain of a design that
+was searched for one family, and of one that was searched for the average over all. With many
+touches the prior has little weight, and the design hardly matters; with few of them it does.
+:families_0 Expected rms, µm, artefact {_robust(r, 0)[1].known}; average: root mean square.
+:families_1 Expected rms, µm, artefact {_robust(r, 1)[1].known}; average: root mean square.
+""",
+    "All numbers": lambda r: """\
+The publication prints what it assumes; its results are in figures without numbers.
+:numbers
+""",
+    "What is printed and what is assumed": lambda r: f"""\
+- Printed: chain [w b X Y Z t] and work space, Table 1, the balls and their offsets, {PAIR_UM:g} µm,
+twelve diagonal poses, the grid.
+- Assumed: the tool ({", ".join(f"{1e3 * v:g}" for v in TOOL)}) mm; a touch is off by {PROBE_UM:g}
+µm in every direction; all observed are coordinates of touches, with six unknowns per pose (the
+distances of the publication for plain least squares).
+- Table 1 names two squarenesses B; the third is taken to be EC0Y. All three are uniform within
+±{SQUARENESS_URAD:g} µrad.
+- Offsets: a to either side in turn, b up and down in pairs.
+- Sets of twelve poses: {", ".join(f"“{name}”" for name in POSES)}; centres and directions are in
+result.json.
+- Uncertainty of a campaign's rms: about {percent(_relative(r))}, from {r.draws} machines.
+""",
+}  # fmt: skip
+
+SHOWN: dict[str, Callable[[Results], Table | Figure]] = {
+    "sweeps": _sweeps,
+    "plain": lambda r: table(
+        f"order | columns seen | {' | '.join(KNOWN)} | raw, S",
+        [(p.order, f"{p.rank} of {p.columns}", *(r.plain[k][i].aligned_um for k in KNOWN),
+          p.raw_um) for i, p in enumerate(r.plain["S"])],
+    ),
+    "sets": lambda r: table(f"poses | {' | '.join(KNOWN)}",
+                  [(name, *(own[k] for k in KNOWN)) for name, own in r.sets.items()]),
+    "costs": lambda r: table(
+        "influence | assumed | S ignored | identified | P ignored | identified | B ignored | "
+        "identified",
+        [(name, f"{SIZES[name][1]:g} {unit(SIZES[name][0].split(', ')[-1])}"
+          if name in SIZES else "", *(v for k in KNOWN for v in
+          (r.costs[k][name].ignored, r.costs[k][name].identified))) for name in r.costs["S"]],
+    ),
+    "searched": _searched,
+    "designs": lambda r: table(
+        "artefact | poses x balls | min | share | exchange, µm | bound, µm | gradient, µm | "
+        "on the front",
+        [(k, f"{d.count} x {d.balls}", d.seconds / 60.0, percent(d.seconds / NOMINAL_S),
+          d.chosen.rms_um, d.chosen.bound_um, d.rms_um, "yes" if d in t.front else "")
+         for k, t in r.trade.items() for d in t.designs],
+        fold="All designs",
+    ),
+    "stylus": lambda r: table(
+        "artefact | straight, µm | alternating, µm | gain | searched, µm",
+        [(k, s.straight, s.alternating, f"−{percent(s.gain)}", s.found)
+         for k, s in r.star.items()],
+    ),
+    "families_0": lambda r: _families(*_robust(r, 0)),
+    "families_1": lambda r: _families(*_robust(r, 1)),
+    "family": _family,
+    "sweep_N": lambda r: _sweep(r, "N"),
+    "sweep_a": lambda r: _sweep(r, "a"),
+    "sweep_b": lambda r: _sweep(r, "b"),
+    "distributions": _distributions,
+    "influences": lambda r: _bars(
+        "Influences in the truth, artefact S",
+        {name: {n: getattr(c, name) for n, c in r.costs["S"].items()}
+         for name in ("ignored", "identified")},
+        {n: {"all": one.rms} for n, one in r.influenced.items()}, 10.5,
+    ),
+    "gains": _gains,
+    "artefacts": _artefacts,
+    "poses": lambda r: spaces(
+        {name: [mark("plot", *balls.T, "o-", color=_COLOURS[i % 4], ms=2.6, lw=0.8)
+                for i, balls in enumerate(1e3 * np.asarray(one.centres))]
+         for name, one in (
+             ("nominal", nominal_poses()),
+             ("found for S, 60 mm", r.searched["S"][_SHORT["60 mm"]].optimised.poses))},
+        np.array([TRAVEL[c] for c in "XYZ"]) + np.array(TOOL)[:, None], 4.6,
+    ),
+    "time": lambda r: panels([_front(r)], width=8.2, height=4.2),
+    "star": lambda r: _bars(
+        "A star stylus, equal touches",
+        {label: {k: getattr(r.star[k], name) for k in KNOWN} for label, name in _TIPS.items()},
+        width=8.2,
+    ),
+}  # fmt: skip
+
 ARTEFACT_DESIGN = Reproduction(
     name="artefact-design",
     summary="A ball artefact and its poses designed for a machine tool: Aguirre et al. 2019",
     title="A ball artefact and its poses, designed",
     publication="Aguirre, Iñigo, Cilla, Urreta (2019), Optimal design of artefacts for machine "
     "tool calibration",
-    compute=compute,
+    compute=Results,
     rows=rows,
     record=record,
-    page=page,
+    head=_head,
+    texts=TEXTS,
+    shown=SHOWN,
     counted="machines",
     draws=MACHINES,
     least=LEAST,

@@ -35,6 +35,8 @@ from ...model.forward import Model
 from ...numerics.arrays import Array
 from .setting import PAIR_UM, PROBE_UM, TRAVEL, Family, Known, grid_points, machine
 
+SUPPORTS = (0.2203, 0.7797)
+"""Of the artefact, as shares of its length: Bessel's points."""
 ORDERS = (1, 2, 3, 4, 5)
 """Of the polynomials of plain least squares."""
 _MICRO = 1e-6
@@ -63,7 +65,7 @@ def task(family: Family | None = None) -> Task:
     artefact.
     """
     chain, errors = machine(family)
-    model = Model(chain, anything(), (errors,))
+    model = Model(chain, touched(np.zeros((1, 3)), np.eye(3)[None], np.zeros((1, 3))), (errors,))
     gram, polynomials = volumetric_gram(model, grid_points(chain)), _polynomials(model)
 
     # Machines are closed over: they are data, and the same for all designs.
@@ -80,17 +82,19 @@ def task(family: Family | None = None) -> Task:
     return Task(model, gram, polynomials, seen, left)
 
 
-def anything() -> BallArray:
-    """An instrument to build models with whose artefact is not looked at."""
+def touched(
+    balls: Float[np.ndarray, "N 3"], rotation: np.ndarray, origin: Float[np.ndarray, "m 3"]
+) -> BallArray:
+    """An artefact in its poses as an instrument."""
     return BallArray(
-        centres=np.zeros((1, 3)),
-        numbers=np.arange(1),
+        centres=balls,
+        numbers=np.arange(len(balls)),
         probe_sigma=PROBE_UM * _MICRO,
         position_sigma=0.0,
-        supports=(0.0, 1.0),
-        pose_numbers=np.arange(1),
-        pose_rotation=np.eye(3)[None],
-        pose_origin=np.zeros((1, 3)),
+        supports=SUPPORTS,
+        pose_numbers=np.arange(len(origin)),
+        pose_rotation=rotation,
+        pose_origin=origin,
     )
 
 

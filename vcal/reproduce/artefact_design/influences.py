@@ -20,7 +20,7 @@ from ...instruments.ball_array import BallArray
 from ...machine.plan import Plan
 from ...model.forward import Model
 from ...uncertainty.mismatch import Left, expected_error
-from .expected import Task
+from .expected import SUPPORTS, Task
 from .machines import Machines, calibrate_as, measured_by
 from .setting import TRAVEL, Known, grid_points
 
@@ -64,7 +64,7 @@ def effects(name: str) -> tuple[Effect, ...]:
         "column bends": (ThermalTilt(port="EBX", placement="X"),),
         "ram sags": (PayloadSag(low=low, high=high, placement="Y"),),
         "artefact expands": (ArtefactExpansion(),),
-        "artefact bends": (ArtefactBending(supports=(0.2203, 0.7797), beam=(1.0, 0.0, 0.0)),),
+        "artefact bends": (ArtefactBending(supports=SUPPORTS, beam=(1.0, 0.0, 0.0)),),
     }
     return tuple(
         replace(e, given=tuple((p.name, 0.0, size) for p in e.amplitudes)) for e in kinds[name]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...design import ArrayPoses, displacements
-from ...instruments.ball_array import ArtefactPoses, BallArray
+from ...instruments.ball_array import ArtefactPoses
 from ...instruments.ball_shape import BallShape
 from ...machine.plan import Plan
 from ...model.forward import Model
@@ -17,8 +17,8 @@ from ...numerics.arrays import Array
 from ...uncertainty import Campaign, Measure, Output, Quantity, monte_carlo
 from ...uncertainty.mismatch import fitted_places
 from ...uncertainty.quantities import Pair, State
-from .expected import Task, precision_of
-from .setting import PROBE_UM, Known, grid_points
+from .expected import Task, precision_of, touched
+from .setting import Known, grid_points
 
 _MICRO = 1e-6
 _LOOSEST_M = 1e-3
@@ -125,16 +125,7 @@ def measured_by(task: Task, poses: ArrayPoses, known: Known) -> tuple[Model, Pla
     m, n = poses.rotation.shape[0], poses.balls.shape[0]
     balls = np.asarray(poses.balls)
     numbers = np.arange(m)
-    instrument = BallArray(
-        centres=balls,
-        numbers=np.arange(n),
-        probe_sigma=PROBE_UM * _MICRO,
-        position_sigma=0.0,
-        supports=(0.2203, 0.7797),
-        pose_numbers=numbers,
-        pose_rotation=np.asarray(poses.rotation),
-        pose_origin=np.asarray(poses.origin),
-    )
+    instrument = touched(balls, np.asarray(poses.rotation), np.asarray(poses.origin))
     position = np.asarray(poses.position(chain)).reshape(-1, 3)
     order = ["XYZ".index(axis) for axis in chain.axes]
     groups = {"pose": np.repeat(numbers, n), "ball": np.tile(np.arange(n), m)}

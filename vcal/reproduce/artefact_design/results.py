@@ -1,7 +1,8 @@
 """The whole of a reproduction as numbers."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
@@ -11,14 +12,15 @@ from ...design import ArrayPoses
 from ...effects.geometric import GeometricErrors
 from ...model.prior import Amplitudes
 from ...uncertainty.programs import Programs
+from ..registry import Computed, Lazy, each, part
 from .expected import Plain, Task, bayes_um, plain_least_squares, task
 from .influences import Cost, costs
 from .influences import exact as with_influences
-from .machines import Machines, calibrate
-from .searches import FREEDOMS, STARTS, STEPS, Optimised, Robust, Searches, optimise, robust
+from .machines import calibrate
+from .searches import FREEDOMS, STARTS, STEPS, Polished, Robust, Searches, optimise, robust
 from .setting import KNOWN, NOMINAL, POSES, TRAVEL, Known, ball_line, placed
 from .stylus import Star, star
-from .sweep import Drawn, Theory, Varied, drawn, exact, theory
+from .sweep import Drawn, Theory, Varied, designs, drawn, exact, theory
 from .timing import SHAPES, Chooser, Trade, trade
 
 MACHINES = 1000
@@ -55,7 +57,7 @@ class Effort:
 class Searched:
     """A design found by search, judged on machines that the search did not use."""
 
-    optimised: Optimised
+    optimised: Polished
     checked: Drawn
     """Fresh machines, exact kinematics."""
 
@@ -65,155 +67,123 @@ class Searched:
         return self.optimised.rms_um / self.checked.rms - 1.0
 
 
-@dataclass(frozen=True)
-class Results:
-    """Everything that was computed."""
-
-    seed: int
-    draws: int
-    fresh: int
-    """Machines that judge a design that was searched for."""
-    functions: np.ndarray
-    """EXX of some machines, um, at equal distances along X."""
-    before_um: tuple[float, float]
-    """Expected rms of the uncompensated machine, aligned and raw."""
-    sets: dict[str, dict[Known, float]]
-    """Expected rms by set of poses, at the nominal artefact."""
-    plain: dict[Known, list[Plain]]
-    """Plain least squares of every order, at the nominal design."""
-    theory: dict[Known, dict[Key, Theory]]
-    exact: dict[Known, dict[Key, Drawn]]
-    costs: dict[Known, dict[str, Cost]]
-    influenced: dict[str, Drawn]
-    """All influences in the truth, artefact S: ignored and identified."""
-    searched: dict[Known, dict[str, Searched]]
-    nominal: dict[Known, Drawn]
-    """The nominal design on the same fresh machines."""
-    star: dict[Known, Star]
-    trade: dict[Known, Trade]
-    robust: dict[str, Robust]
-    """Designs for several families, by poses and balls."""
-
-
 def nominal_poses() -> ArrayPoses:
     """The publication's artefact in the strongest of the twelve poses."""
     return placed(POSES[next(iter(POSES))](), ball_line(*NOMINAL))
 
 
-def compute(
-    draws: int, seed: int, progress: Callable[[str], None], effort: Effort | None = None
-) -> Results:
+@dataclass
+class Results(Computed):
     """Everything; campaigns have `draws` machines, those that judge a search twice as many."""
-    effort = effort or Effort()
-    given, usual, programs = task(), nominal_poses(), Programs()
-    before = tuple(1e6 * float(np.trace(g)) ** 0.5 for g in given.gram)
-    progress("poses")
-    sets = _sets(given)
-    expected: dict[Known, dict[Key, Theory]] = {}
-    plain: dict[Known, list[Plain]] = {}
-    for known in KNOWN:
-        progress(f"21 designs by theory, {known}")
-        expected[known] = theory(given, known)
-        plain[known] = plain_least_squares(given, usual, known)
-    machines: dict[Known, dict[Key, Drawn]] = {}
-    for known in KNOWN:
-        machines[known] = exact(
-            given,
-            known,
-            draws=draws,
-            seed=seed,
-            programs=programs,
-            progress=progress,
-            only=effort.drawn.get(known),
+
+    effort: Effort = field(default_factory=Effort)
+
+    @property
+    def fresh(self) -> int:
+        """Machines that judge a design that was searched for."""
+        return 2 * self.draws
+
+    @cached_property
+    def task(self) -> Task:
+        """The publication's machine."""
+        return task()
+
+    @cached_property
+    def programs(self) -> Programs:
+        """Shared by all campaigns."""
+        return Programs()
+
+    @property
+    def before_um(self) -> tuple[float, float]:
+        """Expected rms of the uncompensated machine, aligned and raw."""
+        aligned, raw = (1e6 * float(np.trace(g)) ** 0.5 for g in self.task.gram)
+        return aligned, raw
+
+    @part("machines that are shown")
+    def functions(self) -> np.ndarray:
+        """EXX of some machines, um, at equal distances along X."""
+        return _functions(self.task, self.seed)
+
+    @each("poses: {}", POSES)
+    def sets(self, name: str) -> dict[Known, float]:
+        """Expected rms of the nominal artefact by set of poses."""
+        poses = placed(POSES[name](), ball_line(*NOMINAL))
+        return {known: bayes_um(self.task, poses, known)[0] for known in KNOWN}
+
+    @each("plain least squares, {}", KNOWN)
+    def plain(self, known: Known) -> list[Plain]:
+        """Of every order, at the nominal design."""
+        return plain_least_squares(self.task, nominal_poses(), known)
+
+    @each("21 designs by theory, {}", KNOWN)
+    def theory(self, known: Known) -> Mapping[Key, Theory]:
+        made = {design.key: design for design in designs()}
+        return Lazy(made, lambda key: theory(self.task, made[key], known))
+
+    @each("machines with exact kinematics, {}", KNOWN)
+    def exact(self, known: Known) -> dict[Key, Drawn]:
+        campaign = {"draws": self.draws, "seed": self.seed, "programs": self.programs}
+        only = self.effort.drawn.get(known)
+        return exact(self.task, known, **campaign, progress=self.progress, only=only)
+
+    @each("influences, {}", KNOWN)
+    def costs(self, known: Known) -> Mapping[str, Cost]:
+        return costs(self.task, nominal_poses(), known)
+
+    @each("machines with all influences, {}", ("ignored", "identified"))
+    def influenced(self, name: str) -> Drawn:
+        """All influences in the truth, artefact S."""
+        campaign = {"draws": self.draws, "seed": self.seed}
+        identified = name == "identified"
+        return drawn(
+            with_influences(self.task, nominal_poses(), "S", identified=identified, **campaign)
         )
-    progress("influences")
-    cost: dict[Known, dict[str, Cost]] = {known: costs(given, usual, known) for known in KNOWN}
-    influenced: dict[str, Drawn] = {}
-    for name, identified in (("ignored", False), ("identified", True)):
-        progress(f"machines with all influences, {name}")
-        made = with_influences(given, usual, "S", identified=identified, draws=draws, seed=seed)
-        influenced[name] = drawn(made)
-    fresh = 2 * draws
 
-    def checked(poses: ArrayPoses, known: Known) -> Drawn:
-        made: Machines = calibrate(
-            given, poses, known, draws=fresh, seed=seed + 1, programs=programs
-        )
-        return drawn(made)
+    @each("searches: {}", FREEDOMS)
+    def searches(self, freedom: str) -> Searches:
+        return Searches([self.task], FREEDOMS[freedom])
 
-    searched = _searched(given, effort, seed, progress, checked)
-    judged: dict[Known, Drawn] = {known: checked(usual, known) for known in KNOWN}
-    stars: dict[Known, Star] = {}
-    for known in KNOWN:
-        progress(f"star stylus, {known}")
-        stars[known] = star(given, usual, known, steps=effort.steps, seed=seed)
-    traded = trade(given, shapes=effort.shapes, seed=seed, progress=progress)
-    return Results(
-        seed=seed,
-        draws=draws,
-        fresh=fresh,
-        functions=_functions(given, seed),
-        before_um=(before[0], before[1]),
-        sets=sets,
-        plain=plain,
-        theory=expected,
-        exact=machines,
-        costs=cost,
-        influenced=influenced,
-        searched=searched,
-        nominal=judged,
-        star=stars,
-        trade=traded,
-        robust=_robust(given, effort, seed, progress),
-    )
+    @each("designs by gradient, {}", KNOWN)
+    def searched(self, known: Known) -> Mapping[str, Searched]:
+        """Designs that searches find from the nominal one."""
 
+        def search(name: str) -> Searched:
+            self.progress(f"search, {known}: {name}")
+            start = self.task, nominal_poses(), known, FREEDOMS[name]
+            own = {"starts": self.effort.starts, "steps": self.effort.steps, "seed": self.seed}
+            best = optimise(*start, **own, searches=self.searches[name])
+            return Searched(best, self.checked(best.poses, known))
 
-def _sets(given: Task) -> dict[str, dict[Known, float]]:
-    """Expected rms of the nominal artefact by set of poses."""
-    balls = ball_line(*NOMINAL)
-    return {
-        name: {known: bayes_um(given, placed(make(), balls), known)[0] for known in KNOWN}
-        for name, make in POSES.items()
-    }
+        return Lazy(self.effort.searched, search)
 
+    def checked(self, poses: ArrayPoses, known: Known) -> Drawn:
+        """Fresh machines with exact kinematics, which no search used, with a design."""
+        campaign = {"draws": self.fresh, "seed": self.seed + 1, "programs": self.programs}
+        return drawn(calibrate(self.task, poses, known, **campaign))
 
-def _searched(
-    given: Task,
-    effort: Effort,
-    seed: int,
-    progress: Callable[[str], None],
-    checked: Callable[[ArrayPoses, Known], Drawn],
-) -> dict[Known, dict[str, Searched]]:
-    """Designs that searches find from the nominal one, judged by `checked`."""
-    found: dict[Known, dict[str, Searched]] = {known: {} for known in KNOWN}
-    for name in effort.searched:
-        searches = Searches([given], FREEDOMS[name])
-        for known in KNOWN:
-            progress(f"search, {known}: {name}")
-            best = optimise(
-                given,
-                nominal_poses(),
-                known,
-                FREEDOMS[name],
-                starts=effort.starts,
-                steps=effort.steps,
-                seed=seed,
-                searches=searches,
+    @each("fresh machines, nominal design, {}", KNOWN)
+    def nominal(self, known: Known) -> Drawn:
+        return self.checked(nominal_poses(), known)
+
+    @each("star stylus, {}", KNOWN)
+    def star(self, known: Known) -> Star:
+        return star(self.task, nominal_poses(), known, steps=self.effort.steps, seed=self.seed)
+
+    @part("error against time")
+    def trade(self) -> dict[Known, Trade]:
+        return trade(self.task, shapes=self.effort.shapes, seed=self.seed, progress=self.progress)
+
+    @part("designs for several families")
+    def robust(self) -> dict[str, Robust]:
+        """By poses and balls."""
+        few = Chooser(self.task, seed=self.seed).choose(*_SHORT, "S")[0].poses
+        own = {"steps": min(self.effort.steps, 200), "seed": self.seed, "progress": self.progress}
+        return {
+            f"{start.rotation.shape[0]} poses of {start.balls.shape[0]} balls": robust(
+                "S", nominal=start, **own
             )
-            found[known][name] = Searched(best, checked(best.poses, known))
-    return found
-
-
-def _robust(
-    given: Task, effort: Effort, seed: int, progress: Callable[[str], None]
-) -> dict[str, Robust]:
-    few = Chooser(given, seed=seed).choose(*_SHORT, "S")[0].poses
-    return {
-        f"{start.rotation.shape[0]} poses of {start.balls.shape[0]} balls": robust(
-            "S", nominal=start, steps=min(effort.steps, 200), seed=seed, progress=progress
-        )
-        for start in (nominal_poses(), few)
-    }
+            for start in (nominal_poses(), few)
+        }
 
 
 def _functions(given: Task, seed: int) -> np.ndarray:

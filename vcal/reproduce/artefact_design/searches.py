@@ -17,7 +17,7 @@ machine drawn from any of them. An identification that assumes the wrong family 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -89,6 +89,13 @@ class Polished:
     """Expected, aligned, of every family."""
     found: tuple[Found, ...]
     """All starts, best first."""
+    nominal_um: float = np.nan
+    """Expected, aligned, of the design that the search began with, where it was asked for."""
+
+    @property
+    def gain(self) -> float:
+        """Share by which the expected error fell."""
+        return 1.0 - self.rms_um / self.nominal_um
 
 
 class Searches:
@@ -216,24 +223,6 @@ STEPS = 500
 _ACCURACY = 1e-7
 
 
-@dataclass(frozen=True)
-class Optimised:
-    """Where a search from several starts ended."""
-
-    poses: ArrayPoses
-    """The best."""
-    rms_um: float
-    """Expected, aligned."""
-    nominal_um: float
-    found: tuple[Found, ...]
-    """All starts, best first."""
-
-    @property
-    def gain(self) -> float:
-        """Share by which the expected error fell."""
-        return 1.0 - self.rms_um / self.nominal_um
-
-
 def optimise(
     task: Task,
     nominal: ArrayPoses,
@@ -244,7 +233,7 @@ def optimise(
     steps: int = STEPS,
     seed: int = 0,
     searches: Searches | None = None,
-) -> Optimised:
+) -> Polished:
     """Search from the nominal design and from `starts` - 1 scattered around it.
 
     `searches` of the same task and freedom share what they have compiled. Raises `RuntimeError`
@@ -255,7 +244,7 @@ def optimise(
         nominal, known, starts=starts, seed=seed, steps=steps, tolerance=_ACCURACY
     )
     reached, usual = (bayes_um(task, poses, known)[0] for poses in (best.poses, nominal))
-    return Optimised(best.poses, reached, usual, best.found)
+    return replace(best, rms_um=reached, nominal_um=usual)
 
 
 FAMILIES: Mapping[str, Family] = {

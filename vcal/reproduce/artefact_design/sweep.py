@@ -6,15 +6,15 @@ does and not which machines were drawn.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
 
-from ...design import ArrayPoses, gram_for
-from ...uncertainty.mismatch import drawn_errors
+from ...design import ArrayPoses
 from ...uncertainty.programs import Programs
 from .expected import Plain, Task, bayes_um, best_plain
-from .machines import Machines, calibrate, measured_by
+from .machines import Machines, calibrate
 from .setting import BALLS, NOMINAL, OFFSETS, POSES, Known, ball_line, placed
 
 Varied = Literal["N", "a", "b"]
@@ -56,17 +56,18 @@ class Theory:
 
     aligned: float
     raw: float
-    plain: Plain
-    """The best plain least squares of order 1 to 5."""
+    least_squares: Callable[[], Plain]
+
+    @cached_property
+    def plain(self) -> Plain:
+        """The best plain least squares of order 1 to 5."""
+        return self.least_squares()
 
 
-def theory(task: Task, known: Known) -> dict[tuple[Varied, float], Theory]:
-    """Both estimates for all designs."""
-    found = {}
-    for design in designs():
-        aligned, raw = bayes_um(task, design.poses, known)
-        found[design.key] = Theory(aligned, raw, best_plain(task, design.poses, known))
-    return found
+def theory(task: Task, design: Design, known: Known) -> Theory:
+    """Both estimates for a design."""
+    aligned, raw = bayes_um(task, design.poses, known)
+    return Theory(aligned, raw, partial(best_plain, task, design.poses, known))
 
 
 @dataclass(frozen=True)
@@ -81,19 +82,6 @@ class Drawn:
     gradients: float
     """Exact gradients per identification, on average."""
     failed: int
-
-
-def linear(
-    task: Task, known: Known, *, draws: int, seed: int
-) -> dict[tuple[Varied, float], np.ndarray]:
-    """Aligned error on the grid, um, of machines drawn one by one, by the linear estimate."""
-    found = {}
-    for design in designs():
-        model, plan = measured_by(task, design.poses, known)
-        gram = gram_for(model, task.gram, task.model)
-        errors = drawn_errors(model, model, plan, gram, draws=draws, seed=seed)
-        found[design.key] = 1e6 * errors[:, 0]
-    return found
 
 
 def exact(

@@ -267,7 +267,7 @@ def refine(freedom: str, start: Layout, *, goal: Goal = "errors", lever: bool = 
 def _distances(layout: Layout, size: int) -> tuple[np.ndarray, np.ndarray]:
     """A and b of ``A z >= b``: neighbours on a beam keep their distance."""
     rows, least, start = [], [], 0
-    for one, s in zip(layout.segments, layout.shares, strict=True):
+    for one, s in layout.beams:
         for i in range(start, start + len(s) - 1):
             row = np.zeros(size)
             row[i], row[i + 1] = -1.0, 1.0

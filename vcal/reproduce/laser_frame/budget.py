@@ -157,8 +157,17 @@ def point_parts(
     """Standard uncertainties (um) of the inputs of `point_budget`, in functions that can be
     differentiated by the place.
     """
+    return {
+        **{name: u * jnp.ones_like(path_m) for name, u in same_parts(facts).items()},
+        "deflection": facts.deflection * path_m**2,
+        "psd linearity": facts.linearity * jnp.abs(place_mm) * 1e3 / SIGMAS,
+    }
+
+
+def same_parts(facts: Facts = Facts()) -> dict[str, float]:
+    """Those of `point_parts` that are the same at every point, um."""
     f = facts
-    same = {
+    return {
         "refraction": refraction(f) / SIGMAS,
         "resolution": f.resolution / SIGMAS,
         "frame": f.frame * f.alpha * f.frame_change / SIGMAS,
@@ -168,11 +177,6 @@ def point_parts(
         "head chain": f.head * f.alpha * f.chain / SIGMAS,
         "tool interface": f.rotational.u,
         "psd repeatability": f.repeatability,
-    }
-    return {
-        **{name: u * jnp.ones_like(path_m) for name, u in same.items()},
-        "deflection": f.deflection * path_m**2,
-        "psd linearity": f.linearity * jnp.abs(place_mm) * 1e3 / SIGMAS,
     }
 
 
@@ -200,9 +204,7 @@ def refraction_by_snell(facts: Facts = Facts()) -> float:
 
 def figures(facts: Facts = Facts()) -> tuple[Figure, ...]:
     """Every figure of the publication's budget."""
-    f, found = facts, []
-    alpha_off = shown(f.alpha_share * f.alpha, 2)
-    frame_printed = 0.12  # um/K, as printed; 66 mm of invar make 0.112
+    f, found, same, roughly = facts, [], same_parts(facts), rounded_parts(facts)
 
     def add(
         quantity: str,
@@ -217,25 +219,21 @@ def figures(facts: Facts = Facts()) -> tuple[Figure, ...]:
         found.append(Figure(quantity, published, exact, rounded, digits, unit, note))
 
     add("expansion of invar, half-width", 0.43, f.alpha_share * f.alpha, unit="um/(m K)")
-    add("head: initial length", 1e-4, f.head_half * f.alpha * f.head_change / SIGMAS, 4)
-    add("head: coefficient of expansion", 0.10,
-        f.head * f.alpha_share * f.alpha * f.head_change / SIGMAS,
-        rounded=shown(f.head * alpha_off * f.head_change / SIGMAS, 2))  # fmt: skip
-    add("head: temperature sensor", 0.05, f.head * f.alpha * f.sensor / SIGMAS)
-    add("head: temperature measuring chain", 0.02, f.head * f.alpha * f.chain / SIGMAS)
+    add("head: initial length", 1e-4, same["head length"], 4)
+    add("head: coefficient of expansion", 0.10, same["head alpha"], rounded=roughly["head alpha"])
+    add("head: temperature sensor", 0.05, same["head sensor"])
+    add("head: temperature measuring chain", 0.02, same["head chain"])
     for name in ("axial", "radial", "rotational"):
         one: TableOne = getattr(f, name)
         add(f"tool interface, {name}", one.printed, one.u)
-    add("frame", 0.12, f.frame * f.alpha * f.frame_change / SIGMAS,
-        note="printed from 0.12 um/K; 66 mm at 1.7 um/(m K) are 0.112 um/K",
-        rounded=shown(frame_printed * f.frame_change / SIGMAS, 2))  # fmt: skip
-    add("resolution", 0.06, f.resolution / SIGMAS)
+    add("frame", 0.12, same["frame"], rounded=roughly["frame"],
+        note="printed from 0.12 um/K; 66 mm at 1.7 um/(m K) are 0.112 um/K")  # fmt: skip
+    add("resolution", 0.06, same["resolution"])
     add("deflection of the beam at 1.5 m", 0.75, f.deflection * f.longest**2)
     add("steepest beam", 25.0, 1e3 * f.psd / f.segment, 0, "mrad")
     add("refraction in the filter, half-width", 0.55, refraction(f),
         note=f"without the glass; with it, {refraction_by_snell(f):.2f} um")  # fmt: skip
-    add("refraction in the filter", 0.32, refraction(f) / SIGMAS,
-        rounded=shown(shown(refraction(f), 2) / SIGMAS, 2))  # fmt: skip
+    add("refraction in the filter", 0.32, same["refraction"], rounded=roughly["refraction"])
     for (segment, axis), (half, deviation, printed) in PSD_RANGES.items():
         where = f"segment {segment} {axis}"
         add(f"linearity deviation, {where}", deviation, f.linearity * 2.0 * half * 1e3, 1)
@@ -257,22 +255,27 @@ def psd_u(half_mm: float, facts: Facts = Facts()) -> float:
     return math.hypot(facts.linearity * half_mm * 1e3 / SIGMAS, facts.repeatability)
 
 
+def rounded_parts(facts: Facts = Facts()) -> dict[str, float]:
+    """The nine influences of Table 3 at their largest, each rounded as the publication does, um."""
+    f, same = facts, same_parts(facts)
+    nine = {
+        "refraction": shown(refraction(f), 2) / SIGMAS,
+        "resolution": same["resolution"],
+        # 0.12 um/K as printed; 66 mm of invar make 0.112.
+        "frame": 0.12 * f.frame_change / SIGMAS,
+        "head alpha": f.head * shown(f.alpha_share * f.alpha, 2) * f.head_change / SIGMAS,
+        "head sensor": same["head sensor"],
+        "head chain": same["head chain"],
+        "tool interface": f.rotational.u,
+        "deflection": f.deflection * f.longest**2,
+        "psd": psd_u(1.3, f),
+    }
+    return {name: shown(u, 2) for name, u in nine.items()}
+
+
 def combined(facts: Facts = Facts()) -> float:
     """Largest combined uncertainty from the nine influences of Table 3, each rounded first, um."""
-    f = facts
-    alpha_off = shown(f.alpha_share * f.alpha, 2)
-    nine = (
-        shown(refraction(f), 2) / SIGMAS,
-        f.resolution / SIGMAS,
-        0.12 * f.frame_change / SIGMAS,
-        f.head * alpha_off * f.head_change / SIGMAS,
-        f.head * f.alpha * f.sensor / SIGMAS,
-        f.head * f.alpha * f.chain / SIGMAS,
-        f.rotational.u,
-        f.deflection * f.longest**2,
-        psd_u(1.3, f),
-    )
-    return math.sqrt(sum(shown(u, 2) ** 2 for u in nine))
+    return math.sqrt(sum(u**2 for u in rounded_parts(facts).values()))
 
 
 def _half(width: float, middle: float = 0.0) -> Uniform:

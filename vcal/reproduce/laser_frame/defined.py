@@ -20,7 +20,7 @@ from ...model.forward import Model, tool_points_with_jacobian
 from ...numerics.arrays import Array
 from ...uncertainty.outputs import Field, Output
 from ...uncertainty.quantities import Measure, Pair, Quantity, State
-from .recipe import PLANES, SIGNS, Recipe
+from .recipe import PLANES, SIGNS, Recipe, less_line, line
 from .setting import POSITIONING, ROLLS, SQUARENESSES, THIRTEEN, TRAVEL
 
 NODES = 11
@@ -77,7 +77,7 @@ class Asked:
                 for along, across in (PLANES[name], PLANES[name][::-1]):
                     motion = f"E{across}{along}"
                     at = self.x[motion]
-                    slopes += _line(at)[1:] @ table.values(motion, at)
+                    slopes += line(at)[1:] @ table.values(motion, at)
                 return table.values(name, x) + SIGNS[name] * slopes
             values = table.values(name, x)
             if name in ROLLS:
@@ -85,7 +85,7 @@ class Asked:
             if name in beside:
                 other, lever = beside[name]
                 values = values + lever * table.values(other, x)
-            return values - np.stack([np.ones_like(x), x], 1) @ (_line(x) @ values)
+            return less_line(x, values)
 
         return np.concatenate([rows(name) for name in THIRTEEN])
 
@@ -119,11 +119,6 @@ def places() -> Float[np.ndarray, "n 3"]:
     """Axis positions in the volume at which the tool is judged, m."""
     sides = [np.linspace(*TRAVEL[axis], CORNERS) for axis in "XYZ"]
     return np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
-
-
-def _line(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "2 n"]:
-    """From values to offset and slope of their least-squares line."""
-    return np.linalg.pinv(np.stack([np.ones_like(x), x], 1))
 
 
 class _Table:

@@ -1,6 +1,6 @@
 """The description of this reproduction: printed numbers, record and page."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -11,13 +11,13 @@ from ...plots.panels import PALETTE, Mark, Panel, bars, mark, panels, spaces
 from ...plots.style import AFTER, BEFORE, DOTS, INK, MARK, NOMINAL
 from ...report import Table, Tile
 from ...report.html.text import number, percent, unit
-from ..document import Page, Row, picked, table
+from ..document import Row, picked, table
 from ..registry import Reproduction
 from .better import GAP_M, Step
-from .budget import Facts, point_budget, point_parts
+from .budget import Facts, point_parts
 from .cycles import Cycles
 from .recipe import PRINTED, Lever, exchanged
-from .results import CYCLES, LEAST, Results, compute
+from .results import CYCLES, LEAST, Results
 from .setting import (
     LEGS,
     LEVER_M,
@@ -29,7 +29,15 @@ from .setting import (
     Layout,
     way_of_light,
 )
-from .verification import BAND_UM, BESIDE_M, DEVICE_U_UM, DRIFT_UM, DRIFT_URAD, MANIPULATED_UM
+from .verification import (
+    BAND_UM,
+    BESIDE_M,
+    DEVICE_U_UM,
+    DRIFT_UM,
+    DRIFT_URAD,
+    MANIPULATED_UM,
+    Agreement,
+)
 
 _ANGLES = THIRTEEN[8:]
 
@@ -142,27 +150,16 @@ def _step(step: Step) -> dict[str, Any]:
         "segments": [
             {"number": s.number, "start_mm": [1e3 * v for v in s.start],
              "end_mm": [1e3 * v for v in s.end], "places_mm": 1e3 * p * s.length}
-            for s, p in zip(layout.segments, layout.shares, strict=True)
+            for s, p in layout.beams
         ],
     }  # fmt: skip
 
 
-def page(r: Results) -> Page:
-    """The page of the results."""
-    first, best, even = (
-        r.variants[0],
-        _checked(r, r.better.steps[-2]),
-        _checked(r, r.better.steps[0]),
-    )
+def _head(r: Results) -> tuple[str, list[Tile]]:
     met = [abs(f.exact - f.published) <= 10.0**-f.digits * (1 + 1e-9) for f in r.figures]
-    three, flat, b, v = r.seen["“3d”"], r.seen["“planar”"], r.better, r.verification
+    first, three, flat = r.variants[0], r.seen["“3d”"], r.seen["“planar”"]
     ratio, printed = (float(np.exp(rms)) for rms in (first.exchanged, first.as_printed))
-    pairs = {
-        name: (U(r.cycles[f"{name}, noise"]), U(r.as_effects[name]))
-        for name, U in (("3d", lambda one: one.identified), ("planar", _beams))
-    }
-    change = {n: pairs["3d"][1][n] / pairs["3d"][0][n] for n in THIRTEEN}
-    lever, largest = Lever.seen(), point_budget(1.3, Facts().longest)
+    best, even = (_checked(r, r.better.steps[i]) for i in (-2, 0))
     text = f"""\
 {sum(met)} of {len(met)} figures of the budget are met to one unit of their last printed digit. The
 table of thirteen errors follows from that budget with a mean ratio of {number(ratio)} if the labels
@@ -170,104 +167,6 @@ of EXZ and EZY are exchanged, and of {number(printed)} as it is printed. On the 
 the thirteen cannot be seen, and the eight errors that are taken for zero weigh more than all noise.
 The same 51 points, better placed, have a largest uncertainty that is {percent(1 - best / even)}
 smaller.
-# What the beams can see
-Thirteen errors and the frame's pose have 37 parameters: Legendre polynomials up to the fourth
-degree, a slope for positioning errors. The path decides how many of them the 102 readings tell
-apart. The publication does not print the edges along which its beams run; “planar”, once round a
-plane and up, agrees best with its table, “3d” is what should be built.
-
-{", ".join(OTHERS)} are taken for zero. Where they are not, the thirteen take up what the beams show
-of them. A lever of the diode makes even those visible that no reading showed without it, and with
-them their bias.
-:seen
-:biases Standard deviation of the bias, µm or µrad, where every coefficient of the other eight has
-{TRANSLATION_UM:g} µm or {ROTATION_URAD:.0f} µrad (assumed); in proportion for other sizes.
-:beams Beam paths with their 51 points, in the work space of the axes. The light starts at the
-square. Right: the path and the places found below.
-:bias Path “3d”: standard deviation that the other eight errors put on the thirteen.
-# Budget of a reading
-Every figure is computed twice: without rounding, and with every influence rounded before it is
-added, as the publication does. The head's growth is corrected with its measured temperature; its
-part is the uncertainty of that correction. The shift in the filter is the publication's upper
-bound, which leaves out the glass.
-:inputs The largest: 1.3 mm from the middle of the diode, {Facts().longest:g} m from the source.
-u = {number(float(largest.u[0]), 4)} µm, U = {number(2.0 * float(largest.u[0]))} µm (k = 2),
-JCGM 100.
-:figures
-:budget Variance of a reading, influence on influence, along the path “planar”, first reading.
-Dotted: pentaprisms. The diode's part grows from the middle of a segment to its ends, the beam's
-deflection with the light's whole way.
-# Monte Carlo of the thirteen errors
-{r.draws} cycles: errors drawn, 51 points measured, noise of the budget times two, evaluation. On
-the path “planar” beam by beam: line removed, slopes, differences of parallel beams. On “3d” by
-least squares, for the thirteen alone, or for all 21 with the sizes of their family as prior.
-
-The publication's numbers are those of the noise. With all 21 errors drawn, the thirteen are
-uncertain by what the other eight do to them, up to {number(_worse(r), 2)} times more: on “planar”,
-EBY is read off beams that show EAX. A fit of all 21 with a prior makes this uncertainty known, and
-smaller.
-:cycles U (k = 2), µm. In brackets: EXZ and EZY exchanged, as segment 5, where EXZ is read, is the
-noisiest. * times {1e3 * lever.roll:.0f} mm (rolls, space diagonal) or {1e3 * lever.square:.0f} mm
-(squarenesses, longest travel), the rolls less their mean. Last row: largest component of the tool's
-displacement by the thirteen, at 27 places of the volume.
-:variants Noise alone in closed form, thirteen entries. Edges, legs, lengths and beams were chosen
-after the printed table had been seen: an inference, not a confirmation.
-:table_four Expanded uncertainties of the thirteen, angles times the lengths given above.
-# Influences as effects
-The same nine influences with the same distributions, as what they are: temperature and expansion of
-the head, growth of the frame, tool interface, gradient of the air and linearity of the diode are
-drawn once per run; refraction, resolution and repeatability for every reading. The identification
-still takes them for independent.
-
-On “3d” {", ".join(n for n in THIRTEEN if change[n] < 0.95)} become less uncertain,
-{", ".join(n for n in THIRTEEN if change[n] > 1.05)} more: a diode that is not linear tilts every
-beam, and a bent beam looks like a squareness. The assumption of independent noise is not
-conservative for them.
-:as_effects U (k = 2), µm; noise alone. “3d” by least squares, “planar” beam by beam.
-:influences Effect of the influences on the thirteen; most of them are one number per run.
-# Second device, and both directions
-A reference run, a run with the NC path manipulated by {MANIPULATED_UM:g} µm, and a machine that
-drifts meanwhile ({DRIFT_UM:g} µm, {DRIFT_URAD:g} µrad per coefficient of all 21 errors). The second
-device, {1e3 * BESIDE_M:g} mm beside the head, has {DEVICE_U_UM:g} µm (k = 2). {percent(v.inside)}
-of the differences lie within {BAND_UM:g} µm, and all 102 of a repeat in {percent(v.all_inside)} of
-{v.repeats} repeats. The publication saw all of them inside three times: for two runs within ten
-minutes its budget is conservative, as little of what it sums up changes meanwhile.
-{percent(v.agreeing)} of the normalised errors are at most one; 95 % should be.
-
-A run back over the same points gives the lateral reversal errors of the axes: by the difference of
-both runs, and identified with all other errors.
-:agreements µm. Expected: from the uncertainties of both devices.
-:reversals µm; one machine.
-:second_device Change between two runs as the laser frame saw it, less that of the second device,
-for three of the repeats (the publication's Fig. 4). Band: 3 µm.
-# The same 51 points, better placed
-The largest U of the thirteen is minimised, with one freedom more at a time. {b.tried[0]} paths of
-five beams and {b.tried[1]} of six run along edges of the work space (less their mirror images in
-X); {len(b.five)} and {len(b.six)} of them see all thirteen. For each, a convex problem gives the
-shares of the beams and the least that any places can reach; then the places, at least
-{1e3 * GAP_M:g} mm apart, and the diode's lever up to {1e3 * LEVER_M:g} mm follow the gradient.
-
-Points crowd near the ends and at a quarter of a beam: slopes want the ends, straightness the
-middle, and the beam's deflection the start. A lever helps where the path is bad; it also lets in
-errors that were taken for zero.
-:steps µm, k = 2, least squares on the thirteen.
-:places The best with five beams.
-:paths Largest U, µm: candidates evenly measured, and the convex bound.
-:better Least squares on all three; angles as in Table 4. The largest is minimised: at the end
-several are equally large.
-# Printed and found
-:numbers
-# Settings
-- Printed: chain w b X Y Z t, travel {_lengths({c: high for c, (_, high) in TRAVEL.items()})} mm,
-7 + 4 × 11 points, ranges of the diode, all numbers of the budget, noise doubled for the reference
-run, volume of the beam {_lengths(LEGS)} mm.
-- Not printed: edges along which the beams run, travel in the middle of the legs, the functions of
-the errors (Legendre polynomials up to the fourth degree), their sizes ({TRANSLATION_UM:g} µm and
-{ROTATION_URAD:.0f} µrad per coefficient: three of the rotation are the 100 µrad that the
-publication takes for its machine as a safe bound).
-- The straightness of the first beam along X is judged as that of its line, the others at the axes'
-own zero; a squareness has the slopes of the straightnesses in its plane.
-~ JCGM 100:2008; JCGM 101:2008; ISO 230-1:2012 names of errors; ISO 17043 for E_n.
 """
     U = next(f.exact for f in r.figures if f.quantity.startswith("expanded"))
     tiles = [
@@ -278,13 +177,20 @@ own zero; a squareness has the slopes of the straightnesses in its plane.
              f"path “3d”; “planar” {flat.rank}"),
         Tile("largest U of the thirteen", f"{number(best)} µm", f"{number(even)} µm evenly"),
     ]  # fmt: skip
-    effects = [(name, *(U[name] for pair in pairs.values() for U in pair)) for name in THIRTEEN]
-    tables = _tables(r) | {
-        "as_effects": table(
-            "error | “3d”, independent | as effects | “planar”, independent | as effects", effects
-        )
-    }
-    return Page(text, tiles, tables, _pictures(r))
+    return text, tiles
+
+
+def _as_effects(r: Results) -> list[list[dict[str, float]]]:
+    """U of the thirteen by path: with independent noise, and with the influences as effects."""
+    ways: dict[str, Callable[[Cycles], dict[str, float]]]
+    ways = {"3d": lambda one: one.identified, "planar": _beams}
+    return [[U(r.cycles[f"{n}, noise"]), U(r.as_effects[n])] for n, U in ways.items()]
+
+
+def _changed(r: Results, low: float, high: float) -> str:
+    """Those of the thirteen whose U changes by a factor in this range with them, path “3d”."""
+    noise, effects = _as_effects(r)[0]
+    return ", ".join(n for n in THIRTEEN if low < effects[n] / noise[n] < high)
 
 
 def _worse(r: Results) -> float:
@@ -300,10 +206,19 @@ def _lengths(sides: Any) -> str:
     return ", ".join(f"{axis} {1e3 * v:.0f}" for axis, v in sides.items())
 
 
-def _tables(r: Results) -> dict[str, Table]:
-    v, b, swapped = r.verification, r.better, exchanged()
-    budget = point_budget(1.3, Facts().longest)
-    source, share = budget.source, (budget.contribution[0] / budget.u[0]) ** 2
+def _inputs(r: Results) -> Table:
+    budget, source = r.largest, r.largest.source
+    share = (budget.contribution[0] / budget.u[0]) ** 2
+    return table(
+        "input | distribution | u | sensitivity | contribution | share",
+        [(label, source.distributions[i], float(np.sqrt(source.covariance[i, i])),
+          budget.sensitivity[0, i], f"{number(float(budget.contribution[0, i]))} µm",
+          percent(float(share[i]))) for i, label in enumerate(source.labels)],
+    )  # fmt: skip
+
+
+def _cycles_table(r: Results) -> Table:
+    swapped = exchanged()
     ways = [(r.cycles[f"planar, {n}"], True) for n in ("noise", "all errors")]
     ways += [(r.cycles[f"3d, {n}"], False) for n in ("noise", "all errors", "all errors fitted")]
     cycles: list[tuple] = []
@@ -312,121 +227,46 @@ def _tables(r: Results) -> dict[str, Table]:
         values = [(_beams(one) if beams else one.identified)[n] for one, beams in ways]
         cycles.append((n + ("*" if n in _ANGLES else ""), printed, *values))
     cycles.append(("tool in the volume", None, *(_tool(one) for one, _ in ways)))
-    best = b.steps[-2].layout
-    return {
-        "seen": table(
-            "path | rank | part of what no reading shows | others that no reading shows",
-            [(name, f"{one.rank} of {one.columns}", ", ".join(one.mixed) or None,
-              ", ".join(one.invisible) or None) for name, one in r.seen.items()],
-        ),
-        # What is zero but for rounding is shown as zero.
-        "biases": table(
-            " | ".join(["error", *r.seen]),
-            [(n, *(number(one.bias[n] if one.bias[n] > 1e-9 else 0.0, 2)
-                   for one in r.seen.values())) for n in THIRTEEN],
-        ),
-        "inputs": table(
-            "input | distribution | u | sensitivity | contribution | share",
-            [(label, source.distributions[i], float(np.sqrt(source.covariance[i, i])),
-              budget.sensitivity[0, i], f"{number(float(budget.contribution[0, i]))} µm",
-              percent(float(share[i]))) for i, label in enumerate(source.labels)],
-        ),
-        "figures": table(
-            "quantity | printed | unrounded | rounded on the way | unit | note",
-            [(f.quantity, f"{f.published:.{f.digits}f}", number(f.exact, 4),
-              f"{f.rounded:.{f.digits}f}", unit(f.unit), f.note) for f in r.figures],
-            fold="All figures",
-        ),
-        "cycles": table(
-            "error | printed | “planar”, noise | all 21 | “3d”, noise | all 21 | "
-            "all 21, all fitted", cycles, strong=[len(cycles) - 1],
-        ),
-        "variants": table(
-            "choice | rms of ln ratio | labels as printed",
-            [(one.name, number(one.exchanged, 2), number(one.as_printed, 2))
-             for one in r.variants],
-        ),
-        "agreements": table(
-            f"segment | RMSE of three repeats | mean | expected | within {BAND_UM:g} µm | "
-            "largest U of the difference",
-            [(f"{a.segment} {a.component}", ", ".join(f"{x:.2f}" for x in a.rmse[:3]),
-              a.rmse.mean(), a.expected, percent(a.inside), a.U.max()) for a in v.agreements],
-        ),
-        "reversals": table(
-            "reversal error | true | forth less back | identified | U (k = 2)",
-            [(one.name, one.true, one.by_difference, one.identified, number(2.0 * one.u, 2))
-             for one in v.reversals],
-        ),
-        "steps": table(
-            "freedom | largest U | gain | Monte Carlo | tool in the volume | lever, mm | "
-            "points per beam",
-            [(s.freedom, number(s.largest, 4),
-              None if s is b.steps[0] else percent(1.0 - s.largest / b.steps[0].largest),
-              number(_checked(r, s), 4) if s.freedom in r.checked else None, s.tool,
-              f"{1e3 * s.layout.lever:.1f}", ", ".join(str(len(p)) for p in s.layout.shares))
-             for s in (*b.steps, b.for_tool)],
-            strong=[len(b.steps) - 2],
-        ),
-        "places": table(
-            "beam | points | places from its start, mm",
-            [(f"{one.number}: {one.axis} from ({', '.join(f'{1e3 * x:.0f}' for x in one.start)})",
-              len(s), ", ".join(f"{1e3 * x * one.length:.0f}" for x in s))
-             for one, s in zip(best.segments, best.shares, strict=True)],
-        ),
-        "paths": table(
-            "corners (X Y Z) | evenly | bound | points per beam",
-            [(" → ".join("".join("−+"[x] for x in corner) for corner in p.corners), p.evenly,
-              p.bound, ", ".join(f"{x:.1f}" for x in p.shares)) for p in b.five[:6]],
-            fold="The best paths of five beams",
-        ),
-    }  # fmt: skip
+    return table(
+        "error | printed | “planar”, noise | all 21 | “3d”, noise | all 21 | all 21, all fitted",
+        cycles, strong=[len(cycles) - 1],
+    )  # fmt: skip
 
 
-def _pictures(r: Results) -> dict[str, Figure]:
-    steps, best = r.better.steps, r.better.steps[-2].layout
-    layouts = {"“3d”": Layout.named("3d"), "“planar”": Layout.named("planar"), "found": best}
-    noise, everything = (_beams(r.cycles[f"planar, {n}"]) for n in ("noise", "all errors"))
-    found = [
-        Panel(f"segment {a.segment}, {a.component}: RMSE "
-              f"{', '.join(f'{x:.1f}' for x in a.rmse[:3])} µm", "place on the beam, mm", "µm",
-              [mark("axhspan", -BAND_UM, BAND_UM, color=DOTS, alpha=0.25, lw=0),
-               *(mark("plot", a.place_mm, d, ".-", color=colour, lw=0.9, ms=5)
-                 for d, colour in zip(a.difference, (AFTER, BEFORE, MARK), strict=False))],
-              settings={"ylim": (-1.7 * BAND_UM, 1.7 * BAND_UM)})
-        for a in r.verification.agreements
-    ]  # fmt: skip
-    return {
-        "beams": spaces(
-            {name: _path(one) for name, one in layouts.items()},
-            np.array([TRAVEL[c] for c in "XYZ"]), 3.2,
-        ),
-        "bias": _bars(
-            "Bias by the eight that are taken for zero", {"": r.seen["“3d”"].bias},
-            y="standard deviation, µm or µrad",
-        ),
-        "budget": panels([_along(layouts["“planar”"])], width=9.0, height=3.8),
-        "table_four": _bars(
-            "Table 4: path “planar”, beam by beam",
-            {"printed, EXZ and EZY exchanged": exchanged(), "noise alone": noise,
-             "with all 21 errors": everything},
-            yscale="log",
-        ),
-        "influences": _bars(
-            "The nine influences, path “3d”, least squares",
-            {"independent noise": r.cycles["3d, noise"].identified,
-             "as effects of a run": r.as_effects["3d"].identified},
-        ),
-        "second_device": panels(
-            *(found[i : i + 2] for i in range(0, len(found), 2)), width=9.6, height=10.5
-        ),
-        "better": _bars(
-            "51 points better placed (Monte Carlo)",
-            {name: r.checked[step.freedom].identified
-             for name, step in (("evenly, “3d”", steps[0]),
-                                ("places, beams and path found", steps[-2]),
-                                ("and a sixth beam", steps[-1]))},
-        ),
-    }  # fmt: skip
+def _steps(r: Results) -> Table:
+    steps = r.better.steps
+    return table(
+        "freedom | largest U | gain | Monte Carlo | tool in the volume | lever, mm | "
+        "points per beam",
+        [(s.freedom, number(s.largest, 4),
+          None if s is steps[0] else percent(1.0 - s.largest / steps[0].largest),
+          number(_checked(r, s), 4) if s.freedom in r.checked else None, s.tool,
+          f"{1e3 * s.layout.lever:.1f}", ", ".join(str(len(p)) for p in s.layout.shares))
+         for s in (*steps, r.better.for_tool)],
+        strong=[len(steps) - 2],
+    )  # fmt: skip
+
+
+def _places(r: Results) -> Table:
+    best = r.better.steps[-2].layout
+    return table(
+        "beam | points | places from its start, mm",
+        [(f"{one.number}: {one.axis} from ({', '.join(f'{1e3 * x:.0f}' for x in one.start)})",
+          len(s), ", ".join(f"{1e3 * x * one.length:.0f}" for x in s))
+         for one, s in best.beams],
+    )  # fmt: skip
+
+
+def _agreement(a: Agreement) -> Panel:
+    """Difference of two devices along a beam, for three of the repeats."""
+    return Panel(
+        f"segment {a.segment}, {a.component}: RMSE {', '.join(f'{x:.1f}' for x in a.rmse[:3])} µm",
+        "place on the beam, mm", "µm",
+        [mark("axhspan", -BAND_UM, BAND_UM, color=DOTS, alpha=0.25, lw=0),
+         *(mark("plot", a.place_mm, d, ".-", color=colour, lw=0.9, ms=5)
+           for d, colour in zip(a.difference, (AFTER, BEFORE, MARK), strict=False))],
+        settings={"ylim": (-1.7 * BAND_UM, 1.7 * BAND_UM)},
+    )  # fmt: skip
 
 
 def _bars(title: str, series: Any, y: str = "U (k = 2), µm", **settings: Any) -> Figure:
@@ -470,6 +310,200 @@ def _along(layout: Layout) -> Panel:
     )
 
 
+TEXTS: dict[str, Callable[[Results], str]] = {
+    "What the beams can see": lambda r: f"""\
+Thirteen errors and the frame's pose have 37 parameters: Legendre polynomials up to the fourth
+degree, a slope for positioning errors. The path decides how many of them the 102 readings tell
+apart. The publication does not print the edges along which its beams run; “planar”, once round a
+plane and up, agrees best with its table, “3d” is what should be built.
+
+{", ".join(OTHERS)} are taken for zero. Where they are not, the thirteen take up what the beams show
+of them. A lever of the diode makes even those visible that no reading showed without it, and with
+them their bias.
+:seen
+:biases Standard deviation of the bias, µm or µrad, where every coefficient of the other eight has
+{TRANSLATION_UM:g} µm or {ROTATION_URAD:.0f} µrad (assumed); in proportion for other sizes.
+:beams Beam paths with their 51 points, in the work space of the axes. The light starts at the
+square. Right: the path and the places found below.
+:bias Path “3d”: standard deviation that the other eight errors put on the thirteen.
+""",
+    "Budget of a reading": lambda r: f"""\
+Every figure is computed twice: without rounding, and with every influence rounded before it is
+added, as the publication does. The head's growth is corrected with its measured temperature; its
+part is the uncertainty of that correction. The shift in the filter is the publication's upper
+bound, which leaves out the glass.
+:inputs The largest: 1.3 mm from the middle of the diode, {Facts().longest:g} m from the source. u =
+{number(float(r.largest.u[0]), 4)} µm, U = {number(2.0 * float(r.largest.u[0]))} µm (k = 2), JCGM
+100.
+:figures
+:budget Variance of a reading, influence on influence, along the path “planar”, first reading.
+Dotted: pentaprisms. The diode's part grows from the middle of a segment to its ends, the beam's
+deflection with the light's whole way.
+""",
+    "Monte Carlo of the thirteen errors": lambda r: f"""\
+{r.draws} cycles: errors drawn, 51 points measured, noise of the budget times two, evaluation. On
+the path “planar” beam by beam: line removed, slopes, differences of parallel beams. On “3d” by
+least squares, for the thirteen alone, or for all 21 with the sizes of their family as prior.
+
+The publication's numbers are those of the noise. With all 21 errors drawn, the thirteen are
+uncertain by what the other eight do to them, up to {number(_worse(r), 2)} times more: on “planar”,
+EBY is read off beams that show EAX. A fit of all 21 with a prior makes this uncertainty known, and
+smaller.
+:cycles U (k = 2), µm. In brackets: EXZ and EZY exchanged, as segment 5, where EXZ is read, is the
+noisiest. * times {1e3 * Lever.seen().roll:.0f} mm (rolls, space diagonal) or
+{1e3 * Lever.seen().square:.0f} mm (squarenesses, longest travel), the rolls less their mean. Last
+row: largest component of the tool's displacement by the thirteen, at 27 places of the volume.
+:variants Noise alone in closed form, thirteen entries. Edges, legs, lengths and beams were chosen
+after the printed table had been seen: an inference, not a confirmation.
+:table_four Expanded uncertainties of the thirteen, angles times the lengths given above.
+""",
+    "Influences as effects": lambda r: f"""\
+The same nine influences with the same distributions, as what they are: temperature and expansion of
+the head, growth of the frame, tool interface, gradient of the air and linearity of the diode are
+drawn once per run; refraction, resolution and repeatability for every reading. The identification
+still takes them for independent.
+
+On “3d” {_changed(r, 0.0, 0.95)} become less uncertain, {_changed(r, 1.05, np.inf)} more: a diode
+that is not linear tilts every beam, and a bent beam looks like a squareness. The assumption of
+independent noise is not conservative for them.
+:as_effects U (k = 2), µm; noise alone. “3d” by least squares, “planar” beam by beam.
+:influences Effect of the influences on the thirteen; most of them are one number per run.
+""",
+    "Second device, and both directions": lambda r: f"""\
+A reference run, a run with the NC path manipulated by {MANIPULATED_UM:g} µm, and a machine that
+drifts meanwhile ({DRIFT_UM:g} µm, {DRIFT_URAD:g} µrad per coefficient of all 21 errors). The second
+device, {1e3 * BESIDE_M:g} mm beside the head, has {DEVICE_U_UM:g} µm (k = 2).
+{percent(r.verification.inside)} of the differences lie within {BAND_UM:g} µm, and all 102 of a
+repeat in {percent(r.verification.all_inside)} of {r.verification.repeats} repeats. The publication
+saw all of them inside three times: for two runs within ten minutes its budget is conservative, as
+little of what it sums up changes meanwhile. {percent(r.verification.agreeing)} of the normalised
+errors are at most one; 95 % should be.
+
+A run back over the same points gives the lateral reversal errors of the axes: by the difference of
+both runs, and identified with all other errors.
+:agreements µm. Expected: from the uncertainties of both devices.
+:reversals µm; one machine.
+:second_device Change between two runs as the laser frame saw it, less that of the second device,
+for three of the repeats (the publication's Fig. 4). Band: 3 µm.
+""",
+    "The same 51 points, better placed": lambda r: f"""\
+The largest U of the thirteen is minimised, with one freedom more at a time. {r.better.tried[0]}
+paths of five beams and {r.better.tried[1]} of six run along edges of the work space (less their
+mirror images in X); {len(r.better.five)} and {len(r.better.six)} of them see all thirteen. For
+each, a convex problem gives the shares of the beams and the least that any places can reach; then
+the places, at least {1e3 * GAP_M:g} mm apart, and the diode's lever up to {1e3 * LEVER_M:g} mm
+follow the gradient.
+
+Points crowd near the ends and at a quarter of a beam: slopes want the ends, straightness the
+middle, and the beam's deflection the start. A lever helps where the path is bad; it also lets in
+errors that were taken for zero.
+:steps µm, k = 2, least squares on the thirteen.
+:places The best with five beams.
+:paths Largest U, µm: candidates evenly measured, and the convex bound.
+:better Least squares on all three; angles as in Table 4. The largest is minimised: at the end
+several are equally large.
+""",
+    "Printed and found": lambda r: """\
+:numbers
+""",
+    "Settings": lambda r: f"""\
+- Printed: chain w b X Y Z t, travel {_lengths({c: high for c, (_, high) in TRAVEL.items()})} mm, 7
++ 4 × 11 points, ranges of the diode, all numbers of the budget, noise doubled for the reference
+run, volume of the beam {_lengths(LEGS)} mm.
+- Not printed: edges along which the beams run, travel in the middle of the legs, the functions of
+the errors (Legendre polynomials up to the fourth degree), their sizes ({TRANSLATION_UM:g} µm and
+{ROTATION_URAD:.0f} µrad per coefficient: three of the rotation are the 100 µrad that the
+publication takes for its machine as a safe bound).
+- The straightness of the first beam along X is judged as that of its line, the others at the axes'
+own zero; a squareness has the slopes of the straightnesses in its plane.
+~ JCGM 100:2008; JCGM 101:2008; ISO 230-1:2012 names of errors; ISO 17043 for E_n.
+""",
+}  # fmt: skip
+
+SHOWN: dict[str, Callable[[Results], Table | Figure]] = {
+    "seen": lambda r: table(
+        "path | rank | part of what no reading shows | others that no reading shows",
+        [(name, f"{one.rank} of {one.columns}", ", ".join(one.mixed) or None,
+          ", ".join(one.invisible) or None) for name, one in r.seen.items()],
+    ),
+    # What is zero but for rounding is shown as zero.
+    "biases": lambda r: table(
+        " | ".join(["error", *r.seen]),
+        [(n, *(number(one.bias[n] if one.bias[n] > 1e-9 else 0.0, 2)
+               for one in r.seen.values())) for n in THIRTEEN],
+    ),
+    "inputs": _inputs,
+    "figures": lambda r: table(
+        "quantity | printed | unrounded | rounded on the way | unit | note",
+        [(f.quantity, f"{f.published:.{f.digits}f}", number(f.exact, 4),
+          f"{f.rounded:.{f.digits}f}", unit(f.unit), f.note) for f in r.figures],
+        fold="All figures",
+    ),
+    "cycles": _cycles_table,
+    "variants": lambda r: table(
+        "choice | rms of ln ratio | labels as printed",
+        [(one.name, number(one.exchanged, 2), number(one.as_printed, 2))
+         for one in r.variants],
+    ),
+    "agreements": lambda r: table(
+        f"segment | RMSE of three repeats | mean | expected | within {BAND_UM:g} µm | "
+        "largest U of the difference",
+        [(f"{a.segment} {a.component}", ", ".join(f"{x:.2f}" for x in a.rmse[:3]),
+          a.rmse.mean(), a.expected, percent(a.inside), a.U.max())
+         for a in r.verification.agreements],
+    ),
+    "reversals": lambda r: table(
+        "reversal error | true | forth less back | identified | U (k = 2)",
+        [(one.name, one.true, one.by_difference, one.identified, number(2.0 * one.u, 2))
+         for one in r.verification.reversals],
+    ),
+    "as_effects": lambda r: table(
+        "error | “3d”, independent | as effects | “planar”, independent | as effects",
+        [(name, *(U[name] for pair in _as_effects(r) for U in pair)) for name in THIRTEEN],
+    ),
+    "steps": _steps,
+    "places": _places,
+    "paths": lambda r: table(
+        "corners (X Y Z) | evenly | bound | points per beam",
+        [(" → ".join("".join("−+"[x] for x in corner) for corner in p.corners), p.evenly,
+          p.bound, ", ".join(f"{x:.1f}" for x in p.shares)) for p in r.better.five[:6]],
+        fold="The best paths of five beams",
+    ),
+    "beams": lambda r: spaces(
+        {"“3d”": _path(Layout.named("3d")), "“planar”": _path(Layout.named("planar")),
+         "found": _path(r.better.steps[-2].layout)},
+        np.array([TRAVEL[c] for c in "XYZ"]), 3.2,
+    ),
+    "bias": lambda r: _bars(
+        "Bias by the eight that are taken for zero", {"": r.seen["“3d”"].bias},
+        y="standard deviation, µm or µrad",
+    ),
+    "budget": lambda r: panels([_along(Layout.named("planar"))], width=9.0, height=3.8),
+    "table_four": lambda r: _bars(
+        "Table 4: path “planar”, beam by beam",
+        {"printed, EXZ and EZY exchanged": exchanged(),
+         "noise alone": _beams(r.cycles["planar, noise"]),
+         "with all 21 errors": _beams(r.cycles["planar, all errors"])},
+        yscale="log",
+    ),
+    "influences": lambda r: _bars(
+        "The nine influences, path “3d”, least squares",
+        {"independent noise": r.cycles["3d, noise"].identified,
+         "as effects of a run": r.as_effects["3d"].identified},
+    ),
+    "second_device": lambda r: panels(
+        *zip(*[map(_agreement, r.verification.agreements)] * 2, strict=True),
+        width=9.6, height=10.5,
+    ),
+    "better": lambda r: _bars(
+        "51 points better placed (Monte Carlo)",
+        {name: r.checked[step.freedom].identified
+         for name, step in zip(
+             ("evenly, “3d”", "places, beams and path found", "and a sixth beam"),
+             [r.better.steps[i] for i in (0, -2, -1)], strict=True)},
+    ),
+}  # fmt: skip
+
 LASER_FRAME = Reproduction(
     name="laser-frame",
     summary="A laser frame measures thermo-elastic errors, and its budget: Brecher et al. 2022",
@@ -477,10 +511,12 @@ LASER_FRAME = Reproduction(
     publication="Brecher, Spierling, Fey (2022), Measurement uncertainty of a new "
     "machine-integrated, PSD based approach for thermo-elastic error measurement, MM Science "
     "Journal",
-    compute=compute,
+    compute=Results,
     rows=rows,
     record=record,
-    page=page,
+    head=_head,
+    texts=TEXTS,
+    shown=SHOWN,
     counted="cycles",
     draws=CYCLES,
     least=LEAST,

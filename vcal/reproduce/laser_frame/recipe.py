@@ -161,12 +161,11 @@ class _Beams:
         return self.readings(beam, component).mean(0, keepdims=True)
 
     def slope(self, beam: int, component: str) -> np.ndarray:
-        return self._line(beam)[1:] @ self.readings(beam, component)
+        return line(self.x[beam])[1:] @ self.readings(beam, component)
 
     def straight(self, beam: int, component: str) -> np.ndarray:
         """Readings less their least-squares line."""
-        raw, x = self.readings(beam, component), self.x[beam]
-        return raw - np.stack([np.ones_like(x), x], 1) @ (self._line(beam) @ raw)
+        return less_line(self.x[beam], self.readings(beam, component))
 
     def on(self, beam: int, other: int) -> np.ndarray:
         """From places on a parallel beam to those on this one, linear between them."""
@@ -175,9 +174,15 @@ class _Beams:
         unit = np.eye(len(x))[:, order]
         return np.stack([np.interp(y, x[order], row) for row in unit], 1)
 
-    def _line(self, beam: int) -> np.ndarray:
-        x = self.x[beam]
-        return np.linalg.pinv(np.stack([np.ones_like(x), x], 1))
+
+def line(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "2 n"]:
+    """From values to offset and slope of their least-squares line."""
+    return np.linalg.pinv(np.stack([np.ones_like(x), x], 1))
+
+
+def less_line(x: Float[np.ndarray, " n"], values: Float[np.ndarray, "n k"]) -> np.ndarray:
+    """Values less their least-squares line."""
+    return values - np.stack([np.ones_like(x), x], 1) @ (line(x) @ values)
 
 
 PRINTED: Mapping[str, float] = {

@@ -1,10 +1,11 @@
 """The whole of a reproduction as numbers."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 
+from ...uncertainty import Budget
+from ..registry import Computed, each, part
 from .better import Better, better
-from .budget import Figure, figures
+from .budget import Facts, Figure, figures, point_budget
 from .cycles import Cycles, Fitted, Machine, cycles, influences
 from .recipe import Variant, variants
 from .seen import Seen, seen
@@ -15,6 +16,12 @@ CYCLES = 30_000
 LEAST = 200
 """Cycles of the smallest campaign."""
 
+_LOOKS = {
+    "“3d”": ("3d", 0.0),
+    "“planar”": ("planar", 0.0),
+    f"“3d”, lever {1e3 * LEVER_M:g} mm": ("3d", LEVER_M),
+}
+"""Path and lever of the diode."""
 _CAMPAIGNS: dict[str, tuple[str, Machine, Fitted]] = {
     "planar, noise": ("planar", "none", "thirteen with prior"),
     "planar, all errors": ("planar", "all", "thirteen with prior"),
@@ -25,61 +32,47 @@ _CAMPAIGNS: dict[str, tuple[str, Machine, Fitted]] = {
 """Path, what is drawn, and what is fitted."""
 
 
-@dataclass(frozen=True)
-class Results:
-    """Everything that was computed."""
-
-    seed: int
-    draws: int
-    figures: tuple[Figure, ...]
-    seen: dict[str, Seen]
-    """By path and lever."""
-    variants: tuple[Variant, ...]
-    cycles: dict[str, Cycles]
-    as_effects: dict[str, Cycles]
-    """With the influences as effects, by path."""
-    verification: Verification
-    better: Better
-    checked: dict[str, Cycles]
-    """Monte Carlo on the layouts found."""
-
-
-def compute(draws: int, seed: int, progress: Callable[[str], None]) -> Results:
+class Results(Computed):
     """Everything; campaigns have `draws` cycles, the second device a thirtieth of them."""
-    progress("budget")
-    found = figures()
-    progress("what the beams see")
-    looks = {
-        "“3d”": seen("3d"),
-        "“planar”": seen("planar"),
-        f"“3d”, lever {1e3 * LEVER_M:g} mm": seen("3d", LEVER_M),
-    }
-    campaigns = {}
-    for name, (path, machine, fitted) in _CAMPAIGNS.items():
-        progress(f"cycles: {name}")
-        campaigns[name] = cycles(path, machine, fitted, draws=draws, seed=seed)
-    as_effects = {}
-    for path, fitted in (("3d", "thirteen"), ("planar", "thirteen with prior")):
-        progress(f"influences as effects, path {path}")
-        own = influences(Layout.named(path))
-        every = [effect for group in own.values() for effect in group]
-        as_effects[path] = cycles(path, "none", fitted, draws=draws, seed=seed, effects=every)  # type: ignore[arg-type]
-    progress("second device")
-    checks = verification(max(draws // 30, LEAST), seed)
-    layouts = better(progress)
-    checked = {layouts.steps[0].freedom: campaigns["3d, noise"]}
-    for step in layouts.steps[-2:]:
-        progress(f"Monte Carlo: {step.freedom}")
-        checked[step.freedom] = cycles(step.layout, "none", "thirteen", draws=draws, seed=seed)
-    return Results(
-        seed=seed,
-        draws=draws,
-        figures=found,
-        seen=looks,
-        variants=variants(),
-        cycles=campaigns,
-        as_effects=as_effects,
-        verification=checks,
-        better=layouts,
-        checked=checked,
-    )
+
+    @part("budget")
+    def figures(self) -> tuple[Figure, ...]:
+        return figures()
+
+    @part("the largest uncertainty of a reading")
+    def largest(self) -> Budget:
+        return point_budget(1.3, Facts().longest)
+
+    @each("what the beams see, {}", _LOOKS)
+    def seen(self, name: str) -> Seen:
+        return seen(*_LOOKS[name])
+
+    @part("variants of the evaluation")
+    def variants(self) -> tuple[Variant, ...]:
+        return variants()
+
+    @each("cycles: {}", _CAMPAIGNS)
+    def cycles(self, name: str) -> Cycles:
+        return cycles(*_CAMPAIGNS[name], draws=self.draws, seed=self.seed)
+
+    @each("influences as effects, path {}", ("3d", "planar"))
+    def as_effects(self, path: str) -> Cycles:
+        every = [e for group in influences(Layout.named(path)).values() for e in group]
+        fitted = _CAMPAIGNS[f"{path}, noise"][2]
+        return cycles(path, "none", fitted, draws=self.draws, seed=self.seed, effects=every)
+
+    @part("second device")
+    def verification(self) -> Verification:
+        return verification(max(self.draws // 30, LEAST), self.seed)
+
+    @part("better places")
+    def better(self) -> Better:
+        return better(self.progress)
+
+    @part("Monte Carlo on the layouts found")
+    def checked(self) -> dict[str, Cycles]:
+        """By the freedom of the first step and of the last two."""
+        first, *_, last, least = self.better.steps
+        campaign = partial(cycles, machine="none", fitted="thirteen", draws=self.draws)
+        found = {one.freedom: campaign(one.layout, seed=self.seed) for one in (last, least)}
+        return {first.freedom: self.cycles["3d, noise"], **found}

@@ -94,6 +94,11 @@ class Layout:
         return cls.even(beam_path(path, TRAVEL, ranges))
 
     @property
+    def beams(self) -> list[tuple[Segment, Float[np.ndarray, " p"]]]:
+        """Segments with the places on them."""
+        return list(zip(self.segments, self.shares, strict=True))
+
+    @property
     def points(self) -> int:
         """Of all segments."""
         return sum(map(len, self.shares))
@@ -102,10 +107,7 @@ class Layout:
     def position(self) -> Float[np.ndarray, "n 3"]:
         """Axis positions of all points, m."""
         return np.concatenate(
-            [
-                one.start + s[:, None] * one.length * one.direction
-                for one, s in zip(self.segments, self.shares, strict=True)
-            ]
+            [one.start + s[:, None] * one.length * one.direction for one, s in self.beams]
         )
 
     def u(self, factor: float = 2.0) -> Float[np.ndarray, "n 2"]:

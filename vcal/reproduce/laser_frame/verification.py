@@ -131,23 +131,24 @@ class Verification:
     reversals: tuple[Reversal, ...]
 
     @property
+    def within(self) -> Float[np.ndarray, "r p"]:
+        """Which differences are within the band, repeat by repeat."""
+        return np.concatenate([np.abs(a.difference) <= BAND_UM for a in self.agreements], 1)
+
+    @property
     def inside(self) -> float:
         """Share of all differences within the band."""
-        every = np.concatenate([a.difference for a in self.agreements], 1)
-        return float((np.abs(every) <= BAND_UM).mean())
+        return float(self.within.mean())
 
     @property
     def all_inside(self) -> float:
         """Share of the repeats with every difference within the band."""
-        every = np.concatenate([a.difference for a in self.agreements], 1)
-        return float((np.abs(every) <= BAND_UM).all(1).mean())
+        return float(self.within.all(1).mean())
 
     @property
     def agreeing(self) -> float:
         """Share of all normalised errors that are at most one."""
-        return float(
-            np.mean(np.concatenate([np.abs(a.normalised) <= 1 for a in self.agreements], 1))
-        )
+        return float(np.concatenate([np.abs(a.normalised) <= 1 for a in self.agreements], 1).mean())
 
 
 def verification(repeats: int, seed: int) -> Verification:
@@ -190,20 +191,13 @@ def _compared(repeats: int, key: jax.Array) -> tuple[Agreement, ...]:
     found = np.asarray(repeat(jax.random.split(key, repeats))) / _MICRO
     U = _COVERAGE * np.sqrt(2.0 * (u_frame**2 + u_device**2)) / _MICRO
     agreements, start = [], 0
-    for one, s in zip(layout.segments, layout.shares, strict=True):
+    for one, s in layout.beams:
         rows = slice(start, start + len(s))
         for j, component in enumerate(one.across):
-            agreements.append(
-                Agreement(
-                    segment=one.number,
-                    component="XYZ"[component],
-                    place_mm=1e3 * s * one.length,
-                    manipulated=path.offset[rows, component] / _MICRO,
-                    frame=found[:, 0, rows, j],
-                    device=found[:, 1, rows, j],
-                    U=U[rows, j],
-                )
-            )
+            place, manipulated = 1e3 * s * one.length, path.offset[rows, component] / _MICRO
+            both = found[:, 0, rows, j], found[:, 1, rows, j]
+            own = one.number, "XYZ"[component], place, manipulated, *both, U[rows, j]
+            agreements.append(Agreement(*own))
         start += len(s)
     return tuple(sorted(agreements, key=lambda a: (a.segment, a.component)))
 
@@ -211,7 +205,7 @@ def _compared(repeats: int, key: jax.Array) -> tuple[Agreement, ...]:
 def _manipulation(layout: Layout) -> Float[np.ndarray, "n 3"]:
     """Waves across every beam, m."""
     found = []
-    for one, s in zip(layout.segments, layout.shares, strict=True):
+    for one, s in layout.beams:
         offset = np.zeros((len(s), 3))
         for component in one.across:
             phase = np.pi * (s * (1.0 + 0.5 * one.number) + component / 3.0)
@@ -223,12 +217,7 @@ def _manipulation(layout: Layout) -> Float[np.ndarray, "n 3"]:
 def _reversed(key: jax.Array) -> tuple[Reversal, ...]:
     layout = Layout.named("3d")
     chain, instrument, once = frame_setup(layout, sigma_m=0.0)
-    way = np.concatenate(
-        [
-            np.tile(one.direction, (len(s), 1))
-            for one, s in zip(layout.segments, layout.shares, strict=True)
-        ]
-    )
+    way = np.concatenate([np.tile(one.direction, (len(s), 1)) for one, s in layout.beams])
     # An axis that stands still was brought there from below, in both runs.
     runs = [np.where(way == 0.0, 1.0, sign * way) for sign in (1.0, -1.0)]
     plan = Plan(

@@ -1,6 +1,6 @@
 """The GUM compared with the Monte Carlo: where they agree, and where and why they differ."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -61,39 +61,18 @@ def rung(trials: Trials) -> Rung:
         block = slice(_PER_POINT * i, _PER_POINT * (i + 1))
         mean, sd = normal_length(covariance[block, block])
         k = ensemble.index(label)
-        lengths.append(
-            Length(
-                label,
-                (mean, float(ensemble.mean[k])),
-                (sd, float(ensemble.u[k])),
-                ensemble.quantile(label, 0.95),
-            )
-        )
-    return Rung(
-        trials,
-        part(everything, rest),
-        part(everything, at),
-        tuple(lengths),
-        found.undefined,
-        covariance,
-    )
+        means, sds = (mean, float(ensemble.mean[k])), (sd, float(ensemble.u[k]))
+        lengths.append(Length(label, means, sds, ensemble.quantile(label, 0.95)))
+    both = part(everything, rest), part(everything, at)
+    return Rung(trials, *both, tuple(lengths), found.undefined, covariance)
 
 
 def part(comparison: Comparison, at: list[int]) -> Comparison:
     """Some outputs of a comparison."""
     c = comparison
-    return Comparison(
-        tuple(c.labels[i] for i in at),
-        c.coverage,
-        c.kind,
-        c.digits,
-        c.value[at],
-        c.u[at],
-        c.low[at],
-        c.high[at],
-        c.delta[at],
-        type(c.precision)(*(s[at] for s in c.precision)),
-    )
+    own = {name: getattr(c, name)[at] for name in ("value", "u", "low", "high", "delta")}
+    precision = type(c.precision)(*(s[at] for s in c.precision))
+    return replace(c, labels=tuple(c.labels[i] for i in at), precision=precision, **own)
 
 
 def normal_length(covariance: Float[np.ndarray, "3 3"]) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """The description of this reproduction: printed numbers, record and page."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -13,15 +13,17 @@ from ...plots.style import AFTER, BEFORE, DOTS, FIELD, INK, MARK, NOMINAL
 from ...report import Table, Tile
 from ...report.html.text import number, percent
 from ...uncertainty.comparison import Comparison
-from ..document import Page, Row, picked, table
+from ..document import Row, picked, table
 from ..registry import Reproduction
 from .compared import Rung
-from .results import CAMPAIGN, INFLUENCES, LEAST, Results, compute
+from .results import CAMPAIGN, INFLUENCES, LEAST, Results
 from .setting import AREA_MM, EULER_XYZ_DEG, FINAL_UM, INITIAL_UM, STATION_MM, TESTS
 from .trials import KINDS, PARTS, Pooled, Trials
 
 _NOISES = 3
 """Rungs that differ in the noise alone come first."""
+_FIRST, _LOUDEST = "noise × 1", "noise × 100"
+_EVERY = INFLUENCES["all of these, pose fitted"]
 
 
 def _of(t: Trials, kind: str) -> Pooled:
@@ -118,149 +120,61 @@ def record(r: Results) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def page(r: Results) -> Page:
-    """The page of the results."""
-    many = next(iter(r.many.values()))
-    rank, s, one, f, probe = r.rank, many.setting, next(iter(r.rungs.values())), r.search, r.probing
-    means = {name: _of(t, "residual").mean for name, t in r.many.items()}
-    best = min(means, key=lambda name: abs(means[name] - FINAL_UM[0]))
-    p = _of(r.many[best], "residual")
-    verdicts = _counted([v for c in one.both for v in c.verdicts])
-    silent = [m.name for m in rank.motions if m.silent == m.coefficients]
-    wide = float(np.hypot(*FINAL_UM)) ** 2 - p.mean**2 - p.sd**2
-    turn = f.family.rotation_urad
-    noisy = list(r.rungs.items())[:_NOISES]
-    each = "; ".join(f"{n}: {_counted([v for c in g.both for v in c.verdicts])}" for n, g in noisy)
-    loud = _of(noisy[-1][1].trials, "residual").mean
-    apart = max(abs(found.mean[0] / found.mean[1] - 1.0) for found in one.lengths)
-    every = list(INFLUENCES.values())[-1]
-    seen = [_of(t, "residual").mean for t in r.influences.values()]
-    rest = (
+def _head(r: Results) -> tuple[str, list[Tile]]:
+    one, rank, p = r.rungs[_FIRST], r.rank, _matched(r)
+    text = f"""\
+The printed final error of {FINAL_UM[0]} µm is matched best by {_best(r)}, which gives
+{number(p.mean, 4)} µm; it is the residual of the readings, that is, mostly the tracker's own noise.
+Linearised GUM and Monte Carlo were compared for {sum(len(c.labels) for c in one.both)} error
+motions and components: {_verdicts(one)}. For the {len(one.undefined)} lengths |d| the GUM has no
+first-order uncertainty.
+"""
+    tiles = [
+        Tile("residual, mean |d|", f"{number(_of(r.first, 'residual').mean, 4)} µm",
+             f"printed {FINAL_UM[0]} µm"),
+        Tile("error left, mean |d|", f"{number(_of(r.first, 'left').mean)} µm",
+             "known to a simulation only"),
+        Tile("GUM and Monte Carlo", _verdicts(one), "JCGM 101, clause 8, one digit"),
+        Tile("rank at Z = 0", f"{rank.rank} of {rank.parameters}", "parameters"),
+    ]  # fmt: skip
+    return text, tiles
+
+
+def _best(r: Results) -> str:
+    """The reading of the noise whose residual comes nearest to the printed one."""
+    return min(r.many, key=lambda n: abs(_of(r.many[n], "residual").mean - FINAL_UM[0]))
+
+
+def _matched(r: Results) -> Pooled:
+    return _of(r.many[_best(r)], "residual")
+
+
+def _rest(r: Results) -> str:
+    wide = float(np.hypot(*FINAL_UM)) ** 2 - _matched(r).mean ** 2 - _matched(r).sd ** 2
+    return (
         f"is larger by {number(wide**0.5, 2)} µm in quadrature: the printed tests contain "
         "something more than this noise, for example functions that cannot follow the machine, "
         "or fewer parameters."
         if wide > 0.0
         else "is not larger than this."
     )
-    text = f"""\
-The printed final error of {FINAL_UM[0]} µm is matched best by {best}, which gives
-{number(p.mean, 4)} µm; it is the residual of the readings, that is, mostly the tracker's own noise.
-Linearised GUM and Monte Carlo were compared for {sum(len(c.labels) for c in one.both)} error
-motions and components: {verdicts}. For the {len(one.undefined)} lengths |d| the GUM has no
-first-order uncertainty.
-# What the points can see
-All points lie at Z = 0, and the tool point in the frame of Z. {rank.rank} combinations of the
-{rank.parameters} parameters of the machine change the readings. The readings contain nothing about
-{", ".join(silent)}: their levers are zero there. The error translations of Z enter as one constant
-each. {sum(m.share > 0.5 for m in rank.motions)} of {len(rank.motions)} error motions and squareness
-errors owe more than half of the information on every coefficient to the data; the rest are unseen,
-or known in combinations that the points cannot separate, such as the slope of EXY with EC0Y.
 
-The error at the points is known all the same: what is unseen there does not move them. It moves
-every point off Z = 0, and any tool of another length.
-:motions Least and most of the information on a coefficient that is not the family's: 1 − posterior
-variance / prior variance.
-:rank Singular values of the whitened Jacobian, in prior standard deviations of the machines per
-standard deviation of the readings. Above the dashed line the data say more than the family did;
-triangles are directions that change no reading.
-# Printed and found
-:numbers
-# Initial error
-The approximation functions of the publication are not printed. Machines are drawn instead: every
-error motion is a Legendre polynomial with normal coefficients, one size for translations, one for
-rotations and squareness. A search finds both, so that mean and standard deviation of |d| over all
-points and machines are those printed: {number(f.family.translation_um, 4)} µm and
-{number(turn, 4)} µrad per coefficient, with {f.machines} machines.
 
-The ratio of the two moments depends on the ratio of the two sizes only, and can lie between
-{f.spread_range[0]:.2f} and {f.spread_range[1]:.2f} here; the scale then meets the mean. Both
-moments are therefore a setting and not a finding.
-:initial_error Initial error of all points and tests (the publication's Fig. 5).
-# Final error
-The publication calls the distance between the measured points and those of the identified model the
-residual error. It contains the noise of the readings almost whole. The error that is left in the
-machine is another quantity, which no measurement shows: there the noise counts only as far as it
-went into the identified parameters.
+def _noisy(r: Results) -> str:
+    return "; ".join(f"{n}: {_verdicts(r.rungs[n])}" for n in list(r.rungs)[:_NOISES])
 
-Whether the printed 24 µrad are one standard deviation or three is not said. The printed mean of
-{FINAL_UM[0]} µm is nearest to {best} ({number(p.mean, 4)} µm); the spread there is
-{number(p.sd)} µm against {FINAL_UM[1]} µm printed. The printed root mean square {rest}
 
-Components of the residual are normal; the distance cannot be. Mean plus two standard deviations is
-therefore no interval of known coverage; the share of 95 % is in the table.
-:final
-:final_error Residual of the readings after identification (the publication's Fig. 6), for three
-readings of the printed noise.
-:error_left Error that is left, true less predicted tool point, on the same tests: smaller than the
-residual, since the tracker's noise averages out over the points and is no error of the machine.
-# The GUM and the Monte Carlo
-The publication holds that the GUM cannot be used. Here is the linearised GUM through the
-identification (implicit function theorem) beside the Monte Carlo of the same truth, noise and fit;
-one significant digit of u is meaningful (JCGM 101, 7.9.2), and a verdict is undecided where the
-Monte Carlo has too few draws to tell.
+def _verdicts(one: Rung) -> str:
+    return _counted([v for c in one.both for v in c.verdicts])
 
-The model is linear where it matters: rotations of {number(turn)} µrad make second-order terms of
-{number((turn * 1e-6) ** 2 * AREA_MM * 1e3, 2)} µm over the area. With the noise alone raised,
-{each}. At a hundred times the noise the residual has a mean of {number(loud)} µm, and the data add
-little to the family.
 
-They differ in two places. First, the length |d|: its derivative at d = 0 does not exist, so that
-the first-order GUM gives nothing ({len(one.undefined)} outputs). The components do not share this,
-and the length of a normal vector with their covariance has the mean of the Monte Carlo within
-{percent(apart)} at every point. Second, a fit that leaves unseen errors free: {_freed(r)}
-:rungs Largest |mean| / u: the GUM's value is zero throughout.
-:lengths_table All in µm, printed noise.
-:outputs_motions
-:outputs_components
-:gum_monte_carlo Standard uncertainty of the Monte Carlo over that of the GUM, for error motions at
-three positions of their axis and components of the error at the points. Band: two standard
-deviations of the Monte Carlo's own scatter about one.
-:lengths Length of the error left at a corner and in the middle; the line is the length of a normal
-vector with the covariance that the GUM gives for the components.
-# What the publication leaves out
-Reality holds more than the fit: positions that do not repeat ({every.repeatability_um:g} µm),
-scales of X and Y that expand by {every.expansion_um_per_m_kelvin:g} µm/(m K) (standard deviations)
-and warm up by {every.warming_kelvin:g} K during the measurement, with the machine judged at 20 °C,
-and a tracker whose pose is uncertain by {every.pose_um:g} µm and {every.pose_urad:g} µrad, fitted
-with that prior or not at all. All sizes are assumed.
+def _apart(one: Rung) -> float:
+    """How far the lengths of normal vectors are from those of the Monte Carlo."""
+    return max(abs(found.mean[0] / found.mean[1] - 1.0) for found in one.lengths)
 
-The residual is mostly the tracker's noise: its mean lies between {number(min(seen))} and
-{number(max(seen))} µm with every influence. A pose that is wrong moves all points as a rigid body;
-it matters where a position against the tracker is asked for, not where the machine is compared with
-itself (after alignment).
-:influences_table Lengths |d| in µm; 24 µrad as three standard deviations.
-:influences Mean error left with what the publication names and leaves out; assumed sizes.
-# Probing with the verified machine
-A point that the machine probes is uncertain by the error left there, by its repeatability
-({probe.probe.repeatability_um:g} µm) and by the probe ({probe.probe.probe_um:g} µm per direction;
-both standard deviations assumed).
 
-Neighbouring points share most of the error that is left. In a length the shared part drops out;
-where errors of the two ends have opposite signs it counts twice.
-:points µm, k = 2.
-:probed U in µm, k = 2.
-:probing Expanded uncertainty of the coordinates of a probed point over the area.
-# Settings
-- Printed: chain XFYZ; 24 µrad and 4 µm + 0.8 µm/m; station {STATION_MM} mm with Euler angles XYZ
-{EULER_XYZ_DEG}°, known; area of 400 mm × 400 mm at Z = 0.
-- Not printed: {s.grid} × {s.grid} points; the reflector in the frame of Z, so that the tool has no
-length; travel of 0 to 400 mm of every axis; Legendre degrees {", ".join(map(str, s.degrees))} in
-what is drawn and in what is fitted; the fit knows the sizes of the family as its prior.
-- The equation of motion as printed ends in the vector of Z where that of X has to stand; the chain
-of vcal is exact in the rotations and has it so.
-- Errors: initial = true less nominal tool point; residual = measured point less the model's; left =
-true less predicted point.
-~ JCGM 101:2008, clause 8; JCGM 102:2011; ISO 230-1:2012 names of errors.
-"""
-    tiles = [
-        Tile("residual, mean |d|", f"{number(_of(many, 'residual').mean, 4)} µm",
-             f"printed {FINAL_UM[0]} µm"),
-        Tile("error left, mean |d|", f"{number(_of(many, 'left').mean)} µm",
-             "known to a simulation only"),
-        Tile("GUM and Monte Carlo", verdicts, "JCGM 101, clause 8, one digit"),
-        Tile("rank at Z = 0", f"{rank.rank} of {rank.parameters}", "parameters"),
-    ]  # fmt: skip
-    return Page(text, tiles, _tables(r), _pictures(r))
+def _seen(r: Results, least: Callable[[Iterable[float]], float]) -> str:
+    return number(least(_of(t, "residual").mean for t in r.influences.values()))
 
 
 def _counted(verdicts: Sequence[str]) -> str:
@@ -295,123 +209,62 @@ def _ratio(c: Comparison) -> np.ndarray:
     return c.u[:, 1] / c.u[:, 0]
 
 
-def _tables(r: Results) -> dict[str, Table]:
-    one, p = next(iter(r.rungs.values())), r.probing
-    U, side = 2.0 * p.u, p.u.shape[0]
-    at = {"(0, 0)": (0, 0), "(400, 0)": (-1, 0), "(200, 200)": (side // 2, side // 2),
-          "(400, 400)": (-1, -1)}  # fmt: skip
-    pooled = {
-        (name, kind): _of(t, kind) for name, t in r.many.items() for kind in ("residual", "left")
-    }
-    found = {
-        "motions": table(
-            "error | coefficients | change no reading | information from data",
-            [(m.name, m.coefficients, m.silent, percent(m.share) if m.coefficients == 1
-              else f"{percent(m.share)} to {percent(m.most)}") for m in r.rank.motions],
-            fold="Every error motion and squareness",
-        ),
-        "final": table(
-            "noise | error | mean |d|, µm | sd, µm | 95 % below, µm",
-            [(*key, *_four(q.mean, q.sd, q.quantile(0.95))) for key, q in pooled.items()],
-        ),
-        "rungs": table(
-            "setting | outputs | clause 8 | u, Monte Carlo / GUM | largest |mean| / u | failed",
-            [(name, kind, _counted(c.verdicts), _range(c),
-              f"{(np.abs(c.value[:, 1] - c.value[:, 0]) / c.u[:, 1]).max():.3f}", g.trials.failed)
-             for name, g in r.rungs.items()
-             for kind, c in zip(("error motions", "components at points"), g.both, strict=True)],
-        ),
-        "lengths_table": table(
-            "length | mean, GUM's components | mean, Monte Carlo | sd, GUM's components | "
-            "sd, Monte Carlo | 95 % below",
-            [(q.label.removesuffix(" [um]"), *_four(*q.mean, *q.sd, q.high)) for q in one.lengths],
-            fold="Length of the error left, point by point",
-        ),
-        "influences_table": table(
-            "there in reality | tests | residual, mean | left, mean | 95 % below | "
-            "after alignment, mean",
-            [(name, t.ensemble.draws, _of(t, "residual").mean, _of(t, "left").mean,
-              _of(t, "left").quantile(0.95), _of(t, "aligned").mean)
-             for name, t in r.influences.items()],
-        ),
-        "points": table(
-            "point, mm | U of X | U of Y | U of Z | u, machine, X | Y | Z",
-            [(name, *U[place], *p.u_machine[place]) for name, place in at.items()],
-        ),
-        "probed": table(
-            "length | mm | U | U, points taken as independent",
-            [(q.name, number(q.length_mm, 4), 2.0 * q.u, 2.0 * q.u_independent)
-             for q in p.lengths],
-        ),
-    }  # fmt: skip
-    for name, c in (("motions", one.motions), ("components", one.components)):
-        what = "error motion" if name == "motions" else "component at the points"
-        found[f"outputs_{name}"] = table(
-            "output | u, GUM | u, Monte Carlo | 95 %, GUM | 95 %, Monte Carlo | δ | clause 8",
-            [(label, *c.u[i],
-              *(f"[{number(c.low[i, k])}, {number(c.high[i, k])}]" for k in (0, 1)),
-              number(c.delta[i], 2), c.verdicts[i]) for i, label in enumerate(c.labels)],
-            fold=f"Every {what}, printed noise",
-        )  # fmt: skip
-    return found
+def _outputs(what: str, c: Comparison) -> Table:
+    return table(
+        "output | u, GUM | u, Monte Carlo | 95 %, GUM | 95 %, Monte Carlo | δ | clause 8",
+        [(label, *c.u[i],
+          *(f"[{number(c.low[i, k])}, {number(c.high[i, k])}]" for k in (0, 1)),
+          number(c.delta[i], 2), c.verdicts[i]) for i, label in enumerate(c.labels)],
+        fold=f"Every {what}, printed noise",
+    )  # fmt: skip
 
 
-def _four(*values: float) -> Iterable[str]:
-    return (number(value, 4) for value in values)
+def _node(r: Results, mm: float) -> int:
+    """Row or column of the grid at a place along its side."""
+    return round(mm / AREA_MM * (r.probing.u.shape[0] - 1))
 
 
-def _pictures(r: Results) -> dict[str, Figure]:
-    rank, p, one = r.rank, r.probing, next(iter(r.rungs.values()))
-    few, many = (next(iter(t.values())) for t in (r.few, r.many))
-    place = np.arange(1, rank.parameters + 1)
+def _rank(r: Results) -> Figure:
+    rank, place = r.rank, np.arange(1, r.rank.parameters + 1)
     seen, unseen = place[: rank.rank], place[rank.rank :]
     floor = rank.singular[: rank.rank].min() / 30.0
+    return panels(
+        [Panel("Rank at Z = 0", "direction", "machine's spread over noise",
+               [mark("semilogy", seen, rank.singular[: rank.rank], "o", color=AFTER, ms=5,
+                     label="seen"),
+                mark("semilogy", unseen, np.full(len(unseen), floor), "v", color=BEFORE, ms=5,
+                     label="unseen (zero)"),
+                mark("axhline", 1.0, color=NOMINAL, lw=1.0, ls="--")], "inside")],
+        width=9.0, height=3.2,
+    )  # fmt: skip
+
+
+def _influences(r: Results) -> Figure:
     means = {
         label: {name: _of(t, kind).mean for name, t in r.influences.items()}
         for label, kind in (("as it is", "left"), ("after rigid alignment", "aligned"))
     }
-    U = 2.0 * p.u
+    return panels(
+        [Panel("Mean error left at the points", "µm", "",
+               bars(means, horizontal=True, colours=(BEFORE, AFTER)), "right")],
+        width=9.0, height=1.2 + 0.55 * len(r.influences),
+    )  # fmt: skip
+
+
+def _probing(r: Results) -> Figure:
+    U = 2.0 * r.probing.u
     half = AREA_MM / (U.shape[0] - 1) / 2.0
     area: dict[str, Any] = {"extent": 2 * (-half, AREA_MM + half), "origin": "lower", "cmap": FIELD}
-    points = [one.lengths[i].label for i in (0, len(one.lengths) // 2)]
-    return {
-        "rank": panels(
-            [Panel("Rank at Z = 0", "direction", "machine's spread over noise",
-                   [mark("semilogy", seen, rank.singular[: rank.rank], "o", color=AFTER, ms=5,
-                         label="seen"),
-                    mark("semilogy", unseen, np.full(len(unseen), floor), "v", color=BEFORE, ms=5,
-                         label="unseen (zero)"),
-                    mark("axhline", 1.0, color=NOMINAL, lw=1.0, ls="--")], "inside")],
-            width=9.0, height=3.2,
-        ),
-        "initial_error": _histograms(
-            "initial error", "initial", {f"{t.ensemble.draws} tests": t for t in (many, few)},
-            INITIAL_UM[0],
-        ),
-        "final_error": _histograms("residual", "residual", r.many, FINAL_UM[0]),
-        "error_left": _histograms("error left", "left", r.many, None),
-        "gum_monte_carlo": panels(
-            *([Panel(name, "output", "u ratio", _agreement(g), "right" if g is one else "")]
-              for name, g in r.rungs.items()),
-            width=9.0, height=1.6 + 1.7 * len(r.rungs),
-        ),
-        "lengths": panels(
-            [Panel(label.removesuffix(" [um]"), "error left, µm", "density per µm",
-                   _length(one, label), "inside") for label in points],
-            width=9.0, height=3.3,
-        ),
-        "influences": panels(
-            [Panel("Mean error left at the points", "µm", "",
-                   bars(means, horizontal=True, colours=(BEFORE, AFTER)), "right")],
-            width=9.0, height=1.2 + 0.55 * len(r.influences),
-        ),
-        "probing": panels(
-            [Panel(f"U of {axis} (k = 2)", "X, mm", "Y, mm",
-                   [mark("imshow", U[:, :, i].T, vmin=U.min(), vmax=U.max(), **area),
-                    mark("grid", False)]) for i, axis in enumerate("XYZ")],
-            width=9.6, height=3.3, colours="µm",
-        ),
-    }  # fmt: skip
+    return panels(
+        [Panel(f"U of {axis} (k = 2)", "X, mm", "Y, mm",
+               [mark("imshow", U[:, :, i].T, vmin=U.min(), vmax=U.max(), **area),
+                mark("grid", False)]) for i, axis in enumerate("XYZ")],
+        width=9.6, height=3.3, colours="µm",
+    )  # fmt: skip
+
+
+def _four(*values: float) -> Iterable[str]:
+    return (number(value, 4) for value in values)
 
 
 def _histograms(
@@ -470,16 +323,206 @@ def _length(one: Rung, label: str) -> list[Mark]:
     ]
 
 
+TEXTS: dict[str, Callable[[Results], str]] = {
+    "What the points can see": lambda r: f"""\
+All points lie at Z = 0, and the tool point in the frame of Z. {r.rank.rank} combinations of the
+{r.rank.parameters} parameters of the machine change the readings. The readings contain nothing
+about {", ".join(m.name for m in r.rank.motions if m.silent == m.coefficients)}: their levers are
+zero there. The error translations of Z enter as one constant each.
+{sum(m.share > 0.5 for m in r.rank.motions)} of {len(r.rank.motions)} error motions and squareness
+errors owe more than half of the information on every coefficient to the data; the rest are unseen,
+or known in combinations that the points cannot separate, such as the slope of EXY with EC0Y.
+
+The error at the points is known all the same: what is unseen there does not move them. It moves
+every point off Z = 0, and any tool of another length.
+:motions Least and most of the information on a coefficient that is not the family's: 1 − posterior
+variance / prior variance.
+:rank Singular values of the whitened Jacobian, in prior standard deviations of the machines per
+standard deviation of the readings. Above the dashed line the data say more than the family did;
+triangles are directions that change no reading.
+""",
+    "Printed and found": lambda r: """\
+:numbers
+""",
+    "Initial error": lambda r: f"""\
+The approximation functions of the publication are not printed. Machines are drawn instead: every
+error motion is a Legendre polynomial with normal coefficients, one size for translations, one for
+rotations and squareness. A search finds both, so that mean and standard deviation of |d| over all
+points and machines are those printed: {number(r.search.family.translation_um, 4)} µm and
+{number(r.search.family.rotation_urad, 4)} µrad per coefficient, with {r.search.machines} machines.
+
+The ratio of the two moments depends on the ratio of the two sizes only, and can lie between
+{r.search.spread_range[0]:.2f} and {r.search.spread_range[1]:.2f} here; the scale then meets the
+mean. Both moments are therefore a setting and not a finding.
+:initial_error Initial error of all points and tests (the publication's Fig. 5).
+""",
+    "Final error": lambda r: f"""\
+The publication calls the distance between the measured points and those of the identified model the
+residual error. It contains the noise of the readings almost whole. The error that is left in the
+machine is another quantity, which no measurement shows: there the noise counts only as far as it
+went into the identified parameters.
+
+Whether the printed 24 µrad are one standard deviation or three is not said. The printed mean of
+{FINAL_UM[0]} µm is nearest to {_best(r)} ({number(_matched(r).mean, 4)} µm); the spread there is
+{number(_matched(r).sd)} µm against {FINAL_UM[1]} µm printed. The printed root mean square
+{_rest(r)}
+
+Components of the residual are normal; the distance cannot be. Mean plus two standard deviations is
+therefore no interval of known coverage; the share of 95 % is in the table.
+:final
+:final_error Residual of the readings after identification (the publication's Fig. 6), for three
+readings of the printed noise.
+:error_left Error that is left, true less predicted tool point, on the same tests: smaller than the
+residual, since the tracker's noise averages out over the points and is no error of the machine.
+""",
+    "The GUM and the Monte Carlo": lambda r: f"""\
+The publication holds that the GUM cannot be used. Here is the linearised GUM through the
+identification (implicit function theorem) beside the Monte Carlo of the same truth, noise and fit;
+one significant digit of u is meaningful (JCGM 101, 7.9.2), and a verdict is undecided where the
+Monte Carlo has too few draws to tell.
+
+The model is linear where it matters: rotations of {number(r.search.family.rotation_urad)} µrad make
+second-order terms of {number((1e-6 * r.search.family.rotation_urad) ** 2 * AREA_MM * 1e3, 2)} µm
+over the area. With the noise alone raised, {_noisy(r)}. At a hundred times the noise the residual
+has a mean of {number(_of(r.rungs[_LOUDEST].trials, 'residual').mean)} µm, and the data add little
+to the family.
+
+They differ in two places. First, the length |d|: its derivative at d = 0 does not exist, so that
+the first-order GUM gives nothing ({len(r.rungs[_FIRST].undefined)} outputs). The components do not
+share this, and the length of a normal vector with their covariance has the mean of the Monte Carlo
+within {percent(_apart(r.rungs[_FIRST]))} at every point. Second, a fit that leaves unseen errors
+free: {_freed(r)}
+:rungs Largest |mean| / u: the GUM's value is zero throughout.
+:lengths_table All in µm, printed noise.
+:outputs_motions
+:outputs_components
+:gum_monte_carlo Standard uncertainty of the Monte Carlo over that of the GUM, for error motions at
+three positions of their axis and components of the error at the points. Band: two standard
+deviations of the Monte Carlo's own scatter about one.
+:lengths Length of the error left at a corner and in the middle; the line is the length of a normal
+vector with the covariance that the GUM gives for the components.
+""",
+    "What the publication leaves out": lambda r: f"""\
+Reality holds more than the fit: positions that do not repeat ({_EVERY.repeatability_um:g} µm),
+scales of X and Y that expand by {_EVERY.expansion_um_per_m_kelvin:g} µm/(m K) (standard deviations)
+and warm up by {_EVERY.warming_kelvin:g} K during the measurement, with the machine judged at 20 °C,
+and a tracker whose pose is uncertain by {_EVERY.pose_um:g} µm and {_EVERY.pose_urad:g} µrad, fitted
+with that prior or not at all. All sizes are assumed.
+
+The residual is mostly the tracker's noise: its mean lies between {_seen(r, min)} and
+{_seen(r, max)} µm with every influence. A pose that is wrong moves all points as a rigid body; it
+matters where a position against the tracker is asked for, not where the machine is compared with
+itself (after alignment).
+:influences_table Lengths |d| in µm; 24 µrad as three standard deviations.
+:influences Mean error left with what the publication names and leaves out; assumed sizes.
+""",
+    "Probing with the verified machine": lambda r: f"""\
+A point that the machine probes is uncertain by the error left there, by its repeatability
+({r.probing.probe.repeatability_um:g} µm) and by the probe ({r.probing.probe.probe_um:g} µm per
+direction; both standard deviations assumed).
+
+Neighbouring points share most of the error that is left. In a length the shared part drops out;
+where errors of the two ends have opposite signs it counts twice.
+:points µm, k = 2.
+:probed U in µm, k = 2.
+:probing Expanded uncertainty of the coordinates of a probed point over the area.
+""",
+    "Settings": lambda r: f"""\
+- Printed: chain XFYZ; 24 µrad and 4 µm + 0.8 µm/m; station {STATION_MM} mm with Euler angles XYZ
+{EULER_XYZ_DEG}°, known; area of 400 mm × 400 mm at Z = 0.
+- Not printed: {r.setting.grid} × {r.setting.grid} points; the reflector in the frame of Z, so that
+the tool has no length; travel of 0 to 400 mm of every axis; Legendre degrees
+{", ".join(map(str, r.setting.degrees))} in what is drawn and in what is fitted; the fit knows the
+sizes of the family as its prior.
+- The equation of motion as printed ends in the vector of Z where that of X has to stand; the chain
+of vcal is exact in the rotations and has it so.
+- Errors: initial = true less nominal tool point; residual = measured point less the model's; left =
+true less predicted point.
+~ JCGM 101:2008, clause 8; JCGM 102:2011; ISO 230-1:2012 names of errors.
+""",
+}  # fmt: skip
+
+SHOWN: dict[str, Callable[[Results], Table | Figure]] = {
+    "motions": lambda r: table(
+        "error | coefficients | change no reading | information from data",
+        [(m.name, m.coefficients, m.silent, percent(m.share) if m.coefficients == 1
+          else f"{percent(m.share)} to {percent(m.most)}") for m in r.rank.motions],
+        fold="Every error motion and squareness",
+    ),
+    "final": lambda r: table(
+        "noise | error | mean |d|, µm | sd, µm | 95 % below, µm",
+        [(name, kind, *_four(q.mean, q.sd, q.quantile(0.95))) for name, t in r.many.items()
+         for kind in ("residual", "left") for q in [_of(t, kind)]],
+    ),
+    "rungs": lambda r: table(
+        "setting | outputs | clause 8 | u, Monte Carlo / GUM | largest |mean| / u | failed",
+        [(name, kind, _counted(c.verdicts), _range(c),
+          f"{(np.abs(c.value[:, 1] - c.value[:, 0]) / c.u[:, 1]).max():.3f}", g.trials.failed)
+         for name, g in r.rungs.items()
+         for kind, c in zip(("error motions", "components at points"), g.both, strict=True)],
+    ),
+    "lengths_table": lambda r: table(
+        "length | mean, GUM's components | mean, Monte Carlo | sd, GUM's components | "
+        "sd, Monte Carlo | 95 % below",
+        [(q.label.removesuffix(" [um]"), *_four(*q.mean, *q.sd, q.high)) 
+         for q in r.rungs[_FIRST].lengths],
+        fold="Length of the error left, point by point",
+    ),
+    "influences_table": lambda r: table(
+        "there in reality | tests | residual, mean | left, mean | 95 % below | "
+        "after alignment, mean",
+        [(name, t.ensemble.draws, _of(t, "residual").mean, _of(t, "left").mean,
+          _of(t, "left").quantile(0.95), _of(t, "aligned").mean)
+         for name, t in r.influences.items()],
+    ),
+    "points": lambda r: table(
+        "point, mm | U of X | U of Y | U of Z | u, machine, X | Y | Z",
+        [(f"({x}, {y})", *(2.0 * r.probing.u[i, j]), *r.probing.u_machine[i, j])
+         for x, y in ((0, 0), (400, 0), (200, 200), (400, 400))
+         for i, j in [(_node(r, x), _node(r, y))]],
+    ),
+    "probed": lambda r: table(
+        "length | mm | U | U, points taken as independent",
+        [(q.name, number(q.length_mm, 4), 2.0 * q.u, 2.0 * q.u_independent)
+         for q in r.probing.lengths],
+    ),
+    "outputs_motions": lambda r: _outputs("error motion", r.rungs[_FIRST].motions),
+    "outputs_components": lambda r: _outputs("component at the points", r.rungs[_FIRST].components),
+    "rank": _rank,
+    "initial_error": lambda r: _histograms(
+        "initial error", "initial",
+        {f"{t.ensemble.draws} tests": t for t in (r.first, next(iter(r.few.values())))},
+        INITIAL_UM[0],
+    ),
+    "final_error": lambda r: _histograms("residual", "residual", r.many, FINAL_UM[0]),
+    "error_left": lambda r: _histograms("error left", "left", r.many, None),
+    "gum_monte_carlo": lambda r: panels(
+        *([Panel(name, "output", "u ratio", _agreement(g), "right" if name == _FIRST else "")]
+          for name, g in r.rungs.items()),
+        width=9.0, height=1.6 + 1.7 * len(r.rungs),
+    ),
+    "lengths": lambda r: panels(
+        [Panel(label.removesuffix(" [um]"), "error left, µm", "density per µm",
+               _length(one, label), "inside") for one in [r.rungs[_FIRST]] for label in
+         [one.lengths[i].label for i in (0, len(one.lengths) // 2)]],
+        width=9.0, height=3.3,
+    ),
+    "influences": _influences,
+    "probing": _probing,
+}  # fmt: skip
+
 TRACKER_VERIFICATION = Reproduction(
     name="tracker-verification",
     summary="A laser tracker verifies a milling machine, and what that leaves: Aguado et al. 2017",
     title="Verification of a milling machine by a laser tracker",
     publication="Aguado et al. (2017), Monte Carlo method to machine tool uncertainty evaluation, "
     "MESIC, Vigo",
-    compute=compute,
+    compute=Results,
     rows=rows,
     record=record,
-    page=page,
+    head=_head,
+    texts=TEXTS,
+    shown=SHOWN,
     counted="tests",
     draws=CAMPAIGN,
     least=LEAST,

@@ -1,11 +1,12 @@
 """The whole of a reproduction as numbers, and the verified machine as a measuring machine."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from ..registry import Computed, each, part
 from .compared import Rung, rung
 from .family import Rank, Search, find_family, rank_of
 from .setting import INITIAL_UM, TESTS, Influences, Setting
@@ -79,14 +80,8 @@ def probing(trials: Trials, probe: Probe) -> Probing:
         alone = sum(float(e @ covariance[k, :, k] @ e) for k in (i, j))
         common = 2.0 * float(e @ covariance[i, :, j] @ e)
         extra = 2.0 * probe.variance
-        lengths.append(
-            ProbedLength(
-                name,
-                float(np.linalg.norm(away)),
-                (alone - common + extra) ** 0.5,
-                (alone + extra) ** 0.5,
-            )
-        )
+        u, independent = (alone - common + extra) ** 0.5, (alone + extra) ** 0.5
+        lengths.append(ProbedLength(name, float(np.linalg.norm(away)), u, independent))
     return Probing(probe, np.sqrt(own**2 + probe.variance), own, tuple(lengths))
 
 
@@ -94,28 +89,17 @@ THREE, ONE = Setting(), Setting(angle_sigmas=1.0)
 ALL_THREE = Setting(range_sigmas=3.0)
 """24 urad as three standard deviations, as one, and with the range's noise as three as well."""
 
-_REPEATABILITY_UM = 2.0
-_EXPANSION = 10.0
-_WARMING = 2.0
-_POSE_UM, _POSE_URAD = 20.0, 20.0
-_SCATTER = Influences(repeatability_um=_REPEATABILITY_UM)
-_WARM = Influences(expansion_um_per_m_kelvin=_EXPANSION, warming_kelvin=_WARMING)
-_LOOSE = Influences(pose_um=_POSE_UM, pose_urad=_POSE_URAD)
+_SCATTER: dict[str, Any] = {"repeatability_um": 2.0}
+_WARM: dict[str, Any] = {"expansion_um_per_m_kelvin": 10.0, "warming_kelvin": 2.0}
+_LOOSE: dict[str, Any] = {"pose_um": 20.0, "pose_urad": 20.0}
 
 INFLUENCES = {
     "tracker noise alone": Influences(),
-    "and repeatability": _SCATTER,
-    "and warming up": _WARM,
-    "and tracker's pose": _LOOSE,
-    "and pose, fitted": replace(_LOOSE, fit_pose=True),
-    "all of these, pose fitted": Influences(
-        repeatability_um=_REPEATABILITY_UM,
-        expansion_um_per_m_kelvin=_EXPANSION,
-        warming_kelvin=_WARMING,
-        pose_um=_POSE_UM,
-        pose_urad=_POSE_URAD,
-        fit_pose=True,
-    ),
+    "and repeatability": Influences(**_SCATTER),
+    "and warming up": Influences(**_WARM),
+    "and tracker's pose": Influences(**_LOOSE),
+    "and pose, fitted": Influences(**_LOOSE, fit_pose=True),
+    "all of these, pose fitted": Influences(**_SCATTER, **_WARM, **_LOOSE, fit_pose=True),
 }
 """Influences in addition to the tracker's noise, by name; the sizes are assumed."""
 
@@ -131,53 +115,60 @@ CAMPAIGN = 30_000
 """Tests of the long campaign."""
 
 
-@dataclass(frozen=True)
-class Results:
-    """Everything that was computed."""
-
-    seed: int
-    draws: int
-    search: Search
-    rank: Rank
-    few: dict[str, Trials]
-    """As many tests as the publication made, by reading of the angles' noise."""
-    many: dict[str, Trials]
-    """All tests."""
-    rungs: dict[str, Rung]
-    influences: dict[str, Trials]
-    probing: Probing
+READINGS = {"24 µrad = 3 σ": THREE, "24 µrad = 1 σ": ONE, "all noise 3 σ": ALL_THREE}
+"""By what the printed noise means."""
 
 
-def compute(
-    draws: int, seed: int, progress: Callable[[str], None], setting: Setting = THREE
-) -> Results:
-    """Run all campaigns; `setting` gives the grid and the degrees, `draws` the number of tests.
-
-    The campaigns of influences have a tenth of the tests, and at least `LEAST`.
+@dataclass
+class Results(Computed):
+    """Everything: all campaigns, with `draws` tests but for those of influences, which have a tenth
+    of them and at least `LEAST`.
     """
 
-    def on(other: Setting) -> Setting:
-        return replace(other, grid=setting.grid, degrees=setting.degrees)
+    setting: Setting = THREE
+    """Gives the grid and the degrees."""
 
-    progress("searching the family of machines")
-    search = find_family(setting, *INITIAL_UM, seed=seed)
-    rank = rank_of(setting, search.family)
-    run = Runner(search.family, seed)
-    readings = {"24 µrad = 3 σ": THREE, "24 µrad = 1 σ": ONE, "all noise 3 σ": ALL_THREE}
-    few, many = {}, {}
-    for name, reading in readings.items():
-        progress(f"tests, {name}")
-        few[name] = run(on(reading), min(TESTS, draws))
-        many[name] = run(on(reading), draws)
-    rungs = {}
-    for name, one in _RUNGS.items():
-        progress(f"GUM and Monte Carlo, {name}")
+    @part("searching the family of machines")
+    def search(self) -> Search:
+        return find_family(self.setting, *INITIAL_UM, seed=self.seed)
+
+    @part("what the points can see")
+    def rank(self) -> Rank:
+        return rank_of(self.setting, self.search.family)
+
+    @part("the tests")
+    def run(self) -> Runner:
+        return Runner(self.search.family, self.seed)
+
+    def tests(self, setting: Setting, draws: int) -> Trials:
+        """A campaign on the grid and with the degrees that were asked for."""
+        own = replace(setting, grid=self.setting.grid, degrees=self.setting.degrees)
+        return self.run(own, draws)
+
+    @each("as many tests as the publication made, {}", READINGS)
+    def few(self, reading: str) -> Trials:
+        return self.tests(READINGS[reading], min(TESTS, self.draws))
+
+    @each("tests, {}", READINGS)
+    def many(self, reading: str) -> Trials:
+        return self.tests(READINGS[reading], self.draws)
+
+    @each("GUM and Monte Carlo, {}", _RUNGS)
+    def rungs(self, name: str) -> Rung:
+        one = _RUNGS[name]
         # The first rung is the first reading.
-        rungs[name] = rung(many["24 µrad = 3 σ"] if one == THREE else run(on(one), draws))
-    found = {}
-    for name, influences in INFLUENCES.items():
-        progress(f"influences: {name}")
-        other = on(replace(THREE, influences=influences))
-        found[name] = run(other, max(draws // 10, LEAST))
-    points = probing(many["24 µrad = 3 σ"], Probe())
-    return Results(seed, draws, search, rank, few, many, rungs, found, points)
+        return rung(self.first if one == THREE else self.tests(one, self.draws))
+
+    @each("influences: {}", INFLUENCES)
+    def influences(self, name: str) -> Trials:
+        setting = replace(THREE, influences=INFLUENCES[name])
+        return self.tests(setting, max(self.draws // 10, LEAST))
+
+    @part("probing")
+    def probing(self) -> Probing:
+        return probing(self.first, Probe())
+
+    @property
+    def first(self) -> Trials:
+        """All tests of the first reading."""
+        return self.many["24 µrad = 3 σ"]

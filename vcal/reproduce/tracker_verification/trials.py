@@ -132,6 +132,9 @@ _MARGIN = 1.1
 _BLOCK = 1000
 _PART = 125
 """Tests that a processor computes together: what they need stays in its cache."""
+_OF_SIMULATOR = ("scatter", "sigma")
+_OF_BATCH = ("nominal", "whitener", "root_precision", "curvature", "inverse", "gain")
+"""What differs from setting to setting."""
 _SIZES = "sizes"
 _ERRORS = "errors"
 
@@ -175,14 +178,6 @@ class Trials:
         return linearised(self.pair, self.measures, coverage)
 
 
-class _Numbers(eqx.Module):
-    """All of a campaign that differs from setting to setting: arrays only."""
-
-    simulator: Any
-    batch: Any
-    measures: Any
-
-
 class Runner:
     """Runs campaigns whose models have the same structure with one compiled program."""
 
@@ -221,60 +216,46 @@ class Runner:
         return jax.random.key(self.seed)
 
     def _program(
-        self, pair: Pair, measures: tuple[Measure, ...], numbers: _Numbers
+        self, pair: Pair, measures: tuple[Measure, ...], numbers: Any
     ) -> Callable[..., dict[str, Array]]:
         """The compiled program for models of this structure."""
         structure = jax.tree.structure(numbers), tuple(a.shape for a in jax.tree.leaves(numbers))
         if structure not in self.programs:
 
-            def one(index: Array, key: PRNGKeyArray, numbers: _Numbers) -> dict[str, Array]:
+            def one(index: Array, key: PRNGKeyArray, numbers: Any) -> dict[str, Array]:
                 return _test(jax.random.fold_in(key, index), *_filled(pair, measures, numbers))
 
             self.programs[structure] = jit_outermost(jax.vmap(one, in_axes=(0, None, None)))
         return self.programs[structure]
 
 
-def _numbers(pair: Pair, measures: tuple[Measure, ...]) -> _Numbers:
-    s, b = pair.simulator, pair.batch
-    ours = _Numbers(
-        (s.ports.columns, s.scatter, s.sigma),
-        (b.ports.columns, b.nominal, b.whitener, b.root_precision)
-        + (b.curvature, b.inverse, b.gain),
-        [(m.true.columns, m.found.columns) for m in measures],  # type: ignore[attr-defined]
-    )
-    return jax.tree.map(jnp.asarray, ours)
+def _numbers(pair: Pair, measures: tuple[Measure, ...]) -> Any:
+    """All of a campaign that differs from setting to setting: arrays only."""
+    both = [
+        (one.ports.columns, {name: getattr(one, name) for name in names})
+        for one, names in ((pair.simulator, _OF_SIMULATOR), (pair.batch, _OF_BATCH))
+    ]
+    columns = [(m.true.columns, m.found.columns) for m in measures]  # type: ignore[attr-defined]
+    return jax.tree.map(jnp.asarray, (both, columns))
 
 
 def _filled(
-    pair: Pair, measures: tuple[Measure, ...], numbers: _Numbers
+    pair: Pair, measures: tuple[Measure, ...], numbers: Any
 ) -> tuple[Simulator, Batch, list[Measure]]:
     """The prepared models with the numbers of one setting in them.
 
     Chain, station and positions stay constants to the compiler.
     """
-    columns, scatter, sigma = numbers.simulator
-    simulator = replace(
-        pair.simulator,
-        ports=replace(pair.simulator.ports, columns=columns),
-        scatter=scatter,
-        sigma=sigma,
-    )
-    columns, nominal, whitener, root, curvature, inverse, gain = numbers.batch
-    batch = replace(
-        pair.batch,
-        ports=replace(pair.batch.ports, columns=columns),
-        nominal=nominal,
-        whitener=whitener,
-        root_precision=root,
-        curvature=curvature,
-        inverse=inverse,
-        gain=gain,
+    both, columns = numbers
+    simulator, batch = (
+        replace(one, ports=replace(one.ports, columns=own), **values)
+        for one, (own, values) in zip((pair.simulator, pair.batch), both, strict=True)
     )
     filled = [
         replace(m, true=replace(m.true, columns=true), found=replace(m.found, columns=found))  # type: ignore[attr-defined, call-arg]
-        for m, (true, found) in zip(measures, numbers.measures, strict=True)
+        for m, (true, found) in zip(measures, columns, strict=True)
     ]
-    return simulator, batch, filled
+    return simulator, batch, filled  # type: ignore[return-value]
 
 
 def _test(
@@ -343,7 +324,7 @@ class _Evaluate:
         self,
         program: Callable[..., dict[str, Array]],
         key: PRNGKeyArray,
-        numbers: _Numbers,
+        numbers: Any,
         counts: _Counts,
         tests: int,
     ):
