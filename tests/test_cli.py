@@ -695,11 +695,12 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     found = SimpleNamespace(
         effect=backlash, placement="Y", joint=False, p_value=0.002, status="named", separation="",
         equivalent=["angular_reversal Y"],
-        alternatives=[("warm_up", "X", 0.43), ("jump", "", 0.01)],
+        alternatives=[("warm_up", "X", 0.43), ("jump", "", 0.01)], hint="",
     )  # fmt: skip
+    unsure = SimpleNamespace(**vars(found) | {"placement": "X", "hint": "its rivals are as likely"})
     errors = Errors(Rms(5.2312, 1.26), None, Rms(0.9412, 0.183), Rms(0.9, 0.1), 1.0)
     closure = SimpleNamespace(
-        sentence="A sentence.", effects=[found], errors={"after": errors}, suspected=[], notes=[],
+        sentence="A sentence.", found=[found], hints=[unsure], errors={"after": errors}, suspected=[], notes=[],
         unexplained=SimpleNamespace(reason="no more effects may be added"),
     )  # fmt: skip
     rows = [("size_um", 11.98765, "um", 0.6123)]
@@ -711,6 +712,8 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     shown = " ".join(capsys.readouterr().out.split())
     assert "backlash Y: size_um = 12.0 ± 1.2 um (k = 2), p = 0.002, named" in shown
     assert "equivalent on these data: angular_reversal Y" in shown
+    assert "what each may be: backlash X: size_um" in shown
+    assert "a hint only: its rivals are as likely" in shown
     assert "alternatives: warm_up X (43 %)" in shown and "jump" not in shown
     assert "backlash X: size = 12.98 ± 0.42 um (k = 2), declared" in shown and "drift" not in shown
     assert "no more effects may be added" in shown
@@ -747,7 +750,8 @@ def test_interrupted_before_there_is_anything(tmp_path, small_tracker_study, mon
 
 
 def test_interrupted_with_something_to_tell(tmp_path, small_tracker_study, monkeypatch):
-    def write(closure, study, out, *, command, seconds):
+    def write(closure, study, out, *, command, seconds, compensate_anyway):
+        assert not compensate_anyway
         out.mkdir()
         (out / "index.html").write_text(f"{closure.found} after {seconds >= 0}: {command}")
         return out / "index.html"

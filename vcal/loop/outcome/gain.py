@@ -20,7 +20,12 @@ def no_gain(errors: Mapping[Any, Errors], heldout: Rms | None) -> str:
     predicted worse than by the uncompensated machine count in any case.
     """
     bare, before, after = (errors[name] for name in ("uncompensated", "before", "after"))
-    if bare.check is not None and before.check is not None and after.check is not None:
+    if (
+        bare.check is not None
+        and before.check is not None
+        and after.check is not None
+        and bare.check.value > 0.0
+    ):
         where = "at the check points"
         if bare.check.value - after.check.value <= math.hypot(bare.check.u, after.check.u):
             return _said(where, after.check, bare.check, "uncompensated")

@@ -148,7 +148,7 @@ def rms(squares: np.ndarray, shared: np.ndarray | None = None) -> Rms:
 def heldout_fall(before: Fit, after: Fit, alternatives: Sequence[Alternatives] = ()) -> Rms | None:
     """Fall of the mean squared held-out error from one fit to another of the same rows, relative to
     that of the first, with its standard uncertainty, which is that of the differences of the rows;
-    None where no row is held out. `alternatives` are those of the second fit.
+    None where no row is held out, or there is no error. `alternatives` are those of the second fit.
     """
     old, new = heldout_residuals(before), averaged_residuals(after, alternatives)
     both = np.isfinite(old).all(axis=1) & np.isfinite(new).all(axis=1)
@@ -156,6 +156,8 @@ def heldout_fall(before: Fit, after: Fit, alternatives: Sequence[Alternatives] =
         return None
     a, b = (squared_errors(fit, np.where(both[:, None], r, np.nan))
             for fit, r in ((before, old), (after, new)))  # fmt: skip
+    if not a.mean() > 0.0:
+        return None
     shared = _shared(after)[both]
     groups = np.unique(shared, return_inverse=True)[1]
     count = groups.max() + 1
