@@ -215,7 +215,7 @@ def _assembled(study: Study, change: Change, folder: Folder) -> tuple[Model, Mea
     """
     file = study.path.name
     try:
-        chain = build_chain(change.machine, file)
+        chain = build_chain(change.machine, file, folder)
         sets = [_rebuilt(one, study, chain, change, folder) for one in study.sets]
         instrument, plan, readings = together(sets, chain)
     except (StudyError, ValueError, np.linalg.LinAlgError):
