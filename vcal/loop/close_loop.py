@@ -158,7 +158,10 @@ def close_loop(
         interrupted = True
     except np.linalg.LinAlgError as error:  # the effects that were added hold without the rest
         interrupted, stopped = True, str(error)
-    sizes = sizes or misdeclared(state, model, room)
+    if sizes is None:
+        sizes = misdeclared(state, model, room)
+        if sizes is not None and run.unexplained is not None and not sizes.test.gross:
+            sizes = None  # the errors may have absorbed a part of what is unexplained
     result = (run, model, before, state, undistinguished, settings, interrupted, stopped, sizes)
     try:
         progress("comparing before and after")
@@ -270,7 +273,9 @@ def _finish(
         "before": errors(before, run.check),
         "after": errors(after, run.check, alternatives),
     }
-    useless = no_gain(wrong, heldout_fall(nominal, after, alternatives))
+    compensated = any(e.where == "machine" and e.kind == "systematic" for e in after.model.effects)
+    fall = heldout_fall(nominal, after, alternatives) if compensated else None
+    useless = no_gain(wrong, fall) if compensated else ""
     swings = vibration(state.fit)
     return Closure(
         verdict=verdict,

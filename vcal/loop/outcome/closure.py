@@ -71,8 +71,6 @@ class FoundEffect:
     """(name, value, unit, standard uncertainty), from the final fit, at the placement of `effect`.
     At another placement of its class, size and sign may differ."""
     p_value: float
-    probability: float
-    """Of its name, among all rivals."""
     log_evidence: float
     delta_bic: float
     heldout_gain: float
@@ -83,6 +81,8 @@ class FoundEffect:
     separation: str
     """The measurement that would distinguish it from its rivals, in words; empty where none is
     needed."""
+    probability: float = 1.0
+    """Of its name, among all rivals."""
     hint: str = ""
     """Reason why it is a hint only: no more likely than its rivals together, no value above its
     uncertainty, or less than what is left unexplained. Empty for an effect that counts as found."""
