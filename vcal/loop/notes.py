@@ -93,8 +93,8 @@ def _held_out(facts: Facts) -> list[str]:
     if apart.any() or chosen is not None:
         why = unpredictable_of(fit, folds, apart)
         if why is not None:
-            marked = chosen is not None and chosen.unpredicted is not None
-            left_out = marked and chosen.unpredicted[why.rows].all()
+            marked = None if chosen is None else chosen.unpredicted
+            left_out = marked is not None and marked[why.rows].all()
             said.append(
                 f"{why.words(facts.plan)}: "
                 + (
