@@ -447,7 +447,7 @@ def chain_from_dh(
     tool_offset_m: Sequence[float] = (0.0, 0.0, 0.0),
     up: Up = UPRIGHT,
     convention: Convention = "standard",
-    coupling: Sequence[Sequence[float]] | np.ndarray | None = None,
+    coupling: Sequence[Sequence[float]] | Float[np.ndarray, "n n"] | None = None,
 ) -> Chain:
     """A chain from Denavit-Hartenberg rows, base to flange.
 
@@ -495,7 +495,7 @@ def chain_of_joints(
     tool_offset_m: Sequence[float],
     described: str,
     up: Up = UPRIGHT,
-    coupling: Sequence[Sequence[float]] | np.ndarray | None = None,
+    coupling: Sequence[Sequence[float]] | Float[np.ndarray, "n n"] | None = None,
 ) -> Chain:
     """An arm of `joints` from base to flange; `described` says in reports how it was given. The
     other arguments and the errors raised are those of `chain_from_dh`.
