@@ -437,7 +437,7 @@ WRONG = {
     "two numbers": (
         OBSERVE,
         OBSERVE[:-1] + ", 0.0]",
-        "observe: found 2 number(s), expected 1 numb",
+        "observe: found 2 numbers, expected 1 number",
     ),
     "one number": (OBSERVE, "return jnp.sqrt(bar.dot(bar))", "observe: found TypeError"),
     "a column": (
