@@ -288,6 +288,8 @@ class TableInstrument(Instrument):
     an instrument that remembers gets them, with the readings of a neighbour; they are removed from
     its result.
     """
+    steady: ClassVar[tuple[str, ...]] = ()
+    """Columns of readings that may be the same in every row, such as a position on a detector."""
     read_otherwise: ClassVar[tuple[str, ...]] = ()
     """Columns that are readings with some settings and not with others: a table with one of them,
     but without the readings of the current settings, is not a plan.
