@@ -26,7 +26,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation as Rotations
 
 from ..numerics.arrays import Array
 from ..numerics.record import Record
@@ -293,6 +292,9 @@ class Chain(Record):
             motion = q[:, i, None] * np.asarray(joint.direction) * joint.sign
             t, r = t + r @ before[:3, 3], r @ before[:3, :3]
             if joint.turns:
+                # Imported here, as the import takes long and only rotary joints need it.
+                from scipy.spatial.transform import Rotation as Rotations
+
                 r = r @ Rotations.from_rotvec(motion).as_matrix()
             else:
                 t = t + np.einsum("nij,nj->ni", r, motion)
