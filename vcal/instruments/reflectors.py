@@ -206,6 +206,14 @@ class Reflectors(TableInstrument):
         return group("frame") + tuple(name for names in points for name in names)
 
     @property
+    def frame_pose(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.orientation, self.station
+
+    @property
+    def tool_places(self) -> Mapping[str, np.ndarray]:
+        return {f"point{k + 1}": place for k, place in enumerate(np.asarray(self.points))}
+
+    @property
     def readings(self) -> tuple[str, ...]:
         return tuple(f"{k}.{c}" for k in range(1, self.count + 1) for c in "XYZ")
 

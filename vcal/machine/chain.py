@@ -268,9 +268,16 @@ class Chain(Record):
 
     def tool_point(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3"]:
         """Nominal tool point in the workpiece frame, m."""
+        return self.tool_frame(q)[1]
+
+    def tool_frame(
+        self, q: Float[np.ndarray, "n axes"]
+    ) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]]:
+        """Nominal rotation of the tool and tool point (m) in the workpiece frame."""
         rt, pt = self._nominal(self.tool_side, q)
         rw, pw = self._nominal(self.workpiece_side, q)
-        return np.einsum("nji,nj->ni", rw, pt + rt @ np.asarray(self.tool_offset) - pw)
+        point = np.einsum("nji,nj->ni", rw, pt + rt @ np.asarray(self.tool_offset) - pw)
+        return np.swapaxes(rw, 1, 2) @ rt, point
 
     def turn(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3 3"]:
         """Nominal rotation from the bed's frame to that of the workpiece."""
