@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from known_files import write_frame
-from vcal import CATALOGUE, Measurement, identify
+from vcal import CATALOGUE, Measurement, close_loop, identify
 from vcal.errors import StudyError
 from vcal.loop.notes import _beyond_prior
 from vcal.study import load_study
@@ -1163,14 +1163,38 @@ def test_an_effect_of_a_size_that_is_not_expected(small_tracker_study):
     for factor in (1.0, 1.01):
         readings = study.measurement.readings * [factor, 1.0, 1.0]
         fit = identify(study.model.with_effects(effect), Measurement(study.plan, readings))
-        found[factor] = _beyond_prior(SimpleNamespace(after=fit))
+        added = SimpleNamespace(effect=fit.model.effects[-1])
+        before = SimpleNamespace(model=study.model)
+        found[factor] = _beyond_prior(SimpleNamespace(before=before, after=fit, found=[added]))
     assert found[1.0] == []
     note = next(note for note in found[1.01] if note.startswith("range_scale: scale_um_per_m = "))
     value, ratio = re.search(r"= (\S+) is (\S+) times the expected size of", note).groups()
     scale = next(p for p in effect.amplitudes if p.label == "scale_um_per_m")
     assert 1000.0 < float(value) < 15000.0  # the scales of the axes take up the rest
     assert float(ratio) == pytest.approx(float(value) / scale.sigma, rel=0.01)
-    assert "units and scale factors of the data" in note and "scale_um_per_m_sigma" in note
+    assert "units and scale factors of the data" in note and "declare a prior of this" in note
+
+
+@pytest.mark.slow
+def test_a_widened_prior_is_not_what_is_expected(small_tracker_study):
+    """The search widens the prior of what it names; the note compares with the catalogue."""
+    study = load_study(small_tracker_study)
+    readings = study.measurement.readings * [1.005, 1.0, 1.0]
+    closure = close_loop(
+        study.model,
+        Measurement(study.plan, readings),
+        effects=[CATALOGUE["range_scale"]],
+        draws=50,
+    )
+    (named,) = closure.effects
+    assert (
+        max(
+            p.sigma / q.sigma
+            for p, q in zip(named.effect.amplitudes, named.effect.parameters, strict=True)
+        )
+        > 2.0
+    )
+    assert any("range_scale: scale_um_per_m = " in note for note in closure.notes)
 
 
 def test_a_base_may_be_measured_once(small_arm_study):

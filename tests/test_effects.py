@@ -75,6 +75,22 @@ def frame(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def lifted():
+    """The same for an arm on a column, with a probe of position and orientation."""
+    study = load_study(FOLDER / "start" / "pose_probe")
+    plan = study.plan.take(np.arange(0, study.plan.rows, 4))
+    model = study.model
+    return SimpleNamespace(
+        chain=study.chain,
+        instrument=study.instrument,
+        plan=plan,
+        model=model,
+        theta=0.5 * np.ones(len(model.entries)),
+        setup=Setup(study.chain, model.layout, plan, model.effects),
+    )
+
+
+@pytest.fixture(scope="module")
 def r_test():
     """The same for an R-test: circles."""
     study = load_study(STARTS / "r_test")
@@ -164,11 +180,11 @@ def test_every_effect_is_found_in_its_order():
     "name",
     [pytest.param(n, marks=pytest.mark.slow if n in OF_AN_ARM else ()) for n in CATALOGUE],
 )
-def test_effect_columns_against_finite_differences(name, known, frame, r_test, touched):
+def test_effect_columns_against_finite_differences(name, known, frame, r_test, touched, lifted):
     """Terms times port Jacobian: the derivative of `predict`, shape parameters included."""
     tested = 0
-    for it in (*known.values(), frame, r_test, touched):
-        if it in (r_test, touched) and tested:
+    for it in (*known.values(), frame, r_test, touched, lifted):
+        if it in (r_test, touched, lifted) and tested:
             continue
         found = list(CATALOGUE[name].candidates(it.setup))
         found = [e for e in found if it.plan.has(*e.needs) and e.kind == "systematic"]
@@ -183,12 +199,14 @@ def test_effect_columns_against_finite_differences(name, known, frame, r_test, t
     "name",
     [pytest.param(n, marks=pytest.mark.slow if n in OF_AN_ARM else ()) for n in CATALOGUE],
 )
-def test_response_by_numpy_and_by_jax(name, known, frame, r_test, touched):
+def test_response_by_numpy_and_by_jax(name, known, frame, r_test, touched, lifted):
     """Of numbers numpy's, with nothing to compile; of arrays of JAX the same, but for what sines of
     many turns round.
     """
     tested = 0
-    for it in (*known.values(), frame, r_test, touched):
+    for it in (*known.values(), frame, r_test, touched, lifted):
+        if it is lifted and tested:
+            continue
         plan = jax.tree.map(np.asarray, it.plan)
         effects = list(CATALOGUE[name].candidates(dataclasses.replace(it.setup, plan=plan)))
         effects = [effect for effect in effects if plan.has(*effect.needs)]

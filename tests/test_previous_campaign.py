@@ -5,17 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from arms import COLUMN, flange, poses, write_arm
+from arms import COLUMN, poses, write_arm
 from vcal.effects.geometric import link_errors
 from vcal.effects.previous import PreviousGeometry, posterior_of
 from vcal.errors import StudyError
-from vcal.geometry.compensated import compensated_points
 from vcal.identification.identify import identify
 from vcal.loop.close_loop import close_loop
 from vcal.loop.weighing.cross_validation import fit_rms
 from vcal.machine.chain import chain_from_dh
 from vcal.machine.plan import Plan
-from vcal.numerics.spatial import after_alignment
 from vcal.report.loop.record import record
 from vcal.study.study import load_study
 
@@ -24,7 +22,7 @@ ARM = COLUMN[1:]
 
 @pytest.fixture(scope="module")
 def campaigns(tmp_path_factory):
-    """A campaign of 120 poses with its record, and one of the same arm of 10 poses from elsewhere
+    """A campaign of 120 poses with its record, and one of the same arm from elsewhere
     with another reflector.
     """
     folder = tmp_path_factory.mktemp("campaigns")
@@ -39,37 +37,37 @@ def campaigns(tmp_path_factory):
     later = write_arm(
         folder / "later",
         ARM,
-        poses(ARM, 10, seed=8),
+        poses(ARM, 70, seed=8),
         errors=twist,
         reflector=np.array([-0.04, 0.06, 0.15]),
         seed=5,
     )
     text = json.dumps(record(closure, first))
     (later / "report.json").write_text(text)
-    return later, closure, text, twist
+    return later, closure, text
+
+
+FEW = np.arange(70) < 6
 
 
 def fitted(study):
-    chosen = study.measurement.holdout
-    apart = study.instrument.folds(study.plan)[0] >= 0 if chosen is None else chosen.apart
-    return identify(study.model, study.measurement, keep=~apart)
+    """From the first six poses: 18 readings for nine parameters without a prior."""
+    return identify(study.model, study.measurement, keep=FEW)
+
+
+def predicted(fit):
+    """Rms error of the prediction of the other poses, um."""
+    return 1e6 * np.sqrt((fit.residual[~FEW] ** 2).sum(1).mean())
 
 
 def test_a_later_campaign_of_few_poses(campaigns):
-    later, closure, _, twist = campaigns
+    later, closure, _ = campaigns
     alone = fitted(load_study(later))
     study = load_study(later, {"model.from": "report.json"})
     both = fitted(study)
     assert fit_rms(both).value < 60.0
-
-    def error(fit):
-        """Rms error of the identified flange at other poses, um."""
-        q = poses(ARM, 60, seed=11)
-        found = compensated_points(fit, Plan(fit.model.chain.axes, q))[0]
-        left = after_alignment(found, flange(ARM, q, twist)[1])[0]
-        return 1e6 * np.sqrt((left**2).sum(1).mean())
-
-    assert error(both) < 50.0 < 0.5 * error(alone)
+    # The noise alone is 35 um.
+    assert predicted(both) < 90.0 < 0.5 * predicted(alone)
     # Before its readings, the later model knows what the first campaign left.
     effect = next(e for e in study.model.effects if e.name == "geometric")
     parameters, mean, covariance = posterior_of(effect, effect.start, np.eye(len(effect.start)))
@@ -125,7 +123,7 @@ def test_a_joint_prior_against_numpy():
     ],
 )
 def test_wrong_reports(campaigns, edit, keys, words):
-    later, _, text, _ = campaigns
+    later, _, text = campaigns
     (later / "wrong.json").write_text(edit(text))
     given = {"model.from": "wrong.json"} | keys
     if "model.fron" in keys:

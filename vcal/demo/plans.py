@@ -106,6 +106,17 @@ def arm(seed: int) -> Columns:
     return columns | {f"q{j + 1}_read_deg": read[:, j] for j in range(6)}
 
 
+def lifted_arm(seed: int) -> Columns:
+    """A hundred random poses of a six-joint arm on a lifting column, at five heights."""
+    rng = np.random.default_rng(seed)
+    low = np.array([-90.0, -40.0, -60.0, -120.0, -90.0, -170.0])
+    high = np.array([90.0, 60.0, 40.0, 120.0, 90.0, 170.0])
+    q = rng.uniform(low, high, (100, 6)).round(3)
+    columns = {"pose": np.arange(len(q))}
+    columns["q1_cmd_mm"] = rng.choice(np.linspace(600.0, 1600.0, 5), len(q))
+    return columns | {f"q{j + 2}_cmd_deg": q[:, j] for j in range(6)}
+
+
 def frame(travel: tuple[float, float, float], runs: int, seed: int) -> Columns:
     """Runs along the five beams of a laser frame, five seconds per point, one per twenty minutes.
 
@@ -189,6 +200,7 @@ def main(folder: Path) -> None:
         "start/ball_array/data.csv": plan,
         "start/ball_array/artefact.csv": artefact,
         "start/reflectors/data.csv": arm(3),
+        "start/pose_probe/data.csv": lifted_arm(7),
         "start/laser_frame/data.csv": frame((500.0, 400.0, 350.0), 4, 4),
         "start/r_test/data.csv": circles(2.0, (0.5, 1.5, 3.0, 4.5), 40, 5),
         "start/static_r_test/data.csv": turned_spheres(6),

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation as Turn
 
 from ..machine.chain import Chain
 from ..machine.parameters import Parameter
@@ -40,6 +39,9 @@ def gravity_moments(chain: Chain, position: np.ndarray, joint: str) -> np.ndarra
     the flange along its X and its Y. The third component is the torque about the axis of the joint,
     which its drive holds.
     """
+    # Imported here, as the import takes long and only arms need it.
+    from scipy.spatial.transform import Rotation as Turn
+
     j = chain.axes.index(joint)
     rotations, origins, turned, flange = (np.asarray(v) for v in _geometry(chain, position))
     points = np.concatenate([origins[:, j + 1 :], flange[:, None]], axis=1)

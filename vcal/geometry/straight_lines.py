@@ -100,7 +100,7 @@ class StraightLines:
             if abs(a @ b) > _SQUARE:
                 continue
             main = _MAIN.get(first, first), _MAIN.get(second, second)
-            about, sign = _ABOUT[tuple(sorted(main))]
+            about, sign = _ABOUT[min(main), max(main)]
             sign = sign if main[0] < main[1] else -sign
             turn = sign * np.cross(a, b)
             weights = self.on(second, self.slope(second), np.cross(turn, b))

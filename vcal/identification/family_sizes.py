@@ -11,7 +11,6 @@ from collections.abc import Callable
 import equinox as eqx
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import root_scalar
 
 from ..effects.geometric import GeometricErrors
 from ..model.forward import Model
@@ -90,6 +89,9 @@ def _factor(n: int, square: float) -> float:
 
     def slope(log_f: float) -> float:
         return n * (square * math.exp(-2.0 * log_f) - 1.0) - log_f / _WIDE**2
+
+    # Imported here, as the import takes long and only families whose size is learned need it.
+    from scipy.optimize import root_scalar
 
     # The root lies between one, where the prior has its maximum, and the root mean square.
     low, high = sorted((0.0, 0.5 * math.log(square)))

@@ -104,7 +104,7 @@ def unpredictable(
         rows=rows[far],
         held=len(rows),
         ratio=math.sqrt(float((size[far] ** 2).mean())),
-        parameters=tuple(names[i] for i in sorted(order)),
+        parameters=tuple(str(names[int(i)]) for i in np.sort(order)),
     )
 
 

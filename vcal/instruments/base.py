@@ -233,6 +233,21 @@ class Instrument(Record):
         return np.full(plan.rows, -1)
 
     @property
+    def frame_pose(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Initial orientation (3, 3) and origin (3,), m, of its frame in the frame of the
+        workpiece or of an arm's base, which the ports ``frame.X`` to ``frame.C`` displace
+        (`vcal.instruments.frame.displaced`); None without such a frame.
+        """
+        return None
+
+    @property
+    def tool_places(self) -> Mapping[str, np.ndarray]:
+        """Initial places (3,), m, of points on the tool in the tool frame, by the group of the
+        ports that displace them; empty where it reads the tool point.
+        """
+        return {}
+
+    @property
     def artefact(self) -> Artefact | None:
         """The artefact it measures, for the effects that act on it."""
         return None
@@ -288,6 +303,8 @@ class TableInstrument(Instrument):
     an instrument that remembers gets them, with the readings of a neighbour; they are removed from
     its result.
     """
+    steady: ClassVar[tuple[str, ...]] = ()
+    """Columns of readings that may be the same in every row, such as a position on a detector."""
     read_otherwise: ClassVar[tuple[str, ...]] = ()
     """Columns that are readings with some settings and not with others: a table with one of them,
     but without the readings of the current settings, is not a plan.

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial.transform import Rotation
 
 from ..numerics.spatial import best_rigid
 
@@ -66,6 +65,9 @@ class BaseDrift:
             shape = aligned[sound].mean(0)
             r, t = best_rigid(shape, base[sound].mean(0))
             shape = shape @ r.T + t
+        # Imported here, as the import takes long and only arms need it.
+        from scipy.spatial.transform import Rotation
+
         centre = shape.mean(0)
         axes = np.linalg.svd(shape - centre)[2]
         axes[2] = np.cross(axes[0], axes[1])
@@ -80,6 +82,8 @@ class BaseDrift:
 
     def undone(self, points: Float[np.ndarray, "n k 3"]) -> Float[np.ndarray, "n k 3"]:
         """Points read at every pose (m), corrected for the drift."""
+        from scipy.spatial.transform import Rotation
+
         moves, turns = self.motion[:, :3] @ self.axes, self.motion[:, 3:] @ self.axes
         turned = np.einsum(
             "nij,nkj->nki", Rotation.from_rotvec(turns).as_matrix(), points - self.centre

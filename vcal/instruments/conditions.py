@@ -8,7 +8,7 @@ these rules.
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -177,7 +177,7 @@ def file_name(covariate: str, axes: tuple[str, ...]) -> str:
     return file_column(covariate, axes)[0]
 
 
-def file_column(covariate: str, axes: tuple[str, ...]) -> tuple[str, float]:
+def file_column(covariate: str, axes: Sequence[str]) -> tuple[str, float]:
     """Name of a covariate or axis in the files, and the factor from SI to the unit in that name.
 
     Joints of an arm have columns by number (``"q2_cmd_deg"`` for commanded positions of a revolute

@@ -198,6 +198,7 @@ class LaserFrame(TableInstrument):
     dimension = 2
     Settings = LaserFrameSettings
     derived = ("path_mm", *_PSD)
+    steady = _PSD
 
     segments: tuple[Segment, ...] = eqx.field(static=True)
     centre: np.ndarray

@@ -206,6 +206,14 @@ class Reflectors(TableInstrument):
         return group("frame") + tuple(name for names in points for name in names)
 
     @property
+    def frame_pose(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.orientation, self.station
+
+    @property
+    def tool_places(self) -> Mapping[str, np.ndarray]:
+        return {f"point{k + 1}": place for k, place in enumerate(np.asarray(self.points))}
+
+    @property
     def readings(self) -> tuple[str, ...]:
         return tuple(f"{k}.{c}" for k in range(1, self.count + 1) for c in "XYZ")
 
@@ -218,7 +226,7 @@ class Reflectors(TableInstrument):
             axis = f"J{i + 1}"
             most = _FARTHEST_MM if slides(axes, axis) else 720.0
             for kind in ("commanded", "read") if settings.joints == "read" else ("commanded",):
-                name, _ = file_column(f"{kind}_{axis}", axes)
+                name, _ = file_column(f"{kind}_{axis}", tuple(axes))
                 found.append(Column(name=name, low=-most, high=most))
         if readings:
             found += [

@@ -134,8 +134,8 @@ def _held_out(facts: Facts) -> list[str]:
     if apart.any() or chosen is not None:
         why = unpredictable_of(fit, folds, apart)
         if why is not None:
-            marked = chosen is not None and chosen.unpredicted is not None
-            left_out = marked and chosen.unpredicted[why.rows].all()
+            marked = None if chosen is None else chosen.unpredicted
+            left_out = marked is not None and marked[why.rows].all()
             said.append(
                 f"{why.words(facts.plan)}: "
                 + (
@@ -311,15 +311,22 @@ def _poorly_determined(facts: Facts) -> list[str]:
 
 
 def _beyond_prior(facts: Facts) -> list[str]:
-    """Note on effects whose size is many times that which their prior expects."""
+    """Note on effects whose size is many times that which their declared prior, or that of the
+    catalogue, expects. The search widens the priors of large effects.
+    """
+    expected = {
+        effect.key: {p.name: p for p in effect.amplitudes} for effect in facts.before.model.effects
+    }
+    for item in facts.found:
+        expected[item.effect.key] = {p.name: p for p in item.effect.parameters if not p.shape}
     said = []
     for place, effect in enumerate(facts.after.model.effects):
         if effect.kind != "systematic":
             continue
         sizes = [
             (abs(value - p.mean) / p.sigma, p, value)
-            for _, p, value, _ in facts.after.values_of(place)
-            if p.informed and not p.shape and p.sigma > 0.0
+            for _, its, value, _ in facts.after.values_of(place)
+            if (p := expected.get(effect.key, {}).get(its.name)) and p.informed and p.sigma > 0.0
         ]
         if not sizes:
             continue
@@ -328,10 +335,10 @@ def _beyond_prior(facts: Facts) -> list[str]:
             continue
         about = f"{p.mean:g} ± " if p.mean else ""
         said.append(
-            f"{effect.key}: {p.label} = {value:.4g} is {ratio:.3g} times the expected size of "
+            f"{effect.key}: {p.label} = {value:.4g} is {ratio:.0f} times the expected size of "
             f"{about}{p.sigma:.3g} {p.unit} (standard deviation of its prior): compare the units "
             "and scale factors of the data and of the study file with the measurement first; if "
-            f"they are right and the machine is like that, declare a larger {p.label}_sigma"
+            "they are right and the machine is like that, declare a prior of this size"
         )
     return said
 

@@ -26,7 +26,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation as Rotations
 
 from ..numerics.arrays import Array
 from ..numerics.record import Record
@@ -269,9 +268,16 @@ class Chain(Record):
 
     def tool_point(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3"]:
         """Nominal tool point in the workpiece frame, m."""
+        return self.tool_frame(q)[1]
+
+    def tool_frame(
+        self, q: Float[np.ndarray, "n axes"]
+    ) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]]:
+        """Nominal rotation of the tool and tool point (m) in the workpiece frame."""
         rt, pt = self._nominal(self.tool_side, q)
         rw, pw = self._nominal(self.workpiece_side, q)
-        return np.einsum("nji,nj->ni", rw, pt + rt @ np.asarray(self.tool_offset) - pw)
+        point = np.einsum("nji,nj->ni", rw, pt + rt @ np.asarray(self.tool_offset) - pw)
+        return np.swapaxes(rw, 1, 2) @ rt, point
 
     def turn(self, q: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n 3 3"]:
         """Nominal rotation from the bed's frame to that of the workpiece."""
@@ -293,6 +299,9 @@ class Chain(Record):
             motion = q[:, i, None] * np.asarray(joint.direction) * joint.sign
             t, r = t + r @ before[:3, 3], r @ before[:3, :3]
             if joint.turns:
+                # Imported here, as the import takes long and only rotary joints need it.
+                from scipy.spatial.transform import Rotation as Rotations
+
                 r = r @ Rotations.from_rotvec(motion).as_matrix()
             else:
                 t = t + np.einsum("nij,nj->ni", r, motion)
@@ -447,7 +456,7 @@ def chain_from_dh(
     tool_offset_m: Sequence[float] = (0.0, 0.0, 0.0),
     up: Up = UPRIGHT,
     convention: Convention = "standard",
-    coupling: Sequence[Sequence[float]] | None = None,
+    coupling: Sequence[Sequence[float]] | Float[np.ndarray, "n n"] | None = None,
 ) -> Chain:
     """A chain from Denavit-Hartenberg rows, base to flange.
 
@@ -495,7 +504,7 @@ def chain_of_joints(
     tool_offset_m: Sequence[float],
     described: str,
     up: Up = UPRIGHT,
-    coupling: Sequence[Sequence[float]] | None = None,
+    coupling: Sequence[Sequence[float]] | Float[np.ndarray, "n n"] | None = None,
 ) -> Chain:
     """An arm of `joints` from base to flange; `described` says in reports how it was given. The
     other arguments and the errors raised are those of `chain_from_dh`.

@@ -641,7 +641,7 @@ def _instrument(
     if measured:
         own = readings_of(settings, kind, chain.axes)
         places = [file_name(axis, chain.axes) for axis in chain.axes if axis in LINEAR]
-        check_alive(table, own or places, settings.kind)
+        check_alive(table, (own or {*places}) - {*kind.steady}, settings.kind)
     with calling(settings, kind, "build", f"an instance of {kind.__name__}"):
         instrument = kind.build(settings, chain, table, folder.table)
     check_built(settings, kind, instrument, "build")

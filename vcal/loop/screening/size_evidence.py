@@ -25,7 +25,7 @@ _OCTAVES = np.arange(-10.0, 17.0)
 _SQUARED = 4.0**_OCTAVES
 _SURPLUS = math.log(2.0) * np.maximum(_OCTAVES, 0.0)
 """Log of the odds of a factor of one over those of each factor."""
-_LOG_ODDS = -_SURPLUS - logsumexp(-_SURPLUS)
+_LOG_ODDS = -_SURPLUS - math.log(np.exp(-_SURPLUS).sum())
 
 _LEAST_INFORMATION = 1e-9
 """Least information, in units of that of the prior, for an amplitude to have an estimated size."""
@@ -92,7 +92,7 @@ def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -
 
 def log_mixture(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
     """Log Bayes factor of the mixture over none, as (...)."""
-    return logsumexp(log_gain(information, scores, _SQUARED) + _LOG_ODDS, axis=-1)
+    return np.asarray(logsumexp(log_gain(information, scores, _SQUARED) + _LOG_ODDS, axis=-1))
 
 
 def over_scales(fit: Fit, entries: slice | np.ndarray, noise_scale: float = 1.0) -> float:

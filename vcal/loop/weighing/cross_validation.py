@@ -151,7 +151,7 @@ def heldout_fall(before: Fit, after: Fit, alternatives: Sequence[Alternatives] =
     None where no row is held out, or there is no error. `alternatives` are those of the second fit.
     """
     old, new = heldout_residuals(before), averaged_residuals(after, alternatives)
-    both = np.isfinite(old).all(axis=1) & np.isfinite(new).all(axis=1)
+    both = np.asarray(np.isfinite(old).all(axis=1) & np.isfinite(new).all(axis=1))
     if not both.any():
         return None
     a, b = (squared_errors(fit, np.where(both[:, None], r, np.nan))

@@ -43,6 +43,7 @@ _ATTRIBUTES: tuple[Attribute, ...] = (
     ("positioned", lambda v: isinstance(v, bool), "True or False"),
     ("remembers", lambda v: isinstance(v, bool), "True or False"),
     ("labels", _texts, 'a tuple of columns, as in ("plane",)'),
+    ("steady", _texts, 'a tuple of columns, as in ("psd_u_mm",)'),
     ("read_otherwise", _texts, 'a tuple of columns, as in ("p1_mm",)'),
     ("derived", _texts, 'a tuple of covariates, as in ("range",)'),
 )
