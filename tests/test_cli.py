@@ -700,7 +700,8 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(capsys, monkeypatc
     unsure = SimpleNamespace(**vars(found) | {"placement": "X", "hint": "its rivals are as likely"})
     errors = Errors(Rms(5.2312, 1.26), None, Rms(0.9412, 0.183), Rms(0.9, 0.1), 1.0)
     closure = SimpleNamespace(
-        sentence="A sentence.", found=[found], hints=[unsure], errors={"after": errors}, suspected=[], notes=[],
+        sentence="A sentence.", found=[found], hints=[unsure], errors={"after": errors},
+        suspected=[], notes=[],
         unexplained=SimpleNamespace(reason="no more effects may be added"),
     )  # fmt: skip
     rows = [("size_um", 11.98765, "um", 0.6123)]

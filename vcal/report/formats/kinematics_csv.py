@@ -2,6 +2,7 @@
 
 Source: the errors of the identified model that are constant (`geometry.kinematics`).
 Sign: values replace those of the control; correction = corrected - declared.
+None where compensation does not reduce the error (`Closure.no_gain`), unless asked for.
 Units: mm and deg, as the rows state. U is the expanded uncertainty (k = 2).
 """
 
@@ -33,6 +34,8 @@ class KinematicsCsv(Format):
     def text(self, results: Results) -> str | None:
         chain = results.closure.after.model.chain
         if not chain.arm or chain.workpiece_side or results.closure.after.measurement.plan.sets:
+            return None
+        if results.closure.no_gain and not results.anyway:
             return None
         found = corrected_kinematics(results.closure.after)
         rows = [[*_HEADER.split(",")]]
