@@ -49,6 +49,7 @@ STARTS = (
     "laser_frame",
     "r_test",
     "static_r_test",
+    "pose_probe",
 )
 
 
