@@ -325,7 +325,7 @@ def test_every_key_is_explained():
         known = [DataSettings, LoopSettings, INSTRUMENTS[kind].Settings]
         known += [settings_of(kind)] if kind in SPACES else []
         if INSTRUMENTS[kind].machine is None:  # else it has no travel to err over
-            arm = kind == "reflectors"
+            arm = kind in ("reflectors", "pose_probe")
             known += [LinkSettings, JointSettings] if arm else [FourierSettings, SmoothSettings]
         for settings in known:
             for key in settings.model_fields:
@@ -345,7 +345,7 @@ def test_keys_that_are_commented_out_can_be_used(tmp_path, instrument):
         "# effects_file",
         "# family",
         "# probes",
-        *(["# check"] if instrument == "reflectors" else []),
+        *(["# check"] if instrument in ("reflectors", "pose_probe") else []),
     )
     if instrument == "laser_frame":  # a table that is not there, and a path beside the named one
         keys = [key for key in SegmentSettings.model_fields if key != "psd"]
