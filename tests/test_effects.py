@@ -77,7 +77,7 @@ def frame(tmp_path_factory):
 @pytest.fixture(scope="module")
 def lifted():
     """The same for an arm on a column, with a probe of position and orientation."""
-    study = load_study(FOLDER / "start" / "pose_probe")
+    study = load_study(STARTS / "pose_probe")
     plan = study.plan.take(np.arange(0, study.plan.rows, 4))
     model = study.model
     return SimpleNamespace(

@@ -309,13 +309,14 @@ class CorrectedKinematics:
     joint cannot hold."""
     lost_max: float
     varying_rms: float
-    """Rms and maximum over the plan, m, of the displacement of the tool point by errors that are no
-    constants of a link: what no table of kinematics holds."""
+    """Rms and maximum over the plan, m, of the displacement of the tool point by what varies of the
+    errors: what no table of kinematics holds."""
     varying_max: float
 
 
 def corrected_kinematics(fit: Fit) -> CorrectedKinematics:
-    """The kinematics of an identified arm, from the errors of its model that are constant.
+    """The kinematics of an identified arm, from the constant part of all errors of its model: their
+    mean over the measured positions.
 
     Uncertainties follow from the covariance of the fit by the first derivatives of the conversion.
     Raises `ValueError` for a machine that is no arm.
@@ -325,14 +326,14 @@ def corrected_kinematics(fit: Fit) -> CorrectedKinematics:
     joints, layout = len(chain.joints), fit.model.layout
     terms = linearised_terms(fit.model, plan, fit.shapes, fit.theta)
     size = len(layout)
-    constant, by_theta = np.zeros(size), np.zeros((size, len(fit.theta)))
-    values, ports = np.asarray(terms.values), np.asarray(terms.port)
-    same = np.ptp(values, axis=0) <= 1e-12 * np.abs(values).max(0, initial=0.0)
-    offset = np.asarray(terms.offset)
-    still = np.ptp(offset, axis=0) == 0.0
-    constant[still] = offset[0, still]
-    for k in np.flatnonzero(same):
-        by_theta[ports[k], terms.parameter[k]] += values[0, k]
+    constant, by_theta = np.asarray(terms.offset).mean(0), np.zeros((size, len(fit.theta)))
+    # The mean of an error that varies, such as the deflection of a joint under gravity, is a
+    # constant that a table can hold.
+    means = np.asarray(terms.values).mean(0)
+    for port, parameter, mean in zip(
+        np.asarray(terms.port), np.asarray(terms.parameter), means, strict=True
+    ):
+        by_theta[port, parameter] += mean
     constant += by_theta @ fit.theta
     groups = {*layout.groups}
     places = fit.model.instrument.tool_places

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from ..machine.chain import SLIDING, Chain
-from ..machine.plan import Plan
+from ..machine.chain import Chain
+from ..machine.plan import Plan, slides
 from .base import Column
 from .conditions import file_column, inside_name
 from .reflectors import moves
@@ -25,7 +25,7 @@ def arm_columns(axes: Sequence[str], joints: str) -> list[Column]:
     kinds = _KINDS if joints == "read" else _KINDS[:1]
     found = [Column(name="pose", low=0, integer=True, unique_with=("pose",))]
     for axis in axes:
-        most = _FARTHEST[axis.startswith(SLIDING)]
+        most = _FARTHEST[slides(axes, axis)]
         names = (file_column(f"{kind}_{axis}", tuple(axes))[0] for kind in kinds)
         found += [Column(name=name, low=-most, high=most) for name in names]
     return found

@@ -297,7 +297,9 @@ def _computed_once(rotation: Rotation, tool: Vector) -> tuple[Rotation, Vector]:
     six readings take minutes to compile.
     """
     parts = [*(c for row in rotation.rows for c in row.parts), *tool.parts]
-    v = sum(jnp.asarray(c) * e for c, e in zip(parts, np.eye(len(parts)), strict=True))
+    v = jnp.zeros(len(parts))
+    for part, unit in zip(parts, np.eye(len(parts)), strict=True):
+        v = v + part * unit
     rows = tuple(Vector(v[3 * i], v[3 * i + 1], v[3 * i + 2]) for i in range(3))
     return Rotation(rows), Vector(v[9], v[10], v[11])
 

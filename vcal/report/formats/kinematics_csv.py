@@ -1,6 +1,7 @@
 """kinematics.csv: declared and corrected Denavit-Hartenberg rows, base and tool of an arm.
 
-Source: the errors of the identified model that are constant (`geometry.kinematics`).
+Source: the constant part of the errors of the identified model, which is their mean over the
+measured positions (`geometry.kinematics`).
 Sign: values replace those of the control; correction = corrected - declared.
 None where compensation does not reduce the error (`Closure.no_gain`), unless asked for.
 Units: mm and deg, as the rows state. U is the expanded uncertainty (k = 2).
@@ -25,7 +26,7 @@ class KinematicsCsv(Format):
     keeps its declared value. The base is the pose of the arm's base in the frame of the instrument
     (R = Rx Ry Rz), tool points are in the frame of the flange. The lines ``not in the table`` state
     the displacement of the tool point (rms and largest over the measured positions) by beta, where
-    a control has four numbers per joint, and by all errors that are no constants of a link.
+    a control has four numbers per joint, and by what varies of the errors.
     """
 
     file = "kinematics.csv"
