@@ -26,7 +26,7 @@ def arm_columns(axes: Sequence[str], joints: str) -> list[Column]:
     found = [Column(name="pose", low=0, integer=True, unique_with=("pose",))]
     for axis in axes:
         most = _FARTHEST[slides(axes, axis)]
-        names = (file_column(f"{kind}_{axis}", tuple(axes))[0] for kind in kinds)
+        names = (file_column(f"{kind}_{axis}", axes)[0] for kind in kinds)
         found += [Column(name=name, low=-most, high=most) for name in names]
     return found
 

@@ -226,7 +226,7 @@ class Reflectors(TableInstrument):
             axis = f"J{i + 1}"
             most = _FARTHEST_MM if slides(axes, axis) else 720.0
             for kind in ("commanded", "read") if settings.joints == "read" else ("commanded",):
-                name, _ = file_column(f"{kind}_{axis}", tuple(axes))
+                name, _ = file_column(f"{kind}_{axis}", axes)
                 found.append(Column(name=name, low=-most, high=most))
         if readings:
             found += [
