@@ -62,7 +62,9 @@ def test_a_bearing_that_yields_has_its_name(joint, coefficient, tmp_path):
     effect = {"effect": "bearing_compliance", "joint": joint, "coefficient": coefficient}
     closure = closed(tmp_path / "arm", effect | {"centre": OFF_THE_FLANGE})
     assert closure.verdict == "named"
-    assert [found.effect.key for found in closure.effects] == [f"bearing_compliance J{joint + 1}"]
+    (found,) = closure.effects
+    # A base that yields alike about both axes turns the arm as the bearing of its first joint does.
+    assert f"bearing_compliance J{joint + 1}" in (found.effect.key, *found.equivalent)
     assert closure.errors["after"].chi2_per_dof == pytest.approx(1.0, abs=0.1)
     assert closure.errors["before"].chi2_per_dof > 1.2
 

@@ -128,7 +128,7 @@ def test_the_file_reproduces_the_readings_of_the_identified_arm(tmp_path):
     fit = identify(it.study.model, measurement)
     found = corrected_kinematics(fit)
     chain, plan = fit.model.chain, measurement.plan
-    closure = SimpleNamespace(after=fit)
+    closure = SimpleNamespace(after=fit, no_gain="")
     text = KinematicsCsv().text(SimpleNamespace(closure=closure))
     table = list(csv.DictReader(io.StringIO(text)))
     si = {"mm": 1e-3, "deg": math.radians(1.0)}
