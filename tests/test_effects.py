@@ -37,7 +37,7 @@ from vcal.effects.arm import gravity_moments
 from vcal.effects.reversal import Repeatability
 from vcal.identification.fit import shape_step
 from vcal.identification.linearised import linearised_terms
-from vcal.instruments.reflectors import moves
+from vcal.instruments.arm_table import moves
 from vcal.machine.chain import chain_from_string
 from vcal.machine.plan import Plan
 from vcal.machine.ports import PortLayout

@@ -21,6 +21,11 @@ def counted(count: int, one: str, several: str = "") -> str:
     return f"{count} {plural(count, one, several)}"
 
 
+def three_digits(value: float) -> str:
+    """A number of three digits: ``"0.0123"``, ``"4.5"``; larger ones to the unit, ``"1029"``."""
+    return f"{value:.0f}" if 999.5 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
 def printable(text: str, lines: bool = True) -> str:
     """A text with control characters written as escapes: ``\\x1b`` for the escape character.
 

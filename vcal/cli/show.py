@@ -28,7 +28,7 @@ from ..study import Study, read_header
 from ..study.declared_effects import choices
 from ..study.messages import shown
 from ..study.study import DataSet, looked_for
-from ..words import counted, plural, printable
+from ..words import counted, plural, printable, three_digits
 
 _MOST_PITCHES = 6
 """Most pitches that one line lists."""
@@ -110,11 +110,11 @@ def _errors_table(errors: Mapping[Any, Errors]) -> Table:
     if all(e.check is not None for e in every):
         row("check points, aligned", (_rms(e.check) for e in every))
     row("held-out readings", (_rms(e.heldout) for e in every))
-    row("fitted readings", (f"{e.fit.value:.3g}" for e in every))
-    row("chi² per degree of freedom", (f"{e.chi2_per_dof:.3g}" for e in every))
+    row("fitted readings", (three_digits(e.fit.value) for e in every))
+    row("chi² per degree of freedom", (three_digits(e.chi2_per_dof) for e in every))
     for name in every[0].sets:
         row(f"held-out readings of {name}", (_rms(e.sets[name].heldout) for e in every))
-        row(f"chi² per dof of {name}", (f"{e.sets[name].chi2_per_dof:.3g}" for e in every))
+        row(f"chi² per dof of {name}", (three_digits(e.sets[name].chi2_per_dof) for e in every))
     return table
 
 

@@ -11,9 +11,10 @@ from ..machine.plan import Plan, of_set
 from ..machine.ports import PortLayout
 from ..numerics.arrays import Array, namespace
 from .base import Effect, Response, Setup
+from .wrapper import Wrapper
 
 
-class OfDataSet(Effect):
+class OfDataSet(Wrapper):
     """An effect of an instrument that disturbs the readings of its own data set only.
 
     Its covariates are those of `effect` with the name of the data set in front, and so are its
@@ -23,7 +24,6 @@ class OfDataSet(Effect):
     catalogue: `in_setup` wraps every effect whose `where` is the instrument.
     """
 
-    effect: Effect
     data_set: str = eqx.field(static=True)
 
     @classmethod
@@ -32,21 +32,10 @@ class OfDataSet(Effect):
         place = f"{data_set} {effect.placement}".strip()
         return cls(effect, data_set, placement=place, given=effect.given, priors=effect.priors)
 
-    # Class attributes of other effects are those of the wrapped effect here.
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """Identifier of the effect."""
-        return self.effect.name
-
     @property
     def summary(self) -> str:  # type: ignore[override]
         """Summary of the effect, with the data set."""
         return f"{self.effect.summary}, in the data set {self.data_set}"
-
-    @property
-    def kind(self):  # type: ignore[override]
-        """Kind of the effect."""
-        return self.effect.kind
 
     @property
     def where(self):  # type: ignore[override]
@@ -54,13 +43,8 @@ class OfDataSet(Effect):
         return "instrument"
 
     @property
-    def odds(self) -> float:  # type: ignore[override]
-        """Prior odds of the effect."""
-        return self.effect.odds
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.effect.parameters
+    def on_instrument(self) -> bool:
+        return True
 
     @property
     def needs(self) -> tuple[str, ...]:

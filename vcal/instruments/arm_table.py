@@ -1,16 +1,17 @@
 """Columns of the joints of an arm: commanded and read-back positions, and moves between poses."""
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from ..machine.chain import Chain
 from ..machine.plan import Plan, slides
+from ..numerics.arrays import Array, namespace
 from .base import Column
 from .conditions import file_column, inside_name
-from .reflectors import moves
 
 _FARTHEST = {True: 1e5, False: 720.0}
 """Farthest position of a prismatic joint, mm, and of another one, deg; larger numbers are in
@@ -59,18 +60,39 @@ def arm_plan(
     return Plan(chain.axes, position, covariates, {"pose": pose})
 
 
-def arm_table(chain: Chain, plan: Plan) -> dict[str, np.ndarray]:
-    """Columns of the joints in file units: the inverse of `arm_plan`."""
+def arm_table(plan: Plan, commands: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns of the joints in file units: the inverse of `arm_plan`. `commands` computes commands
+    from positions of the joints (n, joints), m or rad (`Chain.commands`).
+    """
     table: dict[str, np.ndarray] = {"pose": np.asarray(plan.groups["pose"])}
     for kind in _KINDS:
         names = [f"{kind}_{axis}" for axis in plan.axes]
         if any(name not in plan.covariates for name in names):
             continue
-        columns = chain.commands(np.column_stack([plan.covariates[name] for name in names]))
+        columns = commands(np.column_stack([plan.covariates[name] for name in names]))
         for name, values in zip(names, columns.T, strict=True):
             column, factor = file_column(name, plan.axes)
             table[column] = values * factor
     return table
+
+
+def moves(
+    angle: Float[Array, "n joints"], pose: Int[np.ndarray, " n"]
+) -> tuple[Float[Array, "n joints"], Float[Array, "n joints"]]:
+    """The move of every joint into every pose, rad, and the direction of its latest move: +1, -1.
+
+    The rows may be in any order: the numbers of the poses give their sequence. A joint that does
+    not move keeps its direction. The move into the first pose, and into one after a gap in the
+    numbering, is unknown and set to zero, and so is the direction until the next move.
+    """
+    xp = namespace(angle)
+    in_time = np.argsort(pose, kind="stable")
+    pose, angle, own = pose[in_time], angle[in_time], np.argsort(in_time)
+    known = np.r_[False, np.diff(pose) == 1][:, None]
+    move = xp.where(known, xp.diff(angle, axis=0, prepend=angle[:1]), 0.0)
+    row = np.arange(len(pose))[:, None]
+    last = xp.maximum.accumulate(xp.where(known & (move == 0.0), 0, row), axis=0)
+    return move[own], xp.sign(xp.take_along_axis(move, last, axis=0))[own]
 
 
 def _positions(

@@ -236,7 +236,9 @@ class PoseProbe(TableInstrument):
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
         places = {name: readings[:, i] * 1e3 for i, name in enumerate(_POSITION)}
         seen = unturned(readings[:, 3:]) @ self._nominal(plan)
-        return arm_table(self.chain, plan) | places | orientation_table(seen, self.convention)
+        return (
+            arm_table(plan, self.chain.commands) | places | orientation_table(seen, self.convention)
+        )
 
     def _nominal(self, plan: Plan) -> Float[np.ndarray, "n 3 3"]:
         """Orientation of the probe in every row, for the nominal arm and the initial poses."""

@@ -10,7 +10,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation as Turn
 
@@ -18,11 +17,12 @@ from ..effects.base import Effect, Response
 from ..errors import KeyedError, RowError
 from ..machine.chain import Chain
 from ..machine.parameters import Parameter
-from ..machine.plan import Plan, slides
+from ..machine.plan import Plan
 from ..machine.ports import COMPONENTS, group
-from ..numerics.arrays import Array, namespace
+from ..numerics.arrays import Array
 from ..numerics.rigid import Rotation, Scalar, Vector
 from ..numerics.spatial import best_rigid
+from .arm_table import arm_columns, arm_plan, arm_table
 from .base import (
     LARGEST_NOISE,
     SMALLEST_NOISE,
@@ -34,7 +34,6 @@ from .base import (
     register,
 )
 from .base_drift import BaseDrift
-from .conditions import file_column, inside_name
 from .frame import Station, displaced
 
 _MOTIONS = ("t1", "t2", "t3", "r1", "r2", "r3")
@@ -44,8 +43,8 @@ _NOTHING = 1e-9
 _MOST = 100
 """Most reflectors on the tool or the base: each one adds three columns and three unknowns."""
 
-_FARTHEST_MM = 1e5
-"""Farthest position of a prismatic joint; a larger number is in another unit."""
+_COORDINATE = re.compile(r"(smr|base)\d+_[xyz]_mm")
+"""Columns of the reflectors."""
 _OTHER_UNIT, _LARGE_M = 5.0, 0.05
 """Ratio of sizes that indicates another unit, and the least size at which it is checked."""
 
@@ -221,13 +220,7 @@ class Reflectors(TableInstrument):
     def columns(
         cls, settings: ReflectorsSettings, axes: Sequence[str], readings: bool
     ) -> list[Column]:
-        found = [Column(name="pose", low=0, integer=True, unique_with=("pose",))]
-        for i in range(len(axes)):
-            axis = f"J{i + 1}"
-            most = _FARTHEST_MM if slides(axes, axis) else 720.0
-            for kind in ("commanded", "read") if settings.joints == "read" else ("commanded",):
-                name, _ = file_column(f"{kind}_{axis}", axes)
-                found.append(Column(name=name, low=-most, high=most))
+        found = arm_columns(axes, settings.joints)
         if readings:
             found += [
                 Column(name=f"{kind}{k}_{c}_mm", low=-1e5, high=1e5)
@@ -274,41 +267,20 @@ class Reflectors(TableInstrument):
         )
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
-        commanded = _joint_positions(chain, table, "commanded")
-        pose = np.asarray(table["pose"], int)
-        move, direction = (np.asarray(v) for v in moves(commanded, pose))
-        covariates: dict[str, np.ndarray] = {"order": pose.astype(float)}
-        position = commanded
-        if all(file_column(f"read_{axis}", chain.axes)[0] in table for axis in chain.axes):
-            read = _joint_positions(chain, table, "read")
-            covariates |= {f"read_{axis}": read[:, i] for i, axis in enumerate(chain.axes)}
-            position = read if self.joints == "read" else commanded
-        for i, axis in enumerate(chain.axes):
-            covariates[f"commanded_{axis}"] = commanded[:, i]
-            covariates[f"dir_{axis}"] = direction[:, i]
-            covariates[f"move_{axis}"] = move[:, i]
-        # Time, temperatures and all other recorded columns except angles and readings.
-        own = re.compile(r"q\d+_(cmd|read)_\w+|(smr|base)\d+_[xyz]_mm|pose")
-        others = {name: values for name, values in table.items() if not own.fullmatch(name)}
-        covariates |= {inside_name(name, chain.axes): values for name, values in others.items()}
-        return Plan(chain.axes, position, covariates, {"pose": pose})
+        own = {name for name in table if _COORDINATE.fullmatch(name)}
+        return arm_plan(chain, table, self.joints, own)
 
     def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
         tool = _points(table, "smr", self.count)
         drift = _drift(table, self.base_count)
         return (tool if drift is None else drift.undone(tool)).reshape(len(tool), -1)
 
+    def _commands(self, position: np.ndarray) -> np.ndarray:
+        """Commands (n, joints) that lead to positions of the joints."""
+        return position if self.uncoupled is None else position @ self.uncoupled.T
+
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
-        table: dict[str, np.ndarray] = {"pose": np.asarray(plan.groups["pose"])}
-        for kind in ("commanded", "read"):
-            if any(f"{kind}_{axis}" not in plan.covariates for axis in plan.axes):
-                continue
-            angle = np.column_stack([plan.covariates[f"{kind}_{axis}"] for axis in plan.axes])
-            if self.uncoupled is not None:
-                angle = angle @ self.uncoupled.T
-            for i, axis in enumerate(plan.axes):
-                name, factor = file_column(f"{kind}_{axis}", plan.axes)
-                table[name] = angle[:, i] * factor
+        table = arm_table(plan, self._commands)
         for k in range(self.count):
             for i, c in enumerate("xyz"):
                 table[f"smr{k + 1}_{c}_mm"] = readings[:, 3 * k + i] * 1e3
@@ -410,25 +382,6 @@ def _given(*sizes: Any) -> tuple[tuple[str, float, float], ...]:
     return tuple((name, 0.0, size * 1e6) for names, size in pairs for name in names)
 
 
-def moves(
-    angle: Float[Array, "n joints"], pose: Int[np.ndarray, " n"]
-) -> tuple[Float[Array, "n joints"], Float[Array, "n joints"]]:
-    """The move of every joint into every pose, rad, and the direction of its latest move: +1, -1.
-
-    The rows may be in any order: the numbers of the poses give their sequence. A joint that does
-    not move keeps its direction. The move into the first pose, and into one after a gap in the
-    numbering, is unknown and set to zero, and so is the direction until the next move.
-    """
-    xp = namespace(angle)
-    in_time = np.argsort(pose, kind="stable")
-    pose, angle, own = pose[in_time], angle[in_time], np.argsort(in_time)
-    known = np.r_[False, np.diff(pose) == 1][:, None]
-    move = xp.where(known, xp.diff(angle, axis=0, prepend=angle[:1]), 0.0)
-    row = np.arange(len(pose))[:, None]
-    last = xp.maximum.accumulate(xp.where(known & (move == 0.0), 0, row), axis=0)
-    return move[own], xp.sign(xp.take_along_axis(move, last, axis=0))[own]
-
-
 def _check_size(chain: Chain, plan: Plan, seen: np.ndarray) -> None:
     """Raise `RowError` where positions (n, 3), m, of a reflector extend over far less than the tool
     of the nominal arm, or over far more while the angles are small enough to be radians: with free
@@ -488,14 +441,6 @@ def _points(table: Mapping[str, np.ndarray], kind: str, count: int) -> np.ndarra
         )
         * 1e-3
     )
-
-
-def _joint_positions(
-    chain: Chain, table: Mapping[str, np.ndarray], kind: Literal["commanded", "read"]
-) -> np.ndarray:
-    """Positions of the joints (n, joints), m or rad, from their columns."""
-    columns = (file_column(f"{kind}_{axis}", chain.axes) for axis in chain.axes)
-    return chain.positions(np.column_stack([table[name] / factor for name, factor in columns]))
 
 
 def _nominal_poses(chain: Chain, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

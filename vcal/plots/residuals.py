@@ -13,6 +13,7 @@ from ..instruments.conditions import in_file
 from ..loop.empirical.covariates import correlation, distinct_covariates
 from ..loop.outcome.unexplained import Unexplained, way
 from ..loop.residuals.dependence import bins, displacements
+from ..words import three_digits
 from .changing import changing
 from .style import (
     AFTER,
@@ -59,7 +60,7 @@ def before_after(view: View, name: str) -> Figure:
             # Tick labels of six characters have room beside each other.
             ax.locator_params(axis="x", nbins=7)
         rms = np.sqrt((y**2).mean())
-        titled(ax, f"{word} (rms {rms:.3g} µm)", view.x_label)
+        titled(ax, f"{word} (rms {three_digits(rms)} µm)", view.x_label)
         ax.set_ylim(-bound, bound)
     along = f" {view.along}" if len(view.along) < 24 else " of the tool point"
     left.set_ylabel(f"residual{along}, µm", fontsize=9.5, color=INK)

@@ -16,6 +16,7 @@ from ..identification.model_averaging import Alternatives, model_average
 from ..loop.weighing.cross_validation import heldout_residuals, squared_errors
 from ..model.measurement import CheckPoints
 from ..numerics.spatial import after_alignment, align_rigid
+from ..words import three_digits
 from .mid_planes import PLANES, PlaneRow, colour_bar, mid_planes
 from .style import (
     AFTER,
@@ -167,7 +168,7 @@ def check_points(errors: Mapping[str, np.ndarray], check: CheckPoints) -> Figure
                 norm=norm,
                 edgecolor="none",
             )
-            titled(ax, f"{name}: rms {rms:.3g} µm" if row == 0 else "", f"{'XYZ'[a]}, mm")
+            titled(ax, f"{name}: rms {three_digits(rms)} µm" if row == 0 else "", f"{'XYZ'[a]}, mm")
             if column == 0:
                 ax.set_ylabel(f"{'XYZ'[b]}, mm", fontsize=9.5, color=INK)
             else:
@@ -220,7 +221,7 @@ def error_over_time(fits: Mapping[str, Fit]) -> Figure:
                 color=colours[name],
                 alpha=0.25 if faint else 0.9,
                 markersize=4,
-                label=f"{name}, {'fitted' if faint else 'held out'}: rms {rms:.3g} µm",
+                label=f"{name}, {'fitted' if faint else 'held out'}: rms {three_digits(rms)} µm",
             )
     everything = np.concatenate(shown)
     ax.set_yscale("log")

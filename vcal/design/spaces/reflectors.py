@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...instruments.reflectors import Reflectors, moves
+from ...instruments.arm_table import moves
+from ...instruments.reflectors import Reflectors
 from ...machine.chain import Chain
 from ...numerics.arrays import Array
 from ..plan_space import register

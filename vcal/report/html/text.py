@@ -87,8 +87,11 @@ def unit(text: str) -> str:
 
 
 def sentence_of(words: str) -> str:
-    """The words with a capital letter and a full stop."""
-    return f"{words[:1].upper()}{words[1:]}{'' if words.endswith('.') else '.'}"
+    """The words with a capital letter and a full stop. An identifier, such as ``screw_cyclic``, is
+    left as it is written in files.
+    """
+    first = words[:1] if "_" in words.split(" ", 1)[0] else words[:1].upper()
+    return f"{first}{words[1:]}{'' if words.endswith('.') else '.'}"
 
 
 def _minus(text: str) -> str:
