@@ -12,6 +12,7 @@ from rich.text import Text
 
 from ..effects.base import Effect, Setup
 from ..effects.cyclic import ScrewCyclic
+from ..effects.reference import with_known_reference
 from ..instruments.conditions import file_name, inside_name
 from ..loop.outcome.closure import Closure, Errors
 from ..loop.residuals.confounded import confounding
@@ -302,7 +303,9 @@ def _kinds(found: list[Effect]) -> str:
     names = list(dict.fromkeys(effect.name for effect in found))
     if not names:
         return "none"
-    count = f"{counted(len(found), 'candidate')} of {counted(len(names), 'kind')}"
+    # An effect with a free reference value is tried beside itself with the declared one.
+    own = [e for e in found if len(with_known_reference(e).parameters) == len(e.parameters)]
+    count = f"{counted(len(own), 'candidate')} of {counted(len(names), 'kind')}"
     return f"{count}: {', '.join(names)}"
 
 
