@@ -216,8 +216,9 @@ def test_a_large_size_counts_against_a_rival_up_to_a_point(tracker):
     assert abs(size * effect.amplitudes[0].sigma - 1000) < 2  # not pulled towards what is expected
     # The readings determine the size: the density of a factor s at it is that of a normal number.
     scales = 2.0 ** np.arange(-10, 17)
-    odds = np.exp(-0.5 * (size / scales) ** 2) / scales / np.maximum(scales, 1.0)
-    size_surplus = odds @ np.log(np.maximum(scales, 1.0)) / odds.sum()
+    prior = np.where(scales > 1.0, 0.1 / scales, 1.0)
+    odds = np.exp(-0.5 * (size / scales) ** 2) / scales * prior
+    size_surplus = odds @ -np.log(prior) / odds.sum()
     assert size_surplus > np.log(20.0)
     assert rival.size_surplus == pytest.approx(size_surplus, rel=0.01)
     assert rival.size_allowance == pytest.approx(rival.size_surplus - np.log(20.0))

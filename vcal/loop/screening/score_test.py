@@ -361,11 +361,12 @@ class ScoreTest:
         values, vectors = np.linalg.eigh(g)
         model = np.maximum(values, 0.0), np.einsum("gab,ga->gb", vectors, s)
         ends = np.cumsum(sizes)[:-1]
-        gains = log_mixture(*model)
-        # An allowance never raises the gain above half the drop. A candidate that the model nearly
-        # spans has almost no drop, and the readings do not bound its size.
-        most = 0.5 * np.concatenate([drops.stat for drops in of]) / every - gains
-        costs = np.minimum(size_allowance(size_surplus(*model)), np.maximum(most, 0.0))
+        # Whatever its size, a candidate gains half its drop at most. One that the model nearly
+        # spans has almost no drop, and the readings do not bound its size: a wide prior would
+        # multiply what is rounding.
+        most = 0.5 * np.concatenate([drops.stat for drops in of]) / every
+        gains = np.minimum(log_mixture(*model), most)
+        costs = np.minimum(size_allowance(size_surplus(*model)), most - gains)
         return list(zip(np.split(gains, ends), np.split(costs, ends), strict=True))
 
     def _noise(self, drops: "Drops") -> float:

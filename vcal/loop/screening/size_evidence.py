@@ -6,10 +6,12 @@ times for a width that carries no information. After a collision it may be a tho
 and a normal prior would exclude what the readings show beyond doubt. The prior is therefore a
 mixture of normal distributions with sigma times s, one factor for all amplitudes of an effect:
 
-    s = 1, 1/2, 1/4, ... with equal odds,        s = 2, 4, 8, ... with odds 1/s.
+    s = 1, 1/2, 1/4, ... with equal odds,        s = 2, 4, 8, ... with odds 0.1 / s.
 
-Above sigma the density of an amplitude x falls as 1/x^2, as that of a Cauchy distribution does: a
-size x costs about ln x in log evidence instead of x^2 / 2.
+Far above sigma the density of an amplitude x falls as 1/x^2, as that of a Cauchy distribution does:
+a size x costs about ln 10 x in log evidence instead of x^2 / 2. Sizes of a few sigma cost what they
+do with a normal prior (a contaminated prior: Berger, Statistical Decision Theory and Bayesian
+Analysis, 1985, 4.7).
 """
 
 import math
@@ -23,12 +25,16 @@ from ...identification.fit import Fit
 _OCTAVES = np.arange(-10.0, 17.0)
 """Base-two logarithms of the factors: from a thousandth to 65,000."""
 _SQUARED = 4.0**_OCTAVES
-_SURPLUS = math.log(2.0) * np.maximum(_OCTAVES, 0.0)
+_LARGER = 0.1
+"""Odds of a machine whose effects are larger than the prior says."""
+_SURPLUS = np.where(_OCTAVES > 0.0, _OCTAVES * math.log(2.0) - math.log(_LARGER), 0.0)
 """Log of the odds of a factor of one over those of each factor."""
 _LOG_ODDS = -_SURPLUS - math.log(np.exp(-_SURPLUS).sum())
 
 _LEAST_INFORMATION = 1e-9
 """Least information, in units of that of the prior, for an amplitude to have an estimated size."""
+_ROUNDING = 1e-8
+"""Least share of its information that the other parameters must leave of a direction."""
 _MOST_COST = math.log(20.0)
 """Most log odds that a size beyond its prior may cost a rival."""
 
@@ -36,9 +42,10 @@ _MOST_COST = math.log(20.0)
 def size_surplus(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
     """Cost in log evidence of amplitudes that are larger than expected: the size surplus.
 
-    It is the mean of ln max(s, 1) over the posterior of the factor s of the mixture, for a linear
-    model as in `log_gain`, as (...). Amplitudes of one standard deviation cost almost nothing, a
-    hundred of them ln 100. Amplitudes that the readings hardly determine cost nothing either.
+    It is the mean over the posterior of the factor s of the mixture of the log of the odds of s = 1
+    over those of s, for a linear model as in `log_gain`, as (...). Amplitudes of one standard
+    deviation cost almost nothing, a hundred of them ln 1000. Amplitudes that the readings hardly
+    determine cost nothing either.
     """
     each = log_gain(information, scores, _SQUARED) + _LOG_ODDS
     odds = np.exp(each - each.max(-1, keepdims=True))
@@ -132,7 +139,10 @@ def _seen(
         left = across * scale[:, None]
         precision = precision - left.T @ cho_solve((np.linalg.cholesky(scaled), True), left)
     values, vectors = np.linalg.eigh(precision - np.diag(fit.precision[mine]))
-    values = np.maximum(values, 0.0)
+    # What the other parameters leave of a direction may be rounding, which a wide prior would
+    # multiply.
+    whole = np.einsum("ij,ij->j", vectors, (h[np.ix_(mine, mine)] @ vectors))
+    seen = values > _ROUNDING * whole
     theta = fit.theta[mine] + fit.step_at(noise_scale)[mine]
     scores = vectors.T @ (precision @ theta)
-    return values, scores
+    return np.where(seen, values, 0.0), np.where(seen, scores, 0.0)
