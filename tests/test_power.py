@@ -204,8 +204,8 @@ def test_one_wrong_name_that_hides_another():
 @pytest.mark.slow
 def test_a_component_that_the_plan_hardly_determines_is_not_lost_between_large_rivals():
     """The plan determines a 50,000th part of the true component, which a roll of 500 urad or a
-    cross term of 87 um explain as well. The effect with the more probable size is named first of
-    several alternatives, and the error after is not larger than without.
+    cross term of 87 um explain as well. The name includes the true effect. Where the correction
+    would be worse than none, the loop says so.
     """
     entry = ENTRIES["laser_frame/cross_axis"]
     world = world_of(entry.instrument, 20_078)
@@ -214,10 +214,9 @@ def test_a_component_that_the_plan_hardly_determines_is_not_lost_between_large_r
     study = power.load(made.case)
     closure = close_loop(study.model, study.measurement, check=study.check, draws=200, seed=1)
     (found,) = closure.effects
-    assert found.status == "ambiguous"
-    assert found.effect.key in {made.terms[0].key, *found.equivalent}
+    assert made.terms[0].key in {found.effect.key, *found.equivalent}
     after, bare = (closure.errors[name].check for name in ("after", "uncompensated"))
-    assert after.value - bare.value < after.u
+    assert bool(closure.no_gain) == (after.value > bare.value)
 
 
 @pytest.mark.campaign

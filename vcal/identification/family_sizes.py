@@ -6,7 +6,7 @@ data would absorb an effect.
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import equinox as eqx
 import numpy as np
@@ -82,6 +82,13 @@ def learned_sizes(fit: Fit, group: Callable[[str], str] = _own_name) -> dict[str
     else:
         raise RuntimeError(f"sizes of the family: no convergence after {_ROUNDS} iterations")
     return {name: float(factors[groups[its][0]]) for name, its in names.items()}
+
+
+def log_prior_of_factors(factors: Iterable[float]) -> float:
+    """Log prior density of factors, one of each group, relative to that of factors of one:
+    -sum of (ln f)^2 / (2 s^2), with s = ln 3.
+    """
+    return -sum((math.log(f) / float(_WIDE)) ** 2 / 2.0 for f in factors)
 
 
 def _factor(n: int, square: float) -> float:

@@ -290,6 +290,8 @@ class TableInstrument(Instrument):
     """Whether it can measure machines with rotary axes."""
     parallel: ClassVar[bool] = False
     """Whether it can measure machines with secondary linear axes U, V, W, such as a quill."""
+    arms: ClassVar[bool] = False
+    """Whether it measures arms, whose joint positions are in columns of its own."""
     positioned: ClassVar[bool] = False
     """Whether the axis positions are in columns of its own; otherwise the table has ``x_mm``, ...
     for every linear axis, which `columns` does not list.

@@ -148,6 +148,7 @@ class PoseProbe(TableInstrument):
     """
 
     kind = "pose_probe"
+    arms = True
     remembers = True
     Settings = PoseProbeSettings
 

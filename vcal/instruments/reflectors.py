@@ -174,6 +174,7 @@ class Reflectors(TableInstrument):
     """
 
     kind = "reflectors"
+    arms = True
     remembers = True
     Settings = ReflectorsSettings
 

@@ -67,7 +67,7 @@ def run_table(
     plain, full = columns_of(settings, kind, chain.axes)
     reading_names = {c.name for c in full} - {c.name for c in plain}
     measured = not reading_names or any(column in reading_names for column in header)
-    _check_machine(kind, chain, plain, file, f"{key}instrument.kind")
+    _check_machine(kind, chain, file, f"{key}instrument.kind")
     places = [] if kind.positioned else _positions(chain, plain)
     columns = [*places, *(full if measured else plain)]
     if not measured:
@@ -153,15 +153,12 @@ def _positions(chain: Chain, own: Sequence[Column]) -> list[Column]:
     return [Column(name=name, low=-1e6, high=1e6) for name in places if name not in names]
 
 
-def _check_machine(
-    kind: type[TableInstrument], chain: Chain, own: Sequence[Column], file: str, key: str
-) -> None:
+def _check_machine(kind: type[TableInstrument], chain: Chain, file: str, key: str) -> None:
     """Raise `StudyError` where the instrument does not fit the machine.
 
-    An instrument with joint angles needs an arm, any other one the axes X, Y and Z.
+    An instrument that measures arms needs an arm, any other one the axes X, Y and Z.
     """
-    joints = any(_JOINT_COLUMN.fullmatch(column.name) for column in own)
-    if joints:
+    if kind.arms:
         fits = not _is_tool(chain)
         expected = "an arm of [[machine.joint]] rows"
     else:

@@ -33,7 +33,7 @@ _LOG_ODDS = -_SURPLUS - math.log(np.exp(-_SURPLUS).sum())
 
 _LEAST_INFORMATION = 1e-9
 """Least information, in units of that of the prior, for an amplitude to have an estimated size."""
-_ROUNDING = 1e-8
+_ROUNDING = 1e-22
 """Least share of its information that the other parameters must leave of a direction."""
 _MOST_COST = math.log(20.0)
 """Most log odds that a size beyond its prior may cost a rival."""
@@ -127,22 +127,36 @@ def _seen(
     fit: Fit, entries: slice | np.ndarray, noise_scale: float, k: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Information and scores of some entries of theta, the others of the first k eliminated."""
-    jacobian = fit.jacobian[:, :k]
-    h = jacobian.T @ jacobian / noise_scale**2 + np.diag(fit.within_scans[:k])
     mine = np.arange(k)[entries]
     others = np.setdiff1d(np.arange(k), mine)
-    across = h[np.ix_(others, mine)]
-    precision = h[np.ix_(mine, mine)]
-    if len(others):
-        scale = 1.0 / np.sqrt(np.diag(h)[others])
-        scaled = h[np.ix_(others, others)] * scale[:, None] * scale
-        left = across * scale[:, None]
-        precision = precision - left.T @ cho_solve((np.linalg.cholesky(scaled), True), left)
+    whitened, prior = fit.jacobian[:, :k] / noise_scale, fit.within_scans[:k]
+    own = whitened[:, mine]
+    left = _eliminated(whitened[:, others], prior[others], own) if len(others) else own
+    within = np.diag(prior[mine])
+    precision = left.T @ left + within
     values, vectors = np.linalg.eigh(precision - np.diag(fit.precision[mine]))
     # What the other parameters leave of a direction may be rounding, which a wide prior would
     # multiply.
-    whole = np.einsum("ij,ij->j", vectors, (h[np.ix_(mine, mine)] @ vectors))
+    whole = ((own @ vectors) ** 2).sum(0)
     seen = values > _ROUNDING * whole
     theta = fit.theta[mine] + fit.step_at(noise_scale)[mine]
     scores = vectors.T @ (precision @ theta)
     return np.where(seen, values, 0.0), np.where(seen, scores, 0.0)
+
+
+def _eliminated(others: np.ndarray, prior: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """What parameters with these Jacobian and prior precisions leave of the columns `own`, with the
+    rows of their prior beneath: the residual of least squares.
+
+    The normal equations lose half of the digits. A second step from the residual restores them
+    (corrected seminormal equations: Bjorck, Numerical Methods for Least Squares Problems, 1996,
+    6.6.5).
+    """
+    scale = 1.0 / np.sqrt((others**2).sum(0) + prior)
+    scaled, root = others * scale, np.sqrt(prior) * scale
+    factor = np.linalg.cholesky(scaled.T @ scaled + np.diag(root**2)), True
+    left, beneath = own, np.zeros((len(prior), own.shape[1]))
+    for _ in range(2):
+        step = cho_solve(factor, scaled.T @ left + root[:, None] * beneath)
+        left, beneath = left - scaled @ step, beneath - root[:, None] * step
+    return np.concatenate([left, beneath])

@@ -61,8 +61,8 @@ class Search(ForwardSelection):
 
     def with_fitting_sizes(self, state: State) -> tuple[State, Misdeclared | None]:
         """The state from which the search starts: with the declared sizes, or with those that the
-        readings show where the declared ones do not fit and these are more probable than the most
-        probable effect that may be missing. Also what does not fit then.
+        readings show where the declared ones do not fit and these are clearly more probable than
+        the most probable effect that may be missing. Also what does not fit then.
         """
         test = tested_sizes(state.scored, state.model)
         found = sizes_that_fit(state, state.model, test, self.room) if test.misfit else None
@@ -82,7 +82,7 @@ class Search(ForwardSelection):
             ),
             default=-math.inf,
         )
-        if gain <= max(best, LIKELIER):
+        if gain <= max(best, 0.0) + LIKELIER:
             return state, None
         try:
             wide = fitted(model, state.fit.measurement, None, self.room)

@@ -6,7 +6,12 @@ import numpy as np
 
 from ...effects.geometric import GeometricErrors
 from ...identification.declared_sizes import DeclaredSizes, declared_sizes
-from ...identification.family_sizes import declared_kind, learned_sizes, with_sizes
+from ...identification.family_sizes import (
+    declared_kind,
+    learned_sizes,
+    log_prior_of_factors,
+    with_sizes,
+)
 from ...identification.fit import Fit
 from ...identification.identify import identify
 from ...model.forward import Model
@@ -27,7 +32,8 @@ def sizes_that_fit(
     state: State, declared: Model, test: DeclaredSizes, room: int
 ) -> tuple[Model, dict[str, float], float] | None:
     """The model with the sizes that the readings show, their factors by kind, and its gain in log
-    evidence; None without a declared family, or where the estimate fails.
+    evidence, with the prior of the factors; None without a declared family, or where the estimate
+    fails.
 
     All errors of one declared size share a factor, so that an effect which is missing from one axis
     does not pass for a wrong declaration.
@@ -49,10 +55,12 @@ def sizes_that_fit(
         if not (wide.converged and wide.determined):
             return None
         noise = math.sqrt(max(1.0, wide.chi2 / wide.dof))
+        factors = {declared_kind(name): factor for name, factor in by_name.items()}
+        # A declaration that is wrong by a factor of thirty is less likely than one by three.
         gain = wide.log_evidence(noise) - fit.log_evidence(noise)
+        gain += log_prior_of_factors(factors.values())
     except (RuntimeError, np.linalg.LinAlgError):
         return None
-    factors = {declared_kind(name): factor for name, factor in by_name.items()}
     return model, factors, gain
 
 

@@ -163,10 +163,14 @@ def _left(base: Fit, of: Rival, by: Rival) -> float:
 def same_for_these_data(base: Fit, a: Rival, b: Rival) -> bool:
     """Whether the data cannot distinguish two rivals: they have as many parameters, fit alike, and
     either describes what the other one is fitted to.
+
+    Fewer parameters make a rival more probable by the width of the priors. Where the readings
+    require a size far beyond its prior (`Rival.size_allowance`), that width is unknown, and the
+    number of parameters does not count.
     """
     # A constant part of a free reference value that the model takes up anyway does not count.
     counts = {len(with_known_reference(r.effect).parameters) for r in (a, b)}
-    if len(counts) > 1:
+    if len(counts) > 1 and max(a.size_allowance, b.size_allowance) == 0.0:
         return False
     noise = max(1.0, min(a.fit.chi2 / a.fit.dof, b.fit.chi2 / b.fit.dof))
     return (
