@@ -35,10 +35,11 @@ from vcal.loop.screening.candidates import Untestable
 from vcal.loop.screening.score_test import Peak
 from vcal.loop.screening.screening import KindResult, Screening
 from vcal.machine.plan import Plan, joined
+from vcal.plots.labels import column_label
 from vcal.plots.loop_search import search
 from vcal.plots.residuals import _means as means
 from vcal.plots.residuals import before_after, unexplained_views
-from vcal.plots.style import AFTER, BEFORE, DOTS, column_label, figure, grid, ticks_apart
+from vcal.plots.style import AFTER, BEFORE, DOTS, figure, grid, ticks_apart
 from vcal.plots.views import View, effect_view, residual_without
 from vcal.registry import unchanged
 from vcal.report import check_folder, effects_csv, formats, record, write_report

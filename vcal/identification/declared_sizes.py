@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ..machine.parameters import Parameter
 from .fit import Fit
@@ -94,5 +94,5 @@ def declared_sizes(fit: Fit, places: Sequence[int], noise: float = 1.0) -> Decla
         for key, p in [fit.entries[k]]
     )
     return DeclaredSizes(
-        statistic, count, float(chi2.sf(statistic, count)) if count else 1.0, largest
+        statistic, count, float(chdtrc(count, statistic)) if count else 1.0, largest
     )

@@ -1,44 +1,7 @@
 """Pictures of the results: functions that return a matplotlib figure."""
 
-from .changing import changing_sizes
-from .effect_signature import Signature, signature, signatures
-from .loop_search import minus_log10_p, search
-from .motions import error_motions
-from .residuals import before_after, normal_plot, unexplained, unexplained_views
-from .style import png, pretty_unit
-from .views import View, column_of, effect_view, place_of, values_of
-from .volumetric_errors import (
-    Field,
-    check_errors,
-    check_points,
-    error_field,
-    error_over_time,
-    field,
-)
+from lazy_loader import attach_stub
 
-__all__ = [
-    "Field",
-    "Signature",
-    "View",
-    "before_after",
-    "changing_sizes",
-    "check_errors",
-    "check_points",
-    "column_of",
-    "effect_view",
-    "error_field",
-    "error_motions",
-    "error_over_time",
-    "field",
-    "minus_log10_p",
-    "normal_plot",
-    "place_of",
-    "png",
-    "pretty_unit",
-    "search",
-    "signature",
-    "signatures",
-    "unexplained",
-    "unexplained_views",
-    "values_of",
-]
+# Named in `__init__.pyi`, and imported where it is used: pictures need matplotlib, which takes as
+# long to import as a small command takes to run.
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

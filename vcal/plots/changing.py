@@ -12,7 +12,8 @@ from ..instruments.conditions import in_file
 from ..loop.empirical import Changing
 from ..loop.residuals.dependence import bins
 from ..loop.weighing.rivals import Rival
-from .style import AFTER, BEFORE, INK, column_label, figure, grid, pretty_unit, titled
+from .labels import column_label, pretty_unit
+from .style import AFTER, BEFORE, INK, figure, grid, titled
 from .views import column_of
 
 _SEEN = 1e-6

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from .style import AFTER, BEFORE, DOTS, INK, NOMINAL, figure, grid, plain, pretty_unit, titled
+from .labels import pretty_unit
+from .style import AFTER, BEFORE, DOTS, INK, NOMINAL, figure, grid, plain, titled
 from .work_space import work_space
 
 

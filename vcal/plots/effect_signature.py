@@ -10,7 +10,8 @@ from ..effects.base import Effect, Setup
 from ..machine.plan import Plan
 from ..machine.ports import PortLayout
 from ..model.forward import tool_points_with_jacobian
-from .style import AFTER, FIELD, column_label, figure, grid, plain, pretty_unit, titled
+from .labels import column_label, pretty_unit
+from .style import AFTER, FIELD, figure, grid, plain, titled
 from .views import column_of, described, values_of
 
 _MARGINS = {"left": 0.8, "right": 1.1, "top": 0.45, "bottom": 0.6, "wspace": 1.7, "hspace": 0.95}

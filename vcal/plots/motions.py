@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..geometry.error_motions import ErrorMotionTable
-from .style import AFTER, DOTS, INK, figure, grid, pretty_unit, ticks_apart, titled
+from .labels import pretty_unit
+from .style import AFTER, DOTS, INK, figure, grid, ticks_apart, titled
 
 
 def error_motions(tables: Sequence[ErrorMotionTable]) -> Figure:

@@ -15,6 +15,7 @@ from ..loop.outcome.unexplained import Unexplained, way
 from ..loop.residuals.dependence import bins, displacements
 from ..words import three_digits
 from .changing import changing
+from .labels import column_label
 from .style import (
     AFTER,
     BEFORE,
@@ -23,7 +24,6 @@ from .style import (
     INK,
     MARK,
     TONE,
-    column_label,
     figure,
     grid,
     limit,

@@ -12,7 +12,7 @@ from ..instruments.conditions import file_column, in_file
 from ..loop.outcome.unexplained import way
 from ..loop.residuals.dependence import bins, displacements
 from ..machine.plan import Plan
-from .style import column_label, pretty_unit
+from .labels import column_label, pretty_unit
 
 _CLEAR = 0.5
 """Least share of an effect's pattern that a covariate must describe to be the abscissa."""

@@ -1,34 +1,7 @@
 """Reports: a folder per command with page, pictures, record and writer, and the output formats."""
 
-from .formats import FORMATS, Format, Results
-from .formats.compensation_csv import compensation_csv
-from .formats.effects_csv import effects_csv
-from .html.picture import Picture
-from .html.sheet import Badge, Section, Table, Tile, sheet
-from .loop.record import SCHEMA, record
-from .loop.write import check_folder, write_report
-from .uncertainty.record import UNCERTAINTY_SCHEMA, sentence
-from .uncertainty.write import DRAWS, check_uncertainty_folder, write_uncertainty
+from lazy_loader import attach_stub
 
-__all__ = [
-    "DRAWS",
-    "FORMATS",
-    "SCHEMA",
-    "UNCERTAINTY_SCHEMA",
-    "Badge",
-    "Format",
-    "Picture",
-    "Results",
-    "Section",
-    "Table",
-    "Tile",
-    "check_folder",
-    "check_uncertainty_folder",
-    "compensation_csv",
-    "effects_csv",
-    "record",
-    "sentence",
-    "sheet",
-    "write_report",
-    "write_uncertainty",
-]
+# Named in `__init__.pyi`, and imported where it is used: pictures need matplotlib, which takes as
+# long to import as a small command takes to run.
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

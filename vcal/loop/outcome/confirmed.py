@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import f as f_distribution
-from scipy.stats import t as t_distribution
+from scipy.special import fdtrc, stdtrit
 
 from ...instruments.recorded import response_column
 from .closure import Closure, FoundEffect
@@ -112,11 +111,11 @@ def _related(
     ratio = (share / used) / max((1.0 - share) / dof, 1e-300)
     variance = after / (n - columns.shape[1]) * (1.0 + r1) / (1.0 - r1)
     covariance = np.linalg.inv((columns / scale).T @ (columns / scale)) * variance
-    k = float(t_distribution.ppf(0.5 * (1.0 + _LEVEL), dof))
+    k = float(stdtrit(dof, 0.5 * (1.0 + _LEVEL)))
     own, expanded = np.full(2, math.nan), np.full(2, math.nan)
     own[kept] = (coefficients / scale)[2:]
     expanded[kept] = k * np.sqrt(np.diag(covariance))[2:] / scale[2:]
     return (
         float(own[0]), float(expanded[0]), float(own[1]), float(expanded[1]), share,
-        float(f_distribution.sf(ratio, used, dof)),
+        float(fdtrc(used, dof, ratio)),
     )  # fmt: skip

@@ -3,8 +3,7 @@
 import math
 import re
 
-from ...plots import pretty_unit
-from ...plots.style import SUPERSCRIPTS
+from ...plots.labels import SUPERSCRIPTS, pretty_unit
 
 DASH = "–"
 COVERAGE = 2.0
