@@ -25,7 +25,7 @@ from ..machine.plan import Plan
 from ..model.measurement import Measurement, rows_in_words
 from ..report.html.text import COVERAGE, probability, with_uncertainty
 from ..report.loop.derived import FEW, Listed, declared, in_short, missing_columns, parameters
-from ..study import Study, read_header
+from ..study import Study
 from ..study.declared_effects import choices
 from ..study.messages import shown
 from ..study.study import DataSet, looked_for
@@ -189,7 +189,7 @@ def _aliased(effects: Iterable[Effect], plan: Plan) -> list[tuple[str, str]]:
 def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
     """Instrument and table of a data set, with its name where a study has several."""
     rows, of = one.plan.rows, f" of {one.name}" if one.name else ""
-    header = read_header(study.folder / one.file)
+    header = one.table.header
     return [
         (f"instrument{of}", one.settings.kind),
         (
@@ -199,12 +199,24 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
             else f"{counted(rows, 'row')} without readings: a plan",
         ),
         *_blank(one, of),
+        *_read_as(one, of),
         (f"columns{of}", ", ".join(column for column in header if column in one.table)),
         *_ignored(one, header, of),
         *_constant(one.plan, header, of),
         *_covered(one, of),
         *_together(one, header, of),
     ]
+
+
+def _read_as(one: DataSet, of: str) -> list[tuple[str, str]]:
+    """What kind of file the table is, and the columns that are converted or renamed."""
+    rows = [(f"file{of}", f"{one.file}: {one.table.kind}")]
+    rows += [(f"read{of}", each.words) for each in one.table.changed]
+    if one.table.unused:
+        rows.append(
+            (f"not used{of}", f"{', '.join(one.table.unused)}: [data.columns] names another column")
+        )
+    return rows
 
 
 def _blank(one: DataSet, of: str) -> list[tuple[str, str]]:

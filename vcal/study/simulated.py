@@ -17,7 +17,7 @@ from ..effects.base import Effect, Setup
 from ..errors import StudyError
 from ..instruments.conditions import file_name, inside_name, linear_plan, linear_plan_table
 from ..model.simulate import Simulated, scattered, simulate
-from .csv_table import Table, read_header, write_table
+from .csv_table import Table, write_table
 from .declared_effects import Catalogue, beside, declared_effects, unknown_effect
 from .folder import made_whole, require_empty
 from .messages import refusal, shown
@@ -286,7 +286,7 @@ def _conditions(study: Study, one: DataSet) -> set[str]:
         {c.name for c in one.instrument.columns(one.settings, axes, readings=readings)}
         for readings in (False, True)
     )
-    header = set(read_header(study.folder / one.file)) - (full - plain)
+    header = {*one.table.header} - (full - plain)
     return {file_name(inside_name(column, axes), axes) for column in header}
 
 

@@ -63,12 +63,12 @@ def run_table(
     the instrument or the machine, and as `Folder.table` does.
     """
     kind = instrument_class(settings, folder)
-    header = folder.header(name)
     plain, full = columns_of(settings, kind, chain.axes)
+    places = [] if kind.positioned else _positions(chain, plain)
+    header = folder.header(name, [*places, *full], _condition, kind.labels)
     reading_names = {c.name for c in full} - {c.name for c in plain}
     measured = not reading_names or any(column in reading_names for column in header)
     _check_machine(kind, chain, file, f"{key}instrument.kind")
-    places = [] if kind.positioned else _positions(chain, plain)
     columns = [*places, *(full if measured else plain)]
     if not measured:
         known = {*kind.labels, *(c.name for c in columns)}
