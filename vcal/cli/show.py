@@ -26,8 +26,10 @@ from ..model.measurement import Measurement, rows_in_words
 from ..report.html.text import COVERAGE, probability, with_uncertainty
 from ..report.loop.derived import FEW, Listed, declared, in_short, missing_columns, parameters
 from ..study import Study
+from ..study.csv_table import Table as CsvTable
 from ..study.declared_effects import choices
 from ..study.messages import shown
+from ..study.reading.text import PLAIN
 from ..study.study import DataSet, looked_for
 from ..words import counted, plural, printable, three_digits
 
@@ -135,6 +137,12 @@ def show_study(study: Study) -> None:
         *(line for one in study.sets for line in _data_set(study, one)),
         *(("times", words) for words in backwards(plan)),
         ("check points", str(study.check.plan.rows) if study.check else "none"),
+        *(
+            row
+            for name, table in study.tables.items()
+            if name not in study.files.values()
+            for row in _read_as(name, table, f" of {name}")
+        ),
         *_lacking(study, [*study.model.effects, *found]),
         (
             "declared",
@@ -199,7 +207,7 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
             else f"{counted(rows, 'row')} without readings: a plan",
         ),
         *_blank(one, of),
-        *_read_as(one, of),
+        *_read_as(one.file, one.table, of),
         (f"columns{of}", ", ".join(column for column in header if column in one.table)),
         *_ignored(one, header, of),
         *_constant(one.plan, header, of),
@@ -208,13 +216,14 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
     ]
 
 
-def _read_as(one: DataSet, of: str) -> list[tuple[str, str]]:
-    """What kind of file the table is, and the columns that are converted or renamed."""
-    rows = [(f"file{of}", f"{one.file}: {one.table.kind}")]
-    rows += [(f"read{of}", each.words) for each in one.table.changed]
-    if one.table.unused:
+def _read_as(name: str, table: CsvTable, of: str) -> list[tuple[str, str]]:
+    """What kind of file a table is, and the columns that are converted or renamed."""
+    rows = [(f"read{of}", each.words) for each in table.changed]
+    if rows or table.kind != PLAIN:
+        rows.insert(0, (f"file{of}", f"{name}: {table.kind}"))
+    if table.unused:
         rows.append(
-            (f"not used{of}", f"{', '.join(one.table.unused)}: [data.columns] names another column")
+            (f"not used{of}", f"{', '.join(table.unused)}: the mapping names another column")
         )
     return rows
 

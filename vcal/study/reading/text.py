@@ -12,6 +12,8 @@ from .grid import Cells, Grid, grid_of_rows, number, unreadable
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 """Separators of cells that are found without being declared, with their names."""
+PLAIN = "text in UTF-8, separated by commas"
+"""A file as vcal writes it itself."""
 _NAMES = {**SEPARATORS, " ": "blanks", "|": "vertical bars", "fixed": "fixed widths"}
 _SEP = re.compile(r'"?sep=.."?|"?sep=."?', re.IGNORECASE)
 _FAST = 1_000_000
