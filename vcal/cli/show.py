@@ -16,6 +16,7 @@ from ..effects.reference import with_known_reference
 from ..instruments.conditions import file_name, inside_name
 from ..loop.outcome.closure import Closure, Errors
 from ..loop.residuals.confounded import confounding
+from ..loop.residuals.implausible import implausible
 from ..loop.residuals.times import backwards
 from ..loop.screening.candidates import candidates
 from ..loop.screening.unconverted import not_shown
@@ -136,6 +137,15 @@ def show_study(study: Study) -> None:
         ("machine", f"{chain.text}; {travels}" if travels and not chain.arm else chain.text),
         *(line for one in study.sets for line in _data_set(study, one)),
         *(("times", words) for words in backwards(plan)),
+        *(
+            ("implausible", words)
+            for words in implausible(
+                chain,
+                plan,
+                study.instrument,
+                None if study.measurement is None else study.measurement.readings,
+            )
+        ),
         ("check points", str(study.check.plan.rows) if study.check else "none"),
         *(
             row

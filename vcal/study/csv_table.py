@@ -18,6 +18,7 @@ from .reading.grid import Cells, Grid, marks_of
 from .reading.parquet import read_parquet
 from .reading.text import SEPARATORS, read_text
 from .reading.times import Clock
+from .reading.units import DMS, known, unit_of_kind
 from .reading.workbook import read_workbook
 
 __all__ = ["SEPARATORS", "Table", "load_grid", "read_header", "read_table", "write_table"]
@@ -27,6 +28,8 @@ _MOST_WHOLE, _MOST = 1e9, 1e15
 _DIGITS, _WHOLE_DIGITS = 10, 15
 """Least number of digits to write, and the number that every decimal number keeps in float64."""
 _OF_A_STEP = 1e-7
+_MOST_UNITS = 5
+"""Most units that a message lists."""
 _WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of XLSX and ODS, and of XLS, whatever the name of the file."""
 
@@ -352,8 +355,28 @@ def _checked(
             to = f" {one.to.name}" if one.to is not None else ""
             found = f"{cell}{unit} in {one.source!r}, that is {values[row]:.10g}{to}"
             do = "correct the value, or the unit of the column"
+        elif units := _within(column, one, values[~blank]):
+            do += (
+                f"; or, if the column is in {' or '.join(units)}, say so in its name, or with unit "
+                f'= "{units[0]}" in [data.columns]'
+            )
         raise table.refusal(row, column.name, found, expected, do)
     return values
+
+
+def _within(column: Column, one: Assigned, values: np.ndarray) -> list[str]:
+    """Units in which all numbers of a column would be within its range; none of them in its own."""
+    if one.to is None or not math.isfinite(column.low) or not math.isfinite(column.high):
+        return []
+    units = (unit_of_kind(name, one.to.kind) for name in known(one.to.kind))
+    found = []
+    for unit in units:
+        if unit is None or unit in (one.to, DMS):
+            continue
+        other = unit.converted(values, one.to)
+        if (other >= column.low).all() and (other <= column.high).all():
+            found.append(unit.name)
+    return found[:_MOST_UNITS]
 
 
 def _range(column: Column) -> str:

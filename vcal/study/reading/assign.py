@@ -55,6 +55,8 @@ class Assigned:
     """Format of a time; empty for a number."""
     declared: bool = False
     """Whether the mapping names it."""
+    in_unit: bool = False
+    """Whether the mapping declares the unit."""
     zero: str = field(default="", compare=False)
     """The instant that is zero, of a time."""
 
@@ -177,7 +179,17 @@ def _mapped(grid: Grid, name: str, one: ColumnSettings, place: Place) -> Assigne
             name, places, source, format=_iso(grid, name, places, kind), offset=one.offset,
             declared=True,
         )  # fmt: skip
-    return Assigned(name, places, source, unit, to, one.sign, one.offset, declared=True)
+    return Assigned(
+        name,
+        places,
+        source,
+        unit,
+        to,
+        one.sign,
+        one.offset,
+        declared=True,
+        in_unit=one.unit is not None,
+    )
 
 
 def _place(grid: Grid, name: str, source: str | int, place: Place) -> int:

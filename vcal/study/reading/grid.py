@@ -50,7 +50,7 @@ class Cells:
             return np.asarray(self._values, float)
         texts = self.texts
         try:
-            if not any("_" in cell for cell in texts):
+            if "_" not in "".join(texts):
                 return np.fromiter(map(float, texts), float, len(texts))
         except ValueError:
             pass
@@ -123,11 +123,11 @@ def grid_of_rows(
     if rows and form.header_row != 0 and _are_units(rows[0][1]):
         units = tuple(cell.strip() for cell in rows[0][1])
         del rows[0]
-    texts = [row for _, row in rows]
-    texts, decimal = _with_points(name, [line for line, _ in rows], texts, header, form, mark)
-    columns = [Cells([row[i] for row in texts]) for i in range(len(header))]
-    kind += decimal + (", units row" if units else "")
-    return Grid(name, kind, header, columns, [line for line, _ in rows], units, form)
+    lines = [line for line, _ in rows]
+    columns = [*zip(*(row for _, row in rows), strict=True)] or [()] * len(header)
+    columns, marks = _with_points(name, lines, columns, header, form, mark)
+    kind += marks + (", units row" if units else "")
+    return Grid(name, kind, header, [Cells(texts) for texts in columns], lines, units, form)
 
 
 def _check_header(
@@ -201,6 +201,8 @@ def _check_lengths(
     mark: str,
     form: TableFormat,
 ) -> None:
+    if {len(row) for _, row in rows} <= {len(header)}:
+        return
     for count, (line, row) in enumerate(rows, start=1):
         if len(row) == len(header):
             continue
@@ -233,49 +235,57 @@ def _are_units(cells: Sequence[str]) -> bool:
 def _with_points(
     name: str,
     lines: Sequence[int],
-    rows: list[list[str]],
+    columns: Sequence[Sequence[str]],
     header: Sequence[str],
     form: TableFormat,
     mark: str,
-) -> tuple[list[list[str]], str]:
-    """The rows with a decimal point in every number and without separators of thousands; and the
+) -> tuple[Sequence[Sequence[str]], str]:
+    """The columns with a decimal point in every number and without separators of thousands; and the
     marks in words.
     """
-    if form.decimal is not None or form.thousands is not None:
-        decimal = form.decimal or ("," if form.thousands in (".", "'", " ") else ".")
-        if form.decimal is None and form.thousands in ("'", " ", "_"):
-            decimal = "," if _commas(rows) else "."
+    decimal, thousands = form.decimal, form.thousands
+    if decimal is not None or thousands is not None:
+        if decimal is None:
+            decimal = "," if thousands == "." or (thousands != "," and _commas(columns)) else "."
         words = f", decimal {'comma' if decimal == ',' else 'point'}"
-        if form.thousands is not None:
-            words += f", thousands separated by {form.thousands!r}"
-        return [[_declared(c, decimal, form.thousands) for c in row] for row in rows], words
-    rows = [[cell if cell.isascii() else _ascii(cell) for cell in row] for row in rows]
-    points = any("." in c and math.isfinite(number(c)) for row in rows for c in row)
-    commas = [c.strip() for row in rows for c in row if "," in c and _COMMA.fullmatch(c.strip())]
-    if points or not commas or mark == "commas":
-        return rows, ""
-    unclear = [cell for cell in commas if _AMBIGUOUS.fullmatch(cell)]
-    if len(unclear) == len(commas) >= _FEWEST_AMBIGUOUS:
-        row, place = next(
-            (i, k) for i, r in enumerate(rows) for k, c in enumerate(r) if c.strip() == unclear[0]
-        )
+        words += f", thousands separated by {thousands!r}" if thousands is not None else ""
+        return [[_declared(cell, decimal, thousands) for cell in c] for c in columns], words
+    columns = [c if "".join(c).isascii() else [_ascii(cell) for cell in c] for c in columns]
+    with_commas = [k for k, c in enumerate(columns) if "," in "".join(c)]
+    if mark == "commas" or not with_commas:
+        return columns, ""
+    if any("." in cell and math.isfinite(number(cell)) for c in columns for cell in c):
+        return columns, ""
+    commas = [(k, i) for k in with_commas for i, cell in enumerate(columns[k]) if _is_comma(cell)]
+    if not commas:
+        return columns, ""
+    if len(commas) >= _FEWEST_AMBIGUOUS and all(
+        _AMBIGUOUS.fullmatch(columns[k][i].strip()) for k, i in commas
+    ):
+        k, i = commas[0]
         raise refusal(
             name,
-            f"row {row + 1} (line {lines[row]}), column {header[place] or place + 1}",
-            f"{unclear[0]!r}, and only commas before three digits in all numbers",
+            f"row {i + 1} (line {lines[i]}), column {header[k] or k + 1}",
+            f"{columns[k][i].strip()!r}, and commas only before three digits in all numbers",
             "commas that are clearly decimal commas or separators of thousands",
             'declare decimal = "," or thousands = "," in the table of the study file that names '
             "this file",
         )
-    return [[_decimal_point(cell) if "," in cell else cell for cell in r] for r in rows], (
-        ", decimal comma"
-    )
+    return [
+        [_decimal_point(cell) if "," in cell else cell for cell in c] if k in with_commas else c
+        for k, c in enumerate(columns)
+    ], ", decimal comma"
 
 
-def _commas(rows: Sequence[Sequence[str]]) -> bool:
+def _is_comma(cell: str) -> bool:
+    """Whether a cell is a number with a decimal comma, or with separators of thousands."""
+    return "," in cell and bool(_COMMA.fullmatch(cell.strip()) or _AMBIGUOUS.fullmatch(cell))
+
+
+def _commas(columns: Sequence[Sequence[str]]) -> bool:
     """Whether commas are decimal marks, in a table without decimal points."""
-    points = any("." in c and re.search(r"\d\.\d", c) for row in rows for c in row)
-    return not points and any(re.search(r"\d,\d", c) for row in rows for c in row)
+    points = any("." in c and re.search(r"\d\.\d", c) for column in columns for c in column)
+    return not points and any(re.search(r"\d,\d", c) for column in columns for c in column)
 
 
 def _ascii(cell: str) -> str:

@@ -18,7 +18,6 @@ _NAMES = {**SEPARATORS, " ": "blanks", "|": "vertical bars", "fixed": "fixed wid
 _SEP = re.compile(r'"?sep=.."?|"?sep=."?', re.IGNORECASE)
 _FAST = 1_000_000
 """Characters from which the fast path is worth its own code."""
-_PLAIN_CHARACTERS = b"0123456789+-.eE\n"
 _LIMIT = 10_000_000
 """Longest cell, so that an unclosed quotation mark does not stop at 131072 characters."""
 
@@ -206,40 +205,57 @@ def _fixed(text: str, form: TableFormat) -> Iterator[tuple[int, list[str]]]:
 
 
 def _fast(text: str, name: str, form: TableFormat, mark: str) -> Grid | None:
-    """The grid of a large table that has nothing but plain numbers below its header, in one pass of
-    numpy's parser; None for any other, which the general path reads and explains.
+    """The grid of a large table without quotation marks, read by numpy's parser in one pass for all
+    columns of numbers; None for any other, which the general path reads and explains.
     """
     if mark not in SEPARATORS or form.thousands is not None or form.header_row == 0:
         return None
     start = len(text) - len(text.lstrip("\n"))
     end = text.find("\n", start)
+    body = text[end + 1 :].strip("\n")
+    if not body.isascii() or '"' in body or "\n\n" in body or end < 0:
+        return None
     try:
-        body = text[end + 1 :].strip("\n").encode("ascii")
         (cells,) = csv.reader([text[start:end]], delimiter=mark, skipinitialspace=mark != "\t")
-    except (UnicodeEncodeError, ValueError, csv.Error):
+    except (ValueError, csv.Error):
         return None
-    allowed, kind = _PLAIN_CHARACTERS + mark.encode(), ""
-    comma = mark != "," and b"," in body
-    if comma:
-        if b"." in body or form.decimal == ".":
-            return None
+    header, kind = tuple(" ".join(cell.split()) for cell in cells), ""
+    if mark != "," and "," in body:
         # Commas before three digits only may separate thousands; the general path decides.
-        if form.decimal is None and not re.search(rb",\d{1,2}(?!\d)|,\d{4}", body):
+        clear = form.decimal or re.search(r"\d,\d{1,2}(?!\d)|\d,\d{4}|(?<!\d)0,\d", body)
+        if "." in body or form.decimal == "." or not clear:
             return None
-        body, kind = body.replace(b",", b"."), ", decimal comma"
-    elif form.decimal == "," and b"." in body:
+        body, kind = body.replace(",", "."), ", decimal comma"
+    elif form.decimal == "," and "." in body:
         return None
-    if body.translate(None, allowed) or b"\n\n" in body:
+    codes = np.frombuffer(body.encode("ascii"), np.uint8)
+    ends = np.flatnonzero(codes == ord("\n"))
+    starts, ends = np.r_[0, ends + 1], np.r_[ends, len(codes)]
+    marks = np.flatnonzero(codes == ord(mark))
+    if len(header) < 2 or len(marks) != len(starts) * (len(header) - 1):
         return None
-    rows = body.count(b"\n") + 1
+    marks = marks.reshape(len(starts), -1)
+    if (marks[:, 0] < starts).any() or (marks[:, -1] >= ends).any() or len({*header}) < len(header):
+        return None
+    first = body[: ends[0]].split(mark)
+    numeric = [i for i, cell in enumerate(first) if np.isfinite(number(cell))]
+    if not numeric or any(np.isfinite(number(cell)) for cell in header):
+        return None
+    columns: dict[int, Cells] = {}
     try:
-        values = np.loadtxt(io.BytesIO(body), delimiter=mark, ndmin=2, comments=None)
+        values = _parsed(body, mark, numeric, float)
+        columns |= {i: Cells(values=values[:, k]) for k, i in enumerate(numeric)}
+        for i in {*range(len(header))} - {*numeric}:
+            columns[i] = Cells(_parsed(body, mark, [i], str)[:, 0].tolist())
     except ValueError:
         return None
-    header = tuple(" ".join(cell.split()) for cell in cells)
-    wrong = values.shape != (rows, len(header)) or len({*header}) < len(header)
-    if wrong or any(np.isfinite(number(cell)) for cell in header):
-        return None
     line = text.count("\n", 0, end) + 2
-    columns = [Cells(values=values[:, i]) for i in range(len(header))]
-    return Grid(name, kind, header, columns, range(line, line + rows), form=form)
+    lines = range(line, line + len(starts))
+    return Grid(name, kind, header, [columns[i] for i in range(len(header))], lines, form=form)
+
+
+def _parsed(body: str, mark: str, columns: list[int], kind: type) -> np.ndarray:
+    """Columns of a text as numbers or texts (n, k)."""
+    return np.loadtxt(
+        io.StringIO(body), dtype=kind, delimiter=mark, usecols=columns, ndmin=2, comments=None
+    )

@@ -105,7 +105,8 @@ def _rows(cells: list[list[Any]], form: TableFormat) -> list[tuple[int, list[str
             continue
         rows.append((i, texts))
     used = [max(k for k, text in enumerate(row, start=1) if text.strip()) for _, row in rows]
-    return [(i, (row + [""] * max(used))[: max(used)]) for i, row in rows]
+    width = max(used, default=0)
+    return [(i, (row + [""] * width)[:width]) for i, row in rows]
 
 
 def _text(cell: Any) -> str:
