@@ -14,7 +14,7 @@ from ..registry import closest
 from .messages import listed, refusal
 from .reading.assign import Assigned, Place, assign, cells_of, expected_cell, values_of
 from .reading.formats import DEFAULT, TableFormat
-from .reading.grid import Cells, Grid, marks_of
+from .reading.grid import NO_NUMBER, Cells, Grid, marks_of
 from .reading.parquet import read_parquet
 from .reading.text import SEPARATORS, read_text
 from .reading.times import Clock
@@ -225,7 +225,7 @@ def table_of(
             known.append(one)
             continue
         if name in labels:
-            table[name] = np.array([cell.strip() for cell in cells.texts])
+            table[name] = np.array([cell.strip().removesuffix(NO_NUMBER) for cell in cells.texts])
             known.append(one)
             continue
         column = asked.get(name) or optional(name)
@@ -339,13 +339,13 @@ def _checked(
         expected = f"{expected}, no more than {most:g} in size"
     if bad.any():
         row = int(np.argmax(bad & ~blank))
-        cell = cells.text(row).strip()
+        cell = cells.text(row).strip().removesuffix(NO_NUMBER)
         found, do = cell, "correct the value"
         if not math.isfinite(values[row]):
             # A reading or condition that was not recorded cannot be corrected.
             remove = "remove the row" if needed else "remove the row, or the column"
             do = f"{'correct the value' if cell else 'fill it in'}, or {remove}"
-            marks = marks_of(cell, form)
+            marks = marks_of(cells.text(row), form)
             do += f"; {marks}" if marks else ""
             found = repr(cell) if cell else "an empty cell"
             expected = expected_cell(one) or expected

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...errors import StudyError
 from ...instruments.base import Column
 from ...registry import nearest
 from ..messages import listed, refusal
@@ -167,6 +168,8 @@ def _mapped(grid: Grid, name: str, one: ColumnSettings, place: Place) -> Assigne
     if text is None and len(places) == 1:
         text = grid.unit(places[0]) or split_unit(grid.names[places[0]])[1] or None
         if to is None or (text is not None and unit_of_kind(text, to.kind) is None):
+            if to is not None and grid.unit(places[0]):
+                raise _unlike(grid, name, source, text or "", to)
             text = None
     unit = to
     if text is not None:
@@ -281,18 +284,22 @@ def _own(grid: Grid, i: int, name: str, text: str, source: str = "") -> Assigned
         return Assigned(name, (i,), source)
     unit = unit_of_kind(text, to.kind)
     if unit is None or (source == name and unit != to):
-        raise refusal(
-            grid.name,
-            f"units row, column {source}",
-            f"the unit {text!r}"
-            + ("" if unit is not None or units_of(text) else ", which vcal does not know"),
-            f"{to.name}, as in the name of the column"
-            if source == name
-            else f"a unit of {to.kind}: {listed(known(to.kind))}",
-            f"correct one of them, or declare the unit in [data.columns]: {name} = "
-            f'{{ from = "{source}", unit = "..." }}',
-        )
+        raise _unlike(grid, name, source, text, to)
     return Assigned(name, (i,), source, unit, to)
+
+
+def _unlike(grid: Grid, name: str, source: str, text: str, to: Unit) -> StudyError:
+    """The error for a unit in the units row that is unknown, or another than in the name."""
+    return refusal(
+        grid.name,
+        f"units row, column {source}",
+        f"the unit {text!r}" + ("" if units_of(text) else ", which vcal does not know"),
+        f"{to.name}, as in the name of the column"
+        if source == name
+        else f"a unit of {to.kind}: {listed(known(to.kind))}",
+        f"correct one of them, or declare the unit in [data.columns]: {name} = "
+        f'{{ from = "{source}", unit = "..." }}',
+    )
 
 
 def _same(one: str, other: str) -> bool:

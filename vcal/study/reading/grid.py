@@ -19,6 +19,9 @@ _BLANKS = " \u00a0\u202f\u2009"
 _GROUPED = re.compile(r"[+-]?\d{1,3}([.,' \u00a0\u202f\u2009])\d{3}(\1\d{3})*([.,]\d+)?")
 _AMBIGUOUS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+NO_NUMBER = "\u200b"
+"""End of a cell that is no number for its marks, such as 1.5 where decimal commas are declared. It
+is not shown."""
 _FEWEST_AMBIGUOUS = 3
 """Least number of cells such as 1,234 that make the meaning of the comma unclear."""
 _TITLES = 40
@@ -305,7 +308,7 @@ def _declared(cell: str, decimal: str, thousands: str | None) -> str:
     found = found.translate(_MINUS)
     if decimal == ",":
         if "." in found and math.isfinite(number(found)):
-            return cell.strip() + " "  # refused as it is: a decimal point where commas are declared
+            return found + NO_NUMBER
         found = found.replace(",", ".", 1)
     return found if math.isfinite(number(found)) else cell
 
@@ -319,6 +322,8 @@ def _decimal_point(cell: str) -> str:
 def marks_of(cell: str, form: TableFormat) -> str:
     """What to do about a cell that is a number with other marks; empty for other texts."""
     cell = cell.strip()
+    if cell.endswith(NO_NUMBER):
+        return "write it with a decimal comma as declared, or correct decimal or thousands"
     if match := _GROUPED.fullmatch(cell):
         mark = match[1] if match[1] in ".,'" else " "
         if not match[3] and mark in ".,":
