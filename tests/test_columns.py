@@ -233,17 +233,19 @@ FRAME = ("u_um", "v_um")
 SPHERE = ("x_ext_mm", "y_ext_mm", "z_ext_mm")
 POINTS = tuple(f"smr{k}_{c}_mm" for k in (1, 2, 3) for c in "xyz")
 UNREAD = {
-    "another unit": ("laser_frame", FRAME, ("u_mm", "v_mm"), "u_mm", "u_um"),
-    "metres": ("laser_tracker", TRACKER, ("range_m", "", ""), "range_m", "range_mm"),
-    "degrees": ("laser_tracker", TRACKER, ("", "azimuth_deg", ""), "azimuth_deg", "azimuth_rad"),
-    "brackets": ("laser_tracker", TRACKER, ("Range [mm]", "", ""), "Range [mm]", "range_mm"),
-    "capitals": ("r_test", SPHERE, ("X_ext_mm", "", ""), "X_ext_mm", "x_ext_mm"),
     "no unit": ("static_r_test", SPHERE, ("x_ext", "", ""), "x_ext", "x_ext_mm"),
-    "micro": ("laser_frame", FRAME, ("u_µm", ""), "u_µm", "u_um"),
     "a letter": ("laser_tracker", TRACKER, ("", "azimut_rad", ""), "azimut_rad", "azimuth_rad"),
     "letters": ("laser_tracker", TRACKER, ("rnage_mm", "", ""), "rnage_mm", "range_mm"),
-    "reflectors": ("reflectors", POINTS, ("SMR1_X_mm", *8 * ("",)), "SMR1_X_mm", "smr1_x_mm"),
 }
+READ = {
+    "metres": ("laser_tracker", TRACKER, ("range_m", "", ""), "azimuth_rad"),
+    "degrees": ("laser_tracker", TRACKER, ("", "azimuth_deg", ""), "range_mm"),
+    "brackets": ("laser_tracker", TRACKER, ("Range [mm]", "", ""), "azimuth_rad"),
+    "capitals": ("r_test", SPHERE, ("X_ext_mm", "", ""), "y_ext_mm"),
+    "micro": ("laser_frame", FRAME, ("u_µm", ""), "v_um"),
+    "reflectors": ("reflectors", POINTS, ("SMR1_X_mm", *8 * ("",)), "smr1_y_mm"),
+}
+"""A reading in another unit or spelling that is read, while others are missing."""
 
 
 @pytest.mark.parametrize("case", UNREAD)
@@ -256,6 +258,26 @@ def test_readings_of_another_name_make_no_plan(tmp_path, case):
     message = str(caught.value)
     assert message.startswith(f"data.csv, header, column {column}: found no column of readings")
     assert f"a name similar to {meant}, expected" in message
+
+
+@pytest.mark.parametrize("case", READ)
+def test_a_reading_in_another_unit_makes_no_plan(tmp_path, case):
+    kind, columns, names, missing = READ[case]
+    base = {n: "" for n in read_header(STARTS / kind / "data.csv") if n.startswith("base")}
+    folder = start_with(tmp_path / kind, kind, base | dict(zip(columns, names, strict=True)))
+    with pytest.raises(StudyError) as caught:
+        load_study(folder)
+    message = str(caught.value)
+    assert message.startswith(f"data.csv, column {missing}: found no such column among")
+
+
+def test_readings_in_another_unit_are_converted(tmp_path):
+    folder = start_with(tmp_path / "made", "laser_frame", {})
+    readings = load_study(folder).measurement.readings
+    table = read_table(folder / "data.csv", [])
+    made = {f"{name[0]}_mm": 1e-3 * table.pop(name) for name in FRAME}
+    write_table(folder / "data.csv", {**table, **made})
+    np.testing.assert_allclose(load_study(folder).measurement.readings, readings, rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["r_test", "static_r_test"])

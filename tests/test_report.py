@@ -144,6 +144,7 @@ KEYS = {
     "versions": dict,
     "seconds": float,
     "input_files": dict,
+    "tables_read": list,
     "command": str,
     "notes": list,
     "interrupted": bool,

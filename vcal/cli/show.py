@@ -16,6 +16,7 @@ from ..effects.reference import with_known_reference
 from ..instruments.conditions import file_name, inside_name
 from ..loop.outcome.closure import Closure, Errors
 from ..loop.residuals.confounded import confounding
+from ..loop.residuals.implausible import implausible
 from ..loop.residuals.times import backwards
 from ..loop.screening.candidates import candidates
 from ..loop.screening.unconverted import not_shown
@@ -25,9 +26,11 @@ from ..machine.plan import Plan
 from ..model.measurement import Measurement, rows_in_words
 from ..report.html.text import COVERAGE, probability, with_uncertainty
 from ..report.loop.derived import FEW, Listed, declared, in_short, missing_columns, parameters
-from ..study import Study, read_header
+from ..study import Study
+from ..study.csv_table import Table as CsvTable
 from ..study.declared_effects import choices
 from ..study.messages import shown
+from ..study.reading.text import PLAIN
 from ..study.study import DataSet, looked_for
 from ..words import counted, plural, printable, three_digits
 
@@ -134,7 +137,22 @@ def show_study(study: Study) -> None:
         ("machine", f"{chain.text}; {travels}" if travels and not chain.arm else chain.text),
         *(line for one in study.sets for line in _data_set(study, one)),
         *(("times", words) for words in backwards(plan)),
+        *(
+            ("implausible", words)
+            for words in implausible(
+                chain,
+                plan,
+                study.instrument,
+                None if study.measurement is None else study.measurement.readings,
+            )
+        ),
         ("check points", str(study.check.plan.rows) if study.check else "none"),
+        *(
+            row
+            for name, table in study.tables.items()
+            if name not in study.files.values()
+            for row in _read_as(name, table, f" of {name}")
+        ),
         *_lacking(study, [*study.model.effects, *found]),
         (
             "declared",
@@ -189,7 +207,7 @@ def _aliased(effects: Iterable[Effect], plan: Plan) -> list[tuple[str, str]]:
 def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
     """Instrument and table of a data set, with its name where a study has several."""
     rows, of = one.plan.rows, f" of {one.name}" if one.name else ""
-    header = read_header(study.folder / one.file)
+    header = one.table.header
     return [
         (f"instrument{of}", one.settings.kind),
         (
@@ -199,12 +217,25 @@ def _data_set(study: Study, one: DataSet) -> list[tuple[str, str]]:
             else f"{counted(rows, 'row')} without readings: a plan",
         ),
         *_blank(one, of),
+        *_read_as(one.file, one.table, of),
         (f"columns{of}", ", ".join(column for column in header if column in one.table)),
         *_ignored(one, header, of),
         *_constant(one.plan, header, of),
         *_covered(one, of),
         *_together(one, header, of),
     ]
+
+
+def _read_as(name: str, table: CsvTable, of: str) -> list[tuple[str, str]]:
+    """What kind of file a table is, and the columns that are converted or renamed."""
+    rows = [(f"read{of}", each.words) for each in table.changed]
+    if rows or table.kind != PLAIN:
+        rows.insert(0, (f"file{of}", f"{name}: {table.kind}"))
+    if table.unused:
+        rows.append(
+            (f"not used{of}", f"{', '.join(table.unused)}: the mapping names another column")
+        )
+    return rows
 
 
 def _blank(one: DataSet, of: str) -> list[tuple[str, str]]:

@@ -18,7 +18,7 @@ from ..study import load_study
 from ..study.declared_effects import beside
 from ..study.folder import Folder, made_whole, require_empty
 from ..study.messages import listed
-from ..study.settings import StudySettings, validate
+from ..study.settings import StudySettings, table_formats, validate
 from ..study.study import build_chain
 from ..study.tables import run_table
 from ..study.toml_file import read_setup
@@ -50,9 +50,10 @@ def plans_in(folder: Path) -> dict[str, bool]:
     raw, given = read_setup(path)
     root = Folder(folder)
     settings = validate(raw, path.name, given, root)
+    root.formats.update(table_formats(settings, path.name))
     chain = build_chain(settings.machine, path.name, root)
     if isinstance(settings, StudySettings):
-        tables = [(settings.data.data, settings.instrument)]
+        tables = [(settings.data.table, settings.instrument)]
     else:
         tables = [(row.file, row.instrument) for row in settings.data]
     return {

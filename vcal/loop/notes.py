@@ -22,6 +22,7 @@ from .outcome.closure import Errors, FoundEffect, in_words
 from .outcome.misdeclared import Misdeclared
 from .outcome.unexplained import Unexplained
 from .residuals.confounded import confounded, unrecorded_time
+from .residuals.implausible import implausible
 from .residuals.outliers import at_an_end, too_many
 from .residuals.times import backwards
 from .residuals.vibration import Vibration
@@ -394,6 +395,12 @@ def _times(facts: Facts) -> list[str]:
     return backwards(facts.plan)
 
 
+def _implausible(facts: Facts) -> list[str]:
+    """Notes on numbers of the input that hardly any machine or instrument has."""
+    model, measurement = facts.after.model, facts.after.measurement
+    return implausible(model.chain, facts.plan, model.instrument, measurement.readings)
+
+
 def _outliers(facts: Facts) -> list[str]:
     """Notes on outliers: more than may be left out, and those that may be a displacement."""
     plan, fit, said = facts.plan, facts.state.fit, []
@@ -520,6 +527,7 @@ _NOTES = (
     _little_left,
     _blank,
     _times,
+    _implausible,
     _outliers,
     _other_shapes,
     _confounding,

@@ -1,9 +1,8 @@
-"""Tables in CSV files, checked cell by cell."""
+"""Tables of a study, checked cell by cell; CSV files with ten digits on the way out."""
 
 import csv
-import io
+import dataclasses
 import math
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
@@ -12,16 +11,27 @@ import numpy as np
 from ..errors import StudyError
 from ..instruments.base import Column
 from ..registry import closest
-from .messages import listed, refusal, shown
+from .messages import listed, refusal
+from .reading.assign import Assigned, Place, assign, cells_of, expected_cell, values_of
+from .reading.formats import DEFAULT, TableFormat
+from .reading.grid import NO_NUMBER, Cells, Grid, marks_of
+from .reading.parquet import read_parquet
+from .reading.text import SEPARATORS, read_text
+from .reading.times import Clock
+from .reading.units import DMS, known, unit_of_kind
+from .reading.workbook import read_workbook
 
-_PREAMBLE = re.compile(r'#.*|"?sep=."?', re.IGNORECASE)
-SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-"""Separators of cells with their names; the first one that occurs in the header is used."""
+__all__ = ["SEPARATORS", "Table", "load_grid", "read_header", "read_table", "write_table"]
+
 _MOST_WHOLE, _MOST = 1e9, 1e15
 """Largest size of an index, and of a quantity in a column without bounds of its own."""
 _DIGITS, _WHOLE_DIGITS = 10, 15
 """Least number of digits to write, and the number that every decimal number keeps in float64."""
 _OF_A_STEP = 1e-7
+_MOST_UNITS = 5
+"""Most units that a message lists."""
+_WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""First bytes of XLSX and ODS, and of XLS, whatever the name of the file."""
 
 
 class Table(dict[str, np.ndarray]):
@@ -36,19 +46,40 @@ class Table(dict[str, np.ndarray]):
         super().__init__()
         self.name = name
         """Name of the file in messages."""
-        self.lines = tuple(lines)
+        self.lines = lines
         """Line of the file per data row."""
-        self.numbers = tuple(numbers) or tuple(range(1, len(self.lines) + 1))
+        self.numbers = numbers if len(numbers) else range(1, len(lines) + 1)
         """Number per data row, from 1, as the file counts them."""
         self.read = frozenset(read)
         """Columns of readings, in which cells may be blank."""
         self.blank = np.zeros(len(self.lines), bool)
         """Rows with a blank reading; the cell holds the value of a neighbouring row."""
+        self.kind = ""
+        """What the file is and how it was read, in words."""
+        self.assigned: tuple[Assigned, ...] = ()
+        """What every column of the file is."""
 
     @property
     def rows(self) -> int:
         """Number of data rows."""
         return len(self.lines)
+
+    @property
+    def header(self) -> tuple[str, ...]:
+        """Names of all columns of the file, those that vcal knows by its own name for them."""
+        return tuple(one.column for one in self.assigned if one.column)
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """Columns of the file in whose place the mapping names another one."""
+        return tuple(
+            one.source for one in self.assigned if not one.column and not one.source.isdigit()
+        )
+
+    @property
+    def changed(self) -> tuple[Assigned, ...]:
+        """The columns that have another name or other values than in the file."""
+        return tuple(one for one in self.assigned if one.column in self and one.changed)
 
     @property
     def complete(self) -> "Table":
@@ -58,6 +89,7 @@ class Table(dict[str, np.ndarray]):
         rows = np.flatnonzero(~self.blank)
         lines, numbers = ([of[row] for row in rows] for of in (self.lines, self.numbers))
         found = Table(self.name, lines, numbers, tuple(self.read))
+        found.kind, found.assigned = self.kind, self.assigned
         found.update({name: values[rows] for name, values in self.items()})
         return found
 
@@ -80,10 +112,43 @@ def _nothing(name: str) -> Column | None:
     return None
 
 
+def load_grid(
+    path: Path | str, name: str | None = None, form: TableFormat = DEFAULT, sheet: str | None = None
+) -> Grid:
+    """The cells of a file: text, a spreadsheet or parquet, by its first bytes.
+
+    `name` is that of the file in messages, `sheet` one that is given beside the keys of `form`.
+    Raises `StudyError` for a file that is missing, empty or damaged.
+    """
+    path = Path(path)
+    name = name or path.name
+    if not path.is_file():
+        raise refusal(
+            name,
+            "file",
+            f"no such file in {path.parent}",
+            "a CSV table with a header line",
+            "add the file or correct its name",
+        )
+    data = path.read_bytes()
+    if data.startswith(_WORKBOOKS):
+        return read_workbook(data, name, sheet if sheet is not None else form.sheet, form)
+    if sheet is not None or form.sheet is not None:
+        raise refusal(
+            name,
+            "file",
+            f"a sheet, {sheet or form.sheet!r}, of a file that is no spreadsheet",
+            "it for an XLSX or ODS file only",
+            "remove the key sheet, or correct the name of the file",
+        )
+    if data.startswith(b"PAR1"):
+        return read_parquet(data, name, form)
+    return read_text(data, name, form)
+
+
 def read_header(path: Path | str, base_name: str | None = None) -> tuple[str, ...]:
-    """Names of the columns of a CSV file; raises `StudyError` as `read_table` does."""
-    name = base_name or Path(path).name
-    return _cells(Path(path), name)[0]
+    """Names of the columns of a file; raises `StudyError` as `read_table` does."""
+    return load_grid(path, base_name).names
 
 
 def read_table(
@@ -94,11 +159,15 @@ def read_table(
     optional: Callable[[str], Column | None] = _nothing,
     labels: Sequence[str] = (),
     readings: Collection[str] = (),
+    form: TableFormat = DEFAULT,
 ) -> Table:
-    """Columns of a CSV file with a header line, as float64 in the units of the file.
+    """Columns of a file with a header line, as float64 in the units of their names.
 
-    Cells are separated by commas. Where the header has no comma, they are separated by semicolons
-    or tabs, and numbers may have a decimal comma, as spreadsheets of many countries write them.
+    The file is text (separated by commas, semicolons or tabs, with decimal points or commas, in
+    UTF-8, UTF-16, Windows-1252 or Latin-1), a spreadsheet, or parquet; `form` says what cannot be
+    seen from it. A column in another unit than that of the name, such as ``x_in`` or ``Range [m]``,
+    or with a units row below the header, is converted; times of ISO 8601 become seconds from the
+    first one.
 
     - `columns` are required and checked against their declarations.
     - `optional` gives the declaration of a column that may be missing.
@@ -116,35 +185,69 @@ def read_table(
     or repeated, for a cell that is not a finite number, not whole where it must be, or outside its
     range, for a repeated index, and for readings that are all blank.
     """
-    path = Path(path)
-    header, lines, rows = _cells(path, base_name or path.name)
-    table = Table(base_name or path.name, lines, read=tuple(readings))
+    grid = load_grid(path, base_name, form)
+    asked = {*labels, *(column.name for column in columns)}
+    found = assign(grid, asked, optional, Place())
+    return table_of(
+        grid, found, columns, optional=optional, labels=labels, readings=readings, clock=Clock()
+    )
+
+
+def table_of(
+    grid: Grid,
+    assigned: Sequence[Assigned],
+    columns: Sequence[Column],
+    *,
+    optional: Callable[[str], Column | None],
+    labels: Sequence[str],
+    readings: Collection[str],
+    clock: Clock,
+) -> Table:
+    """The checked table of a grid whose columns are assigned; see `read_table`.
+
+    `clock` is that of all tables of a study: instants of ISO 8601 count from its zero.
+    """
+    table = Table(grid.name, grid.lines, read=tuple(readings))
+    table.kind, table.assigned = grid.kind, tuple(assigned)
+    header = table.header
     asked = {column.name: column for column in columns}
     for name in (*labels, *asked):
         if name not in header:
             # A column that has a meaning of its own is not a misspelling of this one.
             free = [c for c in header if c not in asked and c not in labels and not optional(c)]
             raise _missing(table.name, name, header, free)
-    if not rows:
+    if not grid.lines:
         raise refusal(table.name, "row 1", "no row below the header", "data", "add the rows")
-    for place, name in enumerate(header):
+    known = []
+    for one in assigned:
+        name, cells = one.column, cells_of(grid, one)
         if not name:  # separators at the ends of lines, or numbers without a meaning
+            known.append(one)
             continue
-        cells = [row[place] for row in rows]
         if name in labels:
-            table[name] = np.array([cell.strip() for cell in cells])
+            table[name] = np.array([cell.strip().removesuffix(NO_NUMBER) for cell in cells.texts])
+            known.append(one)
             continue
         column = asked.get(name) or optional(name)
+        values = values_of(cells, one, clock)
+        if one.format and clock.text:
+            one = dataclasses.replace(one, zero=clock.text)
+        known.append(one)
         if name not in asked and (column is None or column.sparse):
-            numbers = sum(math.isfinite(_number(cell)) for cell in cells)
-            if 2 * numbers <= len(cells):
+            if 2 * int(np.isfinite(values).sum()) <= len(values):
                 continue
-        blank = np.array([name in readings and _is_blank(cell) for cell in cells])
-        if blank.all():
-            raise _nothing_read(table, name)
-        table.blank |= blank
-        table[name] = _checked(table, column or Column(name=name), cells, name in asked, blank)
+        if name in readings:
+            blank = cells.blank
+            if blank.all():
+                raise _nothing_read(table, name)
+            table.blank |= blank
+        else:
+            blank = np.zeros(len(values), bool)
+        table[name] = _checked(
+            table, column or Column(name=name), cells, values, name in asked, blank, one, grid.form
+        )
         table[name].flags.writeable = False
+    table.assigned = tuple(known)
     for column in columns:
         if column.unique_with:
             _check_unique(table, column)
@@ -186,117 +289,15 @@ def _written(values: np.ndarray) -> list[str]:
     return [f"{v:.{digits}g}" for v in values]
 
 
-def _cells(path: Path, name: str) -> tuple[tuple[str, ...], list[int], list[list[str]]]:
-    """Header, line number per data row and cells per data row, each row as long as the header."""
-    if not path.is_file():
-        raise refusal(
-            name,
-            "file",
-            f"no such file in {path.parent}",
-            "a CSV table with a header line",
-            "add the file or correct its name",
-        )
-    try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            text = _without_preamble(file.read())
-        mark = _separator(text)
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark)
-        found = [(reader.line_num, row) for row in reader if any(c.strip() for c in row)]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise refusal(
-            name,
-            "file",
-            f"unreadable text ({error})",
-            "a CSV table in UTF-8",
-            "save it in UTF-8",
-        ) from error
-    if not found:
-        raise refusal(name, "file", "nothing in it", "a header line and rows", "write the table")
-    (line, cells), *rows = found
-    # In a file with decimal points, a comma would separate thousands.
-    if mark != "," and not any("." in c and math.isfinite(_number(c)) for _, r in rows for c in r):
-        rows = [(number, [_decimal_point(cell) for cell in row]) for number, row in rows]
-    header = tuple(cell.strip() for cell in cells)
-    if len(header) == 1 and re.search(r"\w[\s|:]+\w", header[0]):
-        raise refusal(
-            name,
-            f"header (line {line})",
-            f"one name, {shown(header[0])}",
-            f"several, separated by {' or '.join(SEPARATORS.values())}",
-            "save the table with one of these separators",
-        )
-    for column in header:
-        if column and header.count(column) > 1:
-            places = [str(i + 1) for i, c in enumerate(header) if c == column]
-            raise refusal(
-                name,
-                f"header (line {line}), column {column}",
-                f"it {len(places)} times (places {', '.join(places)})",
-                "every name once",
-                "rename or remove one of them",
-            )
-    for number, (line, row) in enumerate(rows, start=1):
-        if len(row) != len(header):
-            last = " (the last row: is the file cut off?)" if number == len(rows) else ""
-            raise refusal(
-                name,
-                f"row {number} (line {line}), column "
-                + (header[len(row)] if len(row) < len(header) else "after the last one"),
-                f"{len(row)} cells{last}",
-                f"{len(header)} as in the header, separated by {SEPARATORS[mark]}",
-                "complete the row or remove it"
-                + (
-                    "; numbers with decimal commas need semicolons between the columns"
-                    if mark == "," and len(row) > len(header)
-                    else ""
-                ),
-            )
-    return header, [line for line, _ in rows], [row for _, row in rows]
-
-
-def _without_preamble(text: str) -> str:
-    """The text with empty lines in place of a preamble: ``sep=;``, as spreadsheets write it, and
-    ``# comments``.
-    """
-    lines = text.splitlines(keepends=True)
-    for i, line in enumerate(lines):
-        if not (_PREAMBLE.fullmatch(line.strip()) or not line.strip()):
-            break
-        lines[i] = "\n"
-    return "".join(lines)
-
-
-def _separator(text: str) -> str:
-    """The separator of the cells: a comma, or another one of `SEPARATORS` in the header."""
-    header = next((line for line in text.splitlines() if line.strip()), "")
-    return next((mark for mark in SEPARATORS if mark in header), ",")
-
-
-def _decimal_point(cell: str) -> str:
-    """The cell with a decimal point in place of a single decimal comma, where that is a number."""
-    point = cell.replace(",", ".", 1)
-    return cell if math.isnan(_number(point)) else point
-
-
 def _missing(file: str, name: str, header: Sequence[str], free: Sequence[str]) -> StudyError:
     do = "add the column"
     if similar := closest(name, free):
         do += f"; if {similar} holds this quantity, give it the name and the unit of {name}"
+        do += f', or map it: [data.columns] {name} = {{ from = "{similar}", unit = "..." }}'
+    elif len(header) > 1:
+        do += f', or map one: [data.columns] {name} = {{ from = "...", unit = "..." }}'
     found = f"no such column among {listed(header)}"
     return refusal(file, f"column {name}", found, "a column of this name", do)
-
-
-def _number(cell: str) -> float:
-    """The number in a cell; NaN for anything else."""
-    try:
-        return math.nan if "_" in cell else float(cell)
-    except ValueError:
-        return math.nan
-
-
-def _is_blank(cell: str) -> bool:
-    """Whether a cell is empty or NaN, as spreadsheets and programs mark a missing reading."""
-    return cell.strip().lower() in ("", "nan")
 
 
 def _nothing_read(table: Table, column: str) -> StudyError:
@@ -310,16 +311,23 @@ def _nothing_read(table: Table, column: str) -> StudyError:
 
 
 def _checked(
-    table: Table, column: Column, cells: Sequence[str], needed: bool, blank: np.ndarray
+    table: Table,
+    column: Column,
+    cells: Cells,
+    values: np.ndarray,
+    needed: bool,
+    blank: np.ndarray,
+    one: Assigned,
+    form: TableFormat,
 ) -> np.ndarray:
-    values = np.array([_number(cell) for cell in cells])
     # A file with ten digits may round a value at the bound to a number just beyond it.
     slack = 1e-9 * max((abs(b) for b in (column.low, column.high) if math.isfinite(b)), default=0)
     expected = _range(column)
-    # A blank cell gets the number of the row before, or of the next one at the beginning.
-    there = np.flatnonzero(~blank)
-    before = np.searchsorted(there, np.arange(len(values)), side="right") - 1
-    values = values[there[np.maximum(before, 0)]]
+    if blank.any():
+        # A blank cell gets the number of the row before, or of the next one at the beginning.
+        there = np.flatnonzero(~blank)
+        before = np.searchsorted(there, np.arange(len(values)), side="right") - 1
+        values = values[there[np.maximum(before, 0)]]
     bad = ~np.isfinite(values)
     if not bad.any() and column.integer:
         bad = values != np.round(values)
@@ -331,14 +339,44 @@ def _checked(
         expected = f"{expected}, no more than {most:g} in size"
     if bad.any():
         row = int(np.argmax(bad & ~blank))
-        found, do = cells[row].strip(), "correct the value"
+        cell = cells.text(row).strip().removesuffix(NO_NUMBER)
+        found, do = cell, "correct the value"
         if not math.isfinite(values[row]):
             # A reading or condition that was not recorded cannot be corrected.
             remove = "remove the row" if needed else "remove the row, or the column"
-            do = f"{'correct the value' if found else 'fill it in'}, or {remove}"
-            found = repr(found) if found else "an empty cell"
+            do = f"{'correct the value' if cell else 'fill it in'}, or {remove}"
+            marks = marks_of(cells.text(row), form)
+            do += f"; {marks}" if marks else ""
+            found = repr(cell) if cell else "an empty cell"
+            expected = expected_cell(one) or expected
+        elif one.converts:
+            assert one.unit is not None or one.format
+            unit = f" {one.unit.name}" if one.unit is not None else ""
+            to = f" {one.to.name}" if one.to is not None else ""
+            found = f"{cell}{unit} in {one.source!r}, that is {values[row]:.10g}{to}"
+            do = "correct the value, or the unit of the column"
+        elif units := _within(column, one, values[~blank]):
+            do += (
+                f"; or, if the column is in {' or '.join(units)}, say so in its name, or with unit "
+                f'= "{units[0]}" in [data.columns]'
+            )
         raise table.refusal(row, column.name, found, expected, do)
     return values
+
+
+def _within(column: Column, one: Assigned, values: np.ndarray) -> list[str]:
+    """Units in which all numbers of a column would be within its range; none of them in its own."""
+    if one.to is None or not math.isfinite(column.low) or not math.isfinite(column.high):
+        return []
+    units = (unit_of_kind(name, one.to.kind) for name in known(one.to.kind))
+    found = []
+    for unit in units:
+        if unit is None or unit in (one.to, DMS):
+            continue
+        other = unit.converted(values, one.to)
+        if (other >= column.low).all() and (other <= column.high).all():
+            found.append(unit.name)
+    return found[:_MOST_UNITS]
 
 
 def _range(column: Column) -> str:
@@ -353,15 +391,19 @@ def _range(column: Column) -> str:
 
 def _check_unique(table: Table, column: Column) -> None:
     names = list(dict.fromkeys((*column.unique_with, column.name)))
-    first: dict[tuple[float, ...], int] = {}
-    for row, index in enumerate(zip(*(table[name] for name in names), strict=True)):
-        if index in first:
-            value = ", ".join(f"{n} {v:.10g}" for n, v in zip(names, index, strict=True))
-            raise table.refusal(
-                row,
-                column.name,
-                f"{value} again, first in row {first[index] + 1}",
-                f"every {' and '.join(names)} once",
-                "correct the index or remove one of the rows",
-            )
-        first[index] = row
+    index = np.column_stack([table[name] for name in names])
+    order = np.lexsort(index.T[::-1])
+    again = np.flatnonzero((np.diff(index[order], axis=0) == 0.0).all(axis=1))
+    if not len(again):
+        return
+    # The sort is stable: of equal rows, the later one follows.
+    row = int(order[again + 1].min())
+    first = int(np.flatnonzero((index == index[row]).all(axis=1))[0])
+    value = ", ".join(f"{n} {v:.10g}" for n, v in zip(names, index[row], strict=True))
+    raise table.refusal(
+        row,
+        column.name,
+        f"{value} again, first in row {first + 1}",
+        f"every {' and '.join(names)} once",
+        "correct the index or remove one of the rows",
+    )

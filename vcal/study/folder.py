@@ -4,7 +4,7 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,8 +12,12 @@ from types import ModuleType
 
 from ..instruments.base import Column
 from ..registry import run_file, unchanged
-from .csv_table import Table, read_header, read_table
+from .csv_table import Table, load_grid, table_of
 from .messages import refusal
+from .reading.assign import Assigned, Place, assign
+from .reading.formats import DEFAULT, TableFormat
+from .reading.grid import Grid
+from .reading.times import Clock
 
 
 def check_way(out: Path) -> None:
@@ -53,10 +57,19 @@ class Folder:
     """Whether Python files that the study names may be run."""
     hashes: dict[str, str] = field(default_factory=dict)
     """SHA-256 in hexadecimal, by the file name in the study."""
+    formats: dict[str, tuple[TableFormat, Place]] = field(default_factory=dict)
+    """How tables are read, by the file name in the study; others are read by what they look like.
+    """
+    tables: dict[str, Table] = field(default_factory=dict)
+    """The tables that were read, by the file name in the study."""
+    clock: Clock = field(default_factory=Clock)
+    """The zero of all times with a date."""
     _modules: dict[str, ModuleType] = field(default_factory=dict)
+    _grids: dict[str, Grid] = field(default_factory=dict)
 
     def path(self, name: str, expected: str = "a CSV table with a header line") -> Path:
         """Path of a file to be read; raises `StudyError` where it does not exist."""
+        name = self.plain(name)
         path = self.root / name
         if not path.is_file():
             raise refusal(
@@ -69,9 +82,14 @@ class Folder:
         self.hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
         return path
 
+    def plain(self, name: str) -> str:
+        """Name of a file without a sheet: ``run.xlsx`` of ``run.xlsx#check``."""
+        file, mark, _ = name.rpartition("#")
+        return file if mark and not (self.root / name).is_file() else name
+
     def has(self, name: str) -> bool:
         """Whether a file exists."""
-        return (self.root / name).is_file()
+        return (self.root / self.plain(name)).is_file()
 
     def module(self, name: str, what: str) -> ModuleType:
         """A Python file of the user's own with `what` classes, as a module.
@@ -96,9 +114,18 @@ class Folder:
                 self._modules[name] = run_file(path, what)
         return self._modules[name]
 
-    def header(self, name: str) -> tuple[str, ...]:
-        """Names of the columns of a table."""
-        return read_header(self.path(name), name)
+    def header(
+        self,
+        name: str,
+        columns: Sequence[Column],
+        optional: Callable[[str], Column | None],
+        labels: Sequence[str] = (),
+    ) -> tuple[str, ...]:
+        """Names of the columns of a table, where `columns` are expected: those that vcal knows by
+        its own name for them.
+        """
+        found = self._assigned(name, columns, optional, labels)
+        return tuple(one.column for one in found if one.column)
 
     def table(
         self,
@@ -109,8 +136,40 @@ class Folder:
         readings: Collection[str] = (),
     ) -> Table:
         """A checked table; see `vcal.study.csv_table.read_table`."""
-        more: Mapping = {} if optional is None else {"optional": optional}
-        return read_table(self.path(name), columns, name, labels=labels, readings=readings, **more)
+        optional = optional or _nothing
+        found = self._assigned(name, columns, optional, labels)
+        table = table_of(
+            self._grids.pop(name),
+            found,
+            columns,
+            optional=optional,
+            labels=labels,
+            readings=readings,
+            clock=self.clock,
+        )
+        self.tables[name] = table
+        return table
+
+    def _assigned(
+        self,
+        name: str,
+        columns: Sequence[Column],
+        optional: Callable[[str], Column | None],
+        labels: Sequence[str],
+    ) -> list[Assigned]:
+        form, place = self.formats.get(name, (DEFAULT, Place()))
+        path = self.path(name)
+        if name not in self._grids:
+            plain = self.plain(name)
+            sheet = name[len(plain) + 1 :] if plain != name else None
+            self._grids[name] = load_grid(path, name, form, sheet)
+        asked = {*labels, *(column.name for column in columns)}
+        return assign(self._grids[name], asked, optional, place)
+
+
+def _nothing(name: str) -> Column | None:
+    del name
+    return None
 
 
 def require_empty(out: Path) -> None:

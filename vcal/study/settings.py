@@ -19,6 +19,8 @@ from .folder import Folder
 from .messages import at, explain, listed, refusal, shown, source
 from .plugins.instruments import own_instruments
 from .plugins.trial import own_code_error
+from .reading.assign import Place
+from .reading.formats import TableFormat, plain_format
 from .toml_file import LARGEST_WHOLE
 
 Triple = tuple[float, float, float]
@@ -329,11 +331,14 @@ class ModelSettings(Table):
     """Python file in the study folder with effect classes of the user's own."""
 
 
-class DataSettings(Table):
-    """``[data]``: names of the tables in the study folder."""
+class DataSettings(TableFormat):
+    """``[data]``: names of the tables in the study folder, and how the table of data is read."""
 
+    file: FileName | None = None
+    """Table with one row per reading, or per point of a plan: text, a spreadsheet (XLSX, ODS) or
+    parquet; ``data.csv`` by default."""
     data: FileName = "data.csv"
-    """Table with one row per reading, or per point of a plan."""
+    """The same under its older name."""
     check: FileName | None = None
     """Table of independent check points; by default ``check.csv`` where that exists."""
     must_see: dict[str, int] = {}
@@ -342,8 +347,22 @@ class DataSettings(Table):
     is a squareness), or a squareness with 0 (``EC0Y = 0``).
     """
 
+    @model_validator(mode="after")
+    def _named_once(self) -> Self:
+        if self.file is not None and "data" in self.model_fields_set:
+            raise ValueError(
+                f"found file = {self.file!r} and data = {self.data!r}, expected one of them, as "
+                "both name the table of data; remove one"
+            )
+        return self
 
-class DataSetSettings(Table):
+    @property
+    def table(self) -> str:
+        """Name of the table of data."""
+        return self.file or self.data
+
+
+class DataSetSettings(TableFormat):
     """A row of ``[[data]]``: one of several data sets of the machine, with its instrument."""
 
     name: str
@@ -420,6 +439,8 @@ class StudySettings(Table):
     instrument: InstrumentSettings
     model: ModelSettings = ModelSettings()
     data: DataSettings = DataSettings()
+    tables: dict[str, TableFormat] = {}
+    """How further tables are read (check points, artefact, family), by the name of the file."""
     holdout: HoldoutSettings | None = None
     loop: LoopSettings = LoopSettings()
     design: DesignSettings = DesignSettings()
@@ -434,6 +455,8 @@ class SeveralSettings(Table):
     data: tuple[DataSetSettings, ...]
     check: FileName | None = None
     """Table of independent check points; by default ``check.csv`` where that exists."""
+    tables: dict[str, TableFormat] = {}
+    """How further tables are read (check points, artefact, family), by the name of the file."""
     model: ModelSettings = ModelSettings()
     holdout: HoldoutSettings | None = None
     loop: LoopSettings = LoopSettings()
@@ -441,6 +464,31 @@ class SeveralSettings(Table):
 
 AnySettings = StudySettings | SeveralSettings
 """A whole study file, of one data set or of several."""
+
+
+def table_formats(settings: AnySettings, file: str) -> dict[str, tuple[TableFormat, Place]]:
+    """How the tables of a study are read, by the name of the file, with the place of these keys.
+
+    Raises `StudyError` for two declarations of one table.
+    """
+    if isinstance(settings, StudySettings):
+        found = {settings.data.table: (plain_format(settings.data), Place(file, "data."))}
+    else:
+        found = {
+            row.file: (plain_format(row), Place(file, f"data.{i}."))
+            for i, row in enumerate(settings.data)
+        }
+    for name, form in settings.tables.items():
+        if name in found:
+            raise refusal(
+                file,
+                f"key tables.{name}",
+                f"it beside the keys of {found[name][1].key.rstrip('.')}, which names that table",
+                "one declaration of a table",
+                f"move the keys to [{found[name][1].key.rstrip('.')}]",
+            )
+        found[name] = form, Place(file, f"tables.{name}.")
+    return found
 
 
 def computable(value: float) -> bool:

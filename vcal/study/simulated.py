@@ -17,10 +17,11 @@ from ..effects.base import Effect, Setup
 from ..errors import StudyError
 from ..instruments.conditions import file_name, inside_name, linear_plan, linear_plan_table
 from ..model.simulate import Simulated, scattered, simulate
-from .csv_table import Table, read_header, write_table
+from .csv_table import Table, write_table
 from .declared_effects import Catalogue, beside, declared_effects, unknown_effect
 from .folder import made_whole, require_empty
 from .messages import refusal, shown
+from .own_format import own_name, with_own_tables
 from .settings import COMPUTABLE, EffectSettings, computable
 from .study import DataSet, Study
 from .toml_file import read_setup
@@ -141,7 +142,8 @@ def write_simulated(
     """Write a copy of the folder of `study` with simulated data of a machine drawn from its priors.
 
     The study file and its tables are copied. The readings are replaced by simulated ones, the check
-    points of linear axes by the true tool points at random positions over the travel.
+    points of linear axes by the true tool points at random positions over the travel. Tables that
+    were read from a spreadsheet or with a mapping are written as CSV in vcal's own columns.
     ``truth.json`` holds all values of the simulated machine, those of the undeclared `effects`
     included; no other file holds them. The result depends on `seed` alone. With `overrides`, with
     which the study was read, the study file is written with these values and without its comments.
@@ -177,11 +179,14 @@ def write_simulated(
             (work / name).parent.mkdir(parents=True, exist_ok=True)
             if name not in tables:
                 shutil.copyfile(study.folder / name, work / name)
-        if overrides:
-            (work / study.path.name).write_text(_setup(study, overrides), encoding="utf-8")
+        raw, _ = read_setup(study.path, overrides)
+        own = with_own_tables(raw, tables)
+        if overrides or own != raw:
+            (work / study.path.name).write_text(_setup(study, own), encoding="utf-8")
         for name, table in tables.items():
-            (work / name).parent.mkdir(parents=True, exist_ok=True)
-            write_table(work / name, table)
+            path = work / own_name(name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_table(path, table)
         (work / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
     return result
 
@@ -211,9 +216,8 @@ def _simulated(
         ) from error
 
 
-def _setup(study: Study, overrides: Mapping[str, Any] | Sequence[str]) -> str:
-    """The study file with the overrides applied, as it was used for the simulation."""
-    raw, _ = read_setup(study.path, overrides)
+def _setup(study: Study, raw: Mapping[str, Any]) -> str:
+    """The study file as it was used for the simulation, for tables in vcal's own format."""
     head = (
         f"# Written by `vcal simulate` from {study.path.name}, with the values given by --set.\n\n"
     )
@@ -286,7 +290,7 @@ def _conditions(study: Study, one: DataSet) -> set[str]:
         {c.name for c in one.instrument.columns(one.settings, axes, readings=readings)}
         for readings in (False, True)
     )
-    header = set(read_header(study.folder / one.file)) - (full - plain)
+    header = {*one.table.header} - (full - plain)
     return {file_name(inside_name(column, axes), axes) for column in header}
 
 

@@ -4,7 +4,7 @@ import contextlib
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,7 @@ from .settings import (
     MachineSettings,
     SeveralSettings,
     StudySettings,
+    table_formats,
     validate,
 )
 from .table_checks import check_alive, check_scatter
@@ -120,6 +121,8 @@ class Study:
     """Effects by name that the loop may test, including those of the user's own file."""
     hashes: Mapping[str, str]
     """SHA-256 of every input file by name."""
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    """Every table as it was read, by the name that the study gives it."""
     trust: bool = False
     """Whether the Python files that it names may be run."""
 
@@ -213,6 +216,7 @@ def load_study(
     folder = Folder(path.parent, trust)
     folder.path(file)
     settings = validate(raw, file, given, folder)
+    folder.formats.update(table_formats(settings, file))
     catalogue = catalogue_with(folder, settings.model.effects_file)
     _check_wanted(settings.loop.effects or (), catalogue, file, given)
     chain = build_chain(settings.machine, file, folder)
@@ -262,6 +266,8 @@ def load_study(
         measurement = replace(measurement, holdout=chosen)
         _check_fitted(model, measurement, listed(files.values()), settings.holdout is not None)
     _check_seen(settings, sets, file)
+    check = _checked(settings, chain, sets, folder)
+    _check_formats(settings, folder, file)
     return Study(
         name=printable(settings.name or path.resolve().parent.name, lines=False),
         path=path,
@@ -272,9 +278,10 @@ def load_study(
         model=model,
         plan=plan,
         measurement=measurement,
-        check=_checked(settings, chain, sets, folder),
+        check=check,
         catalogue=catalogue,
         hashes=folder.hashes,
+        tables=folder.tables,
         trust=trust,
     )
 
@@ -500,7 +507,7 @@ def _data_sets(
 ) -> tuple[DataSet, ...]:
     """The data sets with their tables read and their instruments built."""
     if isinstance(settings, StudySettings):
-        return (_data_set("", settings.data.data, settings.instrument, chain, folder, file),)
+        return (_data_set("", settings.data.table, settings.instrument, chain, folder, file),)
     found = []
     for i, row in enumerate(settings.data):
         if row.name in chain.axes:
@@ -583,12 +590,11 @@ def _check_twice(
 ) -> None:
     """Raise `StudyError` where a table of readings is named twice, also under another name."""
     for other in earlier:
-        same = (folder.root / one.file).samefile(folder.root / other.file)
-        if (
-            same
-            or one.readings is not None
-            and folder.hashes[one.file] == folder.hashes[other.file]
-        ):
+        files = [folder.plain(each.file) for each in (one, other)]
+        same = (folder.root / files[0]).samefile(folder.root / files[1])
+        alike = folder.hashes[files[0]] == folder.hashes[files[1]]
+        # Two sheets of one spreadsheet are two tables.
+        if one.table.kind == other.table.kind and (same or one.readings is not None and alike):
             again = " a second time" if one.file == other.file else f", the same as {other.file!r}"
             raise refusal(
                 file,
@@ -710,6 +716,19 @@ def _check_seen(settings: AnySettings, sets: Sequence[DataSet], file: str) -> No
         wanted = {f"data.{i}.must_see": row.must_see for i, row in enumerate(settings.data)}
     for (key, errors), one in zip(wanted.items(), sets, strict=True):
         check_identifiable(errors, one.chain, one.instrument, one.plan, file, key)
+
+
+def _check_formats(settings: AnySettings, folder: Folder, file: str) -> None:
+    """Raise `StudyError` for a declared table that no key of the study names."""
+    for name in settings.tables:
+        if name not in folder.tables:
+            raise refusal(
+                file,
+                f"key tables.{name}",
+                f"a table that the study does not read{nearest(name, folder.tables)}",
+                f"one of {listed(folder.tables)}",
+                "correct the name, or remove the table",
+            )
 
 
 def _checked(

@@ -108,10 +108,14 @@ def check_repeated(table: Table, readings: Collection[str]) -> None:
 
 def _first(table: Table, names: Collection[str]) -> np.ndarray:
     """For every row, the index of the first row with the same values in these columns."""
-    columns = [np.unique(table[name], return_inverse=True)[1] for name in names]
-    seen: dict[bytes, int] = {}
-    rows = np.column_stack(columns) if columns else np.zeros((table.rows, 1))
-    return np.array([seen.setdefault(row.tobytes(), i) for i, row in enumerate(rows)])
+    code = np.zeros(table.rows, np.int64)
+    for name in names:
+        own = np.unique(table[name], return_inverse=True)[1]
+        code = np.unique(code * (own.max() + 1) + own, return_inverse=True)[1]
+        if code.max() + 1 == table.rows:
+            break  # every row differs already
+    _, first, index = np.unique(code, return_index=True, return_inverse=True)
+    return first[index]
 
 
 _LEAST, _ROUNDING = 0.03, 1e-9

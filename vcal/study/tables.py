@@ -18,10 +18,11 @@ from ..instruments.conditions import (
     linear_plan,
     misnamed,
 )
+from ..loop.residuals.implausible import COLDEST_DEGC, WARMEST_DEGC, in_fahrenheit
 from ..machine.chain import Chain
 from ..model.measurement import CheckPoints
 from ..numerics.spatial import best_rigid
-from ..words import counted
+from ..words import counted, plural
 from .csv_table import Table
 from .folder import Folder
 from .messages import listed, refusal
@@ -63,12 +64,12 @@ def run_table(
     the instrument or the machine, and as `Folder.table` does.
     """
     kind = instrument_class(settings, folder)
-    header = folder.header(name)
     plain, full = columns_of(settings, kind, chain.axes)
+    places = [] if kind.positioned else _positions(chain, plain)
+    header = folder.header(name, [*places, *full], _condition, kind.labels)
     reading_names = {c.name for c in full} - {c.name for c in plain}
     measured = not reading_names or any(column in reading_names for column in header)
     _check_machine(kind, chain, file, f"{key}instrument.kind")
-    places = [] if kind.positioned else _positions(chain, plain)
     columns = [*places, *(full if measured else plain)]
     if not measured:
         known = {*kind.labels, *(c.name for c in columns)}
@@ -265,6 +266,34 @@ def _check_conditions(table: Table, chain: Chain) -> None:
     if chain.coupling is not None:
         _check_coupled(table, chain)
     _check_extent(table, chain)
+    _check_temperatures(table)
+
+
+def _check_temperatures(table: Table) -> None:
+    """Raise `StudyError` where all temperatures are those of a workshop in degF.
+
+    Nobody measures a machine in air of 68 degC. One that is really that warm declares the unit.
+    """
+    sure = {one.column for one in table.assigned if one.in_unit}
+    names = [n for n in table if n.startswith("T_") and n.endswith("_degC") and n not in sure]
+    lows = [float(table[name].min()) for name in names]
+    highs = [float(table[name].max()) for name in names]
+    if not names or not all(map(in_fahrenheit, lows, highs)) or min(lows) <= WARMEST_DEGC:
+        return
+    column = names[0]
+    stem, (low, high) = (
+        column.removesuffix("degC"),
+        ((v - 32) / 1.8 for v in (min(lows), max(highs))),
+    )
+    raise refusal(
+        table.name,
+        f"{plural(len(names), 'column')} {listed(names)}",
+        f"temperatures that are all between {min(lows):.4g} and {max(highs):.4g} degC",
+        f"temperatures of a machine, from {COLDEST_DEGC:g} to {WARMEST_DEGC:g} degC",
+        f"in degF they would be {low:.3g} to {high:.3g} degC: name the columns {stem}degF and so "
+        f'on, or declare {column} = {{ from = "{column}", unit = "degF" }} in [data.columns]; or '
+        'declare unit = "degC" there if they are right',
+    )
 
 
 def _check_coupled(table: Table, chain: Chain) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ... import __version__
 from ...study import Study
+from ...study.reading.text import PLAIN
 from . import text
 from .sheet import Section, Table
 
@@ -51,11 +52,22 @@ def provenance_section(
         "Provenance",
         tables=(
             Table(("input file", "SHA-256"), sorted(study.hashes.items()), "lc"),
+            *_tables_read(study),
             Table(("", ""), rows),
             Table(("",), [(content,)], "c", fold="The study file as read, defaults included"),
             *([beside] if files else []),
         ),
     )
+
+
+def _tables_read(study: Study) -> list[Table]:
+    """How the input tables were read, where one is no plain CSV file in vcal's own columns."""
+    rows = [
+        (name, table.kind, "; ".join(one.words for one in table.changed) or "as named")
+        for name, table in study.tables.items()
+        if table.changed or table.kind != PLAIN
+    ]
+    return [Table(("table", "file", "columns as read"), rows, "lll")] if rows else []
 
 
 def provenance_record(
@@ -67,6 +79,10 @@ def provenance_record(
         "versions": versions(),
         "seconds": seconds,
         "input_files": dict(study.hashes),
+        "tables_read": [
+            {"table": name, "file": table.kind, "columns": [one.record for one in table.changed]}
+            for name, table in study.tables.items()
+        ],
         "command": command,
     }
 

@@ -11,6 +11,7 @@ import tomli_w
 from ...design.plan_space import PlanSpace
 from ..csv_table import write_table
 from ..messages import refusal
+from ..own_format import with_own_tables
 from ..study import Study
 from ..toml_file import read_setup
 
@@ -51,14 +52,19 @@ def write_designed(
     """
     files = write_plan(study, space, placed, work)
     raw, _ = read_setup(study.path, overrides)
+    check = study.single.data.check or "check.csv"
+    raw = with_own_tables(raw, (study.one.file, check))
     artefact = space.artefact(placed)
     data = raw.setdefault("data", {})
-    replaced = {study.path.name, study.one.file, study.single.data.check or "check.csv"}
+    replaced = {study.path.name, study.one.file, check}
     if artefact is not None:
         replaced.add(str(raw["instrument"]["artefact"]))
+        raw = with_own_tables(raw, (raw["instrument"]["artefact"],))
+        data = raw["data"]
         raw["instrument"]["artefact"] = ARTEFACT
         write_table(work / ARTEFACT, artefact)
         files.append(ARTEFACT)
+    data.pop("file", None)
     data["data"] = PLAN
     data.pop("check", None)
     raw.get("design", {}).pop("families", None)
@@ -88,7 +94,10 @@ def write_designed(
 
 def _renamed(tree: Any, names: Mapping[str, str]) -> Any:
     if isinstance(tree, dict):
-        return {key: _renamed(value, names) for key, value in tree.items()}
+        return {names.get(key, key): _renamed(value, names) for key, value in tree.items()}
     if isinstance(tree, list):
         return [_renamed(value, names) for value in tree]
-    return names.get(tree, tree) if isinstance(tree, str) else tree
+    if not isinstance(tree, str):
+        return tree
+    file, mark, sheet = tree.partition("#")
+    return names.get(tree) or names.get(file, file) + mark + sheet
