@@ -191,6 +191,31 @@ def turned_spheres(seed: int) -> Columns:
     return columns
 
 
+def ball_bar() -> Columns:
+    """Circles and arcs of a double ball bar about two positions of its ball, both senses.
+
+    In every set-up, the bar travels a circle in XY and arcs of 220 degrees above the table in YZ
+    and ZX, six degrees from row to row; the second set-up has a shorter bar and a higher feed.
+    """
+    found: dict[str, list] = {n: [] for n in ("run", "setup", "length_mm", "feed_mm_min")}
+    position, run = [], 0
+    setups = (((300.0, 250.0, 225.0), 150.0, 1000.0), ((420.0, 180.0, 150.0), 100.0, 4000.0))
+    for setup, (ball, length, feed) in enumerate(setups):
+        for first, second, low, high in ((0, 1, 0, 360), (1, 2, -20, 200), (2, 0, -110, 110)):
+            angle = np.deg2rad(np.arange(low + 3, high, 6))
+            for sense in (1, -1):
+                place = np.tile(ball, (len(angle), 1))
+                place[:, first] += length * np.cos(angle[::sense])
+                place[:, second] += length * np.sin(angle[::sense])
+                position.append(place)
+                for name, value in zip(found, (run, setup, length, feed), strict=True):
+                    found[name] += [value] * len(angle)
+                run += 1
+    columns = {name: np.array(values) for name, values in found.items()}
+    place = np.concatenate(position).round(6)
+    return columns | {f"{c}_mm": place[:, i] for i, c in enumerate("xyz")}
+
+
 def main(folder: Path) -> None:
     """Write all plans to a folder with the layout of this one."""
     plan, artefact = balls(2)
@@ -204,6 +229,7 @@ def main(folder: Path) -> None:
         "start/laser_frame/data.csv": frame((500.0, 400.0, 350.0), 4, 4),
         "start/r_test/data.csv": circles(2.0, (0.5, 1.5, 3.0, 4.5), 40, 5),
         "start/static_r_test/data.csv": turned_spheres(6),
+        "start/double_ball_bar/data.csv": ball_bar(),
     }
     for name, columns in tables.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -144,3 +144,47 @@ def squared_pace(
 
     a2, v2 = (sums((x * x).sum(1)) for x in (acceleration, velocity))
     return (a2 / v2)[index]
+
+
+_ROUND = 1e-3
+"""Largest distance of positions from their circle, as a share of its radius."""
+_STEP = 2.0
+"""Largest angle from row to row, rad, at which the sense of a circle is certain."""
+
+
+def circle_through(
+    position: Float[np.ndarray, "n axes"],
+) -> tuple[Circle, Float[np.ndarray, " n"]] | None:
+    """The circle or arc that successive positions (n, axes), m, travel in one sense, with the angle
+    travelled at each of them (n,), rad, ascending; None where they travel none.
+
+    The plane is that of the two largest singular values of the positions about their mean, the
+    centre the linear least-squares solution of 2 e.c + const = |e|^2 in that plane. The circle has
+    an angular velocity of 1 rad/s: its `velocity` and `acceleration` at an angle are per
+    angular velocity and per its square.
+    """
+    x = np.asarray(position, float)
+    if len(x) < 4:
+        return None
+    middle = x.mean(0)
+    _, size, axes = np.linalg.svd(x - middle, full_matrices=False)
+    if len(size) < 2 or size[1] <= 1e-6 * size[0] or size[0] == 0.0:
+        return None
+    first, second = axes[:2]
+    flat = (x - middle) @ axes[:2].T
+    matrix = np.column_stack([2.0 * flat, np.ones(len(flat))])
+    a, b, rest = np.linalg.lstsq(matrix, (flat**2).sum(1), rcond=None)[0]
+    radius = float(np.sqrt(max(rest + a * a + b * b, 0.0)))
+    if radius == 0.0:
+        return None
+    centre = middle + a * first + b * second
+    angle = np.unwrap(np.arctan2(flat[:, 1] - b, flat[:, 0] - a))
+    step = np.diff(angle)
+    sense = 1.0 if np.median(step) >= 0.0 else -1.0
+    if (sense * step <= 0.0).any() or np.abs(step).max() > _STEP:
+        return None
+    circle = Circle(1.0, centre, radius * first, sense * radius * second)
+    angle = sense * angle
+    exact = centre + np.outer(np.cos(angle), circle.cosine) + np.outer(np.sin(angle), circle.sine)
+    off = np.linalg.norm(x - exact, axis=1)
+    return (circle, angle) if off.max() <= _ROUND * radius else None
