@@ -46,6 +46,8 @@ _MM_MIN = 1e-3 / 60.0
 _INDEPENDENT = 1e-3
 """Least part of a column of the design matrix that the columns before it do not contain, as a share
 of a full column: below it, the readings do not show the coordinate."""
+_FEWEST = 4
+"""Least number of rows of a set-up."""
 _FOLDS = 5
 """Number of parts of a run that are held out in turn."""
 _SAME_MM = 1e-3
@@ -225,6 +227,7 @@ class DoubleBallBar(TableInstrument):
         points = chain.tool_point(position)
         setups, length = np.unique(setup), 1e-3 * np.array(lengths_mm)[bar]
         _check_setups(run, setup)
+        _check_rows(setup, np.full(len(setups), _FEWEST), setups, table)
         given = all(name in table for name in _BALL)
         if given:
             centres = _given_centres(table, setup, setups)
@@ -236,21 +239,13 @@ class DoubleBallBar(TableInstrument):
         _check_distance(chain, settings, table, position, (run, setup), (at, length), given)
         flat = settings.length_u_um is None
         bars = tuple((int(k), int(b)) for k, b in np.unique(np.column_stack([setup, bar]), axis=0))
-        seen: list[tuple[int, str]] = []
+        seen, unknown = list[tuple[int, str]](), np.zeros(len(setups), int)
         for k in setups:
             mine = np.flatnonzero(setup == k)
             own = _seen((points[mine] - at[mine]) / length[mine, None], bar[mine] * flat, flat)
-            unknown = len(own) + flat * sum(s == k for s, _ in bars)
-            if len(mine) <= unknown:
-                raise RowError(
-                    int(mine[0]),
-                    "column setup" if "setup" in table else "column run",
-                    f"{counted(len(mine), 'row')} of set-up {k}, which has {unknown} unknowns "
-                    "of its own",
-                    "more rows than unknowns",
-                    "measure more, leave them out, or give runs about one ball the same setup",
-                )
+            unknown[setups == k] = len(own) + flat * sum(s == k for s, _ in bars)
             seen += [(int(k), c) for c in own]
+        _check_rows(setup, unknown + 1, setups, table)
         return cls(
             sigma=settings.sigma_um * 1e-6,
             length_sigma=None if settings.length_u_um is None else settings.length_u_um * 1e-6,
@@ -387,6 +382,21 @@ def _check_setups(run: np.ndarray, setup: np.ndarray) -> None:
             )
 
 
+def _check_rows(
+    setup: np.ndarray, fewest: np.ndarray, setups: np.ndarray, table: Mapping[str, np.ndarray]
+) -> None:
+    for k, least in zip(setups, fewest, strict=True):
+        mine = np.flatnonzero(setup == k)
+        if len(mine) < least:
+            raise RowError(
+                int(mine[0]),
+                "column setup" if "setup" in table else "column run",
+                f"{counted(len(mine), 'row')} of set-up {k}",
+                f"at least {least}, as every set-up has unknowns of its own",
+                "measure more, leave them out, or give runs about one ball the same setup",
+            )
+
+
 def _given_centres(
     table: Mapping[str, np.ndarray], setup: np.ndarray, setups: np.ndarray
 ) -> Float[np.ndarray, "s 3"]:
@@ -461,7 +471,9 @@ def _sphere_centre(
     """
     middle = points.mean(0)
     arm = points - middle
-    size = float(np.sqrt((arm**2).sum(1).mean())) or 1.0
+    size = float(np.sqrt((arm**2).sum(1).mean()))
+    if size < _SAME_MM * 1e-3:
+        return middle  # a point at rest determines no centre
     matrix = np.column_stack([2.0 * arm / size, -np.ones(len(arm))])
     right = ((arm**2).sum(1) - length**2) / size
     return middle + np.linalg.lstsq(matrix, right, rcond=1e-6)[0][:3]

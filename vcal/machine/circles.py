@@ -67,8 +67,9 @@ class Circle:
         A row at a reversal has the direction of its approach, as for a bidirectional position
         (ISO 230-2, 3.7), and not the direction that the rounding of its phase would give.
         """
-        at = self._phase(t) >= np.pi
-        return np.where(at, -1.0, 1.0) * np.sign(self.velocity(t))
+        # A little earlier: a row at a reversal moves neither way but for rounding.
+        t = np.asarray(t)
+        return np.sign(self.velocity(t - _AT * self._step(t)))
 
     def since_reversal(self, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n axes"]:
         """Distance travelled since the last reversal of every axis, m, on a circle without start.
@@ -87,8 +88,12 @@ class Circle:
         t = np.asarray(t)
         start = np.arctan2(-self.sine, self.cosine)
         angle = np.mod(self.omega * t[:, None] + start, np.pi)
-        step = self.omega * float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+        step = self.omega * self._step(t)
         return np.where(angle < _AT * abs(step), angle + np.pi, angle)
+
+    def _step(self, t: np.ndarray) -> float:
+        """Median time from row to row."""
+        return float(np.median(np.diff(t))) if len(t) > 1 else 0.0
 
     def _wave(self, t: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
         angle = self.omega * np.asarray(t)[:, None]
