@@ -216,6 +216,39 @@ def ball_bar() -> Columns:
     return columns | {f"{c}_mm": place[:, i] for i, c in enumerate("xyz")}
 
 
+def probed_sphere(radius: float, stylus: float) -> Columns:
+    """A sphere on a trunnion table at two places, touched from five sides and above, in mm.
+
+    C turns forward and back at three angles of A. The sides turn by 13 degrees from setting to
+    setting, so that lobes of the probe differ from reversal errors of the axes.
+    """
+    spheres = np.array([[160.0, 0.0, -60.0], [-90.0, 130.0, 20.0]])
+    rows = [
+        (setup, a, c, side)
+        for setup in range(2)
+        for a in (-50, 0, 50)
+        for c in (*range(0, 360, 60), *range(330, -1, -60))
+        for side in range(6)
+    ]
+    setup, a, c, side = (np.array(column) for column in zip(*rows, strict=True))
+    places = {"A": (0.0, 0.0, -0.12), "C": (0.0, 0.0, -0.2)}
+    chain = chain_from_string("w C A b Y X Z t", None, (0.0, 0.0, -0.15), places)
+    angles = np.column_stack([np.zeros((len(rows), 3)), np.deg2rad(a), np.deg2rad(c)])
+    # The tool point at rest plus the travel of the linear axes in the workpiece frame.
+    away = 1e-3 * spheres[setup] - chain.tool_point(angles)
+    centre = np.einsum("nij,ni->nj", chain.turn(angles), away) * 1e3
+    around = np.deg2rad(72.0 * side + 13.0 * (np.arange(len(rows)) // 6))
+    out = np.column_stack([np.cos(around), np.sin(around), 0.0 * around])
+    out[side == 5] = [0.0, 0.0, 1.0]
+    position = centre + (radius + stylus) * out
+    way = np.sign(np.diff(c, prepend=c[:1] - 1))
+    for i in range(1, len(way)):
+        way[i] = way[i] or way[i - 1]
+    columns: Columns = {"setup": setup}
+    columns |= {f"{k}_mm": position[:, i].round(6) for i, k in enumerate("xyz")}
+    return columns | {"a_deg": a, "c_deg": c, "dir_c": way}
+
+
 def main(folder: Path) -> None:
     """Write all plans to a folder with the layout of this one."""
     plan, artefact = balls(2)
@@ -230,6 +263,7 @@ def main(folder: Path) -> None:
         "start/r_test/data.csv": circles(2.0, (0.5, 1.5, 3.0, 4.5), 40, 5),
         "start/static_r_test/data.csv": turned_spheres(6),
         "start/double_ball_bar/data.csv": ball_bar(),
+        "start/touch_probe/data.csv": probed_sphere(12.5, 3.0),
     }
     for name, columns in tables.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
