@@ -30,7 +30,14 @@ from oracle import (
 from oracle.kinematics import SQUARENESS
 from oracle.study import FRAME_SIZES, SIZES, Case
 
-INSTRUMENTS = ("laser_tracker", "ball_array", "r_test", "laser_frame", "reflectors")
+INSTRUMENTS = (
+    "laser_tracker",
+    "ball_array",
+    "r_test",
+    "laser_frame",
+    "reflectors",
+    "double_ball_bar",
+)
 ON_MACHINE = ("laser_tracker", "ball_array", "laser_frame")
 CHAINS = ("w X b Y Z t", "w Y b X Z t", "w b X Y Z t")
 ARM_POSES = 150
@@ -498,6 +505,7 @@ def _drifting(rng: Rng, world: World) -> Sized:
 
 TRACKER, BALLS, FRAME, CIRCLES = ("laser_tracker",), ("ball_array",), ("laser_frame",), ("r_test",)
 ARMS = ("reflectors",)
+BARS = ("double_ball_bar",)
 BOTH = TRACKER + BALLS
 STATIONS = TRACKER + FRAME
 _DECAY: dict[str, Callable[[Rng], Any]] = {"decay_mm": lambda rng: float(rng.uniform(0.03, 0.3))}
@@ -508,6 +516,8 @@ _SMOOTH: dict[str, Callable[[Rng], Any]] = {
     "speed_mm_per_s": lambda rng: float(rng.uniform(10.0, 30.0))
 }
 """The circles have 21 to 95 mm/s. Below, friction changes between two rows, as backlash does."""
+_WAY: dict[str, Callable[[Rng], Any]] = {"decay_mm": lambda rng: float(rng.uniform(1.0, 6.0))}
+"""The rows of a ball bar are 9 to 13 mm apart, and near a reversal an axis moves far less."""
 _PERIOD: dict[str, Callable[[Rng], Any]] = {
     "period_um": lambda rng: float(rng.choice([10.0, 20.0, 40.0, 100.0, 200.0])),
     "phase": _phase,
@@ -578,6 +588,15 @@ KINDS: tuple[Kind, ...] = (
     Kind("backlash on circles", "um", 1, _on_circles("backlash", "size_um", one=True), CIRCLES),
     Kind("lateral_reversal on circles", "um", 1,
          _on_circles("lateral_reversal", "size_um", one=True), CIRCLES),
+    Kind("backlash with a ball bar", "um", 5, _on_circles("backlash", "size_um", one=True), BARS),
+    Kind("lateral_reversal with a ball bar", "um", 5,
+         _on_circles("lateral_reversal", "size_um", one=True), BARS),
+    Kind("screw_cyclic with a ball bar", "um", 4, _screw, BARS),
+    Kind("servo mismatch", "ms", 0.1, _on_circles("servo_lag", "T_ms", one=True), BARS),
+    Kind("reversal_spike with a ball bar", "um", 5,
+         _on_circles("reversal_spike", "size_um", one=False, **_WAY), BARS),
+    Kind("reversal_spike of one axis with a ball bar", "um", 5,
+         _on_circles("reversal_spike", "size_um", one=True, **_WAY), BARS),
     Kind("backlash of a joint", "urad", 100, _on_joint("backlash", "size_urad"), ARMS),
     Kind("gear_harmonic", "urad", 200, _gear, ARMS),
     Kind("gear_ripple", "urad", 200, _ripple, ARMS),
@@ -619,6 +638,7 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("laser_frame", "head_expansion", "backlash"),
     ("laser_frame", "refraction", "thermal_tilt"),
     ("reflectors", "backlash of a joint", "joint_compliance"),
+    ("double_ball_bar", "backlash with a ball bar", "servo mismatch"),
 )
 SEVERAL: tuple[tuple[str, ...], ...] = (
     ("laser_tracker", "backlash", "thermal_tilt", "screw_cyclic"),
@@ -637,6 +657,7 @@ WITH_STRAYS: tuple[tuple[str, str], ...] = (
     ("r_test", "reversal_spike"),
     ("laser_frame", "head_expansion"),
     ("reflectors", "backlash of a joint"),
+    ("double_ball_bar", "backlash with a ball bar"),
 )
 
 
@@ -814,7 +835,7 @@ def make(
         centred = any(kind.centred for kind in entry.kinds)
         options["travel"] = np.stack([-0.5 * span, 0.5 * span], axis=1) if centred else span
         options["recording"] = tuple(dict.fromkeys(r for k in entry.kinds for r in k.recording))
-    if at == "laser_frame":
+    if at in ("laser_frame", "double_ball_bar"):
         options |= {"family": FRAME_SMOOTH} if world.seed // 3 % 2 else {"table": FRAME_TABLE}
     case = make_case(at, effects=effects, declared=declared, **options)
     if entry.zero:

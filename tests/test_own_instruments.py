@@ -1,4 +1,4 @@
-"""Instruments of a user's own: the double ball bar beside, and files that cannot be used."""
+"""Instruments of a user's own: the circular master beside, and files that cannot be used."""
 
 import json
 import re
@@ -27,7 +27,7 @@ from vcal.study.simulated import parse_with, write_simulated
 load_study = partial(vcal.load_study, trust=True)
 
 EXAMPLE = Path(__file__).parent / "own_instrument"
-BAR = (EXAMPLE / "ball_bar.py").read_text(encoding="utf-8")
+DISC = (EXAMPLE / "disc_probe.py").read_text(encoding="utf-8")
 PLANES = ((0, 1), (1, 2), (2, 0))
 
 
@@ -48,10 +48,10 @@ def circles(planes=PLANES, points=36):
     return columns | {f"dir_{c}": way[:, i] for i, c in enumerate("xyz")}
 
 
-def write_bar(folder, columns, text=BAR):
+def write_disc(folder, columns, text=DISC):
     folder.mkdir(parents=True)
     shutil.copy(EXAMPLE / "setup.toml", folder)
-    (folder / "ball_bar.py").write_text(text, encoding="utf-8")
+    (folder / "disc_probe.py").write_text(text, encoding="utf-8")
     write_csv(folder / "data.csv", columns)
     return folder
 
@@ -59,12 +59,12 @@ def write_bar(folder, columns, text=BAR):
 @pytest.fixture
 def small(tmp_path):
     """Two circles in one plane, a plan."""
-    return write_bar(tmp_path / "small", circles(PLANES[:1], 12))
+    return write_disc(tmp_path / "small", circles(PLANES[:1], 12))
 
 
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory):
-    return write_bar(tmp_path_factory.mktemp("plan") / "bar", circles())
+    return write_disc(tmp_path_factory.mktemp("plan") / "disc", circles())
 
 
 @pytest.fixture(scope="module")
@@ -96,9 +96,9 @@ def test_its_one_reading_is_counted_as_one(loose):
 
 @pytest.mark.slow
 def test_backlash_in_circles(loose):
-    assert (loose / "ball_bar.py").read_text(encoding="utf-8") == BAR
+    assert (loose / "disc_probe.py").read_text(encoding="utf-8") == DISC
     study = load_study(loose)
-    assert "ball_bar.py" in study.hashes
+    assert "disc_probe.py" in study.hashes
     closure = vcal.close_loop(study.model, study.measurement, draws=100)
     assert closure.verdict == "named"
     (found,) = closure.effects
@@ -113,7 +113,7 @@ def test_backlash_in_circles(loose):
 def test_report(loose, tmp_path):
     run_trusted("loop", loose, "--out", tmp_path / "report", "--set", "loop.draws=100")
     report = json.loads((tmp_path / "report" / "report.json").read_text())
-    assert report["verdict"] == "named" and "ball_bar.py" in report["input_files"]
+    assert report["verdict"] == "named" and "disc_probe.py" in report["input_files"]
     assert [(e["effect"], e["placement"]) for e in report["effects"]] == [("backlash", "Y")]
 
 
@@ -123,13 +123,13 @@ def test_nothing_is_found_where_nothing_is_missing(study):
     assert closure.verdict == "nothing_missing" and not closure.effects
 
 
-def test_centres_and_length_are_found(study):
-    """The ball stands elsewhere than commanded, and the bar is longer than it was said to be."""
+def test_centres_and_radius_are_found(study):
+    """The disc stands elsewhere than commanded."""
     model = study.model
     keys = [f"{e.key} {e.parameter.name}" for e in model.entries]
     truth = np.zeros(len(keys))
     steps = np.array([e.parameter.step for e in model.entries])
-    for key, value in {"bar_centre 0.X": 30e-6, "bar_centre 2.Z": -20e-6}.items():
+    for key, value in {"disc_centre 0.X": 30e-6, "disc_centre 2.Z": -20e-6}.items():
         truth[keys.index(key)] = value / steps[keys.index(key)]
     readings = np.asarray(vcal.predict(model, study.plan, truth))
     at = study.plan.values("run") == 0
@@ -138,7 +138,7 @@ def test_centres_and_length_are_found(study):
     fit = vcal.identify(model, vcal.Measurement(study.plan, readings, ""))
     assert np.allclose((fit.theta * steps)[:], truth * steps, atol=1e-9)
     # Across the plane of a circle, nothing is seen: there is no such parameter.
-    assert "bar_centre 0.Z" not in keys and "bar_centre 2.X" not in keys
+    assert "disc_centre 0.Z" not in keys and "disc_centre 2.X" not in keys
 
 
 def test_folds_are_parts_of_every_circle(study):
@@ -148,15 +148,15 @@ def test_folds_are_parts_of_every_circle(study):
 
 def test_a_row_beside_its_circle(small):
     with pytest.raises(StudyError) as caught:
-        load_study(small, ["instrument.length_mm=145"])
+        load_study(small, ["instrument.radius_mm=145"])
     message = str(caught.value)
     assert message.startswith("data.csv, row ") and "5 mm beside the circle of run 0" in message
 
 
 def test_keys_and_columns_are_checked(small):
     assert load_study(small, ["instrument.sigma_um=2"]).instrument.sigma == pytest.approx(2e-6)
-    with pytest.raises(StudyError, match="'lenght_mm' .did you mean 'length_mm'"):
-        load_study(small, ["instrument.lenght_mm=150"])
+    with pytest.raises(StudyError, match="'raduis_mm' .did you mean 'radius_mm'"):
+        load_study(small, ["instrument.raduis_mm=150"])
     with pytest.raises(StudyError, match=r"key instrument.sigma_um: found -1, expected a number g"):
         load_study(small, ["instrument.sigma_um=-1"])
     write_csv(small / "data.csv", circles(PLANES[:1], 12) | {"deviation_um": np.full(24, 5000.0)})
@@ -173,7 +173,7 @@ CLUSTERS = {
 
 def clustered(folder, indices, columns):
     method = f"    def clusters(self, plan):\n        return {indices}\n\n    def folds("
-    return write_bar(folder, columns, BAR.replace("    def folds(", method))
+    return write_disc(folder, columns, DISC.replace("    def folds(", method))
 
 
 @pytest.mark.slow
@@ -212,17 +212,17 @@ def test_rows_of_a_cluster_have_the_same_readings():
 @pytest.mark.slow
 def test_commands(small, tmp_path):
     (small / "code").mkdir()
-    shutil.move(small / "ball_bar.py", small / "code" / "bar.py")
-    moved = ("--set", "instrument.kind_file=code/bar.py")
-    assert "double_ball_bar" in run_trusted("check", small, *moved).stdout
+    shutil.move(small / "disc_probe.py", small / "code" / "disc.py")
+    moved = ("--set", "instrument.kind_file=code/disc.py")
+    assert "disc_probe" in run_trusted("check", small, *moved).stdout
     out = tmp_path / "out"
     run_trusted("simulate", small, "--out", out, *moved)
-    assert (out / "code" / "bar.py").read_text(encoding="utf-8") == BAR
+    assert (out / "code" / "disc.py").read_text(encoding="utf-8") == DISC
     assert load_study(out).measurement is not None
     told = run_trusted("design", small, "--out", tmp_path / "design", *moved, code=2).stderr
-    assert "'double_ball_bar', for which no design space exists" in told
-    shutil.move(small / "code" / "bar.py", small.parent / "bar.py")
-    outside = ("--set", "instrument.kind_file=../bar.py")
+    assert "'disc_probe', for which no design space exists" in told
+    shutil.move(small / "code" / "disc.py", small.parent / "disc.py")
+    outside = ("--set", "instrument.kind_file=../disc.py")
     told = run_trusted("simulate", small, "--out", tmp_path / "no", *outside, code=2).stderr
     assert "a file outside the folder of the study" in told
 
@@ -234,15 +234,15 @@ def test_uncertainty_before_measuring(small, tmp_path):
 
 
 def test_what_fails_later_is_told_in_one_line(small, tmp_path):
-    text = BAR.replace(
+    text = DISC.replace(
         "return {**linear_plan_table(plan)",
         "assert np.ptp(readings) < 1e-9\n        return {**linear_plan_table(plan)",
     )
-    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    (small / "disc_probe.py").write_text(text, encoding="utf-8")
     told = run_trusted("simulate", small, "--out", tmp_path / "out", code=2).stderr
     assert re.fullmatch(
-        r"vcal: ball_bar.py, to_table: found AssertionError \(line \d+\), expected code that runs; "
-        "correct the class\n",
+        r"vcal: disc_probe.py, to_table: found AssertionError \(line \d+\), expected code that runs"
+        "; correct the class\n",
         told,
     )
     assert not (tmp_path / "out").exists()
@@ -253,20 +253,20 @@ def test_what_fails_later_is_told_in_one_line(small, tmp_path):
 
 def test_studies_stay_apart(tmp_path):
     """Of one kind in different files; read again and again; what they register is forgotten."""
-    again = "from vcal.instruments.base import register\n" + BAR.replace(
-        "class DoubleBallBar", "@vcal.register\nclass Mine(BarLength):\n    name = 'mine'\n\n\n"
-        "@register\nclass DoubleBallBar",
+    again = "from vcal.instruments.base import register\n" + DISC.replace(
+        "class DiscProbe", "@vcal.register\nclass Mine(DiscRadius):\n    name = 'mine'\n\n\n"
+        "@register\nclass DiscProbe",
     )  # fmt: skip
     columns = circles(PLANES[:1], 12)
-    one = write_bar(tmp_path / "one", columns)
-    two = write_bar(tmp_path / "two", columns, again.replace('summary = "error', 'summary = "two'))
+    one = write_disc(tmp_path / "one", columns)
+    two = write_disc(tmp_path / "two", columns, again.replace('summary = "error', 'summary = "two'))
     known, effects = dict(INSTRUMENTS), dict(CATALOGUE)
     for _ in range(2):
         texts = [load_study(folder).model.effects[-1].summary[:5] for folder in (one, two)]
         assert texts == ["error", "two o"]
         assert known == INSTRUMENTS and effects == CATALOGUE
-    with pytest.raises(StudyError, match="unknown instrument 'double_ball_bar'"):
-        write = (one / "setup.toml").read_text().replace('kind_file = "ball_bar.py"', "")
+    with pytest.raises(StudyError, match="unknown instrument 'disc_probe'"):
+        write = (one / "setup.toml").read_text().replace('kind_file = "disc_probe.py"', "")
         (one / "setup.toml").write_text(write)
         load_study(one)
 
@@ -279,20 +279,20 @@ TURNING = (
 
 def test_rotary_axes_are_for_those_who_say_so(small):
     write_csv(small / "data.csv", circles(PLANES[:1], 12) | {"c_deg": np.zeros(24)})
-    with pytest.raises(StudyError, match="'double_ball_bar' on a machine with 'w C b X Y Z t'"):
+    with pytest.raises(StudyError, match="'disc_probe' on a machine with 'w C b X Y Z t'"):
         load_study(small, TURNING)
-    text = BAR.replace('kind = "double_ball_bar"', 'kind = "double_ball_bar"\n    rotary = True')
-    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    text = DISC.replace('kind = "disc_probe"', 'kind = "disc_probe"\n    rotary = True')
+    (small / "disc_probe.py").write_text(text, encoding="utf-8")
     assert load_study(small, TURNING).plan.axes == ("X", "Y", "Z", "C")
-    (small / "ball_bar.py").write_text(text.replace("= True", "= 1"), encoding="utf-8")
+    (small / "disc_probe.py").write_text(text.replace("= True", "= 1"), encoding="utf-8")
     with pytest.raises(StudyError, match="rotary: found 1, expected True or False"):
         load_study(small, TURNING)
 
 
 def test_annotations_that_are_text(small):
-    text = "from __future__ import annotations\n\n" + BAR
-    (small / "ball_bar.py").write_text(text, encoding="utf-8")
-    assert load_study(small).instrument.length == 0.15
+    text = "from __future__ import annotations\n\n" + DISC
+    (small / "disc_probe.py").write_text(text, encoding="utf-8")
+    assert load_study(small).instrument.radius == 0.15
 
 
 QUICK = ("laser_tracker", "laser_frame")
@@ -316,61 +316,71 @@ def test_a_class_of_ones_own_after_one_that_is_there(tmp_path, kind):
 
 def test_a_file_of_effects_and_instruments(small):
     """It is run once, so that both come from one module."""
-    study = load_study(small, ['model.effects_file="ball_bar.py"'])
-    assert type(study.instrument.effects(study.plan)[0]) is study.catalogue["bar_centre"]
+    study = load_study(small, ['model.effects_file="disc_probe.py"'])
+    assert type(study.instrument.effects(study.plan)[0]) is study.catalogue["disc_centre"]
 
 
 def test_data_sets_with_files_of_their_own(small):
     columns = circles(PLANES[:1], 12)
     write_csv(small / "other.csv", columns | {"x_mm": columns["x_mm"] + 50.0})
-    (small / "other.py").write_text(BAR.replace("dimension = 1", "dimension = 2"))
+    (small / "other.py").write_text(DISC.replace("dimension = 1", "dimension = 2"))
     text = (small / "setup.toml").read_text(encoding="utf-8")
     machine, rest = text.split("[instrument]\n")
     instrument, model = rest.split("[model.geometric]")
     model = "[model.geometric]" + model.split("[data]")[0]
     rows = [
         f'[[data]]\nname = "{name}"\nfile = "{name}.csv"\n[data.instrument]\n'
-        + instrument.replace("ball_bar.py", file)
-        for name, file in (("data", "ball_bar.py"), ("other", "other.py"))
+        + instrument.replace("disc_probe.py", file)
+        for name, file in (("data", "disc_probe.py"), ("other", "other.py"))
     ]
     (small / "setup.toml").write_text(machine + "\n".join(rows) + model, encoding="utf-8")
     study = load_study(small)
     assert study.instrument.dimensions(study.plan).tolist() == [1] * 24 + [2] * 24
     assert study.instrument.folds(study.plan)[0].max() == 9
-    assert {"ball_bar.py", "other.py"} <= set(study.hashes)
+    assert {"disc_probe.py", "other.py"} <= set(study.hashes)
     with pytest.raises(StudyError, match="no.py, file: found no such file"):
         load_study(small, ["data.1.instrument.kind_file=no.py"])
     with pytest.raises(StudyError, match="key data.1.instrument.kind: found the unknown instrumen"):
-        load_study(small, ["data.1.instrument.kind=ball_bar"])
-    (small / "other.py").write_text(BAR.replace("return np.ones((plan", "return np.ones((1 + plan"))
-    with pytest.raises(StudyError, match=r"other.py, class DoubleBallBar, lengths: found shape"):
+        load_study(small, ["data.1.instrument.kind=disc"])
+    (small / "other.py").write_text(
+        DISC.replace("return np.ones((plan", "return np.ones((1 + plan")
+    )
+    with pytest.raises(StudyError, match=r"other.py, class DiscProbe, lengths: found shape"):
         load_study(small)
 
 
 # --- files that cannot be used --------------------------------------------------------------------
 
-HEAD, LAST = 'kind = "double_ball_bar"\n', "        return fold, False\n"
-OBSERVE = 'return [jnp.sqrt(bar.dot(bar)) - self.length + ports["read"][0]]'
+HEAD, LAST = 'kind = "disc_probe"\n', "        return fold, False\n"
+OBSERVE = 'return [jnp.sqrt(arm.dot(arm)) - self.radius + ports["read"][0]]'
 OF_FILE = {
-    "not Python": ("def", "ball_bar.py: cannot be run: SyntaxError: "),
+    "not Python": ("def", "disc_probe.py: cannot be run: SyntaxError: "),
     "fails": ("import vcal\n1 / 0", "cannot be run: ZeroDivisionError: division by zero (line 2)"),
     "ends the program": ("import sys\nsys.exit(3)", "cannot be run: SystemExit: 3 (line 2)"),
     "nothing in it": ("x = 1", "holds no instrument, expected at least one class derived from"),
-    "without a kind": (BAR.replace(HEAD, "pass\n"), "class DoubleBallBar has no 'kind', expected"),
+    "without a kind": (DISC.replace(HEAD, "pass\n"), "class DiscProbe has no 'kind', expected"),
     "two of a kind": (
-        BAR + "\n\nclass Again(DoubleBallBar):\n    pass\n",
-        "ball_bar.py, class Again, kind: found 'double_ball_bar', which is taken",
+        DISC + "\n\nclass Again(DiscProbe):\n    pass\n",
+        "disc_probe.py, class Again, kind: found 'disc_probe', which is taken",
     ),
 }
 WRONG = {
     "a kind there is": (HEAD, 'kind = "r_test"\n', "kind: found 'r_test', which is taken, expec"),
-    "a kind with a blank": (HEAD, 'kind = "ball bar"\n', "kind: found 'ball bar', expected letter"),
+    "a kind with a blank": (
+        HEAD,
+        'kind = "disc probe"\n',
+        "kind: found 'disc probe', expected letter",
+    ),
     "not all methods": (
         "def noise",
         "def nois",
         "body: found no noise, expected all abstract methods",
     ),
-    "settings": ("Settings = BallBarSettings", "Settings = 3", "Settings: found 3, expected a cl"),
+    "settings": (
+        "Settings = DiscSettings",
+        "Settings = 3",
+        "Settings: found 3, expected a cl",
+    ),
     "dimension": ("dimension = 1", "dimension = 0", "dimension: found 0, expected a whole number"),
     "labels": ("dimension = 1", 'dimension = 1; labels = "a"', "labels: found 'a', expected a t"),
     "machine": ("dimension = 1", 'dimension = 1; machine = "X"', "machine: found ValueError: chai"),
@@ -389,7 +399,7 @@ WRONG = {
     "build makes nothing": (
         "        return cls(\n",
         "        return None\n        return cls(\n",
-        "build: found NoneType, expected an instance of DoubleBallBar",
+        "build: found NoneType, expected an instance of DiscProbe",
     ),
     "a static list": (
         "runs=runs,",
@@ -410,22 +420,22 @@ WRONG = {
     "readings of one axis": (
         "float)[:, None] *",
         "float) *",
-        "measured: found shape (24,), expected readings length, SI, an array of the shape (24, 1)",
+        "measured: found shape (24,), expected readings radius, SI, an array of the shape (24, 1)",
     ),
     "a text for readings": (
-        '("length",)\n\n    @c',
-        '"length"\n\n    @c',
-        "readings: found 'length'",
+        '("radius",)\n\n    @c',
+        '"radius"\n\n    @c',
+        "readings: found 'radius'",
     ),
     "a port of the tool": (
         'group("read"',
         'group("tool"',
-        "ports: found 'tool.length', expected a",
+        "ports: found 'tool.radius', expected a",
     ),
-    "a port without a group": ('group("read", ("length",))', '("read",)', "ports: found 'read', e"),
+    "a port without a group": ('group("read", ("radius",))', '("read",)', "ports: found 'read', e"),
     "ports apart": (
-        'group("centre", ("X", "Y", "Z")) + group("read", ("length",))',
-        '("centre.X", "read.length", "centre.Y", "centre.Z")',
+        'group("centre", ("X", "Y", "Z")) + group("read", ("radius",))',
+        '("centre.X", "read.radius", "centre.Y", "centre.Z")',
         "ports: found 'centre.Y' apart from its group, expected groups in one piece",
     ),
     "rows fail": (
@@ -439,11 +449,11 @@ WRONG = {
         OBSERVE[:-1] + ", 0.0]",
         "observe: found 2 numbers, expected 1 number",
     ),
-    "one number": (OBSERVE, "return jnp.sqrt(bar.dot(bar))", "observe: found TypeError"),
+    "one number": (OBSERVE, "return jnp.sqrt(arm.dot(arm))", "observe: found TypeError"),
     "a column": (
         OBSERVE,
         "return [jnp.zeros(3)]",
-        "observe: found shape (3,) for length, expected",
+        "observe: found shape (3,) for radius, expected",
     ),
     "numpy": (OBSERVE, OBSERVE.replace("jnp", "np"), "observe: found TracerArrayConversionError: "),
     "float": (OBSERVE, "return [float(tool.x)]", "observe: found ConcretizationTypeError: "),
@@ -455,14 +465,14 @@ WRONG = {
     "no derivative": (
         OBSERVE,
         'return [jnp.sqrt(jnp.square(ports["centre"][0])) + tool.x]',
-        "observe: found no finite derivative of length in row 1",
+        "observe: found no finite derivative of radius in row 1",
     ),
     "noise of one axis": (
         "np.full((plan.rows, 1),",
         "np.full(plan.rows,",
         "noise: found shape (24,)",
     ),
-    "no noise": ("self.sigma)", "0.0)", "noise: found 0 for length in row 1, expected standard"),
+    "no noise": ("self.sigma)", "0.0)", "noise: found 0 for radius in row 1, expected standard"),
     "lengths": ("np.ones((plan.rows, 1))", "None", "lengths: found None, expected metres per unit"),
     "dimensions": (
         LAST,
@@ -487,7 +497,7 @@ WRONG = {
     "start": (
         LAST,
         LAST + "\n    def start(self, chain, plan, readings):\n        return None\n",
-        "start: found NoneType, expected an instance of DoubleBallBar",
+        "start: found NoneType, expected an instance of DiscProbe",
     ),
     "difference": (
         LAST,
@@ -532,19 +542,19 @@ WRONG = {
         "folds: found 0 for what is kept out of every",
     ),
     "a list of effects": (
-        "return (BarCentre(seen=tuple(seen)), BarLength(u_um=self.length_u_um))",
-        "return BarCentre(seen=tuple(seen))",
-        "effects: found BarCentre",
+        "return (DiscCentre(seen=tuple(seen)), DiscRadius(u_um=self.radius_u_um))",
+        "return DiscCentre(seen=tuple(seen))",
+        "effects: found DiscCentre",
     ),
     "an effect twice": (
-        "BarCentre(seen=tuple(seen)), ",
-        "BarCentre(seen=tuple(seen)), BarCentre(seen=()), ",
-        "effects: found bar_centre, bar_centre, bar_length, expected a tuple of vcal.Effect, each",
+        "DiscCentre(seen=tuple(seen)), ",
+        "DiscCentre(seen=tuple(seen)), DiscCentre(seen=()), ",
+        "effects: found disc_centre, disc_centre, disc_radius, expected a tuple of vcal.Effect, ea",
     ),
     "written in another unit": (
         "readings[:, 0] * 1e6",
         "readings[:, 0] * 1e3",
-        "to_table: found the reading length in row",
+        "to_table: found the reading radius in row",
     ),
     "a property that is a method": (
         "@property\n    def readings",
@@ -587,8 +597,8 @@ WRONG = {
         "rows: found ValueError: assignment destination is read-only (line ",
     ),
     "writes into the table": (
-        "run, length = np.asarray(",
-        'table["x_mm"] *= 1e-3\n        run, length = np.asarray(',
+        "run, radius = np.asarray(",
+        'table["x_mm"] *= 1e-3\n        run, radius = np.asarray(',
         "build: found ValueError: output array is read-only (line ",
     ),
     "rows of text": (
@@ -599,7 +609,7 @@ WRONG = {
     "single precision": (
         OBSERVE,
         "return [jnp.float32(tool.x)]",
-        "observe: found float32 for length, expected float64",
+        "observe: found float32 for radius, expected float64",
     ),
     "chance": (
         OBSERVE,
@@ -649,7 +659,7 @@ WRONG = {
     "what is held out alone tells something": (
         LAST,
         "        return np.where(run == 1, 0, -1), True\n",
-        "folds: found all rows that identify bar_centre 1.X, bar_centre 1.Y held out of every fit",
+        "folds: found all rows that identify disc_centre 1.X, disc_centre 1.Y held out of every fi",
     ),
     "does not write the readings": (
         ', "deviation_um": readings[:, 0] * 1e6}',
@@ -678,14 +688,14 @@ MEASURED = (
 )
 SETS = {
     "a kind there is": ["instrument.kind=r_test"],
-    "a row there is not": ["instrument.length_mm=145"],
+    "a row there is not": ["instrument.radius_mm=145"],
 }
 
 
 @pytest.mark.parametrize("case", OF_FILE)
 def test_a_file_that_cannot_be_used(small, case):
     text, expected = OF_FILE[case]
-    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    (small / "disc_probe.py").write_text(text, encoding="utf-8")
     with pytest.raises(StudyError) as caught:
         load_study(small)
     assert expected in str(caught.value) and "\n" not in str(caught.value)
@@ -694,42 +704,42 @@ def test_a_file_that_cannot_be_used(small, case):
 @pytest.mark.parametrize("case", WRONG)
 def test_a_class_that_cannot_be_used(small, case):
     old, new, expected = WRONG[case]
-    assert BAR.count(old) >= 1
-    (small / "ball_bar.py").write_text(BAR.replace(old, new), encoding="utf-8")
+    assert DISC.count(old) >= 1
+    (small / "disc_probe.py").write_text(DISC.replace(old, new), encoding="utf-8")
     if case in MEASURED:
         read = np.linspace(-5.0, 5.0, 24)
         write_csv(small / "data.csv", circles(PLANES[:1], 12) | {"deviation_um": read})
     with pytest.raises(StudyError) as caught:
         load_study(small, SETS.get(case, []))
     message = str(caught.value)
-    assert message.startswith("ball_bar.py, class DoubleBallBar, ") and "\n" not in message
+    assert message.startswith("disc_probe.py, class DiscProbe, ") and "\n" not in message
     assert message.endswith("; correct the class")
     assert expected in message
 
 
 OF_EFFECTS = {
     "a port there is not": (
-        '("read.length", "error")',
-        '("read.lenght", "error")',
-        "BarLength, response: found the port 'read.lenght', expected one",
+        '("read.radius", "error")',
+        '("read.raduis", "error")',
+        "DiscRadius, response: found the port 'read.raduis', expected one",
     ),
-    "no scale": ("scale=100.0", "scale=0.0", "BarCentre, parameters: found 0.X with scale 0, exp"),
+    "no scale": ("scale=100.0", "scale=0.0", "DiscCentre, parameters: found 0.X with scale 0, exp"),
     "scatter without a size": (
         '("error", "um", sigma=self.u_um),)',
         '("error", "um"),)\n\n    kind = "random"',
-        "BarLength, parameters: found error of a random effect without sigma, expected its "
+        "DiscRadius, parameters: found error of a random effect without sigma, expected its "
         "standard deviation",
     ),
     "what was not recorded": (
         'return ("run",)',
         'return ("run", "T_bar")',
-        "BarCentre, needs: found T_bar, which the plan does not have, expected what it has; else "
-        "DoubleBallBar.effects has to leave it out",
+        "DiscCentre, needs: found T_bar, which the plan does not have, expected what it has; else "
+        "DiscProbe.effects has to leave it out",
     ),
     "a name of the catalogue": (
-        'name = "bar_length"',
+        'name = "disc_radius"',
         'name = "range_scale"',
-        "BarLength, name: found 'range_scale', which is taken, expected a name of its own",
+        "DiscRadius, name: found 'range_scale', which is taken, expected a name of its own",
     ),
 }
 
@@ -737,32 +747,32 @@ OF_EFFECTS = {
 @pytest.mark.parametrize("case", OF_EFFECTS)
 def test_effects_of_an_instrument_are_tried(small, case):
     old, new, expected = OF_EFFECTS[case]
-    assert BAR.count(old) == 1
-    (small / "ball_bar.py").write_text(BAR.replace(old, new), encoding="utf-8")
-    with pytest.raises(StudyError, match=re.escape(f"ball_bar.py, class {expected}")):
+    assert DISC.count(old) == 1
+    (small / "disc_probe.py").write_text(DISC.replace(old, new), encoding="utf-8")
+    with pytest.raises(StudyError, match=re.escape(f"disc_probe.py, class {expected}")):
         load_study(small)
 
 
 def test_what_instruments_of_a_file_have_in_common(small):
     """A base class needs no kind; labels are no quantities."""
-    text = BAR.replace("class DoubleBallBar(TableInstrument)", "class Bar(TableInstrument)")
+    text = DISC.replace("class DiscProbe(TableInstrument)", "class Bar(TableInstrument)")
     text = text.replace(HEAD, 'labels = ("who",)\n')
     text = text.replace("return cls(\n", "return cls(\n            ")
-    for name, kind in (("Double", "double_ball_bar"), ("Other", "other")):
+    for name, kind in (("Double", "disc_probe"), ("Other", "other")):
         text += f'\n\nclass {name}(Bar):\n    kind = "{kind}"\n'
-    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    (small / "disc_probe.py").write_text(text, encoding="utf-8")
     lines = (small / "data.csv").read_text(encoding="utf-8").splitlines()
     lines = [lines[0] + ",who", *(line + ",me" for line in lines[1:])]
     (small / "data.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    for kind, name in (("double_ball_bar", "Double"), ("other", "Other")):
+    for kind, name in (("disc_probe", "Double"), ("other", "Other")):
         study = load_study(small, [f"instrument.kind={kind}"])
         assert type(study.instrument).__name__ == name and "who" not in study.plan.covariates
 
 
 def test_nothing_to_be_found(small):
-    text = BAR.replace("return (BarCentre(seen=tuple(seen)), BarLength(u_um=self.length_u_um))",
+    text = DISC.replace("return (DiscCentre(seen=tuple(seen)), DiscRadius(u_um=self.radius_u_um))",
                        "return ()")  # fmt: skip
-    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    (small / "disc_probe.py").write_text(text, encoding="utf-8")
     setup = (small / "setup.toml").read_text(encoding="utf-8")
     geometric = setup[setup.index("[model.geometric]") : setup.index("[data]")]
     (small / "setup.toml").write_text(setup.replace(geometric, ""), encoding="utf-8")
@@ -770,35 +780,35 @@ def test_nothing_to_be_found(small):
         load_study(small)
 
 
-@pytest.mark.parametrize("says", ['raise ValueError("no\\nbar")', "assert False"])
+@pytest.mark.parametrize("says", ['raise ValueError("no\\ndisc")', "assert False"])
 def test_a_validator_that_refuses(small, says):
-    text = BAR.replace("from pydantic import Field", "from pydantic import Field, field_validator")
+    text = DISC.replace("from pydantic import Field", "from pydantic import Field, field_validator")
     text = text.replace(
-        "class BarCentre",
-        f'    @field_validator("length_mm")\n    def short(cls, value):\n        {says}\n\n\n'
-        "class BarCentre",
+        "class DiscCentre",
+        f'    @field_validator("radius_mm")\n    def short(cls, value):\n        {says}\n\n\n'
+        "class DiscCentre",
         1,
     )
-    (small / "ball_bar.py").write_text(text, encoding="utf-8")
+    (small / "disc_probe.py").write_text(text, encoding="utf-8")
     with pytest.raises(StudyError) as caught:
         load_study(small)
-    said = " (no bar)" if "bar" in says else ""
+    said = " (no disc)" if "disc" in says else ""
     assert str(caught.value) == (
-        "setup.toml, key instrument.length_mm: found 150, expected a value that its validator "
+        "setup.toml, key instrument.radius_mm: found 150, expected a value that its validator "
         f"accepts{said}; correct the value"
     )
 
 
 def test_a_validator_that_fails(small):
-    text = BAR.replace("from pydantic import Field", "from pydantic import Field, model_validator")
+    text = DISC.replace("from pydantic import Field", "from pydantic import Field, model_validator")
     text = text.replace(
-        "class BarCentre",
+        "class DiscCentre",
         '    @model_validator(mode="after")\n    def short(self):\n        return self.nosuch\n\n\n'
-        "class BarCentre",
+        "class DiscCentre",
         1,
     )
-    (small / "ball_bar.py").write_text(text, encoding="utf-8")
-    with pytest.raises(StudyError, match=r"ball_bar.py, short: found AttributeError: .*line \d+"):
+    (small / "disc_probe.py").write_text(text, encoding="utf-8")
+    with pytest.raises(StudyError, match=r"disc_probe.py, short: found AttributeError: .*line \d+"):
         load_study(small)
 
 
@@ -818,8 +828,7 @@ def test_a_file_there_is_not(small, value, expected):
 def test_a_kind_that_the_file_does_not_define(small):
     with pytest.raises(StudyError) as caught:
         load_study(small, ["instrument.kind=laser_tracker"])
-    assert (
-        "found the unknown instrument 'laser_tracker', expected one of double_ball_bar, as def"
-        in (str(caught.value))
+    assert "found the unknown instrument 'laser_tracker', expected one of disc_probe, as def" in (
+        str(caught.value)
     )
     assert f"without the kind_file, it may be one of {', '.join(INSTRUMENTS)}" in str(caught.value)

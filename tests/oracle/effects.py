@@ -238,11 +238,20 @@ ON_ARM = (
     "readback_lag",
     "station_drift",
 )
+ON_BAR = (
+    *ON_MACHINE,
+    "servo_lag",
+    "reversal_spike",
+    "stribeck_friction",
+    "coulomb_friction",
+    "acceleration_crosstalk",
+)
 ALLOWED = {
     "laser_tracker": (*ON_MACHINE, *ON_TRACKER),
     "ball_array": (*ON_MACHINE, *ON_BALLS),
     "laser_frame": (*ON_MACHINE, *ON_LASER),
     "r_test": ON_CIRCLES,
+    "double_ball_bar": ON_BAR,
     "reflectors": ON_ARM,
 }
 

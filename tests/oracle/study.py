@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .ball_bar import BallBar, bar_plan, measure_bar
 from .effects import Effect, Run, checked, recorded, tool_point
 from .frame import Frame, frame_plan, measure_frame
 from .instruments import (
@@ -75,7 +76,8 @@ Columns = dict[str, Array]
 class Case:
     """One synthetic study: what is declared, what was measured, and what is true.
 
-    Exactly one of the pairs (tracker, run), (balls, run), (frame, run), (arm, arm_run) is set
+    Exactly one of the pairs (tracker, run), (balls, run), (frame, run), (bar, run), (arm, arm_run)
+    is set
     beside the rest, and none of an R-test.
     """
 
@@ -108,6 +110,8 @@ class Case:
     ball_noise: BallNoise | None = None
     frame: Frame | None = None
     """What the frame really did."""
+    bar: BallBar | None = None
+    """Declared noise of a ball bar."""
     arm: Arm | None = None
     """The true arm."""
     arm_run: ArmPlan | None = None
@@ -142,6 +146,8 @@ class Case:
                     for a in "xyz"}  # fmt: skip
         if self.frame is not None:
             return {n: np.full(n_rows(data), 1e6 * self.frame.sigma) for n in ("u_um", "v_um")}
+        if self.bar is not None:
+            return {"deviation_um": np.full(n_rows(data), 1e6 * self.bar.sigma)}
         if self.instrument == "r_test":
             return {f"{a}_ext_mm": np.full(n_rows(data), 1e3 * EXTERNAL_SIGMA) for a in "xyz"}
         if self.instrument == "reflectors":
@@ -219,21 +225,24 @@ def make_case(
     only.
 
     Args:
-        instrument: "laser_tracker", "ball_array", "laser_frame"; "r_test" or "reflectors" (the
+        instrument: "laser_tracker", "ball_array", "laser_frame", "double_ball_bar"; "r_test" or
+            "reflectors" (the
             chain is then unused).
         effects: undeclared effects, see the table in effects.py.
         noise_factor: true noise / declared noise.
         travel: upper ends (3,) or both ends (3, 2) of the travels, m.
         tool_offset: m.
         table: declared half widths, um and urad; error_size scales the drawn errors only.
-        plan: keyword arguments of tracker_plan, ball_plan, frame_plan, measure_circles, arm_plan.
+        plan: keyword arguments of tracker_plan, ball_plan, frame_plan, bar_plan, measure_circles,
+            arm_plan.
         recording: further columns, see plans.conditions; of reflectors "t_s".
         family: the smooth family to declare and draw from instead of the table's.
         declared: rows for [[model.effect]] with their units in the keys (written, not applied).
         noise_seed: another seed for the stream of the noise alone.
         noise: laser_tracker: range_sigma, range_sigma_per_m, angle_sigma, station_mm,
             euler_xyz_deg, station_scatter (m, rad) about the nominal; ball_array: probe_sigma,
-            ball_position_u, supports; laser_frame: sigma, scatter of its pose (m, rad);
+            ball_position_u, supports; double_ball_bar: sigma, length_u, scatter (m); laser_frame:
+            sigma, scatter of its pose (m, rad);
             reflectors: arm, sigma, link_sizes (m, rad).
     """
     streams = np.random.SeedSequence(seed).spawn(6)
@@ -287,7 +296,7 @@ def make_case(
             write_study(folder, case)
         return case
 
-    sizes = FRAME_SIZES if instrument == "laser_frame" else SIZES
+    sizes = FRAME_SIZES if instrument in ("laser_frame", "double_ball_bar") else SIZES
     size, offset = sizes.get(chain, sizes["w X b Y Z t"])
     nominal = nominal_machine(
         chain,
@@ -299,9 +308,10 @@ def make_case(
     else:
         machine = draw_machine(nominal, for_machine, table, error_size)
     planned: Any = {
-        "laser_tracker": tracker_plan, "ball_array": ball_plan, "laser_frame": frame_plan
+        "laser_tracker": tracker_plan, "ball_array": ball_plan, "laser_frame": frame_plan,
+        "double_ball_bar": bar_plan,
     }[instrument](machine, for_plan, **plan)  # fmt: skip
-    run = planned.run if isinstance(planned, BallPlan) else planned
+    run = planned if isinstance(planned, Run) else planned.run
     check_run = check_plan(machine, for_check, n_check)
     more, there = conditions((run, check_run), for_more, recording)
     run = replace(run, extra=dict(run.extra) | more)
@@ -348,6 +358,18 @@ def make_case(
         case = Case(
             name, instrument, given, data, run=run, readings=readings, frame=frame, **shared
         )
+    elif instrument == "double_ball_bar":
+        bar = BallBar(**noise)
+        read, there = measure_bar(machine, planned, bar, for_noise, si, noise_factor)
+        truth |= {"ball_um": (1e6 * there["ball"]).tolist()}
+        truth |= {"length_um": (1e6 * there["length"]).tolist()}
+        data = {"run": planned.number.astype(float), "length_mm": 1e3 * planned.length}
+        data["feed_mm_min"] = 6e4 * planned.feed
+        data |= {f"{a.lower()}_mm": 1e3 * run.q[:, i] for i, a in enumerate(AXES)}
+        data["deviation_um"] = 1e6 * read
+        kept = ("x_mm", "y_mm", "z_mm", "tcp_x_mm", "tcp_y_mm", "tcp_z_mm")
+        shared["check"] = {name: check[name] for name in kept}
+        case = Case(name, instrument, given, data, run=run, bar=bar, **shared)
     else:
         balls, ball_noise = replace(planned, run=run), BallNoise(**noise)
         found, _, calibrated = measure_balls(
@@ -446,6 +468,12 @@ def _machine_lines(case: Case) -> list[str]:
             f"ball_position_u_um = {1e6 * case.ball_noise.ball_position_u:.6g}"
             "   # standard uncertainty of a calibrated coordinate",
             f"supports = {_numbers(case.ball_noise.supports)}   # of its length",
+        ]
+    if case.bar is not None:
+        lines += [
+            "length_mm = 150   # nominal; data.csv has that of every row",
+            f"length_u_um = {1e6 * case.bar.length_u:.6g}",
+            f"sigma_um = {1e6 * case.bar.sigma:.6g}",
         ]
     if case.frame is not None:
         lines += [f"sigma_um = {1e6 * case.frame.sigma:.6g}", 'beam_path = "3d"']

@@ -191,6 +191,64 @@ def turned_spheres(seed: int) -> Columns:
     return columns
 
 
+def ball_bar() -> Columns:
+    """Circles and arcs of a double ball bar about two positions of its ball, both senses.
+
+    In every set-up, the bar travels a circle in XY and arcs of 220 degrees above the table in YZ
+    and ZX, six degrees from row to row; the second set-up has a shorter bar and a higher feed.
+    """
+    found: dict[str, list] = {n: [] for n in ("run", "setup", "length_mm", "feed_mm_min")}
+    position, run = [], 0
+    setups = (((300.0, 250.0, 225.0), 150.0, 1000.0), ((420.0, 180.0, 150.0), 100.0, 4000.0))
+    for setup, (ball, length, feed) in enumerate(setups):
+        for first, second, low, high in ((0, 1, 0, 360), (1, 2, -20, 200), (2, 0, -110, 110)):
+            angle = np.deg2rad(np.arange(low + 3, high, 6))
+            for sense in (1, -1):
+                place = np.tile(ball, (len(angle), 1))
+                place[:, first] += length * np.cos(angle[::sense])
+                place[:, second] += length * np.sin(angle[::sense])
+                position.append(place)
+                for name, value in zip(found, (run, setup, length, feed), strict=True):
+                    found[name] += [value] * len(angle)
+                run += 1
+    columns = {name: np.array(values) for name, values in found.items()}
+    place = np.concatenate(position).round(6)
+    return columns | {f"{c}_mm": place[:, i] for i, c in enumerate("xyz")}
+
+
+def probed_sphere(radius: float, stylus: float) -> Columns:
+    """A sphere on a trunnion table at two places, touched from five sides and above, in mm.
+
+    C turns forward and back at three angles of A. The sides turn by 13 degrees from setting to
+    setting, so that lobes of the probe differ from reversal errors of the axes.
+    """
+    spheres = np.array([[160.0, 0.0, -60.0], [-90.0, 130.0, 20.0]])
+    rows = [
+        (setup, a, c, side)
+        for setup in range(2)
+        for a in (-50, 0, 50)
+        for c in (*range(0, 360, 60), *range(330, -1, -60))
+        for side in range(6)
+    ]
+    setup, a, c, side = (np.array(column) for column in zip(*rows, strict=True))
+    places = {"A": (0.0, 0.0, -0.12), "C": (0.0, 0.0, -0.2)}
+    chain = chain_from_string("w C A b Y X Z t", None, (0.0, 0.0, -0.15), places)
+    angles = np.column_stack([np.zeros((len(rows), 3)), np.deg2rad(a), np.deg2rad(c)])
+    # The tool point at rest plus the travel of the linear axes in the workpiece frame.
+    away = 1e-3 * spheres[setup] - chain.tool_point(angles)
+    centre = np.einsum("nij,ni->nj", chain.turn(angles), away) * 1e3
+    around = np.deg2rad(72.0 * side + 13.0 * (np.arange(len(rows)) // 6))
+    out = np.column_stack([np.cos(around), np.sin(around), 0.0 * around])
+    out[side == 5] = [0.0, 0.0, 1.0]
+    position = centre + (radius + stylus) * out
+    way = np.sign(np.diff(c, prepend=c[:1] - 1))
+    for i in range(1, len(way)):
+        way[i] = way[i] or way[i - 1]
+    columns: Columns = {"setup": setup}
+    columns |= {f"{k}_mm": position[:, i].round(6) for i, k in enumerate("xyz")}
+    return columns | {"a_deg": a, "c_deg": c, "dir_c": way}
+
+
 def main(folder: Path) -> None:
     """Write all plans to a folder with the layout of this one."""
     plan, artefact = balls(2)
@@ -204,6 +262,8 @@ def main(folder: Path) -> None:
         "start/laser_frame/data.csv": frame((500.0, 400.0, 350.0), 4, 4),
         "start/r_test/data.csv": circles(2.0, (0.5, 1.5, 3.0, 4.5), 40, 5),
         "start/static_r_test/data.csv": turned_spheres(6),
+        "start/double_ball_bar/data.csv": ball_bar(),
+        "start/touch_probe/data.csv": probed_sphere(12.5, 3.0),
     }
     for name, columns in tables.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

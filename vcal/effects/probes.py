@@ -19,19 +19,32 @@ _USUAL = 1.4e-6 / 3e-3
 """u/range of a device of U = 2.8 um (k = 2) at the end of a range of 3 mm."""
 
 
+def _lobes(phi: Array, order: int) -> Mapping[str, Array]:
+    """Sine and cosine of a number of lobes over the azimuth, by the names of their amplitudes."""
+    xp = namespace(phi)
+    return {f"sine{order}": xp.sin(order * phi), f"cosine{order}": xp.cos(order * phi)}
+
+
+def _along_approach(phi: Array, sizes: Mapping[str, Array]) -> Response:
+    """Displacements of the tool point along the approach of azimuth phi, in the frame of the tool."""
+    xp = namespace(phi)
+    ways = {"tool.X": xp.cos(phi), "tool.Y": xp.sin(phi)}
+    return {(port, name): way * size for port, way in ways.items() for name, size in sizes.items()}
+
+
 @register
-class ProbeLobing(AtInstrument):
+class ProbeLobing(Effect):
     """A probe whose pre-travel depends on the direction of approach: a0 + a3 cos(3 phi + phi0).
 
     phi is the azimuth of the approach about the probe's axis, in the frame of the tool (column
-    ``approach_rad``); the error of the tool point lies along the approach. Kinematic probes on
-    three supports have three lobes; a0 is the error of the effective tip radius.
+    ``approach_rad``, which a `touch_probe` derives); the error of the tool point lies along the
+    approach. Kinematic probes on three supports have three lobes; a0 is the error of the effective
+    tip radius.
     """
 
     name = "probe_lobing"
     summary = "pre-travel of a touch probe that depends on the direction of approach"
-    # A probe touches balls; without balls no reading has a direction of approach.
-    requires_port = "ball.X"
+    where = "instrument"
     uses = ("approach_rad",)
 
     @property
@@ -40,15 +53,37 @@ class ProbeLobing(AtInstrument):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         phi = plan.covariate("approach_rad")
-        xp = namespace(phi)
-        ways = {"tool.X": xp.cos(phi), "tool.Y": xp.sin(phi)}
-        sizes = {
-            "radius": xp.ones_like(phi),
-            "sine3": xp.sin(3.0 * phi),
-            "cosine3": xp.cos(3.0 * phi),
-        }
-        return {(port, name): way * size for port, way in ways.items()
-                for name, size in sizes.items()}  # fmt: skip
+        sizes = {"radius": namespace(phi).ones_like(phi), **_lobes(phi, 3)}
+        return _along_approach(phi, sizes)
+
+    @classmethod
+    def candidates(cls, setup: Setup) -> Iterable[Effect]:
+        # A probe touches balls or surfaces; no other reading has a direction of approach.
+        if "ball.X" in setup.layout or "size.stylus" in setup.layout:
+            yield cls()
+
+
+@register
+class ProbeTwoLobes(AtInstrument):
+    """A probe whose pre-travel has two lobes: a2 cos(2 phi + phi0), phi as of `probe_lobing`.
+
+    Bending of the stylus differs between the two directions across it, and a tip that is not round
+    or a misaligned probe has this form too.
+    """
+
+    name = "probe_two_lobes"
+    summary = "pre-travel of a touch probe with two lobes over the direction of approach"
+    requires_port = "size.stylus"
+    uses = ("approach_rad",)
+    odds = 0.5
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(name, "um", sigma=2.0) for name in ("sine2", "cosine2"))
+
+    def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
+        phi = plan.covariate("approach_rad")
+        return _along_approach(phi, _lobes(phi, 2))
 
 
 @register

@@ -271,13 +271,13 @@ class TableInstrument(Instrument):
     A user's own instrument is such a class in a Python file that the study names beside its kind::
 
         [instrument]
-        kind = "double_ball_bar"
-        kind_file = "ball_bar.py"
+        kind = "disc_probe"
+        kind_file = "disc_probe.py"
 
     It needs no registration, and anything it registers is removed afterwards. It is tried once when
     a study is read (`vcal.study.plugins.instrument_trial`): a method that returns anything but what
-    is documented here is reported with its class and name. ``tests/own_instrument/ball_bar.py`` is
-    a complete example.
+    is documented here is reported with its class and name. A complete example is
+    ``tests/own_instrument/disc_probe.py``.
     """
 
     kind: ClassVar[str]

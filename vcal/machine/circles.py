@@ -67,8 +67,9 @@ class Circle:
         A row at a reversal has the direction of its approach, as for a bidirectional position
         (ISO 230-2, 3.7), and not the direction that the rounding of its phase would give.
         """
-        at = self._phase(t) >= np.pi
-        return np.where(at, -1.0, 1.0) * np.sign(self.velocity(t))
+        # A little earlier: a row at a reversal moves neither way but for rounding.
+        t = np.asarray(t)
+        return np.sign(self.velocity(t - _AT * self._step(t)))
 
     def since_reversal(self, t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n axes"]:
         """Distance travelled since the last reversal of every axis, m, on a circle without start.
@@ -87,8 +88,12 @@ class Circle:
         t = np.asarray(t)
         start = np.arctan2(-self.sine, self.cosine)
         angle = np.mod(self.omega * t[:, None] + start, np.pi)
-        step = self.omega * float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+        step = self.omega * self._step(t)
         return np.where(angle < _AT * abs(step), angle + np.pi, angle)
+
+    def _step(self, t: np.ndarray) -> float:
+        """Median time from row to row."""
+        return float(np.median(np.diff(t))) if len(t) > 1 else 0.0
 
     def _wave(self, t: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
         angle = self.omega * np.asarray(t)[:, None]
@@ -144,3 +149,47 @@ def squared_pace(
 
     a2, v2 = (sums((x * x).sum(1)) for x in (acceleration, velocity))
     return (a2 / v2)[index]
+
+
+_ROUND = 1e-3
+"""Largest distance of positions from their circle, as a share of its radius."""
+_STEP = 2.0
+"""Largest angle from row to row, rad, at which the sense of a circle is certain."""
+
+
+def circle_through(
+    position: Float[np.ndarray, "n axes"],
+) -> tuple[Circle, Float[np.ndarray, " n"]] | None:
+    """The circle or arc that successive positions (n, axes), m, travel in one sense, with the angle
+    travelled at each of them (n,), rad, ascending; None where they travel none.
+
+    The plane is that of the two largest singular values of the positions about their mean, the
+    centre the linear least-squares solution of 2 e.c + const = |e|^2 in that plane. The circle has
+    an angular velocity of 1 rad/s: its `velocity` and `acceleration` at an angle are per
+    angular velocity and per its square.
+    """
+    x = np.asarray(position, float)
+    if len(x) < 4:
+        return None
+    middle = x.mean(0)
+    _, size, axes = np.linalg.svd(x - middle, full_matrices=False)
+    if len(size) < 2 or size[1] <= 1e-6 * size[0] or size[0] == 0.0:
+        return None
+    first, second = axes[:2]
+    flat = (x - middle) @ axes[:2].T
+    matrix = np.column_stack([2.0 * flat, np.ones(len(flat))])
+    a, b, rest = np.linalg.lstsq(matrix, (flat**2).sum(1), rcond=None)[0]
+    radius = float(np.sqrt(max(rest + a * a + b * b, 0.0)))
+    if radius == 0.0:
+        return None
+    centre = middle + a * first + b * second
+    angle = np.unwrap(np.arctan2(flat[:, 1] - b, flat[:, 0] - a))
+    step = np.diff(angle)
+    sense = 1.0 if np.median(step) >= 0.0 else -1.0
+    if (sense * step <= 0.0).any() or np.abs(step).max() > _STEP:
+        return None
+    circle = Circle(1.0, centre, radius * first, sense * radius * second)
+    angle = sense * angle
+    exact = centre + np.outer(np.cos(angle), circle.cosine) + np.outer(np.sin(angle), circle.sine)
+    off = np.linalg.norm(x - exact, axis=1)
+    return (circle, angle) if off.max() <= _ROUND * radius else None

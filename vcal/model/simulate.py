@@ -325,14 +325,16 @@ def simulate(
 def true_tool_points(model: Model, plan: Plan, truth: Truth) -> Float[np.ndarray, "n 3"]:
     """Tool points (n, 3) of the true machine in the workpiece frame, m.
 
-    Only effects of the machine count: effects of the instrument do not move the tool.
+    Only effects of the machine count: effects of the instrument do not move the tool. An effect of
+    a condition that the plan does not have, such as a direction that an instrument derives from the
+    order of its own rows, is not included.
     """
     require_float64()
     model.check_plan(plan)
     blocks = [
         effect_terms(effect, model.layout, plan, truth.shapes.get(i, {}), place.start)
         for i, (effect, place) in enumerate(zip(model.effects, model.places, strict=True))
-        if effect.where == "machine"
+        if effect.where == "machine" and plan.has(*effect.needs_at(truth.shapes.get(i, {})))
     ]
     terms = concatenate(blocks, plan.rows, len(model.layout))
     ports = port_values(terms, jnp.asarray(truth.theta), len(model.layout))

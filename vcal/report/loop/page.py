@@ -14,6 +14,7 @@ from ..html.sheet import Badge, Section, Tile, sheet
 from .findings import data_sets, declared_effects, errors, identified, unexplained
 from .geometry import conventions, geometry, noise
 from .recorded import recorded_responses
+from .standards import standards
 from .tested import not_tested, tested
 
 _BADGES = {
@@ -63,6 +64,7 @@ def page(
             *tested(closure, study, shown),
             *not_tested(closure, study),
             *geometry(closure, study, tables, tests, shown),
+            *standards(closure, study),
             noise(closure, shown),
             conventions(study),
             provenance_section(study, quoted, files or {}, command, seconds),

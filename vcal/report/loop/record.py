@@ -29,6 +29,7 @@ from .derived import (
     shares_by_column,
     untested_beside,
 )
+from .standards import standards_record
 
 SCHEMA = "vcal-report/1"
 
@@ -44,7 +45,7 @@ def record(
     """All results of a closure as plain values; see `SCHEMA`.
 
     `tests` of the geometry are the content of `geometry`. A study with several data sets also has
-    `data_sets`, the share of each.
+    `data_sets`, the share of each; one with a double ball bar also has `circular_tests`.
 
     An effect whose `placement` is a class of several, ``"X|Y"``, has the parameters of its
     `fitted_placement`. `unexplained` has a `size_um` and a `share_of_variance`, which `size_is` and
@@ -122,6 +123,7 @@ def record(
     recorded = [_confirmation(one) for one in confirmations(closure)]
     found |= {"data_sets": several} if several else {}
     found |= {"recorded_responses": recorded} if recorded else {}
+    found |= standards_record(closure, study)
     return plain(found)
 
 

@@ -1,11 +1,11 @@
-"""A user's own instrument: the double ball bar of ISO 230-4.
+"""A user's own instrument: a probe on the edge of a circular master (ISO 230-4).
 
-A bar with a ball at each end reads the distance from the ball on the table to the one in the
-spindle, while the axes travel circles about the former. A study names it by
+A disc of calibrated radius stands on the table, and a probe in the spindle reads the distance from
+its edge while two axes travel a circle about it. A study names it by
 
     [instrument]
-    kind = "double_ball_bar"
-    kind_file = "ball_bar.py"
+    kind = "disc_probe"
+    kind_file = "disc_probe.py"
 
 Everything it builds on comes from `vcal` and `vcal.instruments`; vcal/instruments/base.py documents
 each method.
@@ -29,12 +29,12 @@ from vcal.instruments import (
 )
 
 
-class BallBarSettings(InstrumentSettings):
+class DiscSettings(InstrumentSettings):
     """Keys of `[instrument]` beside kind and kind_file."""
 
-    length_mm: float = Field(gt=0, le=5000)
-    """Calibrated distance of the balls at which the bar reads zero."""
-    length_u_um: float = Field(gt=0, le=1000)
+    radius_mm: float = Field(gt=0, le=5000)
+    """Calibrated radius of the disc, at which the probe reads zero."""
+    radius_u_um: float = Field(gt=0, le=1000)
     """Its standard uncertainty."""
     sigma_um: float = Field(gt=0, le=1000)
     """Noise of one reading."""
@@ -42,14 +42,14 @@ class BallBarSettings(InstrumentSettings):
     """Readings beyond this are refused, and circles of another radius."""
 
 
-class BarCentre(vcal.Effect):
-    """Place of the ball on the table in every run, in the plane of the circle: flat parameters.
+class DiscCentre(vcal.Effect):
+    """Place of the disc on the table in every run, in its plane: flat parameters.
 
     Across that plane it changes no reading to first order, and is left as it was commanded.
     """
 
-    name = "bar_centre"
-    summary = "place of the ball on the table in each run"
+    name = "disc_centre"
+    summary = "place of the disc on the table in each run"
     kind = "nuisance"
     where = "instrument"
     seen: tuple[tuple[int, str], ...] = eqx.field(static=True)
@@ -68,11 +68,11 @@ class BarCentre(vcal.Effect):
         return {(f"centre.{c}", f"{k}.{c}"): np.where(run == k, 1.0, 0.0) for k, c in self.seen}
 
 
-class BarLength(vcal.Effect):
-    """Error of the calibrated length, the same in all runs: a longer bar reads less."""
+class DiscRadius(vcal.Effect):
+    """Error of the calibrated radius, the same in all runs: a larger disc reads less."""
 
-    name = "bar_length"
-    summary = "error of the calibrated length of the bar"
+    name = "disc_radius"
+    summary = "error of the calibrated radius of the disc"
     where = "instrument"
     u_um: float
 
@@ -81,18 +81,18 @@ class BarLength(vcal.Effect):
         return (vcal.Parameter("error", "um", sigma=self.u_um),)
 
     def response(self, plan, shape):
-        return {("read.length", "error"): -np.ones(plan.rows)}
+        return {("read.radius", "error"): -np.ones(plan.rows)}
 
 
-class DoubleBallBar(TableInstrument):
-    """Reading |p - c| - L: tool point p, ball on the table c, calibrated length L."""
+class DiscProbe(TableInstrument):
+    """Reading |p - c| - R: tool point p, centre of the disc c, calibrated radius R."""
 
-    kind = "double_ball_bar"
+    kind = "disc_probe"
     dimension = 1  # one reading is all that is known of a point
-    Settings = BallBarSettings
+    Settings = DiscSettings
 
-    length: float
-    length_u_um: float
+    radius: float
+    radius_u_um: float
     sigma: float
     runs: tuple[int, ...] = eqx.field(static=True)
     centres: np.ndarray
@@ -100,11 +100,11 @@ class DoubleBallBar(TableInstrument):
 
     @property
     def ports(self):
-        return group("centre", ("X", "Y", "Z")) + group("read", ("length",))
+        return group("centre", ("X", "Y", "Z")) + group("read", ("radius",))
 
     @property
     def readings(self):
-        return ("length",)
+        return ("radius",)
 
     @classmethod
     def columns(cls, settings, axes, readings):
@@ -115,24 +115,24 @@ class DoubleBallBar(TableInstrument):
 
     @classmethod
     def build(cls, settings, chain, table, load):
-        run, length = np.asarray(table["run"], int), settings.length_mm * 1e-3
+        run, radius = np.asarray(table["run"], int), settings.radius_mm * 1e-3
         points = np.column_stack([table[f"{c}_mm"] for c in "xyz"]) * 1e-3 + chain.tool_offset
         runs, centres = tuple(int(k) for k in np.unique(run)), []
         for k in runs:
             mine = np.flatnonzero(run == k)
             centres.append(_centre(np.asarray(points[mine])))
-            off = np.linalg.norm(points[mine] - centres[-1], axis=1) - length
+            off = np.linalg.norm(points[mine] - centres[-1], axis=1) - radius
             if (worst := np.abs(off).max()) > settings.range_mm * 1e-3:
                 raise RowError(
                     int(mine[np.argmax(np.abs(off))]),
                     "columns x_mm, y_mm, z_mm",
                     f"a position {worst * 1e3:.4g} mm beside the circle of run {k}",
-                    f"a circle with the radius of {settings.length_mm:g} mm (instrument.length_mm)",
-                    "correct the positions, the run or the length",
+                    f"a circle with the radius of {settings.radius_mm:g} mm (instrument.radius_mm)",
+                    "correct the positions, the run or the radius",
                 )
         return cls(
-            length=length,
-            length_u_um=settings.length_u_um,
+            radius=radius,
+            radius_u_um=settings.radius_u_um,
             sigma=settings.sigma_um * 1e-6,
             runs=runs,
             centres=np.array(centres),
@@ -148,12 +148,12 @@ class DoubleBallBar(TableInstrument):
         return {**linear_plan_table(plan), "deviation_um": readings[:, 0] * 1e6}
 
     def rows(self, plan):
-        # Where the ball on the table stands in the run of every row.
+        # Where the disc stands in the run of every row.
         return self.centres[np.searchsorted(self.runs, np.asarray(plan.groups["run"]))]
 
     def observe(self, row, rotation, tool, ports):
-        bar = tool - Vector.of(row) - Vector.of(ports["centre"])
-        return [jnp.sqrt(bar.dot(bar)) - self.length + ports["read"][0]]
+        arm = tool - Vector.of(row) - Vector.of(ports["centre"])
+        return [jnp.sqrt(arm.dot(arm)) - self.radius + ports["read"][0]]
 
     def noise(self, plan, readings):
         return np.full((plan.rows, 1), self.sigma)
@@ -165,9 +165,9 @@ class DoubleBallBar(TableInstrument):
         run, seen = np.asarray(plan.groups["run"]), []
         for k in self.runs:
             for c in "XYZ":
-                if np.ptp(np.asarray(plan.x(c))[run == k]) > 1e-3 * self.length:
+                if np.ptp(np.asarray(plan.x(c))[run == k]) > 1e-3 * self.radius:
                     seen.append((k, c))
-        return (BarCentre(seen=tuple(seen)), BarLength(u_um=self.length_u_um))
+        return (DiscCentre(seen=tuple(seen)), DiscRadius(u_um=self.radius_u_um))
 
     def folds(self, plan):
         # A fifth of every circle: what is left of it tells where its centre is.
