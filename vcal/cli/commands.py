@@ -316,16 +316,16 @@ def import_(
         str | None,
         typer.Option(
             metavar="X|EBX|XY",
-            help="Axis or error motion of an interferometer, or plane of a ball-bar record, where the "
-            "export names none.",
+            help="Axis or error motion of an interferometer, or plane of a ball-bar record, where "
+            "the export names none.",
         ),
     ] = None,
     at: Annotated[
         str | None,
         typer.Option(
             metavar="X=V,Y=V,...",
-            help="Positions of axes that the export does not hold, mm or deg: those that stand still "
-            "on a line, or of the centre of a circle.",
+            help="Positions of axes that the export does not hold, mm or deg: those that stand "
+            "still on a line, or of the centre of a circle.",
         ),
     ] = None,
     time_format: Annotated[

@@ -42,8 +42,8 @@ class Options:
     positions: Path | None = None
     """Table of the positions of the axes or joints at the points of the export."""
     axis: str | None = None
-    """Axis or error motion of an interferometer, or plane of a ball-bar record, where the file names
-    none."""
+    """Axis or error motion of an interferometer, or plane of a ball-bar record, where the file
+    names none."""
     at_mm: Mapping[str, float] = field(default_factory=dict)
     """Positions of the axes that stand still, or of the centre of a circle, by axis; mm or deg."""
     deviation_unit: str | None = None

@@ -93,6 +93,14 @@ class Export:
         return read_text(self.name, self.text)
 
     @cached_property
+    def raw(self) -> tuple[list[str], list[tuple[int, list[str]]]]:
+        """Comments, and the cells of every other line with its number; for tables with several
+        rows of headers. Raises `StudyError` for a binary file.
+        """
+        comments, plain, split = split_text(self.name, self.text)
+        return comments, [(i, split(line)) for i, line in plain]
+
+    @cached_property
     def attempted(self) -> "TextTable | None":
         """Its rows, or None for a file that is no table: for sniffing."""
         try:
@@ -191,19 +199,7 @@ def read_text(name: str, text: str | None, fewest: int = 2) -> TextTable:
     Raises `StudyError` for a binary file, for a file without such rows, for rows of different
     length, and for numbers with decimal points and decimal commas.
     """
-    if text is None:
-        raise refusal(
-            name,
-            "file",
-            "a binary file",
-            "a text export",
-            "export it as text from the program that wrote it",
-        )
-    lines = [(i, line.strip("\ufeff \r\n\x1a")) for i, line in enumerate(text.split("\n"), 1)]
-    lines = [(i, line) for i, line in lines if line.strip("\t ,;")]
-    comments = [line.lstrip("/#%! \t") for _, line in lines if line.startswith(COMMENTS)]
-    plain = [(i, line) for i, line in lines if not line.startswith(COMMENTS)]
-    split = _splitter([line for _, line in plain])
+    comments, plain, split = split_text(name, text)
     cells = [(i, split(line)) for i, line in plain]
     first = next((k for k, (_, row) in enumerate(cells) if _is_row(row, fewest)), None)
     if first is None:
@@ -267,6 +263,28 @@ def read_text(name: str, text: str | None, fewest: int = 2) -> TextTable:
     return TextTable(
         name, [*comments, *above_lines], header, units, [i for i, _ in body], rows, decimal
     )
+
+
+def split_text(
+    name: str, text: str | None
+) -> tuple[list[str], list[tuple[int, str]], Callable[[str], list[str]]]:
+    """Comment lines without their marks, all other lines that hold something, with their numbers,
+    and the function that splits such a line into cells. Raises `StudyError` for a binary file.
+    """
+    if text is None:
+        raise refusal(
+            name,
+            "file",
+            "a binary file",
+            "a text export",
+            "export it as text from the program that wrote it",
+        )
+    lines = [(i, line.strip("\ufeff \r\n\x1a")) for i, line in enumerate(text.split("\n"), 1)]
+    lines = [(i, line) for i, line in lines if line.strip("\t ,;")]
+    comments = [line.lstrip("/#%! \t") for _, line in lines if line.startswith(COMMENTS)]
+    plain = [(i, line) for i, line in lines if not line.startswith(COMMENTS)]
+    split = _splitter([line for _, line in plain])
+    return comments, plain, split
 
 
 def _splitter(lines: Sequence[str]) -> Callable[[str], list[str]]:

@@ -36,7 +36,7 @@ def joint_columns(names: Sequence[Name], kind: str | None = None) -> list[int]:
 
 
 def conditions(table: TextTable) -> tuple[dict[str, np.ndarray], set[int]]:
-    """Columns of conditions that have vcal's own names (``dir_x``, ``T_x_degC``), and their places."""
+    """Columns of conditions that have vcal's own names (``dir_x``), and their places."""
     found = {n: p for p, n in enumerate(table.header) if _PASSED.fullmatch(n)}
     return {name: table.numbers(place) for name, place in found.items()}, {*found.values()}
 

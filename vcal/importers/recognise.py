@@ -91,6 +91,6 @@ def _unknown(export: Export) -> StudyError:
         "format",
         "a binary file" if export.text is None else "a table that no format recognises",
         f"one of {listed(FORMATS)}",
-        "give --format with its name (vcal import --list describes the formats), or name its columns "
-        "in [data.columns] of a study of your own",
+        "give --format with its name (vcal import --list describes the formats), or name its "
+        "columns in [data.columns] of a study of your own",
     )

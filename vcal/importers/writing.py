@@ -195,9 +195,7 @@ def _tree(
 def _check_keys(study: Mapping[str, Any], sets: Sequence[DataSet], needs: Needs) -> None:
     """Add to `needs` the keys of the instruments that only the user knows."""
     for i, one in enumerate(sets):
-        way: tuple[str | int, ...] = (
-            ("instrument",) if len(sets) == 1 else ("data", i, "instrument")
-        )
+        above: tuple[str | int, ...] = () if len(sets) == 1 else ("data", i)
         for key, meaning in one.needed.items():
             if at(study, (*above, "instrument", key)) is None:
                 needs.add(f"--set instrument.{key}=VALUE", meaning)

@@ -80,7 +80,7 @@ class RobotPoses(Format):
 
 
 def _several(names: Sequence[Name]) -> dict[tuple[int, str], int]:
-    """Columns of the coordinates of several points, by number and axis; empty where any is missing."""
+    """Columns of the coordinates of several points by number and axis; empty where one lacks."""
     found: dict[tuple[int, str], int] = {}
     for place, name in enumerate(names):
         if match := _SEVERAL.fullmatch(name.text):
