@@ -129,7 +129,7 @@ def run_of(text: str) -> int | None:
 
 
 def number_in(comments: Sequence[str], words: str) -> tuple[float, str] | None:
-    """The first number behind one of the words (a pattern) in comment lines, and what follows it."""
+    """The first number behind a word (a pattern) in comment lines, and what follows it."""
     for comment in comments:
         found = re.search(
             rf"\b(?:{words})\b[^\d+\-]*([-+]?\d[\d.,]*)\s*([^\s,;]*)", comment, re.IGNORECASE

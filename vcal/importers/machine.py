@@ -86,6 +86,7 @@ def completed(
     """Add what the positions tell to a ``[machine]`` table; returns notes on it.
 
     The travel of an axis that is not declared becomes the range of its positions, rounded outwards.
+    That of an axis that stands still has to be given.
     A machine tool needs its tool offset, and every rotary axis a point on it, from the user.
     """
     if machine.arm:
@@ -105,8 +106,14 @@ def completed(
                 )
         elif axis not in travel and values is not None:
             low, high = float(np.min(values)), float(np.max(values))
+            if high - low < _GRID_MM:
+                needs.add(
+                    f"--set machine.travel_mm.{axis}=[LOW,HIGH]",
+                    f"travel of {axis} in mm, as it stands still in the file",
+                )
+                continue
             low = _GRID_MM * np.floor(low / _GRID_MM)
-            high = max(_GRID_MM * np.ceil(high / _GRID_MM), low + _GRID_MM)
+            high = _GRID_MM * np.ceil(high / _GRID_MM)
             travel[axis] = [float(low), float(high)]
             guessed.append(axis)
     if guessed:

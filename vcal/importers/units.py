@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 
 LENGTHS_MM = {
     "mm": 1.0,
@@ -66,19 +67,21 @@ def is_unit(text: str) -> bool:
     return unit_of(text) is not None or plain in _OTHER
 
 
-def stated_units(texts: list[str]) -> tuple[str | None, str | None]:
+def stated_units(texts: Sequence[str], words: str = "units?") -> tuple[str | None, str | None]:
     """Unit of the lengths and of the angles that comment lines state; None where they state none.
 
-    Taken from lines that say ``unit``, such as ``// Units: inches, degrees``.
+    Taken from what stands behind one of the words (a pattern), as in ``// Units: inches, degrees``.
+    The word ``in`` is an inch where no other unit of length follows it, as in ``Units in mm``.
     """
     length = angle = None
     for text in texts:
-        if not (said := re.search(r"\bunits?\b\W*(.*)", text, re.IGNORECASE)):
+        if not (said := re.search(rf"\b(?:{words})\b\W*(.*)", text, re.IGNORECASE)):
             continue
-        for word in re.findall(r"[^\s,;:=()\[\]]+", said[1]):
-            unit = unit_of(word)
-            if unit in LENGTHS_MM and length is None:
-                length = unit
-            elif unit in ANGLES_RAD and angle is None:
-                angle = unit
+        found = [unit_of(word) for word in re.findall(r"[^\s,;:=()\[\]]+", said[1])]
+        lengths = [unit for unit in found if unit in LENGTHS_MM]
+        if lengths[:1] == ["in"] and len(lengths) > 1:
+            del lengths[0]
+        angles = [unit for unit in found if unit in ANGLES_RAD]
+        length = length or next(iter(lengths), None)
+        angle = angle or next(iter(angles), None)
     return length, angle

@@ -11,7 +11,7 @@ from ..base import LIKELY, NO, DataSet, Format, Machine, Needs, Options, registe
 from ..columns import parsed
 from ..export import Export
 from ..headed import Headed, direction, number_in, read_headed, still
-from ..units import ANGLES_RAD, LENGTHS_MM
+from ..units import ANGLES_RAD, LENGTHS_MM, stated_units
 from .laser_tracker import MACHINE
 
 _ANGLE = ("angle", "theta", "θ", "polar angle", "position angle")
@@ -200,13 +200,8 @@ def _length(table: Headed, options: Options) -> float | None:
 
 
 def _stated(table: Headed, absolute: bool) -> str | None:
-    words = "readings?" if absolute else "deviations?|readings?"
-    for comment in table.comments:
-        said = re.search(rf"\b(?:{words})\b(.*)", comment, re.IGNORECASE)
-        for word in re.findall(r"[^\s,;:=()\[\]]+", said[1]) if said else ():
-            if word.casefold() in LENGTHS_MM:
-                return word.casefold()
-    return None
+    """The unit of the readings in a comment, such as ``Deviations in µm``."""
+    return stated_units(table.comments, "readings?" if absolute else "deviations?|readings?")[0]
 
 
 def _plane(table: Headed, options: Options, needs: Needs) -> str:

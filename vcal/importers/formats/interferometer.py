@@ -12,7 +12,7 @@ from ..base import LIKELY, NO, DataSet, Format, Machine, Needs, Options, registe
 from ..columns import parsed
 from ..export import Export
 from ..headed import Headed, direction, number_in, read_headed, run_of, still
-from ..units import ANGLES_RAD, LENGTHS_MM, unit_of
+from ..units import ANGLES_RAD, LENGTHS_MM, stated_units, unit_of
 from .laser_tracker import MACHINE
 
 _TARGETS = (
@@ -23,6 +23,7 @@ _INDEX = ("i", "no", "nr", "index", "point", "number", "#", "")
 _DEVIATIONS = ("deviation", "error", "positional deviation", "dev", "xij", "x ij", "result")
 _RUN, _WAY = ("run", "run no", "run number", "j", "cycle", "lap"), ("direction", "dir", "approach")
 _STATISTIC = re.compile(r"\b(?:mean|average|avg|std|sigma|max|min|range|reversal)\b", re.I)
+_AXIS = re.compile(r"\b(?i:axis)\b[\s:=]*([XYZUVW])\b|\b([XYZUVW])[ -](?i:axis)\b")
 _MOTION = re.compile(r"\bE([XYZABC])([XYZUVW])\b")
 _OTHER_KINDS = re.compile(r"\b(straightness|pitch|yaw|roll|angular|angle)\b", re.IGNORECASE)
 _SAME = 0.5
@@ -233,12 +234,8 @@ def _finite(table: Headed, places: Sequence[int]) -> np.ndarray:
 
 def _stated(table: Headed) -> str | None:
     """The unit of the deviations in a comment, such as ``Deviations in µm``."""
-    for comment in table.comments:
-        said = re.search(r"\b(?:deviations?|errors?|readings?)\b(.*)", comment, re.IGNORECASE)
-        for word in re.findall(r"[^\s,;:=()\[\]]+", said[1]) if said else ():
-            if unit := unit_of(word):
-                return unit
-    return None
+    length, angle = stated_units(table.comments, "deviations?|errors?|readings?")
+    return length or angle
 
 
 def _factor(own: str | None, given: str | None, option: str, needs: Needs) -> float:
@@ -272,7 +269,7 @@ def _motion(table: Headed, options: Options, needs: Needs) -> tuple[str, str]:
         )
         return "X", "X"
     for text in texts:
-        if found := re.search(r"\baxis\b[\s:=]*([XYZUVW])\b|\b([XYZUVW])[ -]axis\b", text):
+        if found := _AXIS.search(text):
             axis = found[1] or found[2]
             return axis, axis
     for title in table.titles:
