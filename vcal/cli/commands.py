@@ -328,6 +328,14 @@ def import_(
             "still on a line, or of the centre of a circle.",
         ),
     ] = None,
+    artefact: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Table of the calibrated centres of probed balls."),
+    ] = None,
+    contacts: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Number of contacts of a probe with each ball."),
+    ] = None,
     time_format: Annotated[
         str | None,
         typer.Option(metavar="TEXT", help="Format of time stamps, such as '%d/%m/%Y %H:%M:%S'."),
@@ -371,6 +379,8 @@ def import_(
             angles=angles,
             axis=axis,
             at=at,
+            artefact=artefact,
+            contacts=contacts,
             time_format=time_format,
             overrides=override or [],
             checked=not unchecked,

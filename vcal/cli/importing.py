@@ -24,6 +24,8 @@ def run_import(
     angles: str | None,
     axis: str | None,
     at: str | None,
+    artefact: Path | None,
+    contacts: int | None,
     time_format: str | None,
     overrides: Sequence[str],
     checked: bool,
@@ -48,6 +50,8 @@ def run_import(
         positions=positions,
         axis=axis,
         at_mm=_places(at),
+        artefact=artefact,
+        contacts=contacts,
     )
     done = import_study(
         files,

@@ -48,6 +48,10 @@ class Options:
     """Positions of the axes that stand still, or of the centre of a circle, by axis; mm or deg."""
     deviation_unit: str | None = None
     """Unit of deviations without a unit of their own."""
+    artefact: Path | None = None
+    """Table of the calibrated centres of balls."""
+    contacts: int | None = None
+    """Number of contacts of a probe with each ball."""
     given: Mapping[str, Any] = field(default_factory=dict)
     """Keys of the instrument that the user has set, such as the length of a bar."""
 

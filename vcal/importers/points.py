@@ -54,6 +54,11 @@ class Units:
         self.options, self.needs = options, needs
         self.used: dict[str, str] = {}
 
+    @staticmethod
+    def given_mm(options: Options) -> float:
+        """Factor to millimetre of lengths in a file that never states a unit."""
+        return LENGTHS_MM[options.unit or "mm"]
+
     def length_mm(self, name: Name | None) -> float:
         """Factor of a length to millimetre."""
         unit = (name and name.unit) or self.length or self.options.unit
@@ -108,9 +113,9 @@ def read_points(table: TextTable, options: Options, needs: Needs) -> Points:
 
 def _without_header(table: TextTable, options: Options, needs: Needs) -> Points:
     numeric = [place for place in range(table.width) if table.is_numeric(place)]
-    # A row of numbers may begin with the number of the point.
-    if len(numeric) == 4 and numeric[0] == 0:
-        first = table.numbers(0)
+    # The number of the point may stand in front of its coordinates.
+    if len(numeric) == 4:
+        first = table.numbers(numeric[0])
         if (first == np.round(first)).all() and len(set(first)) == len(first):
             numeric = numeric[1:]
     coordinates = numeric[:3]

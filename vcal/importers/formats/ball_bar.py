@@ -23,6 +23,8 @@ _ABSOLUTE = ("radius", "r", "length", "measured radius", "bar length", "distance
 _WAY = ("direction", "dir", "sense", "run")
 _OF_POINTS = ("x", "y", "z", "phi", "elevation", "zenith", "azimuth")
 """Columns of points in space."""
+_FEWEST = 3
+"""Least number of readings of a run."""
 _LENGTH = "length_mm"
 _KEYS = {
     _LENGTH: "distance of the balls at which the bar reads zero, mm",
@@ -89,7 +91,8 @@ class BallBarRecord(Format):
             if own is None or own not in LENGTHS_MM:
                 needs.add("--unit LENGTHS,DEVIATIONS", "unit of the readings, which the file lacks")
             value = table.values[:, place] * LENGTHS_MM.get(own or "mm", 1.0)
-            runs += _passes(angle, value, direction(table.titles[place]), _ways(table, way))
+            sense = direction(table.titles[place])
+            runs += _passes(table, angle, value, sense, _ways(table, way))
         keys = dict(_KEYS)
         if length is None:
             needs.add(f"--set instrument.{_LENGTH}=VALUE", _KEYS[_LENGTH])
@@ -159,7 +162,7 @@ def _columns(table: Headed) -> tuple[int, list[int], int | None]:
 
 
 def _passes(
-    angle: np.ndarray, value: np.ndarray, sense: int | None, ways: np.ndarray | None
+    table: Headed, angle: np.ndarray, value: np.ndarray, sense: int | None, ways: np.ndarray | None
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """The runs of one column of readings, each in the order of travel: angles (rad) and values.
 
@@ -173,10 +176,22 @@ def _passes(
         back = falling == (sense > 0)
         return [(angle[::-1], value[::-1]) if back else (angle, value)]
     # The angle may count from 0 to 360 once a turn.
-    step = np.angle(np.exp(1j * np.diff(angle)))
-    sides = np.sign(np.r_[step[:1], step]) if ways is None else ways[there]
+    step = np.sign(np.angle(np.exp(1j * np.diff(angle))))
+    # An angle that is read again where the sense changes is the first one of the next run.
+    for k in reversed(range(len(step) - 1)):
+        step[k] = step[k] or step[k + 1]
+    sides = np.r_[step[:1], step] if ways is None else ways[there]
     ends = [0, *(np.flatnonzero(np.diff(sides)) + 1).tolist(), len(angle)]
-    return [(angle[i:j], value[i:j]) for i, j in zip(ends, ends[1:], strict=False) if j - i > 2]
+    for i, j in zip(ends, ends[1:], strict=False):
+        if j - i < _FEWEST:
+            raise refusal(
+                table.name,
+                f"line {table.lines[int(np.flatnonzero(there)[i])]}",
+                f"a run of {j - i} readings, as the sense of travel changes",
+                f"runs of {_FEWEST} readings or more",
+                "put the rows into the order of travel, or add a column `direction`",
+            )
+    return [(angle[i:j], value[i:j]) for i, j in zip(ends, ends[1:], strict=False)]
 
 
 def _ways(table: Headed, place: int | None) -> np.ndarray | None:
