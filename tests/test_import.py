@@ -428,6 +428,63 @@ def test_probe_logs_become_centres_of_balls(kind, unit, tmp_path):
         assert load_study(out).measurement.rows == 12
 
 
+def test_every_contact_with_a_sphere_counts(tmp_path):
+    """Without a table of balls, the contacts themselves are the readings."""
+    rng = np.random.default_rng(8)
+    centres = rng.uniform([300, 200, 300], [700, 400, 500], (6, 3))
+    contacts = np.array([sphere_contacts(c, 15.0, 9, rng) for c in centres])
+    contacts += rng.normal(0, 3e-4, contacts.shape)
+    log = write_log(tmp_path / "probe.txt", "linuxcnc", contacts, "inch")
+    with pytest.raises(StudyError, match="instrument.diameter_mm.*instrument.stylus_radius_mm"):
+        import_study([log], tmp_path / "study", **MACHINE)
+    out = tmp_path / "study"
+    sizes = {"artefact": "sphere", "diameter_mm": 25, "stylus_radius_mm": 2.5, "probe_sigma_um": 1}
+    import_study(
+        [log],
+        out,
+        options=Options(unit="inch", contacts=9),
+        overrides=[*TRAVEL[:2], "machine.travel_mm.Z=[0,700]"]
+        + [f"instrument.{key}={value}" for key, value in sizes.items()],
+        checked="touch_probe" in INSTRUMENTS,
+        **MACHINE,
+    )
+    found = table(out)
+    same(np.column_stack([found[f"{c}_mm"] for c in "xyz"]), contacts.reshape(-1, 3))
+    assert found["setup"].tolist() == [k for k in range(6) for _ in range(9)]
+    assert setup(out)["instrument"] == {"kind": "touch_probe", **sizes}
+
+
+def test_contacts_with_a_step_gauge(tmp_path):
+    faces = np.arange(8) * 50.0 + np.array([0, 1, -2, 0, 3, 1, 0, 2]) * 1e-3
+    gauge = write(
+        tmp_path / "g.csv",
+        ["face,position [mm]", *lines_of([[str(k), place] for k, place in enumerate(faces)])],
+    )
+    rows = []
+    for place in ([250.0, 300.0, 300.0], [250.0, 150.0, 420.0]):
+        for k, along in enumerate(faces):
+            way = 1 if k % 2 == 0 else -1
+            position = [place[0] + along - 2.5 * way, place[1], place[2]]
+            rows.append([*position, str(k), str(way), str(int(place[1] == 150.0))])
+    head = "X [mm],Y [mm],Z [mm],face,approach,setup"
+    log = write(tmp_path / "log.csv", ["# probe", head, *lines_of(rows)])
+    out = tmp_path / "study"
+    sizes = ["instrument.stylus_radius_mm=2.5", "instrument.probe_sigma_um=1"]
+    import_study(
+        [log],
+        out,
+        options=Options(artefact=gauge),
+        overrides=[*TRAVEL, *sizes],
+        checked=False,
+        **MACHINE,
+    )
+    same(table(out, "gauge.csv")["position_mm"], faces)
+    found = table(out)
+    assert found["face"].tolist() == [*range(8)] * 2
+    assert found["setup"].tolist() == 8 * [0.0] + 8 * [1.0]
+    same(found["x_mm"], [row[0] for row in rows])
+
+
 def test_centres_need_contacts_off_a_plane(tmp_path):
     balls, _, contacts = probe_case()
     flat = contacts.copy()

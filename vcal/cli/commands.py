@@ -330,11 +330,18 @@ def import_(
     ] = None,
     artefact: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Table of the calibrated centres of probed balls."),
+        typer.Option(
+            metavar="FILE",
+            help="Table of the calibrated centres of probed balls, or faces of a step gauge.",
+        ),
     ] = None,
     contacts: Annotated[
         int | None,
-        typer.Option(metavar="N", min=1, help="Number of contacts of a probe with each ball."),
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Number of contacts of a probe with each ball, or in each clamping.",
+        ),
     ] = None,
     time_format: Annotated[
         str | None,

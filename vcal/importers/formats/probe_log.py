@@ -12,6 +12,7 @@ from ..base import LIKELY, NO, POSSIBLE, SURE, DataSet, Format, Machine, Needs, 
 from ..columns import names_of, places
 from ..export import Export
 from ..points import Units
+from ..units import ANGLES_RAD
 from .laser_tracker import MACHINE
 
 _NINE = "XYZABCUVW"
@@ -19,29 +20,43 @@ _GRBL = re.compile(r"\[PRB:([^:\]]*):([01])\]")
 _WORD = re.compile(r"([XYZABCUVW])\s*([-+]?\d*\.?\d+)")
 _FOUND_MM = 1e-13
 _STEPS = 50
-_KEYS = {"probe_sigma_um": "noise of each coordinate of a centre, one standard deviation, um"}
+_KEYS = {"probe_sigma_um": "repeatability of the probe, one standard deviation, um"}
+_SIZES = {
+    "artefact": "what was touched: sphere or ring; for a step gauge or an array of balls, give the "
+    "table of its faces or centres as --artefact instead",
+    "diameter_mm": "calibrated diameter of the sphere or ring, mm",
+    "stylus_radius_mm": "effective radius of the stylus tip, mm; 0 where the control corrected it",
+}
+_OWN = re.compile(r"setup|face|approach|dir_[a-cu-z]|t_s|T_\w+_degC")
+"""Columns of a table that have vcal's own names."""
 
 
 @register
 class ProbeLog(Format):
-    """Axis positions at the contacts of a touch probe with the balls of an artefact, one per line:
+    """Axis positions at the contacts of a touch probe, one per line:
 
     - LinuxCNC, between ``(PROBEOPEN file)`` and ``(PROBECLOSE)``: nine numbers, the positions of X,
       Y, Z, A, B, C, U, V, W at each successful straight probe (G38.x);
     - grbl: lines with ``[PRB:x,y,z:1]``; those that end in 0 were no contact and are left out;
     - words ``X1.5 Y-20 Z3``, or a table with columns named after the axes.
 
-    The contacts are taken in their order, ``--contacts`` at a time, for one ball after the other as
-    ``--artefact`` lists them. When all balls were measured, the next pose of the artefact begins.
-    The centre of a ball is that of the sphere, of any radius, with the least sum of squared
-    distances to its contacts (four at least). With ``--contacts 1`` the log holds centres.
+    With a table of ball centres as ``--artefact``, the contacts are taken in their order,
+    ``--contacts`` at a time, for one ball after the other as the table lists them; when all balls
+    were measured, the next pose of the artefact begins. The centre of a ball is that of the sphere,
+    of any radius, with the least sum of squared distances to its contacts (four at least). With
+    ``--contacts 1`` the log holds centres. They become a ball array.
+
+    Otherwise every contact counts (`touch_probe`): those with a sphere or a ring, all in one
+    clamping, or ``--contacts`` in each; or those with a step gauge, whose faces are the table
+    ``--artefact``, in a log with the columns ``face`` and ``approach``.
     """
 
     name = "probe_log"
-    summary = "contacts of the machine's own probe with balls: LinuxCNC, grbl, words X Y Z"
+    summary = "contacts of the machine's own probe: LinuxCNC, grbl, words X Y Z, tables"
     needs = (
-        "--machine, --tool-offset, --unit, --artefact, --contacts, the noise as "
-        "--set instrument.probe_sigma_um=..."
+        "--machine, --tool-offset, --unit; for balls --artefact and --contacts; otherwise "
+        "--set instrument.artefact=sphere (or ring), diameter_mm and stylus_radius_mm; the noise "
+        "as --set instrument.probe_sigma_um=..."
     )
     source = (
         "LinuxCNC documentation, G38.n Straight Probe: PROBEOPEN (linuxcnc.org/docs); grbl wiki, "
@@ -80,15 +95,18 @@ class ProbeLog(Format):
         self, export: Export, options: Options, machine: Machine | None, needs: Needs
     ) -> Sequence[DataSet]:
         found, stated = _contacts(export, options, needs)
-        if options.contacts is None:
+        balls, faces = _artefact(options, needs)
+        if balls is not None and options.contacts is None:
             needs.add("--contacts N", "number of contacts per ball; 1 where the log holds centres")
-        if options.artefact is None:
-            needs.add("--artefact FILE", "a table of the calibrated centres of the balls, x, y, z")
         if not stated and options.unit is None:
             needs.add("--unit", "unit of the lengths, which such a log does not state: mm, inch")
+        if balls is None:
+            for key, meaning in _SIZES.items():
+                if key not in options.given and (faces is None or key == "stylus_radius_mm"):
+                    needs.add(f"--set instrument.{key}=VALUE", meaning)
         if machine is None:
             needs.add(*MACHINE)
-        if machine is None or options.contacts is None or options.artefact is None:
+        if machine is None or (balls is not None and options.contacts is None):
             return []
         axes = machine.chain.axes
         if missing := [axis for axis in axes if axis not in found]:
@@ -99,54 +117,107 @@ class ProbeLog(Format):
                 f"the axes of the machine, {listed(axes)}",
                 "declare the machine of the log, or add the columns",
             )
-        balls = _balls(Export(options.artefact), options, needs)
-        rows, count = len(found["X"]), options.contacts
-        if rows % count:
+        if balls is None:
+            return [_touched(export, found, faces, machine, options)]
+        return [_centres(export, found, balls, machine, options.contacts or 1)]
+
+
+def _centres(
+    export: Export,
+    found: dict[str, np.ndarray],
+    balls: Float[np.ndarray, "balls 3"],
+    machine: Machine,
+    count: int,
+) -> DataSet:
+    """The data set of a ball array."""
+    axes = machine.chain.axes
+    rows = len(found["X"])
+    if rows % count:
+        raise refusal(
+            export.name,
+            "rows",
+            f"{rows} contacts, which are not a multiple of {count}",
+            "the same number of contacts on every ball (--contacts)",
+            "correct the number, or add or remove contacts",
+        )
+    groups = rows // count
+    centres = {axis: found[axis].reshape(groups, count).mean(1) for axis in axes}
+    turned = max(
+        (np.ptp(found[a].reshape(groups, count), axis=1).max() for a in axes if a in ROTARY),
+        default=0.0,
+    )
+    if turned > 0.0:
+        raise refusal(
+            export.name,
+            "rows",
+            "rotary axes that move between the contacts of one ball",
+            "one setting of the rotary axes per ball",
+            "correct --contacts",
+        )
+    notes = [f"{groups} centres of balls from {rows} contacts"]
+    if count > 1:
+        points = np.column_stack([found[axis] for axis in "XYZ"]).reshape(groups, count, 3)
+        fitted = [_sphere(part, export, k * count, count) for k, part in enumerate(points)]
+        radii = np.array([radius for _, radius in fitted])
+        for i, axis in enumerate("XYZ"):
+            centres[axis] = np.array([centre[i] for centre, _ in fitted])
+        notes.append(
+            f"the spheres have a radius of {radii.mean():.4f} mm, standard deviation "
+            f"{1e3 * radii.std():.2g} um"
+        )
+    order = np.arange(groups)
+    columns: dict[str, np.ndarray] = {
+        "pose": order // len(balls),
+        "ball": order % len(balls),
+    }
+    for axis in axes:
+        columns[file_column(axis, axes)[0]] = centres[axis]
+    instrument = {"kind": "ball_array", "artefact": "artefact.csv"}
+    text = "ball,x_mm,y_mm,z_mm\n" + "".join(
+        f"{k},{','.join(repr(float(v)) for v in ball)}\n" for k, ball in enumerate(balls)
+    )
+    files = {"artefact.csv": text.encode()}
+    return DataSet(export.path.stem, instrument, columns, _KEYS, notes, files)
+
+
+def _touched(
+    export: Export,
+    found: dict[str, np.ndarray],
+    faces: Float[np.ndarray, "faces 2"] | None,
+    machine: Machine,
+    options: Options,
+) -> DataSet:
+    """The data set of single contacts with a sphere, a ring or a step gauge."""
+    axes = machine.chain.axes
+    rows = len(found["X"])
+    columns = {"setup": np.arange(rows) // (options.contacts or rows)}
+    for axis in axes:
+        columns[file_column(axis, axes)[0]] = found[axis]
+    if export.attempted is not None and export.table.header:
+        table = export.table
+        for place, name in enumerate(table.header):
+            if _OWN.fullmatch(name):
+                columns[name] = table.numbers(place)
+    instrument: dict[str, str] = {"kind": "touch_probe"}
+    files = {}
+    if faces is not None:
+        if missing := [name for name in ("face", "approach") if name not in columns]:
             raise refusal(
                 export.name,
-                "rows",
-                f"{rows} contacts, which are not a multiple of {count}",
-                "the same number of contacts on every ball (--contacts)",
-                "correct the number, or add or remove contacts",
+                "header",
+                f"no column {listed(missing)}",
+                "the number of the face, and approach: 1 in the sense of rising positions, or -1",
+                "add the columns, as a log of contacts does not say which face was touched",
             )
-        groups = rows // count
-        centres = {axis: found[axis].reshape(groups, count).mean(1) for axis in axes}
-        turned = max(
-            (np.ptp(found[a].reshape(groups, count), axis=1).max() for a in axes if a in ROTARY),
-            default=0.0,
-        )
-        if turned > 0.0:
-            raise refusal(
-                export.name,
-                "rows",
-                "rotary axes that move between the contacts of one ball",
-                "one setting of the rotary axes per ball",
-                "correct --contacts",
-            )
-        notes = [f"{groups} centres of balls from {rows} contacts"]
-        if count > 1:
-            points = np.column_stack([found[axis] for axis in "XYZ"]).reshape(groups, count, 3)
-            fitted = [_sphere(part, export, k * count, count) for k, part in enumerate(points)]
-            radii = np.array([radius for _, radius in fitted])
-            for i, axis in enumerate("XYZ"):
-                centres[axis] = np.array([centre[i] for centre, _ in fitted])
-            notes.append(
-                f"the spheres have a radius of {radii.mean():.4f} mm, standard deviation "
-                f"{1e3 * radii.std():.2g} um"
-            )
-        order = np.arange(groups)
-        columns: dict[str, np.ndarray] = {
-            "pose": order // len(balls),
-            "ball": order % len(balls),
-        }
-        for axis in axes:
-            columns[file_column(axis, axes)[0]] = centres[axis]
-        instrument = {"kind": "ball_array", "artefact": "artefact.csv"}
-        text = "ball,x_mm,y_mm,z_mm\n" + "".join(
-            f"{k},{','.join(repr(float(v)) for v in ball)}\n" for k, ball in enumerate(balls)
-        )
-        files = {"artefact.csv": text.encode()}
-        return [DataSet(export.path.stem, instrument, columns, _KEYS, notes, files)]
+        instrument |= {"artefact": "step_gauge", "gauge": "gauge.csv"}
+        text = "".join(f"{int(face)},{float(place)!r}\n" for face, place in faces)
+        files["gauge.csv"] = f"face,position_mm\n{text}".encode()
+    for name in ("setup", "face", "approach"):
+        if name in columns:
+            columns[name] = columns[name].astype(int)
+    setups = len(np.unique(columns["setup"]))
+    notes = [f"{rows} contacts in {setups} clamping{'s' * (setups > 1)} of the artefact"]
+    return DataSet(export.path.stem, instrument, columns, _KEYS, notes, files)
 
 
 def _contacts(export: Export, options: Options, needs: Needs) -> tuple[dict[str, np.ndarray], bool]:
@@ -174,7 +245,10 @@ def _contacts(export: Export, options: Options, needs: Needs) -> tuple[dict[str,
         if axis in LINEAR and len(axis) == 1:
             found[axis] = table.numbers(place) * units.length_mm(names[place])
         elif axis in ROTARY and len(axis) == 1:
-            found[axis] = table.numbers(place)
+            unit = names[place].unit
+            values = table.numbers(place)
+            other = unit in ANGLES_RAD and unit not in ("deg", "degree", "°")
+            found[axis] = np.rad2deg(values * ANGLES_RAD[unit or "deg"]) if other else values
     return found, True
 
 
@@ -192,22 +266,33 @@ def _by_axis(
     }
 
 
-def _balls(export: Export, options: Options, needs: Needs) -> Float[np.ndarray, "balls 3"]:
-    """The calibrated centres of the balls, mm."""
-    table = export.table
+def _artefact(
+    options: Options, needs: Needs
+) -> tuple[Float[np.ndarray, "balls 3"] | None, Float[np.ndarray, "faces 2"] | None]:
+    """The calibrated centres of balls, or the numbers and positions of faces, mm; None for what the
+    table ``--artefact`` is not.
+    """
+    if options.artefact is None:
+        return None, None
+    table = Export(options.artefact).table
     names = names_of(table)
     where = places(names)
-    if not all(c in where for c in "xyz"):
-        raise refusal(
-            export.name,
-            "header",
-            f"columns {listed(table.header)}",
-            "the centres of the balls: x, y, z",
-            "add a header, such as ball,x_mm,y_mm,z_mm",
-        )
     units = Units(table, options, needs)
-    return np.column_stack(
-        [table.numbers(where[c]) * units.length_mm(names[where[c]]) for c in "xyz"]
+    if all(c in where for c in "xyz"):
+        columns = [table.numbers(where[c]) * units.length_mm(names[where[c]]) for c in "xyz"]
+        return np.column_stack(columns), None
+    texts = [re.sub(r"[\[(].*", "", text).strip().casefold() for text in table.header]
+    face = next((i for i, text in enumerate(texts) if text in ("face", "no", "i")), None)
+    place = next((i for i, text in enumerate(texts) if text.startswith("position")), None)
+    if face is not None and place is not None:
+        position = table.numbers(place) * units.length_mm(names[place])
+        return None, np.column_stack([table.numbers(face), position])
+    raise refusal(
+        table.name,
+        "header",
+        f"columns {listed(table.header)}",
+        "the centres of balls (x, y, z), or the faces of a step gauge (face, position)",
+        "add a header, such as ball,x_mm,y_mm,z_mm or face,position_mm",
     )
 
 
