@@ -253,6 +253,149 @@ def init(
     say(f"Put your machine and data in, then: vcal check {folder / 'setup.toml'}")
 
 
+@app.command("import")
+@guarded
+def import_(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="FILE...", help="Exports to import, with at most one URDF file."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", parser=_folder, metavar="PATH", help="Folder to write: a new or an empty one."
+        ),
+    ] = None,
+    machine: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CHAIN|FILE",
+            help="The machine: a chain such as 'w X b Y Z t', a study file or folder whose machine "
+            "is taken, or a URDF file.",
+        ),
+    ] = None,
+    tool_offset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z",
+            help="Vector from the frame of the last axis to the measured point, mm.",
+        ),
+    ] = None,
+    positions: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Table of the positions of the axes or joints at the measured points, where the "
+            "export does not hold them.",
+        ),
+    ] = None,
+    format_: Annotated[
+        str | None,
+        typer.Option("--format", metavar="NAME", help="Format of the files; found by default."),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT[,UNIT]",
+            help="Unit of lengths, and of deviations, for which the export states none.",
+        ),
+    ] = None,
+    angle_unit: Annotated[
+        str | None,
+        typer.Option(metavar="UNIT", help="Unit of angles for which the export states none."),
+    ] = None,
+    angles: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B",
+            help="Meaning of the two angles of spherical coordinates, in the order of the columns: "
+            "azimuth,elevation or azimuth,zenith or zenith,azimuth.",
+        ),
+    ] = None,
+    axis: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X|EBX|XY",
+            help="Axis or error motion of an interferometer, or plane of a ball-bar record, where "
+            "the export names none.",
+        ),
+    ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X=V,Y=V,...",
+            help="Positions of axes that the export does not hold, mm or deg: those that stand "
+            "still on a line, or of the centre of a circle.",
+        ),
+    ] = None,
+    artefact: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Table of the calibrated centres of probed balls, or faces of a step gauge.",
+        ),
+    ] = None,
+    contacts: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Number of contacts of a probe with each ball, or in each clamping.",
+        ),
+    ] = None,
+    time_format: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="Format of time stamps, such as '%d/%m/%Y %H:%M:%S'."),
+    ] = None,
+    override: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Set a key of the study file that is written, for example "
+            "instrument.angle_sigma_urad=2.5. Repeatable.",
+        ),
+    ] = None,
+    unchecked: Annotated[
+        bool,
+        typer.Option(
+            "--unchecked", help="Write the folder even where it does not pass vcal check."
+        ),
+    ] = False,
+    list_: Annotated[
+        bool, typer.Option("--list", help="List the formats with their sources, and exit.")
+    ] = False,
+) -> None:
+    """Write a study folder from exports of instruments, controllers and metrology software."""
+    from .importing import run_import, show_formats
+
+    if list_:
+        show_formats()
+        return
+    start()
+    with working("importing"):
+        sentences = run_import(
+            files or [],
+            out,
+            machine=machine,
+            tool_offset=tool_offset,
+            positions=positions,
+            format_name=format_,
+            unit=unit,
+            angle_unit=angle_unit,
+            angles=angles,
+            axis=axis,
+            at=at,
+            artefact=artefact,
+            contacts=contacts,
+            time_format=time_format,
+            overrides=override or [],
+            checked=not unchecked,
+        )
+    for sentence in sentences:
+        say(sentence)
+
+
 @app.command()
 @guarded
 def simulate(
