@@ -280,6 +280,14 @@ class Instrument(Record):
         return {}
 
 
+def remarks_of(instrument: Instrument) -> list[str]:
+    """The remarks of an instrument, or of each of several with the name of its data set."""
+    found = [*instrument.remarks]
+    for name, member in instrument.members.items():
+        found += [f"{name}: {remark}" for remark in member.remarks]
+    return found
+
+
 class TableInstrument(Instrument):
     """An instrument whose readings a study file names as one table; subclasses are final.
 
