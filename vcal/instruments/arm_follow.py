@@ -24,6 +24,11 @@ from .follow import Change, with_these
 _MOST_OFF = 0.05
 """Largest plausible error of an arm, as a share of the size of the measured region."""
 _LEAST_M = 2e-3
+_PLAUSIBLE, _BETTER = 0.01, 8.0
+"""Share of the size from which changes are tried, as an arm is seldom that wrong; and least factor
+by which a change with which the readings follow reduces what is left. Of errors of an arm, no such
+change takes away much.
+"""
 _LARGEST_ROWS = 120
 _ROUNDS, _SETTLED = 200, 1e-6
 _FEW_ROUNDS = 40
@@ -61,8 +66,8 @@ def check_arm_follows(
     found = arm_off(chain, position, seen, known, _ROUNDS)
     _, nominal = chain.tool_frame(position)
     size = float(np.linalg.norm(nominal - nominal.mean(0), axis=1).max())
-    allowed = max(_MOST_OFF * size, _LEAST_M)
-    if np.median(found) <= allowed:
+    allowed, now = max(_MOST_OFF * size, _LEAST_M), float(np.median(found))
+    if now <= max(_PLAUSIBLE * size, _LEAST_M):
         return
     row = int(np.argmax(found))
     some = np.unique(np.linspace(0, n - 1, _LARGEST_ROWS).astype(int))
@@ -82,13 +87,16 @@ def check_arm_follows(
         )
     mirrored = seen[some] * np.array([-1.0, 1.0, 1.0])
     tried.append(("the other sign in one coordinate of all reflectors", left(same, mirrored)))
-    causes = with_these([pair for pair in tried if pair[1] <= allowed], allowed)
+    follow = [pair for pair in tried if pair[1] <= min(allowed, now / _BETTER)]
+    if now <= allowed and not follow:
+        return
+    causes = with_these(follow, min(allowed, now / _BETTER))
     raise RowError(
         row,
         columns,
         f"a reflector {1e3 * found[row]:.4g} mm away from the nominal arm after the rigid best fit, "
-        f"in half of the rows more than {1e3 * np.median(found):.4g} mm",
-        f"readings that follow the joint positions to {1e3 * allowed:.4g} mm",
+        f"in half of the rows more than {1e3 * now:.4g} mm",
+        f"readings that follow the joint positions to {1e3 * (allowed if now > allowed else now / _BETTER):.4g} mm",
         causes
         or "compare the signs, units and order of the joint columns, the rows of machine.joint and "
         "machine.coupling with the arm",
@@ -168,6 +176,11 @@ def arm_changes(
                     f"{names[b]} {words} {names[a]})"
                 )
                 yield Change(coupled, chain, moved)
+    for i in turning:
+        for angle in (90.0, -90.0, 180.0):
+            moved = position.copy()
+            moved[:, i] += np.deg2rad(angle)
+            yield Change(f"{angle:g} deg more in machine.joint.{i}.theta_deg", chain, moved)
     other = other_convention(chain)
     if other is not None:
         yield Change(f"{other.text.partition(', ')[2]} rows", other, position)

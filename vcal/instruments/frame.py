@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from ..effects.base import Effect, Response
+from ..effects.station import at_station
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..machine.ports import COMPONENTS
@@ -46,15 +47,6 @@ class Station(Effect):
 
     def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
         return at_station(plan, self.number) > 0.0
-
-
-def at_station(plan: Plan, number: int) -> Float[np.ndarray, " n"]:
-    """One in the rows (n,) of a station by its index in the group ``"station"``, zero in others;
-    one in all rows for a negative index.
-    """
-    if number < 0:
-        return np.ones(plan.rows)
-    return (np.asarray(plan.groups["station"]) == number).astype(float)
 
 
 def displaced(rotation: Array, origin: Array, twist: Sequence[Scalar]) -> tuple[Rotation, Vector]:

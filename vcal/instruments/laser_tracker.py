@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation as Turn
 
 from ..effects.base import Effect, Response
+from ..effects.station import STATION, at_station
 from ..errors import KeyedError, RowError
 from ..machine.chain import Chain
 from ..machine.parameters import Parameter
@@ -35,7 +36,7 @@ from .base import (
 )
 from .conditions import linear_plan, linear_plan_table
 from .follow import Variant, check_follows
-from .frame import Station, at_station, displaced
+from .frame import Station, displaced
 from .stations import Lateration, Pose, fitted_pose, laterated
 
 _Coordinate = Annotated[float, Field(ge=-200e3, le=200e3)]
@@ -46,7 +47,7 @@ _READ = ("range", "azimuth", "elevation")
 _POLAR = ("range_mm", "azimuth_rad", "elevation_rad")
 _CARTESIAN = ("meas_x_mm", "meas_y_mm", "meas_z_mm")
 _COLUMNS = {"polar": _POLAR, "cartesian": _CARTESIAN, "range": _POLAR[:1]}
-_STATION, _TOOL = "station", "tool"
+_TOOL = "tool"
 _MOST_TOOLS = 100
 
 _CLOSE, _CLOSE_M = 0.02, 5e-3
@@ -245,6 +246,8 @@ class LaserTracker(TableInstrument):
     coordinates are in the tracker's own frame."""
     other_turns: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Rotation Q of every station in that frame (stations, 3, 3)."""
+    found: bool = eqx.field(static=True, default=False)
+    """Whether a pose follows from readings."""
     said: tuple[str, ...] = eqx.field(static=True, default=())
 
     # --- what it reads ----------------------------------------------------------------------------
@@ -279,7 +282,7 @@ class LaserTracker(TableInstrument):
         cls, settings: LaserTrackerSettings, header: Sequence[str]
     ) -> tuple[str, ...]:
         wanted = {
-            _STATION: settings.stations is not None,
+            STATION: settings.stations is not None,
             _TOOL: settings.tools is not None or settings.tools_file is not None,
         }
         return tuple(name for name, needed in wanted.items() if needed or name in header)
@@ -368,7 +371,7 @@ class LaserTracker(TableInstrument):
         self._check_follows(chain, plan, table, seen, declared)
         if self.reads == "range":
             return self._laterated(settings, rows, keys, seen[:, 0], nominal, at)
-        found, others, said = [], [], []
+        found, others, said, new = [], [], [], False
         for i, (row, pose, own) in enumerate(zip(rows, declared, keys, strict=True)):
             here = at == i
             if here.sum() < _FEWEST - 1 or np.linalg.matrix_rank(
@@ -391,8 +394,9 @@ class LaserTracker(TableInstrument):
                     found.append(pose)
                     continue
             found.append(fit)
+            new = True
             said += _elsewhere(row, own, pose, fit, nominal[here])
-        return dataclasses.replace(self._at(found, others), said=tuple(said))
+        return dataclasses.replace(self._at(found, others), found=new, said=tuple(said))
 
     def _laterated(
         self,
@@ -417,7 +421,7 @@ class LaserTracker(TableInstrument):
             dead[i] = found.dead_path
             if pose is not None:
                 said += _elsewhere(row, own, pose, poses[-1], nominal[here], turned=False)
-        return dataclasses.replace(self._at(poses, ()), dead=dead, said=tuple(said))
+        return dataclasses.replace(self._at(poses, ()), dead=dead, found=True, said=tuple(said))
 
     def _lateration(
         self, row: StationSettings, ranges: np.ndarray, nominal: np.ndarray
@@ -503,6 +507,33 @@ class LaserTracker(TableInstrument):
             mirrors=self.reads != "range",
         )
 
+    def declaration(self, station: Float[np.ndarray, "3"] | None = None) -> dict[str, Any]:
+        """Keys of ``[instrument]`` that a plan without readings needs, where the table of this one
+        determined them: the columns of readings and the poses. `station` is another place of the
+        only station, m.
+        """
+        keys: dict[str, Any] = {}
+        if self.reads == "cartesian":
+            keys["readings"] = self.reads
+        if station is not None:
+            keys["station_mm"] = [round(1e3 * float(v), 6) for v in station]
+        if not self.found:
+            return keys
+        turns = self.orientations if self.names else np.asarray(self.orientation)[None]
+        places = self.places if self.names else np.asarray(self.station)[None]
+        rows = [
+            {
+                "station_mm": [round(1e3 * float(v), 6) for v in place],
+                "euler_xyz_deg": np.round(
+                    Turn.from_matrix(np.asarray(turn)).as_euler("XYZ", degrees=True), 9
+                ).tolist(),
+                "dead_path_mm": round(1e3 * float(dead), 6),
+            }
+            for turn, place, dead in zip(turns, places, self.dead, strict=True)
+        ]
+        return keys | ({"stations": dict(zip(self.names, rows, strict=True))} if self.names
+                       else {**rows[0], **keys})  # fmt: skip
+
     # --- plan and readings ------------------------------------------------------------------------
     @property
     def _own_columns(self) -> tuple[str, ...]:
@@ -513,7 +544,7 @@ class LaserTracker(TableInstrument):
 
     def _station_of(self, table: Mapping[str, np.ndarray]) -> Int[np.ndarray, " n"]:
         """Index of the station of every row."""
-        return _index(table, _STATION, self.names)
+        return _index(table, STATION, self.names)
 
     def _points(
         self, chain: Chain, position: np.ndarray, table: Mapping[str, np.ndarray]
@@ -542,7 +573,7 @@ class LaserTracker(TableInstrument):
         plan = linear_plan(chain, table, self._own_columns)
         groups = dict(plan.groups)
         if self.names:
-            groups[_STATION] = self._station_of(table)
+            groups[STATION] = self._station_of(table)
         if self.tools:
             groups[_TOOL] = _index(table, _TOOL, self.tools)
         plan = dataclasses.replace(plan, groups=groups)
@@ -566,9 +597,9 @@ class LaserTracker(TableInstrument):
         return dataclasses.replace(plan, covariates={**plan.covariates, **read})
 
     def _at_station(self, plan: Plan) -> Int[np.ndarray, " n"]:
-        if not self.names or _STATION not in plan.groups:
+        if not self.names or STATION not in plan.groups:
             return np.zeros(plan.rows, int)
-        return np.asarray(plan.groups[_STATION], int)
+        return np.asarray(plan.groups[STATION], int)
 
     def _stands(self, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
         """Orientation (n, 3, 3) and place (n, 3), m, of the station of every row."""
@@ -608,7 +639,7 @@ class LaserTracker(TableInstrument):
         return _polar(seen)
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
-        named = {_STATION: self.names, _TOOL: self.tools}
+        named = {STATION: self.names, _TOOL: self.tools}
         plain = {k: v for k, v in plan.groups.items() if not named.get(k)}
         table = linear_plan_table(dataclasses.replace(plan, groups=plain), _READ)
         for column, names in named.items():
@@ -757,14 +788,14 @@ def _station_names(
     settings: LaserTrackerSettings, table: Mapping[str, np.ndarray]
 ) -> tuple[str, ...]:
     """Names of several stations; empty where there is one."""
-    if _STATION not in table:
+    if STATION not in table:
         return ()
-    found = _names(table[_STATION])
+    found = _names(table[STATION])
     if "" in found:
-        _check_named(_STATION, table[_STATION], [n for n in found if n], "a name in every row")
+        _check_named(STATION, table[STATION], [n for n in found if n], "a name in every row")
     if settings.stations is None:
         return found if len(found) > 1 else ()
-    _check_named(_STATION, table[_STATION], [*settings.stations], "instrument.stations")
+    _check_named(STATION, table[STATION], [*settings.stations], "instrument.stations")
     return tuple(name for name in settings.stations if name in found)
 
 
