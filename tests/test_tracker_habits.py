@@ -4,12 +4,12 @@ frame, several stations and tools, ranges alone. Against the independent generat
 
 import numpy as np
 import pytest
+
+import vcal
 from oracle import as_study, lmmse, make_case, write_study
 from oracle.instruments import tracker_points
 from oracle.kinematics import euler_xyz, rotation_matrix
 from oracle.study import write_csv
-
-import vcal
 from vcal.design.spaces import SPACES
 from vcal.errors import StudyError
 from vcal.instruments.base import remarks_of
@@ -301,9 +301,7 @@ def test_design_places_points_and_keeps_stations_and_tools(ranges):
     plan = space.plan(placed)
     assert set(space.changed(placed)) == {"stations"}
     np.testing.assert_array_equal(plan.groups["station"], study.plan.groups["station"])
-    np.testing.assert_allclose(
-        plan.covariates["range"], study.plan.covariates["range"], atol=2e-3
-    )
+    np.testing.assert_allclose(plan.covariates["range"], study.plan.covariates["range"], atol=2e-3)
     with pytest.raises(StudyError, match="true with 4 stations"):
         low, high = (-500.0, -500.0, 0.0), (0.0, 0.0, 500.0)
         kind.of(

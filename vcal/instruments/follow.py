@@ -273,7 +273,8 @@ def tool_changes(chain: Chain, axes: tuple[str, ...], position: np.ndarray) -> I
     for axis in likely:
         yield scaled(f"the other sign in {columns[axis][0]}", {axis: -1.0})
     for other in other_chains(chain):
-        yield Change(f'the chain "{other.text}"', other, position)
+        words = f'the chain "{other.text}" (or one with the same nominal motion)'
+        yield Change(words, other, position)
     turning = {axis: factor for axis, (_, factor) in columns.items() if axis not in LINEAR}
     for factors in _each_and_all(turning):
         names = ", ".join(columns[axis][0] for axis in factors)
@@ -315,15 +316,35 @@ def other_chains(chain: Chain) -> Iterator[Chain]:
         # Rounded to 1 nm.
         return np.round(one.tool_point(probes), 9).tobytes()
 
-    found: dict[bytes, tuple[int, Chain]] = {}
+    found: dict[bytes, tuple[tuple[int, int], Chain]] = {}
     known = motion(chain)
     for order in itertools.permutations(own):
-        moved = sum(a != b for a, b in zip(order, own, strict=True))
-        one = rearranged(chain, order)
+        one, moved = rearranged(chain, order), _moved(order, own)
         key = motion(one)
-        if key != known and (key not in found or moved < found[key][0]):
-            found[key] = moved, one
+        likely = moved, _inside(one)
+        if key != known and (key not in found or likely < found[key][0]):
+            found[key] = likely, one
     yield from (one for _, one in sorted(found.values(), key=lambda pair: pair[0]))
+
+
+def _moved(order: Sequence[str], own: Sequence[str]) -> int:
+    """Number of letters that are moved: all but the longest common subsequence."""
+    place = {letter: i for i, letter in enumerate(own)}
+    longest: list[int] = []
+    for i, letter in enumerate(order):
+        before = [longest[k] for k in range(i) if place[order[k]] < place[letter]]
+        longest.append(1 + max(before, default=0))
+    return len(own) - max(longest)
+
+
+def _inside(chain: Chain) -> int:
+    """Number of rotary axes that carry a linear one, which is unusual."""
+    count = 0
+    for side in (chain.workpiece_side, chain.tool_side):
+        names = [chain.axes[i] for i in side]
+        count += sum(a in ROTARY and any(b in LINEAR for b in names[i:])
+                     for i, a in enumerate(names))  # fmt: skip
+    return count
 
 
 def rearranged(chain: Chain, order: Sequence[str]) -> Chain:

@@ -58,6 +58,8 @@ _OTHER_PLACE, _OTHER_PLACE_M = 0.2, 0.3
 station is reported as another one."""
 _OTHER_DEG = 5.0
 """The same for its declared rotation."""
+_LINE_M = 1e-3
+"""Width, m, below which points are on one line."""
 _FEWEST = 4
 """Least number of points that determine a pose with something left to check it."""
 
@@ -119,11 +121,6 @@ class LaserTrackerSettings(InstrumentSettings):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        if self.angle_sigma_urad is None and self.readings != "range":
-            raise ValueError(
-                "found no angle_sigma_urad, expected the noise of azimuth and elevation; add it, "
-                'or write readings = "range" where ranges alone are read'
-            )
         if self.tools is not None and self.tools_file is not None:
             raise ValueError("found both tools and tools_file, expected one of them; remove one")
         if self.tools is not None and not 0 < len(self.tools) <= _MOST_TOOLS:
@@ -311,6 +308,14 @@ class LaserTracker(TableInstrument):
         table: Mapping[str, np.ndarray],
         load: Loader,
     ) -> Self:
+        if settings.angle_sigma_urad is None and settings._kind != "range":
+            raise KeyedError(
+                "instrument.angle_sigma_urad",
+                "nothing",
+                "the noise of azimuth and elevation, unless ranges alone are read "
+                '(readings = "range")',
+                "add it",
+            )
         names = _station_names(settings, table)
         rows = _station_settings(settings, names)
         tools = _tools(settings, table, load)
@@ -374,9 +379,7 @@ class LaserTracker(TableInstrument):
         found, others, said, new = [], [], [], False
         for i, (row, pose, own) in enumerate(zip(rows, declared, keys, strict=True)):
             here = at == i
-            if here.sum() < _FEWEST - 1 or np.linalg.matrix_rank(
-                seen[here] - seen[here].mean(0), tol=1e-9
-            ) < 2:
+            if not (_spread(seen[here]) and _spread(nominal[here])):
                 self._need_place(pose, own)
                 assert pose is not None
                 found.append(pose)
@@ -553,9 +556,7 @@ class LaserTracker(TableInstrument):
         turn, point = chain.tool_frame(position)
         if not self.tools:
             return point
-        return point + np.einsum(
-            "nij,nj->ni", turn, self.offsets[_index(table, _TOOL, self.tools)]
-        )
+        return point + np.einsum("nij,nj->ni", turn, self.offsets[_index(table, _TOOL, self.tools)])
 
     def _seen(self, table: Mapping[str, np.ndarray]) -> Float[np.ndarray, "n k"]:
         """Coordinates (n, 3) in the frame of the readings, or ranges alone (n, 1), m."""
@@ -747,6 +748,13 @@ class LaserTracker(TableInstrument):
             order = np.argsort(np.argsort(t[here], kind="stable"), kind="stable")
             fold[here] = order * 5 // len(here)
         return fold, False
+
+
+def _spread(points: Float[np.ndarray, "n 3"]) -> bool:
+    """Whether points determine a pose: at least three that are not on one line."""
+    if len(points) < _FEWEST - 1:
+        return False
+    return int(np.linalg.matrix_rank(points - points.mean(0), tol=_LINE_M)) > 1
 
 
 def _polar(v: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

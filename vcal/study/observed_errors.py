@@ -21,8 +21,8 @@ from ..instruments.base import Instrument
 from ..instruments.conditions import PARALLEL
 from ..machine.chain import Chain
 from ..machine.plan import Plan
-from ..model.forward import Model, effect_terms, tool_points_with_jacobian
 from ..machine.ports import PortLayout
+from ..model.forward import Model, effect_terms, tool_points_with_jacobian
 from ..numerics.spatial import rigid_columns
 from ..words import counted, plural
 from .messages import FEW, listed
@@ -148,9 +148,7 @@ def _located(chain: Chain, moving: Sequence[str]) -> list[str]:
     found = []
     for axis in moving:
         turning = chain.joint(axis).turns
-        found += [
-            f"E{c}0{axis}" for c in ("XYZABC" if turning else "ABC") if axis not in LINES[c]
-        ]
+        found += [f"E{c}0{axis}" for c in ("XYZABC" if turning else "ABC") if axis not in LINES[c]]
     return found
 
 

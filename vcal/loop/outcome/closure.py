@@ -239,9 +239,7 @@ class Closure:
     @property
     def sentence(self) -> str:
         """The verdict in words."""
-        said = " ".join(
-            filter(None, (self._noise_in_words, self._verdict_in_words, self.no_gain))
-        )
+        said = " ".join(filter(None, (self._noise_in_words, self._verdict_in_words, self.no_gain)))
         gross = self.sizes is not None and self.sizes.test.gross
         if gross and self.sizes is not None and self.sizes.words not in said:
             return f"The machine is not as declared: {self.sizes.words}. {said}"

@@ -131,7 +131,7 @@ def _check_determined(fit: Fit) -> None:
     if free:
         more = f" and {len(free) - _FEW} more" if len(free) > _FEW else ""
         raise np.linalg.LinAlgError(
-            f"the readings cannot distinguish {', '.join(free[:_FEW])}{more} from the other "
+            f"the readings cannot distinguish {' and '.join(free[:_FEW])}{more} from the other "
             "parameters"
         )
 
