@@ -731,7 +731,7 @@ SETUP = {
     ),
     "missing key": (
         replace("angle_sigma_urad = 2.5", ""),
-        ("setup.toml, key instrument.angle_sigma_urad", "found nothing", "add it to setup.toml"),
+        ("setup.toml, key instrument.angle_sigma_urad", "found nothing", "; add it"),
     ),
     "text for a number": (
         replace("range_sigma_um = 1.3", 'range_sigma_um = "1.3"'),

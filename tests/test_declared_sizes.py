@@ -14,6 +14,7 @@ from vcal.errors import StudyError
 from vcal.identification.declared_sizes import declared_sizes
 from vcal.identification.family_sizes import declared_kind, learned_sizes, with_sizes
 from vcal.identification.model_averaging import Alternatives, model_average
+from vcal.instruments import reflectors
 from vcal.loop.outcome.closure import Errors
 from vcal.loop.outcome.gain import no_gain
 from vcal.loop.screening.score_test import ScoreTest
@@ -141,7 +142,10 @@ def test_only_the_change_that_is_wrong_makes_the_readings_follow(arm, monkeypatc
     machine = arm.settings.machine
     place = next(i for i, joint in enumerate(machine.joint) if abs(joint.a_mm) > 100.0)
     key, right = f"machine.joint.{place}.a_mm", machine.joint[place].a_mm
-    study = load_study(arm.path, {key: 1e-3 * right})
+    # The rigid best fit of the nominal arm refuses it first.
+    with monkeypatch.context() as patch:
+        patch.setattr(reflectors, "check_arm_follows", lambda *args: None)
+        study = load_study(arm.path, {key: 1e-3 * right})
     some = [
         change
         for change in changes.discrete_changes(study)
@@ -156,7 +160,7 @@ def test_only_the_change_that_is_wrong_makes_the_readings_follow(arm, monkeypatc
     assert change.words == f"{key} = {right:.6g} instead of {1e-3 * right:.6g}"
     with pytest.raises(StudyError, match="they follow with machine.joint") as error:
         changes.check_declared(study, fit)
-    assert "correct that" in str(error.value)
+    assert "compare it with the machine" in str(error.value)
 
 
 def test_a_machine_as_declared_is_not_refused(arm):

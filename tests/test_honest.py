@@ -604,10 +604,14 @@ def test_what_a_far_likelier_effect_contradicts_is_no_name(tracker, monkeypatch)
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_noise_alone_depends_on_nothing_however_large_it_is(seed):
-    """Five times the declared noise: the best of all columns describes one per cent, by chance."""
+    """Five times the declared noise: the best of all columns describes one per cent, by chance. The
+    declaration of the noise is wrong, which the first sentence says with the factor.
+    """
     study = load_study(FOLDER / "setup.toml")
     made = simulate(study.model, study.plan, jax.random.key(seed), noise_factor=5.2)
     closure = close_loop(study.model, made.measurement, effects=["backlash"], draws=100)
-    assert not closure.effects and closure.unexplained is not None
-    assert closure.unexplained.depends_on == []
-    assert "it depends on no recorded covariate" in closure.sentence
+    assert not closure.effects and closure.unexplained is None
+    assert closure.verdict == "nothing_missing"
+    factor = re.match(r"The declared noise is ([\d.]+) times too small: ", closure.sentence)
+    assert factor and float(factor[1]) == pytest.approx(5.2, rel=0.1)
+    assert closure.wrong_noise == pytest.approx(5.2, rel=0.1)

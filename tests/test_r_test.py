@@ -799,9 +799,9 @@ def test_readings_do_not_hold_the_noise_of_the_positions(study):
         (lambda t: t | {"y_ext_mm": 1e-3 * t["y_ext_mm"]},
          r"^data.csv, row \d+ \(line \d+\), column y_ext_mm: found y_ext_mm -?0.001.* mm from the "
          r"mean of run \d, where the axes are -?1.9.*; they do with metres turned into mill"),
-        (lambda t: t | {"z_ext_mm": -t["z_ext_mm"]}, "with the other sign in z_ext_mm: correct"),
+        (lambda t: t | {"z_ext_mm": -t["z_ext_mm"]}, "with the other sign in z_ext_mm: compare"),
         (lambda t: t | {"x_ext_mm": t["y_ext_mm"], "y_ext_mm": t["x_ext_mm"]},
-         "with the columns in the order y_ext_mm, x_ext_mm, z_ext_mm: correct that"),
+         "with the columns in the order y_ext_mm, x_ext_mm, z_ext_mm: compare"),
     ],
 )  # fmt: skip
 def test_mistakes_in_the_data(tmp_path, change, message):

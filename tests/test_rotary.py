@@ -361,7 +361,9 @@ def test_what_does_not_fit_is_one_message(studied, overrides, said):
 def test_angles_that_readings_do_not_follow_are_told(tmp_path, factors, said):
     write(tmp_path, backlash=0.0, seed=8)
     _change(tmp_path / "data.csv", factors)
-    with pytest.raises(StudyError, match=rf"data\.csv, row \d+ .* they do with .*{said}: correct"):
+    with pytest.raises(
+        StudyError, match=rf"data\.csv, row \d+ .* they do with .*{said}.*: compare"
+    ):
         vcal.load_study(tmp_path)
 
 

@@ -336,8 +336,8 @@ def test_every_sign_that_fits_is_named():
         wrong[:, columns[axis]] *= -1.0
         assert np.median(off(chain.tool_point(wrong))) > 1e-3
         assert cause(chain, chain.axes, wrong, off, 1e-6) == (
-            "they do with the other sign in c_deg, or in x_mm, or in y_mm: correct the one that is "
-            "wrong on the machine, probably c_deg"
+            "they do with the other sign in c_deg, or with the other sign in x_mm, or with the "
+            "other sign in y_mm: compare these, the likeliest first, with the machine"
         )
 
 
@@ -346,7 +346,7 @@ def test_every_sign_that_fits_is_named():
     [
         (
             lambda row: {"c_deg": str(-float(row["c_deg"]) + 360.0)},
-            "with the other sign in c_deg: correct that",
+            "with the other sign in c_deg: compare it with the machine",
         ),
         (lambda row: dict.fromkeys(POSITIONS[:5], "20"), "the same in all rows"),
         (lambda row: {"run": str(int(row["t_s"]) // 40)}, r"rows? of run 0"),

@@ -1,5 +1,6 @@
 """Words of messages: plurals, and texts of a user that are safe to print."""
 
+import re
 import unicodedata
 
 _UNSEEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
@@ -39,3 +40,13 @@ def printable(text: str, lines: bool = True) -> str:
         else c
         for c in text
     )
+
+
+def unsolvable(error: Exception) -> str:
+    """Why equations have no solution, without the words of the library that failed to solve them
+    ("the 3-th leading minor is not positive definite", "Singular matrix").
+    """
+    words = str(error)
+    if re.search(r"leading minor|singular|positive definite|did not converge", words, re.I):
+        return "the readings and the priors do not determine every parameter"
+    return words

@@ -38,6 +38,7 @@ from .kinematics import (
     rotation_matrix,
     with_errors,
 )
+from .multilateration import Stations, measure_ranges
 from .plans import (
     ArmPlan,
     BallPlan,
@@ -63,6 +64,8 @@ from .study import (
 )
 
 __all__ = [
+    "Stations",
+    "measure_ranges",
     "FRAME_SMOOTH",
     "FRAME_TABLE",
     "PLANES",

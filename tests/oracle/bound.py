@@ -18,6 +18,7 @@ from .effects import Effect, ball_positions, in_si, tool_point
 from .instruments import Tracker, align, tracker_noise, tracker_readings
 from .kinematics import SQUARENESS, TABLE_COLUMNS, Array, ErrorTable, Machine, rotation_matrix
 from .kinematics import with_errors as set_errors
+from .multilateration import range_noise, reflector
 from .study import Study
 
 FREE = 1.0  # m or rad: no prior to speak of
@@ -71,6 +72,32 @@ def _effects(
 ) -> list[dict[str, Any]]:
     found = [{**in_si(e), key: a} for (e, key, _), a in zip(unknown, amplitudes, strict=True)]
     return [*map(in_si, known), *found]
+
+
+def _laterated(study: Study) -> tuple[Predict, Array, Array]:
+    """Ranges alone: a place and a dead path of every station, without a prior."""
+    told: Mapping[str, Any] = study.setup["instrument"]
+    names, tools = list(told["stations"]), list(told["tools"])
+    places = 1e-3 * np.array([told["stations"][k]["station_mm"] for k in names])
+    offsets = 1e-3 * np.array([told["tools"][k] for k in tools])
+    station = np.array([names.index(k) for k in study.data["station"]])
+    tool = np.array([tools.index(k) for k in study.data["tool"]])
+    y, count = 1e-3 * study.data["range_mm"], len(names)
+    first = np.linalg.norm(
+        reflector(study.nominal, study.run, offsets, tool) - places[station], axis=1
+    )
+    dead = np.array([np.median((first - y)[station == i]) for i in range(count)])
+    sigma = range_noise(y + dead[station], *(
+        1e-6 * told[k] for k in ("range_sigma_um", "range_sigma_um_per_m")
+    ))  # fmt: skip
+
+    def residual(machine: Machine, effects: list[dict[str, Any]], nuisance: Array) -> Array:
+        moved = places + nuisance[: 3 * count].reshape(count, 3)
+        p = reflector(machine, study.run, offsets, tool, effects)
+        far = np.linalg.norm(p - moved[station], axis=1)
+        return (far - dead[station] - nuisance[3 * count :][station] - y) / sigma
+
+    return residual, np.full(4 * count, FREE), np.full(4 * count, 1e-5)
 
 
 Predict = Callable[[Machine, list[dict[str, Any]], Array], Array]
@@ -131,7 +158,11 @@ def lmmse(
     nominal = study.nominal
     free, spread = family_columns(nominal.table)
     kind = study.setup["instrument"]["kind"]
-    residual, loose, small = {"laser_tracker": _tracker, "ball_array": _balls}[kind](study)
+    if study.setup["instrument"].get("readings") == "range":
+        kind = "multilateration"
+    residual, loose, small = {
+        "laser_tracker": _tracker, "ball_array": _balls, "multilateration": _laterated
+    }[kind](study)  # fmt: skip
     m, e = len(free), len(unknown)
     prior = np.concatenate([spread, [s for _, _, s in unknown], loose])
     step = np.concatenate([prior[: m + e], small])

@@ -248,6 +248,7 @@ ON_BAR = (
 )
 ALLOWED = {
     "laser_tracker": (*ON_MACHINE, *ON_TRACKER),
+    "multilateration": (*ON_MACHINE, "range_scale"),
     "ball_array": (*ON_MACHINE, *ON_BALLS),
     "laser_frame": (*ON_MACHINE, *ON_LASER),
     "r_test": ON_CIRCLES,

@@ -37,6 +37,7 @@ from .kinematics import (
     draw_smooth,
     nominal_machine,
 )
+from .multilateration import Stations, draw_stations, lateration_plan, measure_ranges, range_noise
 from .plans import (
     ArmPlan,
     BallPlan,
@@ -105,6 +106,8 @@ class Case:
     station_mm: tuple[float, ...] = ()
     """The nominal station that is declared."""
     euler_xyz_deg: tuple[float, ...] = ()
+    stations: Stations | None = None
+    """Of multilateration: the true stations, and the tools."""
     balls: BallPlan | None = None
     """True balls, poses and nominal positions."""
     ball_noise: BallNoise | None = None
@@ -141,6 +144,10 @@ class Case:
             read = np.stack([data[n] for n in names], axis=1) * [1e-3, 1, 1]
             sigma = tracker_noise(self.tracker, read) * [1e3, 1, 1]
             return {n: sigma[:, i] for i, n in enumerate(names)}
+        if self.stations is not None:
+            own = self.stations
+            far = 1e-3 * data["range_mm"] + own.dead_paths[own.station]
+            return {"range_mm": 1e3 * range_noise(far, own.sigma, own.sigma_per_m)}
         if self.ball_noise is not None:
             return {f"{a}_mm": np.full(n_rows(data), 1e3 * self.ball_noise.probe_sigma)
                     for a in "xyz"}  # fmt: skip
@@ -225,22 +232,22 @@ def make_case(
     only.
 
     Args:
-        instrument: "laser_tracker", "ball_array", "laser_frame", "double_ball_bar"; "r_test" or
-            "reflectors" (the
-            chain is then unused).
+        instrument: "laser_tracker", "multilateration", "ball_array", "laser_frame",
+            "double_ball_bar"; "r_test" or "reflectors" (the chain is then unused).
         effects: undeclared effects, see the table in effects.py.
         noise_factor: true noise / declared noise.
         travel: upper ends (3,) or both ends (3, 2) of the travels, m.
         tool_offset: m.
         table: declared half widths, um and urad; error_size scales the drawn errors only.
-        plan: keyword arguments of tracker_plan, ball_plan, frame_plan, bar_plan, measure_circles,
-            arm_plan.
+        plan: keyword arguments of tracker_plan, lateration_plan, ball_plan, frame_plan, bar_plan,
+            measure_circles, arm_plan.
         recording: further columns, see plans.conditions; of reflectors "t_s".
         family: the smooth family to declare and draw from instead of the table's.
         declared: rows for [[model.effect]] with their units in the keys (written, not applied).
         noise_seed: another seed for the stream of the noise alone.
         noise: laser_tracker: range_sigma, range_sigma_per_m, angle_sigma, station_mm,
-            euler_xyz_deg, station_scatter (m, rad) about the nominal; ball_array: probe_sigma,
+            euler_xyz_deg, station_scatter (m, rad) about the nominal; multilateration: sigma,
+            sigma_per_m, scatter of the declared places (m); ball_array: probe_sigma,
             ball_position_u, supports; double_ball_bar: sigma, length_u, scatter (m); laser_frame:
             sigma, scatter of its pose (m, rad);
             reflectors: arm, sigma, link_sizes (m, rad).
@@ -309,9 +316,12 @@ def make_case(
         machine = draw_machine(nominal, for_machine, table, error_size)
     planned: Any = {
         "laser_tracker": tracker_plan, "ball_array": ball_plan, "laser_frame": frame_plan,
-        "double_ball_bar": bar_plan,
+        "double_ball_bar": bar_plan, "multilateration": lateration_plan,
     }[instrument](machine, for_plan, **plan)  # fmt: skip
-    run = planned if isinstance(planned, Run) else planned.run
+    if instrument == "multilateration":
+        run, station, tool = planned
+    else:
+        run = planned if isinstance(planned, Run) else planned.run
     check_run = check_plan(machine, for_check, n_check)
     more, there = conditions((run, check_run), for_more, recording)
     run = replace(run, extra=dict(run.extra) | more)
@@ -348,6 +358,18 @@ def make_case(
             name, instrument, given, data, run=run, readings=readings, tracker=tracker,
             station_mm=station_mm, euler_xyz_deg=euler_xyz_deg, **shared,
         )  # fmt: skip
+    elif instrument == "multilateration":
+        at = draw_stations(machine, for_station, station, tool, **noise)
+        ranges = measure_ranges(machine, run, at, for_noise, si, noise_factor)
+        data = {"point": np.arange(len(run.t), dtype=float)}
+        data |= {"station": np.array(at.names)[at.station]}
+        data |= {"tool": np.array(at.tool_names)[at.tool]}
+        data |= run_columns(recorded(run, si)) | {"range_mm": 1e3 * ranges}
+        truth["stations_mm"] = (1e3 * at.places).tolist()
+        truth["dead_paths_mm"] = (1e3 * at.dead_paths).tolist()
+        case = Case(
+            name, instrument, given, data, run=run, readings=ranges[:, None], stations=at, **shared
+        )
     elif instrument == "laser_frame":
         far, turned = np.reshape(noise.pop("scatter", (5e-6, 1e-5)), (2, 1))
         off, tilt = for_station.standard_normal((2, 3))
@@ -451,8 +473,23 @@ def _machine_lines(case: Case) -> list[str]:
         *(f"{a} = {_numbers(1e3 * machine.travel[i])}" for i, a in enumerate(AXES)),
         "",
         "[instrument]",
-        f"kind = {json.dumps(case.instrument)}",
+        f"kind = {json.dumps(case.instrument)}"
+        if case.stations is None
+        else 'kind = "laser_tracker"\nreadings = "range"',
     ]
+    if case.stations is not None:
+        at = case.stations
+        lines += [
+            f"range_sigma_um = {1e6 * at.sigma:.6g}",
+            f"range_sigma_um_per_m = {1e6 * at.sigma_per_m:.6g}",
+            "[instrument.tools]",
+            *(f"{k} = {_numbers(1e3 * v)}" for k, v in zip(at.tool_names, at.tools, strict=True)),
+            "[instrument.stations]",
+            *(
+                f"{k} = {{ station_mm = {_numbers(1e3 * v)} }}"
+                for k, v in zip(at.names, at.declared, strict=True)
+            ),
+        ]
     if case.tracker is not None:
         lines += [
             f"range_sigma_um = {1e6 * case.tracker.range_sigma:.6g}",

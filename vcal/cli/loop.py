@@ -12,6 +12,7 @@ from ..model.measurement import Measurement
 from ..study import Study
 from ..study.discrete_changes import check_declared
 from ..study.messages import listed, refusal
+from ..words import unsolvable
 
 
 def close_study(study: Study, measurement: Measurement, progress: Callable[[str], None]) -> Closure:
@@ -43,7 +44,7 @@ def close_study(study: Study, measurement: Measurement, progress: Callable[[str]
         raise refusal(
             listed([*(one.file for one in study.sets), study.path.name]),
             "columns of positions and readings, tables instrument and model",
-            f"equations that have no solution ({error})",
+            f"equations that have no solution ({unsolvable(error)})",
             "readings that follow the positions, and declared noise, errors and effects of the "
             "size that they have, all in the units of their names",
             "compare the first rows with the measurement protocol, and the declared sizes with the "

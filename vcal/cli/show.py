@@ -13,6 +13,7 @@ from rich.text import Text
 from ..effects.base import Effect, Setup
 from ..effects.cyclic import ScrewCyclic
 from ..effects.reference import with_known_reference
+from ..instruments.base import remarks_of
 from ..instruments.conditions import file_name, inside_name
 from ..loop.outcome.closure import Closure, Errors
 from ..loop.residuals.confounded import confounding
@@ -30,6 +31,7 @@ from ..study import Study
 from ..study.csv_table import Table as CsvTable
 from ..study.declared_effects import choices
 from ..study.messages import shown
+from ..study.observed_errors import observed_errors
 from ..study.reading.text import PLAIN
 from ..study.study import DataSet, looked_for
 from ..words import counted, plural, printable, three_digits
@@ -160,6 +162,8 @@ def show_study(study: Study) -> None:
         ),
         ("to be tested", _kinds(found)),
         *_aliased(found, plan),
+        *_identified(study),
+        *(("compare", remark) for remark in remarks_of(study.instrument)),
     ]
     wanted: dict[str, list[str]] = {}
     for item in missing:
@@ -181,6 +185,12 @@ def show_study(study: Study) -> None:
     for label, value in rows:
         table.add_row(_text(label), _text(value))
     console.print(table)
+
+
+def _identified(study: Study) -> list[tuple[str, str]]:
+    """Rank of the errors of the machine, and its null directions."""
+    found = observed_errors(study.chain, study.instrument, study.plan)
+    return [] if found is None else [("identified", found.words)]
 
 
 def _aliased(effects: Iterable[Effect], plan: Plan) -> list[tuple[str, str]]:

@@ -91,6 +91,8 @@ class Setup:
     """Covariates, groups and axes that the other candidates need."""
     fitted: tuple[Fitted, ...] = ()
     """Systematic effects of the model with their estimates, for descriptions of their changes."""
+    stations: tuple[str, ...] = ()
+    """Names of the stations of the instrument, where one table has several."""
     data_set: str = ""
     """Name of the data set, where this is one of `parts`."""
     parts: tuple["Setup", ...] = ()

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Bool
 
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
@@ -11,6 +12,7 @@ from ..numerics.arrays import Array, namespace
 from .base import Effect, Response, Setup, along, unit_of
 from .clock import TIME, Clock, clock
 from .registry import register
+from .station import at_station, stations_of
 
 _STANDS = {"frame": "XYZABC", "target": "XYZABC", "place": "XYZ"}
 """Ports of objects on the table: an instrument, an artefact, one sphere."""
@@ -39,6 +41,13 @@ class Jump(Effect):
     summary = "sudden displacement at an unknown moment"
     ports: tuple[str, ...] = eqx.field(static=True)
     clock: Clock = eqx.field(static=True, default=TIME)
+    station: int = eqx.field(static=True, default=-1)
+    """Index of the station that is displaced; -1 where there is only one."""
+
+    @property
+    def _what(self) -> str:
+        """What is displaced: the tool, a joint or a stand."""
+        return self.placement.partition(" ")[0]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -51,19 +60,19 @@ class Jump(Effect):
     @property
     def odds(self) -> float:  # type: ignore[override]
         """Lower for a translation of the stand: the readings cannot separate it from the tool's."""
-        return _STAND_ODDS if self.placement == "frame" and len(self.ports) == 3 else 1.0
+        return _STAND_ODDS if self._what == "frame" and len(self.ports) == 3 else 1.0
 
     @property
     def _usual(self) -> float:
-        return 20.0 if self.placement in ("tool", *_STANDS) else 100.0
+        return 20.0 if self._what in ("tool", *_STANDS) else 100.0
 
     @property
     def _largest(self) -> float:
-        return _SLIP if self.placement in ("tool", *_STANDS) else _SKIP
+        return _SLIP if self._what in ("tool", *_STANDS) else _SKIP
 
     @property
     def on_instrument(self) -> bool:
-        return self.placement in _STANDS
+        return self._what in _STANDS
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -71,8 +80,11 @@ class Jump(Effect):
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
         later = self.clock.read(plan) > shape["at"]
-        after = namespace(later).where(later, 1.0, 0.0)
+        after = namespace(later).where(later, at_station(plan, self.station), 0.0)
         return {(port, _size(port)): after for port in self.ports}
+
+    def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
+        return at_station(plan, self.station) > 0.0
 
     def scan(self, plan: Plan) -> Mapping[str, np.ndarray]:
         t = self.edges(plan)["at"]
@@ -83,7 +95,7 @@ class Jump(Effect):
         return {"at": gaps[np.unique(np.linspace(0, len(gaps) - 1, 200).astype(int))]}
 
     def edges(self, plan: Plan) -> Mapping[str, np.ndarray]:
-        return {"at": np.unique(np.asarray(self.clock.read(plan)))}
+        return {"at": np.unique(np.asarray(self.clock.read(plan))[self.rows(plan)])}
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
@@ -95,12 +107,19 @@ class Jump(Effect):
         for stand, components in _STANDS.items():
             # Without rotary axes, a jump on the table equals one of the tool the other way.
             if f"{stand}.X" in setup.layout and (stand == "frame" or not setup.chain.linear):
-                ports = tuple(f"{stand}.{c}" for c in components)
-                yield cls(ports=ports, clock=by, placement=stand)
-        if "frame.X" in setup.layout and setup.chain.linear:
+                ports = tuple(p for c in components if (p := f"{stand}.{c}") in setup.layout)
+                yield from _at_each(setup, stand, ports, by)
+        if "frame.A" in setup.layout and setup.chain.linear:
             # A translation alone equals one of the tool in the other direction: without this
             # candidate, the tool would be preferred because a full motion has more parameters.
-            yield cls(ports=tuple(f"frame.{c}" for c in "XYZ"), clock=by, placement="frame")
+            yield from _at_each(setup, "frame", tuple(f"frame.{c}" for c in "XYZ"), by)
+
+
+def _at_each(setup: Setup, stand: str, ports: tuple[str, ...], by: Clock) -> Iterable[Effect]:
+    """A jump of a stand; of an instrument at several stations, one at each."""
+    for number, name in stations_of(setup) if stand == "frame" else ((-1, ""),):
+        place = f"{stand} {name}".strip()
+        yield Jump(ports=ports, clock=by, station=number, placement=place)
 
 
 def _size(port: str) -> str:

@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Mapping
 
 import equinox as eqx
+import numpy as np
+from jaxtyping import Bool
 
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
@@ -12,6 +14,7 @@ from .base import Effect, Response, Setup, unit_of
 from .clock import Clock, SinceStart, started
 from .forms import AtInstrument, OneAmplitude, Wave, sine_and_cosine
 from .registry import register
+from .station import at_station, stations_of
 from .thermal import TIME_ODDS
 
 
@@ -88,6 +91,11 @@ class TrackerAxes(AtInstrument):
         }
 
 
+def _components(setup: Setup) -> str:
+    """Components of the instrument's frame that its readings depend on; empty without a frame."""
+    return "".join(c for c in COMPONENTS if f"frame.{c}" in setup.layout)
+
+
 def _rate(c: str, by: Clock) -> Parameter:
     """The rate at which one component of the instrument's frame drifts."""
     return Parameter(f"rate_{c}", f"{unit_of(f'frame.{c}')}/{by.long}", sigma=by.usual)
@@ -103,19 +111,27 @@ class StationDrift(SinceStart):
     name = "station_drift"
     summary = "drift of the instrument's frame with time"
     where = "instrument"
+    components: str = eqx.field(static=True, default="XYZABC")
+    """The components that the readings depend on: ``"XYZ"`` for ranges alone."""
+    station: int = eqx.field(static=True, default=-1)
+    """Index of the station that drifts; -1 where there is only one."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(_rate(c, self.clock) for c in COMPONENTS)
+        return tuple(_rate(c, self.clock) for c in self.components)
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        elapsed = self.elapsed(plan)
-        return {(f"frame.{c}", f"rate_{c}"): elapsed for c in COMPONENTS}
+        elapsed = self.elapsed(plan) * at_station(plan, self.station)
+        return {(f"frame.{c}", f"rate_{c}"): elapsed for c in self.components}
+
+    def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
+        return at_station(plan, self.station) > 0.0
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        if "frame.X" in setup.layout:
-            yield cls(**started(setup))
+        components = _components(setup)
+        for number, name in stations_of(setup) if components else ():
+            yield cls(components=components, station=number, placement=name, **started(setup))
 
 
 @register
@@ -132,20 +148,30 @@ class StationSettling(SinceStart, OneAmplitude):
     where = "instrument"
     odds = 0.3 * TIME_ODDS
     """So that no placement of it is likelier than a `drift` with the same effect."""
+    station: int = eqx.field(static=True, default=-1)
+    """Index of the station that gives way; -1 where there is only one."""
+
+    @property
+    def _component(self) -> str:
+        return self.placement[-1]
 
     @property
     def port(self) -> str:  # type: ignore[override]
-        return f"frame.{self.placement}"
+        return f"frame.{self._component}"
 
     @property
     def size(self) -> Parameter:
-        return _rate(self.placement, self.clock)
+        return _rate(self._component, self.clock)
 
     def factor(self, plan: Plan, shape: Mapping[str, Array]) -> Array:
-        return self.elapsed(plan)
+        return self.elapsed(plan) * at_station(plan, self.station)
+
+    def rows(self, plan: Plan) -> Bool[np.ndarray, " n"]:
+        return at_station(plan, self.station) > 0.0
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
-        if "frame.X" in setup.layout:
-            for c in COMPONENTS:
-                yield cls(placement=c, **started(setup))
+        for number, name in stations_of(setup):
+            for c in _components(setup):
+                place = f"{name} {c}".strip()
+                yield cls(placement=place, station=number, **started(setup))

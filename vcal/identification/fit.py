@@ -167,7 +167,7 @@ class Fit:
         try:
             return cho_factor(self.hessian())
         except np.linalg.LinAlgError as error:
-            free = ", ".join(undetermined(self)[:6])
+            free = ", ".join(undetermined(self)[:5])
             raise np.linalg.LinAlgError(
                 f"found no covariance, expected readings or priors that determine every parameter"
                 f"{free and ', also '}{free}; measure more, or leave out what is not determined"

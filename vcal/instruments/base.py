@@ -39,8 +39,9 @@ FileName = Annotated[str, Field(min_length=1)]
 """A file beside the study file."""
 
 
-Loader = Callable[[str, list[Column]], Mapping[str, np.ndarray]]
-"""Reads and checks a table beside the study file: (file name, columns) -> columns."""
+Loader = Callable[..., Mapping[str, np.ndarray]]
+"""Reads and checks a table beside the study file: (file name, columns) -> columns; `labels=` names
+columns of text."""
 
 
 Ports = Mapping[str, Sequence[Scalar]]
@@ -260,9 +261,31 @@ class Instrument(Record):
         return ()
 
     @property
+    def stations(self) -> tuple[str, ...]:
+        """Names of its stations by their index in the group ``"station"``, where one table has
+        several: what disturbs a stand is then an effect of each; empty otherwise.
+        """
+        return ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on what its readings contradict in its settings, without effect on the result,
+        such as another approximate place; none by default.
+        """
+        return ()
+
+    @property
     def members(self) -> Mapping[str, "Instrument"]:
         """The instruments of several data sets by their names; empty for a single instrument."""
         return {}
+
+
+def remarks_of(instrument: Instrument) -> list[str]:
+    """The remarks of an instrument, or of each of several with the name of its data set."""
+    found = [*instrument.remarks]
+    for name, member in instrument.members.items():
+        found += [f"{name}: {remark}" for remark in member.remarks]
+    return found
 
 
 class TableInstrument(Instrument):
@@ -326,6 +349,20 @@ class TableInstrument(Instrument):
         return self
 
     # --- edges: from and to files -------------------------------------------------------------
+    @classmethod
+    def recognised(cls, settings: Any, header: Sequence[str]) -> Any:
+        """The settings, completed by what the names of the columns of its table say; the same by
+        default.
+        """
+        del header
+        return settings
+
+    @classmethod
+    def label_columns(cls, settings: Any, header: Sequence[str]) -> tuple[str, ...]:
+        """Columns of text that a table with this header has, or lacks; `labels` by default."""
+        del settings, header
+        return cls.labels
+
     @classmethod
     @abc.abstractmethod
     def columns(cls, settings: Any, axes: Sequence[str], readings: bool) -> list[Column]:

@@ -16,6 +16,7 @@ from ..machine.plan import Plan
 from ..machine.ports import group
 from ..numerics.arrays import Array
 from ..numerics.rigid import ORIGIN, Rotation, Scalar, Vector, exp
+from .arm_follow import check_arm_follows
 from .arm_table import arm_columns, arm_plan, arm_table
 from .base import (
     LARGEST_NOISE,
@@ -326,6 +327,9 @@ def _start(
     Raises `RowError` where orientations do not follow the arm.
     """
     position = np.asarray(arm_plan(chain, table, settings.joints, ()).position)
+    seen = 1e-3 * np.column_stack([table[name] for name in _POSITION])
+    columns = f"columns {', '.join(_POSITION)}"
+    check_arm_follows(chain, position, seen[:, None], columns, f"{settings.joints}_")
     rotations, origins = chain.tool_frame(position)
     seen = orientations(table, settings.orientation)
     orientation, probe = between_frames(rotations, seen)

@@ -22,6 +22,7 @@ from ..machine.ports import COMPONENTS, group
 from ..numerics.arrays import Array
 from ..numerics.rigid import Rotation, Scalar, Vector
 from ..numerics.spatial import best_rigid
+from .arm_follow import Fixed, check_arm_follows
 from .arm_table import arm_columns, arm_plan, arm_table
 from .base import (
     LARGEST_NOISE,
@@ -310,7 +311,16 @@ class Reflectors(TableInstrument):
         return (ToolPoints.name,)
 
     def start(self, chain: Chain, plan: Plan, readings: np.ndarray) -> Self:
-        _check_size(chain, plan, np.asarray(readings)[:, :3])
+        seen = np.asarray(readings)
+        _check_size(chain, plan, seen[:, :3])
+        check_arm_follows(
+            chain,
+            np.asarray(plan.position),
+            seen.reshape(plan.rows, self.count, 3),
+            "columns smr1_x_mm, smr1_y_mm, smr1_z_mm" + (", ..." if self.count > 1 else ""),
+            f"{self.joints}_",
+            Fixed(None if self.points_u is None else np.asarray(self.points)),
+        )
         return self._placed(chain, plan, readings, self.points_u is not None)
 
     def with_tool_of(

@@ -23,6 +23,7 @@ from ..machine.plan import Plan
 from ..model.forward import Model
 from ..model.measurement import CheckPoints, Measurement
 from ..units import si_factor
+from ..words import unsolvable
 from .empirical import EMPIRICAL
 from .notes import Facts, notes
 from .outcome.closure import Closure, Errors, FoundEffect, Rejected, SetErrors, Verdict
@@ -38,7 +39,14 @@ from .search.initial_shapes import initial_shapes
 from .search.search import Search
 from .search.shape_classes import Shapes, with_shape_classes
 from .search.sizes import misdeclared
-from .search.state import State, at_noise_found, chi2_per_dof, fitted, reported_noise_scales
+from .search.state import (
+    State,
+    at_noise_found,
+    chi2_per_dof,
+    evenly_scattered,
+    fitted,
+    reported_noise_scales,
+)
 from .settings import checked, classes_of
 from .weighing.cross_validation import check_rms, fit_rms, heldout_fall, heldout_rms
 from .weighing.weighing import CERTAIN, Weighed
@@ -149,6 +157,7 @@ def close_loop(
                 correlated,
                 run.refusal,
                 full,
+                evenly_scattered(state),
             )
         run.weigh_again(state)
         progress("looking for shapes that the readings cannot distinguish")
@@ -157,7 +166,7 @@ def close_loop(
     except KeyboardInterrupt:
         interrupted = True
     except np.linalg.LinAlgError as error:  # the effects that were added hold without the rest
-        interrupted, stopped = True, str(error)
+        interrupted, stopped = True, unsolvable(error)
     if sizes is None:
         sizes = misdeclared(state, model, room)
         if sizes is not None and run.unexplained is not None and not sizes.test.gross:

@@ -12,6 +12,7 @@ from ..effects.base import Effect
 from ..identification.fit import POORLY_DETERMINED, Fit
 from ..identification.identify import identify
 from ..identification.predictable import unpredictable_of
+from ..instruments.base import remarks_of
 from ..instruments.conditions import file_column
 from ..machine.plan import Plan
 from ..model.declared_noise import declared_whitener
@@ -461,6 +462,11 @@ def _confounding(facts: Facts) -> list[str]:
     ]
 
 
+def _remarks(facts: Facts) -> list[str]:
+    """Notes on settings of the instruments that the readings contradict."""
+    return remarks_of(facts.after.model.instrument)
+
+
 def _no_machine(facts: Facts) -> list[str]:
     """Note where the residual is larger than any machine error."""
     worst = fit_rms(facts.state.fit).value
@@ -510,6 +516,7 @@ def _shape_text(effect: Effect, shape: Mapping[str, float]) -> str:
 
 _NOTES = (
     _stopped,
+    _remarks,
     _gain,
     _sizes,
     _held_out,

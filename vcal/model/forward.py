@@ -84,7 +84,8 @@ class Model(Record):
         """The information from which effects decide where they may occur."""
 
         def of(instrument: Instrument, layout: PortLayout, plan: Plan, **more: Any) -> Setup:
-            own = {"artefact": instrument.artefact, "derived": instrument.derived}
+            own: dict[str, Any] = {"artefact": instrument.artefact, "derived": instrument.derived}
+            own["stations"] = instrument.stations
             return Setup(self.chain, layout, plan, self.effects, **own, **more)
 
         members = self.instrument.members

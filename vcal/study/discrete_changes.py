@@ -80,8 +80,9 @@ def check_declared(study: Study, fit: Fit) -> None:
         f"readings that do not follow the declared machine: its error {p.name} would be "
         f"{value:.3g} {p.unit}, {abs(times):.0f} times its declared size",
         "errors of about their declared sizes",
-        f"they follow with {' or with '.join(change.words for change in changes)}: correct "
-        + ("that" if len(changes) == 1 else "the one that is wrong"),
+        f"they follow with {' or with '.join(change.words for change in changes)}: compare "
+        + ("it" if len(changes) == 1 else "these, the likeliest first,")
+        + " with the machine",
     )
 
 

@@ -114,6 +114,11 @@ class Folder:
                 self._modules[name] = run_file(path, what)
         return self._modules[name]
 
+    def written(self, name: str) -> tuple[str, ...]:
+        """Names of the columns of a table as the file and the mapping of the study give them."""
+        grid = self._grid(name)
+        return (*grid.form.mapping, *grid.names)
+
     def header(
         self,
         name: str,
@@ -157,14 +162,18 @@ class Folder:
         optional: Callable[[str], Column | None],
         labels: Sequence[str],
     ) -> list[Assigned]:
-        form, place = self.formats.get(name, (DEFAULT, Place()))
+        place = self.formats.get(name, (DEFAULT, Place()))[1]
+        asked = {*labels, *(column.name for column in columns)}
+        return assign(self._grid(name), asked, optional, place)
+
+    def _grid(self, name: str) -> Grid:
         path = self.path(name)
         if name not in self._grids:
             plain = self.plain(name)
             sheet = name[len(plain) + 1 :] if plain != name else None
+            form = self.formats.get(name, (DEFAULT, Place()))[0]
             self._grids[name] = load_grid(path, name, form, sheet)
-        asked = {*labels, *(column.name for column in columns)}
-        return assign(self._grids[name], asked, optional, place)
+        return self._grids[name]
 
 
 def _nothing(name: str) -> Column | None:

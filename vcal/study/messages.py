@@ -12,6 +12,8 @@ from ..registry import closest, nearest
 from ..words import printable
 
 _QUOTED = r"'([^']*)'"
+FEW = 5
+"""Most parameters that a message lists."""
 _MOST_LINES = 5
 """Mistakes of one file that are listed; further ones are counted."""
 

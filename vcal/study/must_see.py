@@ -13,11 +13,11 @@ from ..machine.error_functions import Legendre
 from ..machine.plan import Plan
 from ..model.forward import Model
 from ..registry import nearest
-from .messages import listed, refusal
+from .messages import FEW, listed, refusal
 
 _HIGHEST = 12
 _SIZE = 1e-5
-_LINES = dict(zip("XYZABC", ("XA", "YB", "ZC") * 2, strict=True))
+LINES = dict(zip("XYZABC", ("XA", "YB", "ZC") * 2, strict=True))
 """Axes along or about the direction of a component, which have no such location error."""
 
 
@@ -44,7 +44,7 @@ def check_identifiable(
         (
             GeometricErrors(
                 motions=tuple(
-                    _motion(plan, name, range(lowest[name], degree + 1))
+                    error_motion(plan, name, range(lowest[name], degree + 1))
                     for name, degree in wanted.items()
                     if lowest[name]
                 ),
@@ -64,7 +64,7 @@ def check_identifiable(
             file,
             f"key {key}",
             f"{plan.rows} points that identify {found.rank} of {found.columns} parameters; "
-            f"{listed(mixed)} {'is' if len(mixed) == 1 else 'are'} not identified",
+            f"{listed(mixed, FEW)} {'is' if len(mixed) == 1 else 'are'} not identified",
             "points that identify all of them",
             "measure more or other positions, or remove errors or degrees from this key",
         )
@@ -82,7 +82,7 @@ def check_wanted(wanted: Mapping[str, int], chain: Chain, file: str, key: str) -
         f"E{c}0{axis}"
         for axis, components in (*((a, "ABC") for a in linear), *((a, "XYZABC") for a in turning))
         for c in components
-        if axis not in _LINES[c]
+        if axis not in LINES[c]
     ]
     motions = [f"E{c}{axis}" for axis in chain.axes for c in "XYZABC"]
     straight = {port for axis in linear for port in across(chain, axis)}
@@ -115,7 +115,8 @@ def _check_key(name: str, degree: int, lowest: Mapping[str, int], file: str, tab
         )
 
 
-def _motion(plan: Plan, name: str, degrees: Sequence[int]) -> ErrorMotion:
+def error_motion(plan: Plan, name: str, degrees: Sequence[int]) -> ErrorMotion:
+    """An error motion of some Legendre degrees over the measured range of its axis."""
     axis = name[2:]
     x = np.asarray(plan.x(axis))
     # On an axis that did not move, all polynomials are constants, which no reading identifies.

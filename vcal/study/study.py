@@ -31,7 +31,7 @@ from .declared_effects import catalogue_with, declared_effects, unknown_effect
 from .folder import Folder
 from .geometric_family import geometric_errors
 from .hold_out import held_out
-from .messages import listed, refusal, source
+from .messages import FEW, listed, refusal, source
 from .must_see import check_identifiable
 from .plugins.effects import check_own
 from .plugins.instrument_trial import check_instrument
@@ -615,6 +615,8 @@ def _data_set(
     key: str = "",
 ) -> DataSet:
     """One data set; `key` is its place in the study file."""
+    kind = instrument_class(settings, folder)
+    settings = kind.recognised(settings, folder.header(table_name))
     table, measured = run_table(table_name, settings, chain, folder, file, key)
     try:
         with _naming_rows(settings, folder, table.complete):
@@ -759,7 +761,7 @@ def _check_size(model: Model, plan: Plan, data: str, measured: bool) -> None:
     needed = len(flat) + width + 1 if measured and flat else len(flat)
     if readings >= needed:
         return
-    keys = listed(dict.fromkeys(entry.key for entry in flat))
+    keys = listed(dict.fromkeys(entry.key for entry in flat), FEW)
     raise refusal(
         data,
         f"row {plan.row_name(plan.rows - 1)} (the last one)",
@@ -789,7 +791,7 @@ def _check_determined(model: Model, plan: Plan, data: str) -> None:
         data,
         "columns of positions and conditions",
         f"{plan.rows} rows that identify {found.rank} of {found.columns} parameters without a "
-        f"prior; {listed(names)} {'is' if len(names) == 1 else 'are'} not identified",
+        f"prior; {listed(names, FEW)} {'is' if len(names) == 1 else 'are'} not identified",
         "rows that identify all of them: for an instrument with an unknown pose, positions that "
         "are not all on one straight line or in one place",
         "measure further positions, or give a prior (a *_sigma) to a parameter that can have one",
@@ -817,7 +819,7 @@ def _check_fitted(model: Model, measurement: Measurement, data: str, chosen: boo
         "columns of positions and conditions",
         f"{int((~apart).sum())} rows that are fitted, without {int(apart.sum())} held-out ones, "
         f"which identify {found.rank} of {found.columns} parameters without a prior; "
-        f"{listed(names)} {'is' if len(names) == 1 else 'are'} not identified",
+        f"{listed(names, FEW)} {'is' if len(names) == 1 else 'are'} not identified",
         "fitted rows that identify all of them",
         "choose another kind in [holdout], such as random"
         if chosen

@@ -66,20 +66,21 @@ def run_table(
     kind = instrument_class(settings, folder)
     plain, full = columns_of(settings, kind, chain.axes)
     places = [] if kind.positioned else _positions(chain, plain)
-    header = folder.header(name, [*places, *full], _condition, kind.labels)
+    labels = kind.label_columns(settings, folder.written(name))
+    header = folder.header(name, [*places, *full], _condition, labels)
     reading_names = {c.name for c in full} - {c.name for c in plain}
     measured = not reading_names or any(column in reading_names for column in header)
     _check_machine(kind, chain, file, f"{key}instrument.kind")
     columns = [*places, *(full if measured else plain)]
     if not measured:
-        known = {*kind.labels, *(c.name for c in columns)}
+        known = {*labels, *(c.name for c in columns)}
         further = [c for c in header if c not in known and not _condition(c)]
         check_unread(name, kind.kind, further, reading_names, kind.read_otherwise)
     # An instrument without columns of its own reads the positions.
     linear = {file_column(axis, chain.axes)[0] for axis in chain.axes if axis in MAIN}
     read = reading_names or {c.name for c in places} & linear
     table = folder.table(
-        name, columns, _condition, labels=kind.labels, readings=read if measured else ()
+        name, columns, _condition, labels=labels, readings=read if measured else ()
     )
     complete = table.complete
     if complete.rows < _FEWEST_ROWS:
@@ -92,7 +93,7 @@ def run_table(
             "measure more points",
         )
     _check_spelling(table, [c.name for c in columns])
-    _check_names(table, chain, (*kind.labels, *reading_names))
+    _check_names(table, chain, (*labels, *reading_names))
     # If positions are the readings, they are unknown in rows with a blank one.
     _check_conditions(table if reading_names else complete, chain)
     if measured:

@@ -45,6 +45,7 @@ class TrackerSpace(PointSpace):
 
     The station rotates with a rotary table. Its distance from a point is at least the smallest
     range in its data, a millimetre. Its orientation is fixed, as no uncertainty depends on it.
+    Several stations stay where they are declared, and every row keeps its station and its tool.
     """
 
     kind = "laser_tracker"
@@ -56,11 +57,22 @@ class TrackerSpace(PointSpace):
         return ("range", "azimuth", "elevation")
 
     def following_from(self, placed: Placed) -> Mapping[str, Float[Array, " n"]]:
-        position = jnp.asarray(placed.position)
-        still = jnp.zeros((len(position), 6 * len(self.chain.joints) + 6))
-        point = tool_points(self.chain, position, still)
-        v = (point - placed.station) @ self.device.orientation
+        position, device = jnp.asarray(placed.position), self.device
+        first = 6 * len(self.chain.joints)
+        ports = jnp.zeros((len(position), first + 6))
+        if device.tools:
+            offset = np.asarray(device.offsets)[self.index["tool"]]
+            ports = ports.at[:, first : first + 3].set(offset)
+        point = tool_points(self.chain, position, ports)
+        if device.names:
+            at = self.index["station"]
+            turn, place = np.asarray(device.orientations)[at], np.asarray(device.places)[at]
+            v = jnp.einsum("nji,nj->ni", turn, point - place)
+        else:
+            v = (point - placed.station) @ device.orientation
         r = jnp.sqrt((v**2).sum(1))
+        if device.reads == "range":
+            return {"range": r}
         return {
             "range": r,
             "azimuth": jnp.arctan2(v[:, 1], v[:, 0]),
@@ -68,6 +80,8 @@ class TrackerSpace(PointSpace):
         }
 
     def standing(self, station: Float[Array, " s"]) -> LaserTracker:
+        if self.device.names:
+            return self.device
         return eqx.tree_at(lambda i: i.station, self.device, station)
 
     @classmethod
@@ -77,6 +91,13 @@ class TrackerSpace(PointSpace):
         low, high = settings.station_low_mm, settings.station_high_mm
         if not settings.station or low is None or high is None:
             return place, np.zeros((0, 2))
+        if subject.instrument.names:
+            raise subject.refusal(
+                "station",
+                f"true with {len(subject.instrument.names)} stations",
+                "one station, as only its place can be optimised",
+                "set it to false, or design the stations one by one",
+            )
         room = np.column_stack([low, high]) * 1e-3
         low, high = work_space(subject.chain)
         if ((room[:, 0] < high) & (room[:, 1] > low)).all():
@@ -88,13 +109,13 @@ class TrackerSpace(PointSpace):
             )
         return place, room
 
-    def station(self, placed: Placed) -> Float[np.ndarray, "3"]:
+    def station(self, placed: Placed) -> Float[np.ndarray, "3"] | None:
+        if self.device.names:
+            return None
         return np.asarray(placed.station) - np.asarray(self.chain.tool_offset)
 
     def changed(self, placed: Placed) -> Mapping[str, Any]:
-        if not len(self.room):
-            return {}
-        return {"station_mm": [round(1e3 * float(v), 6) for v in np.asarray(placed.station)]}
+        return self.device.declaration(np.asarray(placed.station) if len(self.room) else None)
 
 
 def work_space(chain: Chain) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:

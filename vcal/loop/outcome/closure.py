@@ -26,6 +26,8 @@ Verdict = Literal["nothing_missing", "named", "ambiguous", "unexplained"]
 _LOUDER, _SURELY = 1.5, 3.0
 """Scatter over the declared noise, and standard uncertainties of that ratio, from which the verdict
 reports it."""
+_WRONG, _EVEN = 3.0, 1.3
+"""Factor from which the declared noise is wrong, and largest ratio of factors that are the same."""
 _MOST_OF_IT = 0.5
 """Share of a reading's scatter from which the verdict describes the rest by the vibration alone."""
 _A_PART = 0.05
@@ -237,11 +239,35 @@ class Closure:
     @property
     def sentence(self) -> str:
         """The verdict in words."""
-        said = " ".join(filter(None, (self._verdict_in_words, self.no_gain)))
+        said = " ".join(filter(None, (self._noise_in_words, self._verdict_in_words, self.no_gain)))
         gross = self.sizes is not None and self.sizes.test.gross
         if gross and self.sizes is not None and self.sizes.words not in said:
             return f"The machine is not as declared: {self.sizes.words}. {said}"
         return said
+
+    @property
+    def wrong_noise(self) -> float | None:
+        """Scatter of the readings over their declared noise, where that is wrong by a large factor
+        that is the same for all kinds of reading and data sets; None where it is not, and where
+        something else is unexplained, which scatters as well.
+        """
+        factor, each = self.noise_scale, [*self.noise_scales.values()]
+        far = factor >= _WRONG or 0.0 < factor <= 1.0 / _WRONG
+        uneven = self.noise_uneven or (each and max(each) > _EVEN * min(each))
+        return factor if far and not uneven and self.unexplained is None else None
+
+    @property
+    def _noise_in_words(self) -> str:
+        """A sentence where the declared noise is wrong by a large factor; else empty."""
+        factor = self.wrong_noise
+        if factor is None:
+            return ""
+        times, size = (factor, "small") if factor > 1.0 else (1.0 / factor, "large")
+        alike = "" if len(self.noise_components) < 2 else " in all kinds of reading alike"
+        return (
+            f"The declared noise is {times:.2g} times too {size}: the readings scatter "
+            f"{factor:.2g} times as declared{alike}."
+        )
 
     @property
     def found(self) -> list[FoundEffect]:
@@ -267,6 +293,8 @@ class Closure:
                 "Nothing could be tested: the data contain no information about any effect that "
                 "was tried."
             )
+        if self.verdict == "nothing_missing" and self.wrong_noise and self.sizes is None:
+            return "With the noise that the readings show, nothing is missing from the model."
         if self.louder:
             return (
                 f"No effect was found, but {self._scatter()} times as declared: the noise is "

@@ -23,8 +23,8 @@ covariate, from which no covariate is reported alone. Every covariate that chang
 some of such noise."""
 _SPREAD = 25.0
 """Chi-square per degree of freedom, against the declared noise, from which something must be
-missing even if it depends on no recorded quantity. A too small declared noise alone does not reach
-it."""
+missing even if it depends on no recorded quantity, unless all kinds of reading scatter by the same
+factor, as with a wrong declaration of the noise."""
 _BY_CHANCE = 0.01
 """Probability from which a residual that is large for another reason depends on no covariate. The
 best of all covariates always describes a little."""
@@ -178,14 +178,19 @@ def from_structure(
     correlated: Serial | None = None,
     refused: Refused | None = None,
     full: bool = False,
+    as_noise: bool = False,
 ) -> Unexplained | None:
     """The unexplained residual of a final fit; None where there is none.
 
     There is one where the residual depends on covariates, is correlated in time, or is far larger
     than declared; or where an effect was significant and was `refused`. `full`: the search ended
-    because no more effects may be added.
+    because no more effects may be added. `as_noise`: the kinds of reading scatter in the declared
+    ratios (`vcal.loop.search.state.evenly_scattered`), so that a residual that is only larger than
+    declared is noise whose declaration is wrong.
     """
     structure = dependence(fit, draws, seed)
+    if as_noise:
+        chi2_per_dof = min(chi2_per_dof, _SPREAD)
     return _from_dependence(fit, structure, chi2_per_dof, alpha, correlated, refused, full)
 
 

@@ -22,6 +22,12 @@ from ..screening.significance import LEAST_DOF, LEAST_NOISE
 from ..weighing.cross_validation import folds_of, held_apart
 from .initial_shapes import initial_shapes
 
+_FEW = 5
+"""Most parameters that a message lists."""
+_EVEN = 1.3
+"""Largest ratio of two factors on the declared noise that count as the same."""
+_CHANCE = 1e-3
+"""Probability by chance below which such factors differ."""
 _SEARCHES = 4
 """Number of searches for outliers. Outliers mask others, so each search follows a fit without those
 found before."""
@@ -123,8 +129,10 @@ def _check_determined(fit: Fit) -> None:
         names = [f"{key} {p.name}" for key, p in fit.entries]
         free = [names[i] for i in flat_rank(fit.model, fit.measurement.plan).mixed]
     if free:
+        more = f" and {len(free) - _FEW} more" if len(free) > _FEW else ""
         raise np.linalg.LinAlgError(
-            f"the readings cannot distinguish {' and '.join(free)} from the other parameters"
+            f"the readings cannot distinguish {' and '.join(free[:_FEW])}{more} from the other "
+            "parameters"
         )
 
 
@@ -283,6 +291,29 @@ def reported_noise_scales(state: State) -> tuple[float, dict[str, float]]:
     if noise is None or noise.uneven or state.as_declared:
         return whole, each
     return noise.factor, {name: f if f >= 1.0 else noise.factor for name, f in each.items()}
+
+
+def evenly_scattered(state: State) -> bool:
+    """Whether all kinds of reading, and all data sets, scatter by the same factor of their declared
+    noise. Errors of a machine, or of one device, seldom do.
+    """
+    fit = state.fit
+    _, each = reported_noise_scales(state)
+    same = max(each.values(), default=1.0) < _EVEN * min(each.values(), default=1.0)
+    if state.noise is not None:
+        return same and not state.noise.uneven
+    # Readings of a row that share unmodelled errors: each kind by its own scatter.
+    there = fit.used[:, None] & fit.model.instrument.present(fit.measurement.plan)
+    counts = there.sum(0)
+    r = np.einsum("nij,nj->ni", fit.whitener, fit.residual) * there
+    known = counts > LEAST_DOF
+    sizes = np.sqrt((r**2).sum(0)[known] / counts[known])
+    if len(sizes) < 2 or not sizes.min() > 0.0:
+        return same
+    # ln of an estimated standard deviation from n readings has the variance 1 / 2n.
+    apart = np.log(sizes) - np.log(sizes).mean()
+    by_chance = gammaincc(0.5 * (len(sizes) - 1), float((counts[known] * apart**2).sum()))
+    return same and (sizes.max() < _EVEN * sizes.min() or bool(by_chance > _CHANCE))
 
 
 def at_noise_found(state: State, room: int) -> Fit:
