@@ -94,6 +94,7 @@ def read_table(
     optional: Callable[[str], Column | None] = _nothing,
     labels: Sequence[str] = (),
     readings: Collection[str] = (),
+    read_by: str = "",
 ) -> Table:
     """Columns of a CSV file with a header line, as float64 in the units of the file.
 
@@ -110,7 +111,9 @@ def read_table(
 
     A cell in a column of `readings` may be blank, that is, empty or NaN, where nothing was read.
     `Table.blank` marks these rows. The cell gets the number of the row before, or of the next row
-    at the beginning, so that a look at the whole table finds plausible numbers.
+    at the beginning, so that a look at the whole table finds plausible numbers. With an index
+    column `read_by`, readings that are blank in all rows of an index are not part of these rows:
+    they are NaN, and do not make the rows blank.
 
     Raises `StudyError` for a file that is missing, empty or truncated, for a column that is missing
     or repeated, for a cell that is not a finite number, not whole where it must be, or outside its
@@ -125,6 +128,7 @@ def read_table(
             # A column that has a meaning of its own is not a misspelling of this one.
             free = [c for c in header if c not in asked and c not in labels and not optional(c)]
             raise _missing(table.name, name, header, free)
+    unread: dict[str, np.ndarray] = {}
     if not rows:
         raise refusal(table.name, "row 1", "no row below the header", "data", "add the rows")
     for place, name in enumerate(header):
@@ -142,8 +146,14 @@ def read_table(
         blank = np.array([name in readings and _is_blank(cell) for cell in cells])
         if blank.all():
             raise _nothing_read(table, name)
-        table.blank |= blank
+        if read_by and blank.any() and read_by in header:
+            index = [row[header.index(read_by)].strip() for row in rows]
+            filled = {own for own, empty in zip(index, blank, strict=True) if not empty}
+            unread[name] = np.array([own not in filled for own in index])
+        table.blank |= blank & ~unread.get(name, np.zeros(len(rows), bool))
         table[name] = _checked(table, column or Column(name=name), cells, name in asked, blank)
+        if name in unread:
+            table[name] = np.where(unread[name], np.nan, table[name])
         table[name].flags.writeable = False
     for column in columns:
         if column.unique_with:

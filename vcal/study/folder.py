@@ -107,10 +107,12 @@ class Folder:
         optional: Callable[[str], Column | None] | None = None,
         labels: Sequence[str] = (),
         readings: Collection[str] = (),
+        read_by: str = "",
     ) -> Table:
         """A checked table; see `vcal.study.csv_table.read_table`."""
-        more: Mapping = {} if optional is None else {"optional": optional}
-        return read_table(self.path(name), columns, name, labels=labels, readings=readings, **more)
+        more: dict = {} if optional is None else {"optional": optional}
+        more |= {"labels": labels, "readings": readings, "read_by": read_by}
+        return read_table(self.path(name), columns, name, **more)
 
 
 def require_empty(out: Path) -> None:
