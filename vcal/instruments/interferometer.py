@@ -280,7 +280,7 @@ class Interferometer(TableInstrument):
         if self.settings.expansion_um_per_m_K is not None:
             warm = plan.covariate(MATERIAL) - REFERENCE_DEGC
             shrunk = 1e-6 * self.settings.expansion_um_per_m_K * warm * lines.distance(plan)
-        found = [lines.along[index], offset, shrunk]
+        found = [lines.along[index], offset, shrunk, self.present(plan) * 1.0]
         if not known(plan.position):
             # A design varies the positions. Derivatives do not depend on the nominal place.
             return (*found, np.zeros((plan.rows, 3)))
@@ -292,7 +292,7 @@ class Interferometer(TableInstrument):
         return tuple(found)
 
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
-        along, offset, shrunk, place, *turns = row
+        along, offset, shrunk, here, place, *turns = row
         d = tool + rotation @ Vector.of(offset) - Vector.of(place)
         if turns:
             bed, nominal = (Rotation.of(turn) for turn in turns)
@@ -310,7 +310,8 @@ class Interferometer(TableInstrument):
             **dict(zip(ANGLES, angle.parts, strict=True)),
         }
         read = dict(zip(READ, ports["read"], strict=True))
-        return [ideal[name] + read[name] for name in self.names]
+        # Readings that a line does not have are zero.
+        return [(ideal[name] + read[name]) * here[i] for i, name in enumerate(self.names)]
 
     # --- what it declares -----------------------------------------------------------------------
     def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
