@@ -22,6 +22,16 @@ from .instruments import (
     tracker_points,
     tracker_readings,
 )
+from .interferometer import (
+    COLUMNS,
+    LINES,
+    Laser,
+    Line,
+    LinePlan,
+    line_plan,
+    line_readings,
+    measure_lines,
+)
 from .kinematics import (
     TABLE,
     Arm,
@@ -63,8 +73,10 @@ from .study import (
 )
 
 __all__ = [
+    "COLUMNS",
     "FRAME_SMOOTH",
     "FRAME_TABLE",
+    "LINES",
     "PLANES",
     "TABLE",
     "Arm",
@@ -75,6 +87,9 @@ __all__ = [
     "Case",
     "Effect",
     "Frame",
+    "Laser",
+    "Line",
+    "LinePlan",
     "Machine",
     "Run",
     "Smooth",
@@ -99,10 +114,13 @@ __all__ = [
     "frame_plan",
     "frame_readings",
     "in_si",
+    "line_plan",
+    "line_readings",
     "lmmse",
     "make_case",
     "measure_balls",
     "measure_circles",
+    "measure_lines",
     "measure_reflectors",
     "measure_tracker",
     "moved",

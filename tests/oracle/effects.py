@@ -242,6 +242,7 @@ ALLOWED = {
     "laser_tracker": (*ON_MACHINE, *ON_TRACKER),
     "ball_array": (*ON_MACHINE, *ON_BALLS),
     "laser_frame": (*ON_MACHINE, *ON_LASER),
+    "interferometer": ON_MACHINE,
     "r_test": ON_CIRCLES,
     "reflectors": ON_ARM,
 }

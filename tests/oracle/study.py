@@ -23,6 +23,16 @@ from .instruments import (
     measure_tracker,
     tracker_noise,
 )
+from .interferometer import (
+    COLUMNS,
+    Laser,
+    LinePlan,
+    instrument_lines,
+    laser_noise,
+    line_plan,
+    measure_lines,
+    reading_columns,
+)
 from .kinematics import (
     AXES,
     TABLE,
@@ -75,8 +85,8 @@ Columns = dict[str, Array]
 class Case:
     """One synthetic study: what is declared, what was measured, and what is true.
 
-    Exactly one of the pairs (tracker, run), (balls, run), (frame, run), (arm, arm_run) is set
-    beside the rest, and none of an R-test.
+    Exactly one of the pairs (tracker, run), (balls, run), (frame, run), (laser, lines), (arm,
+    arm_run) is set beside the rest, and none of an R-test.
     """
 
     name: str
@@ -108,6 +118,10 @@ class Case:
     ball_noise: BallNoise | None = None
     frame: Frame | None = None
     """What the frame really did."""
+    laser: Laser | None = None
+    """The true interferometer, with its set-ups."""
+    lines: LinePlan | None = None
+    """Its rows."""
     arm: Arm | None = None
     """The true arm."""
     arm_run: ArmPlan | None = None
@@ -142,6 +156,9 @@ class Case:
                     for a in "xyz"}  # fmt: skip
         if self.frame is not None:
             return {n: np.full(n_rows(data), 1e6 * self.frame.sigma) for n in ("u_um", "v_um")}
+        if self.laser is not None and self.lines is not None:
+            sigma = 1e6 * laser_noise(self.laser, self.lines)
+            return {n: sigma[:, i] for i, n in enumerate(COLUMNS) if n in data}
         if self.instrument == "r_test":
             return {f"{a}_ext_mm": np.full(n_rows(data), 1e3 * EXTERNAL_SIGMA) for a in "xyz"}
         if self.instrument == "reflectors":
@@ -219,14 +236,15 @@ def make_case(
     only.
 
     Args:
-        instrument: "laser_tracker", "ball_array", "laser_frame"; "r_test" or "reflectors" (the
+        instrument: "laser_tracker", "ball_array", "laser_frame", "interferometer"; "r_test" or "reflectors" (the
             chain is then unused).
         effects: undeclared effects, see the table in effects.py.
         noise_factor: true noise / declared noise.
         travel: upper ends (3,) or both ends (3, 2) of the travels, m.
         tool_offset: m.
         table: declared half widths, um and urad; error_size scales the drawn errors only.
-        plan: keyword arguments of tracker_plan, ball_plan, frame_plan, measure_circles, arm_plan.
+        plan: keyword arguments of tracker_plan, ball_plan, frame_plan, line_plan, measure_circles,
+            arm_plan.
         recording: further columns, see plans.conditions; of reflectors "t_s".
         family: the smooth family to declare and draw from instead of the table's.
         declared: rows for [[model.effect]] with their units in the keys (written, not applied).
@@ -234,6 +252,7 @@ def make_case(
         noise: laser_tracker: range_sigma, range_sigma_per_m, angle_sigma, station_mm,
             euler_xyz_deg, station_scatter (m, rad) about the nominal; ball_array: probe_sigma,
             ball_position_u, supports; laser_frame: sigma, scatter of its pose (m, rad);
+            interferometer: as interferometer.Laser;
             reflectors: arm, sigma, link_sizes (m, rad).
     """
     streams = np.random.SeedSequence(seed).spawn(6)
@@ -298,14 +317,20 @@ def make_case(
         machine = draw_smooth(nominal, for_machine, family)
     else:
         machine = draw_machine(nominal, for_machine, table, error_size)
+    laser = Laser(**noise) if instrument == "interferometer" else None
+    if laser is not None:
+        plan, noise = {"lines": laser.lines, **plan}, {}
     planned: Any = {
-        "laser_tracker": tracker_plan, "ball_array": ball_plan, "laser_frame": frame_plan
+        "laser_tracker": tracker_plan, "ball_array": ball_plan, "laser_frame": frame_plan,
+        "interferometer": line_plan,
     }[instrument](machine, for_plan, **plan)  # fmt: skip
-    run = planned.run if isinstance(planned, BallPlan) else planned
+    run = planned.run if isinstance(planned, BallPlan | LinePlan) else planned
     check_run = check_plan(machine, for_check, n_check)
     more, there = conditions((run, check_run), for_more, recording)
     run = replace(run, extra=dict(run.extra) | more)
     check_run = replace(check_run, extra=there)
+    if laser is not None:
+        check_run = replace(check_run, extra=there | {"T_material_degC": np.full(n_check, 20.6)})
     check_tcp = tool_point(machine, check_run, si)
     check = run_columns(check_run)
     check |= {f"tcp_{a.lower()}_mm": 1e3 * check_tcp[:, i] for i, a in enumerate(AXES)}
@@ -337,6 +362,17 @@ def make_case(
         case = Case(
             name, instrument, given, data, run=run, readings=readings, tracker=tracker,
             station_mm=station_mm, euler_xyz_deg=euler_xyz_deg, **shared,
+        )  # fmt: skip
+    elif laser is not None:
+        lines = replace(planned, run=run)
+        laser = laser.with_errors(for_station)
+        readings = measure_lines(machine, lines, laser, for_noise, si, noise_factor)
+        data = {"line": lines.line, "run": lines.number} | run_columns(recorded(run, si))
+        data |= reading_columns(readings)
+        truth["set_ups"] = {name: v.tolist() for name, v in laser.drawn.items()}
+        case = Case(
+            name, instrument, given, data, run=run, readings=readings, laser=laser, lines=lines,
+            **shared,
         )  # fmt: skip
     elif instrument == "laser_frame":
         far, turned = np.reshape(noise.pop("scatter", (5e-6, 1e-5)), (2, 1))
@@ -449,6 +485,8 @@ def _machine_lines(case: Case) -> list[str]:
         ]
     if case.frame is not None:
         lines += [f"sigma_um = {1e6 * case.frame.sigma:.6g}", 'beam_path = "3d"']
+    if case.laser is not None:
+        lines += instrument_lines(case.laser)
     return [*lines, "", "[model.geometric]", *_family_lines(machine.smooth)]
 
 
