@@ -738,8 +738,8 @@ class Made:
 
 
 def world_of(instrument: str, seed: int) -> World:
-    """The machine of a seed: three chains in turn. For a tracker, a ball array and an interferometer every travel is
-    0.8 to 1.25 times the usual one of the chain.
+    """The machine of a seed: three chains in turn. For a tracker, a ball array and an
+    interferometer every travel is 0.8 to 1.25 times the usual one of the chain.
     """
     chain = CHAINS[seed % 3]
     if instrument in BOTH + LASERS:

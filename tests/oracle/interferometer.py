@@ -285,4 +285,3 @@ def instrument_lines(laser: Laser) -> list[str]:
             f'alignment = "{one.alignment}"',
         ]
     return out
-

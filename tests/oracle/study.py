@@ -236,8 +236,8 @@ def make_case(
     only.
 
     Args:
-        instrument: "laser_tracker", "ball_array", "laser_frame", "interferometer"; "r_test" or "reflectors" (the
-            chain is then unused).
+        instrument: "laser_tracker", "ball_array", "laser_frame", "interferometer"; "r_test" or
+            "reflectors" (the chain is then unused).
         effects: undeclared effects, see the table in effects.py.
         noise_factor: true noise / declared noise.
         travel: upper ends (3,) or both ends (3, 2) of the travels, m.

@@ -224,7 +224,12 @@ def _determined(one: DataSet) -> list[tuple[str, str]]:
         )
     ]
     if found.unseen:
-        rows.append((f"not shown{of}", f"{', '.join(found.unseen)}: not read, or part of the zero or alignment of a line"))
+        rows.append(
+            (
+                f"not shown{of}",
+                f"{', '.join(found.unseen)}: not read, or part of the zero or alignment of a line",
+            )
+        )
     if found.mixed:
         words = "shown in combinations with each other only"
         rows.append((f"not separated{of}", f"{', '.join(found.mixed)}: {words}"))

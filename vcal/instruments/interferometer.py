@@ -45,8 +45,8 @@ from .line_setup import (
     DeadPath,
     FreeBeamSlope,
     LaserScale,
-    LineZero,
     Lines,
+    LineZero,
     MaterialCompensation,
     OpticalSquare,
 )
@@ -107,15 +107,15 @@ class InterferometerSettings(InstrumentSettings):
     """Standard uncertainty of the scale of the laser, common to all lines."""
     square_u_urad: _Uncertainty = 0.0
     """Standard uncertainty of the optical square between lines that share an alignment."""
-    expansion_um_per_m_K: float | None = Field(default=None, ge=-50, le=50)
+    expansion_um_per_m_K: float | None = Field(default=None, ge=-50, le=50)  # noqa: N815
     """Expansion coefficient with which the instrument compensated the positioning to 20 degC, by
     the temperature in the column `T_material_degC`; without it, the readings are not compensated.
     """
-    expansion_u_um_per_m_K: float = Field(default=0.0, ge=0, le=50)
+    expansion_u_um_per_m_K: float = Field(default=0.0, ge=0, le=50)  # noqa: N815
     """Its standard uncertainty."""
-    material_u_K: float = Field(default=0.0, ge=0, le=20)
+    material_u_K: float = Field(default=0.0, ge=0, le=20)  # noqa: N815
     """Standard uncertainty of the measured temperature of the material."""
-    dead_path_u_um_per_m_K: float = Field(default=0.0, ge=0, le=50)
+    dead_path_u_um_per_m_K: float = Field(default=0.0, ge=0, le=50)  # noqa: N815
     """Prior standard deviation of the change of the positioning per metre of `dead_path_mm` and
     kelvin of the air: 0.9 for a laser without dead-path compensation."""
     environment_um: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
@@ -434,9 +434,7 @@ def _reads(
         if not there or along in there:
             raise KeyedError(
                 f"data, line {number}",
-                f"{column_of(along)} along the axis {axis}, which moves"
-                if there
-                else "no reading",
+                f"{column_of(along)} along the axis {axis}, which moves" if there else "no reading",
                 "positioning, straightness across the line, or angles",
                 "correct the columns, or the column line",
             )

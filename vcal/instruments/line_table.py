@@ -1,4 +1,4 @@
-"""Lines of an interferometer in a table: the axis that moves, directions of approach, and checks."""
+"""Lines of an interferometer in a table: the axis that moves, directions of approach, checks."""
 
 from collections.abc import Mapping
 

@@ -59,9 +59,7 @@ def determined_errors(chain: Chain, instrument: Instrument, plan: Plan) -> Deter
             lowest = 2 if c in "XYZ" and c != own else 1
             basis = Legendre(ends, tuple(range(lowest, _DEGREES + 1)), _SIZE)
             motions.append(ErrorMotion(f"E{c}{joint.name}", joint.name, basis))
-    locations = tuple(
-        LocationError.of(chain, name, _SIZE) for name in squareness_errors(chain)
-    )
+    locations = tuple(LocationError.of(chain, name, _SIZE) for name in squareness_errors(chain))
     errors = GeometricErrors(motions=tuple(motions), locations=locations)
     nuisances = [e for e in instrument.effects(plan) if e.kind == "nuisance"]
     model = Model(chain, instrument, (errors, *nuisances))
