@@ -31,18 +31,14 @@ from oracle.kinematics import SQUARENESS
 from oracle.study import FRAME_SIZES, SIZES, Case
 
 INSTRUMENTS = (
-    "laser_tracker",
-    "ball_array",
-    "r_test",
-    "laser_frame",
-    "reflectors",
-    "double_ball_bar",
-)
+    "laser_tracker", "ball_array", "r_test", "laser_frame", "reflectors", "double_ball_bar",
+    "interferometer",
+)  # fmt: skip
 ON_MACHINE = ("laser_tracker", "ball_array", "laser_frame")
 CHAINS = ("w X b Y Z t", "w Y b X Z t", "w b X Y Z t")
 ARM_POSES = 150
 DURATION_S = {"laser_tracker": 5000.0, "ball_array": 10000.0, "laser_frame": 4800.0,
-              "reflectors": 12.0 * ARM_POSES}  # fmt: skip
+              "reflectors": 12.0 * ARM_POSES, "interferometer": 6500.0}  # fmt: skip
 JOINTS = 6
 STRAYS = 0.02
 """Share of outliers among the readings of a set with outliers."""
@@ -504,9 +500,9 @@ def _drifting(rng: Rng, world: World) -> Sized:
 
 
 TRACKER, BALLS, FRAME, CIRCLES = ("laser_tracker",), ("ball_array",), ("laser_frame",), ("r_test",)
-ARMS = ("reflectors",)
-BARS = ("double_ball_bar",)
+ARMS, BARS, LASERS = ("reflectors",), ("double_ball_bar",), ("interferometer",)
 BOTH = TRACKER + BALLS
+ON_LINES = ON_MACHINE + LASERS
 STATIONS = TRACKER + FRAME
 _DECAY: dict[str, Callable[[Rng], Any]] = {"decay_mm": lambda rng: float(rng.uniform(0.03, 0.3))}
 _SPEED: dict[str, Callable[[Rng], Any]] = {
@@ -524,32 +520,32 @@ _PERIOD: dict[str, Callable[[Rng], Any]] = {
 }
 
 KINDS: tuple[Kind, ...] = (
-    Kind("backlash", "um", 10, _on_axis("backlash", "size_um", "="), ON_MACHINE),
+    Kind("backlash", "um", 10, _on_axis("backlash", "size_um", "="), ON_LINES),
     Kind("lateral_reversal", "um", 10, _on_axis("lateral_reversal", "size_um", "x", "size"),
-         ON_MACHINE),
+         ON_LINES),
     Kind("angular_reversal", "urad", 20, _on_axis("angular_reversal", "size_urad", "ABC", "size"),
-         ON_MACHINE),
-    Kind("scale_growth", "um/(m K)", 10, _on_axis("scale_growth", "um_per_m_K", "="), ON_MACHINE,
+         ON_LINES),
+    Kind("scale_growth", "um/(m K)", 10, _on_axis("scale_growth", "um_per_m_K", "="), ON_LINES,
          cycles=True),
     Kind("thermal_offset", "um/K", 10, _on_axis("thermal_offset", "um_per_K", "XYZ", "k"),
-         ON_MACHINE, cycles=True),
+         ON_LINES, cycles=True),
     Kind("thermal_tilt", "urad/K", 30, _on_axis("thermal_tilt", "urad_per_K", "ABC", "k"),
-         ON_MACHINE, cycles=True),
+         ON_LINES, cycles=True),
     Kind("squareness_temperature", "urad/K", 20,
          _on_axis("squareness_temperature", "urad_per_K", "x", "k"), BOTH,
          cycles=True),
     Kind("warm_up", "um", 20, _on_axis("warm_up", "size_um", "XYZ", "size", tau_s=_tau),
-         ON_MACHINE, cycles=True),
+         ON_LINES, cycles=True),
     Kind("warm_up of an angle", "urad", 30,
-         _on_axis("warm_up", "size_urad", "ABC", "size", tau_s=_tau), ON_MACHINE, cycles=True),
-    Kind("drift", "um/h", 20, _on_axis("drift", "um_per_h", "XYZ", "rate"), ON_MACHINE,
+         _on_axis("warm_up", "size_urad", "ABC", "size", tau_s=_tau), ON_LINES, cycles=True),
+    Kind("drift", "um/h", 20, _on_axis("drift", "um_per_h", "XYZ", "rate"), ON_LINES,
          cycles=True),
     Kind("drift of an angle", "urad/h", 30, _on_axis("drift", "urad_per_h", "ABC", "rate"),
-         ON_MACHINE, cycles=True),
+         ON_LINES, cycles=True),
     Kind("jump of the tool", "um", 10, _jump, ON_MACHINE),
     Kind("jump of the frame", "um and urad", 10, _frame_jump, STATIONS),
     Kind("station_drift", "um/h and urad/h", 20, _station_drift, STATIONS),
-    Kind("screw_cyclic", "um", 8, _screw, BOTH),
+    Kind("screw_cyclic", "um", 8, _screw, BOTH + LASERS),
     Kind("cross_axis", "um", 10, _crossed, ON_MACHINE),
     Kind("geometric_order", "um", 10, _order, BOTH),
     Kind("payload_sag", "um/kg", 1, _sag, BOTH, recording=("payload_kg",)),
@@ -756,11 +752,11 @@ class Made:
 
 
 def world_of(instrument: str, seed: int) -> World:
-    """The machine of a seed: three chains in turn. For a tracker and a ball array every travel is
-    0.8 to 1.25 times the usual one of the chain.
+    """The machine of a seed: three chains in turn. For a tracker, a ball array and an
+    interferometer every travel is 0.8 to 1.25 times the usual one of the chain.
     """
     chain = CHAINS[seed % 3]
-    if instrument in BOTH:
+    if instrument in BOTH + LASERS:
         rng = np.random.default_rng([seed, 1])
         usual = np.array(SIZES[chain][0])
         return World(instrument, seed, chain, tuple(usual * rng.uniform(0.8, 1.25, 3)))

@@ -251,6 +251,7 @@ ALLOWED = {
     "multilateration": (*ON_MACHINE, "range_scale"),
     "ball_array": (*ON_MACHINE, *ON_BALLS),
     "laser_frame": (*ON_MACHINE, *ON_LASER),
+    "interferometer": ON_MACHINE,
     "r_test": ON_CIRCLES,
     "double_ball_bar": ON_BAR,
     "reflectors": ON_ARM,

@@ -24,6 +24,16 @@ from .instruments import (
     measure_tracker,
     tracker_noise,
 )
+from .interferometer import (
+    COLUMNS,
+    Laser,
+    LinePlan,
+    instrument_lines,
+    laser_noise,
+    line_plan,
+    measure_lines,
+    reading_columns,
+)
 from .kinematics import (
     AXES,
     TABLE,
@@ -77,9 +87,8 @@ Columns = dict[str, Array]
 class Case:
     """One synthetic study: what is declared, what was measured, and what is true.
 
-    Exactly one of the pairs (tracker, run), (balls, run), (frame, run), (bar, run), (arm, arm_run)
-    is set
-    beside the rest, and none of an R-test.
+    Exactly one of the pairs (tracker, run), (balls, run), (frame, run), (bar, run), (laser, lines),
+    (arm, arm_run) is set beside the rest, and none of an R-test.
     """
 
     name: str
@@ -115,6 +124,10 @@ class Case:
     """What the frame really did."""
     bar: BallBar | None = None
     """Declared noise of a ball bar."""
+    laser: Laser | None = None
+    """The true interferometer, with its set-ups."""
+    lines: LinePlan | None = None
+    """Its rows."""
     arm: Arm | None = None
     """The true arm."""
     arm_run: ArmPlan | None = None
@@ -155,6 +168,9 @@ class Case:
             return {n: np.full(n_rows(data), 1e6 * self.frame.sigma) for n in ("u_um", "v_um")}
         if self.bar is not None:
             return {"deviation_um": np.full(n_rows(data), 1e6 * self.bar.sigma)}
+        if self.laser is not None and self.lines is not None:
+            sigma = 1e6 * laser_noise(self.laser, self.lines)
+            return {n: sigma[:, i] for i, n in enumerate(COLUMNS) if n in data}
         if self.instrument == "r_test":
             return {f"{a}_ext_mm": np.full(n_rows(data), 1e3 * EXTERNAL_SIGMA) for a in "xyz"}
         if self.instrument == "reflectors":
@@ -233,14 +249,15 @@ def make_case(
 
     Args:
         instrument: "laser_tracker", "multilateration", "ball_array", "laser_frame",
-            "double_ball_bar"; "r_test" or "reflectors" (the chain is then unused).
+            "double_ball_bar", "interferometer"; "r_test" or "reflectors" (the chain is then
+            unused).
         effects: undeclared effects, see the table in effects.py.
         noise_factor: true noise / declared noise.
         travel: upper ends (3,) or both ends (3, 2) of the travels, m.
         tool_offset: m.
         table: declared half widths, um and urad; error_size scales the drawn errors only.
         plan: keyword arguments of tracker_plan, lateration_plan, ball_plan, frame_plan, bar_plan,
-            measure_circles, arm_plan.
+            line_plan, measure_circles, arm_plan.
         recording: further columns, see plans.conditions; of reflectors "t_s".
         family: the smooth family to declare and draw from instead of the table's.
         declared: rows for [[model.effect]] with their units in the keys (written, not applied).
@@ -250,6 +267,7 @@ def make_case(
             sigma_per_m, scatter of the declared places (m); ball_array: probe_sigma,
             ball_position_u, supports; double_ball_bar: sigma, length_u, scatter (m); laser_frame:
             sigma, scatter of its pose (m, rad);
+            interferometer: as interferometer.Laser;
             reflectors: arm, sigma, link_sizes (m, rad).
     """
     streams = np.random.SeedSequence(seed).spawn(6)
@@ -314,9 +332,13 @@ def make_case(
         machine = draw_smooth(nominal, for_machine, family)
     else:
         machine = draw_machine(nominal, for_machine, table, error_size)
+    laser = Laser(**noise) if instrument == "interferometer" else None
+    if laser is not None:
+        plan, noise = {"lines": laser.lines, **plan}, {}
     planned: Any = {
         "laser_tracker": tracker_plan, "ball_array": ball_plan, "laser_frame": frame_plan,
         "double_ball_bar": bar_plan, "multilateration": lateration_plan,
+        "interferometer": line_plan,
     }[instrument](machine, for_plan, **plan)  # fmt: skip
     if instrument == "multilateration":
         run, station, tool = planned
@@ -326,6 +348,8 @@ def make_case(
     more, there = conditions((run, check_run), for_more, recording)
     run = replace(run, extra=dict(run.extra) | more)
     check_run = replace(check_run, extra=there)
+    if laser is not None:
+        check_run = replace(check_run, extra=there | {"T_material_degC": np.full(n_check, 20.6)})
     check_tcp = tool_point(machine, check_run, si)
     check = run_columns(check_run)
     check |= {f"tcp_{a.lower()}_mm": 1e3 * check_tcp[:, i] for i, a in enumerate(AXES)}
@@ -370,6 +394,17 @@ def make_case(
         case = Case(
             name, instrument, given, data, run=run, readings=ranges[:, None], stations=at, **shared
         )
+    elif laser is not None:
+        lines = replace(planned, run=run)
+        laser = laser.with_errors(for_station)
+        readings = measure_lines(machine, lines, laser, for_noise, si, noise_factor)
+        data = {"line": lines.line, "run": lines.number} | run_columns(recorded(run, si))
+        data |= reading_columns(readings)
+        truth["set_ups"] = {name: v.tolist() for name, v in laser.drawn.items()}
+        case = Case(
+            name, instrument, given, data, run=run, readings=readings, laser=laser, lines=lines,
+            **shared,
+        )  # fmt: skip
     elif instrument == "laser_frame":
         far, turned = np.reshape(noise.pop("scatter", (5e-6, 1e-5)), (2, 1))
         off, tilt = for_station.standard_normal((2, 3))
@@ -514,6 +549,8 @@ def _machine_lines(case: Case) -> list[str]:
         ]
     if case.frame is not None:
         lines += [f"sigma_um = {1e6 * case.frame.sigma:.6g}", 'beam_path = "3d"']
+    if case.laser is not None:
+        lines += instrument_lines(case.laser)
     return [*lines, "", "[model.geometric]", *_family_lines(machine.smooth)]
 
 

@@ -34,6 +34,7 @@ from ..study.messages import shown
 from ..study.observed_errors import observed_errors
 from ..study.reading.text import PLAIN
 from ..study.study import DataSet, looked_for
+from ..study.unseen_errors import determined_errors
 from ..words import counted, plural, printable, three_digits
 
 _MOST_PITCHES = 6
@@ -160,6 +161,7 @@ def show_study(study: Study) -> None:
             "declared",
             ", ".join(_size(effect) for effect in (*study.model.effects, *study.model.random)),
         ),
+        *(row for one in study.sets for row in _determined(one)),
         ("to be tested", _kinds(found)),
         *_aliased(found, plan),
         *_identified(study),
@@ -245,6 +247,33 @@ def _read_as(name: str, table: CsvTable, of: str) -> list[tuple[str, str]]:
         rows.append(
             (f"not used{of}", f"{', '.join(table.unused)}: the mapping names another column")
         )
+    return rows
+
+
+def _determined(one: DataSet) -> list[tuple[str, str]]:
+    """Rank of the lines for the error motions of the machine, and the errors they do not show."""
+    if not one.instrument.shows_unseen:
+        return []
+    found, of = determined_errors(one.chain, one.instrument, one.plan), ""
+    if one.name:
+        of = f" of {one.name}"
+    rows = [
+        (
+            f"rank{of}",
+            f"{found.rank} of {found.columns} coefficients of the {found.errors} errors "
+            "(Legendre degrees up to 3), without a prior",
+        )
+    ]
+    if found.unseen:
+        rows.append(
+            (
+                f"not shown{of}",
+                f"{', '.join(found.unseen)}: not read, or part of the zero or alignment of a line",
+            )
+        )
+    if found.mixed:
+        words = "shown in combinations with each other only"
+        rows.append((f"not separated{of}", f"{', '.join(found.mixed)}: {words}"))
     return rows
 
 

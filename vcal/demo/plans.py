@@ -249,6 +249,37 @@ def probed_sphere(radius: float, stylus: float) -> Columns:
     return columns | {"a_deg": a, "c_deg": c, "dir_c": way}
 
 
+def lines(travel: tuple[float, float, float], counts: tuple[int, int, int], seed: int) -> Columns:
+    """Three lines through the middle of the work space, one per axis, three runs of each forward
+    and backward over targets at irregular distances (ISO 230-2), eight seconds per position.
+    """
+    rng = np.random.default_rng(seed)
+    found: dict[str, list] = {name: [] for name in ("line", "run", "way")}
+    position, t, clock = [], [], 0.0
+    for axis, (length, count) in enumerate(zip(travel, counts, strict=True)):
+        step = (length - 40.0) / (count - 1)
+        targets = 20.0 + step * (np.arange(count) + rng.uniform(-0.3, 0.3, count))
+        targets = np.clip(targets, 20.0, length - 20.0).round(1)
+        for run in range(3):
+            for way, places in ((1, targets), (-1, targets[::-1])):
+                rows = np.tile(0.5 * np.array(travel), (count, 1))
+                rows[:, axis] = places
+                position.append(rows)
+                t += (clock + 8.0 * np.arange(count)).tolist()
+                clock += 8.0 * count + 20.0
+                for name, value in zip(found, (axis, run, way), strict=True):
+                    found[name] += [value] * count
+        clock += 1500.0
+    way = np.array(found.pop("way"))
+    columns: Columns = {name: np.array(values) for name, values in found.items()}
+    columns |= conditions(np.concatenate(position), np.array(t), (1e9, 1e9))
+    for axis, name in enumerate("xyz"):
+        columns[f"dir_{name}"] = np.where(columns["line"] == axis, way, 1)
+    drift = 0.6 * (columns["T_air_degC"] - 20.2)
+    columns["T_material_degC"] = (20.4 + drift + 0.01 * rng.standard_normal(len(t))).round(2)
+    return columns
+
+
 def main(folder: Path) -> None:
     """Write all plans to a folder with the layout of this one."""
     plan, artefact = balls(2)
@@ -264,6 +295,7 @@ def main(folder: Path) -> None:
         "start/static_r_test/data.csv": turned_spheres(6),
         "start/double_ball_bar/data.csv": ball_bar(),
         "start/touch_probe/data.csv": probed_sphere(12.5, 3.0),
+        "start/interferometer/data.csv": lines((1000.0, 600.0, 500.0), (21, 13, 11), 8),
     }
     for name, columns in tables.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -330,6 +330,16 @@ class TableInstrument(Instrument):
     """
     steady: ClassVar[tuple[str, ...]] = ()
     """Columns of readings that may be the same in every row, such as a position on a detector."""
+    read_by: ClassVar[str] = ""
+    """Index column with which the kinds of reading differ, such as a set-up; empty where all rows
+    have the same ones.
+
+    Every column of readings may then be missing, and blank in all rows of an index: its cells are
+    NaN in the table, and `present` says so. A row is left out only where a reading is blank that
+    other rows of its index have.
+    """
+    shows_unseen: ClassVar[bool] = False
+    """Whether `vcal check` says which error motions its readings do not determine."""
     read_otherwise: ClassVar[tuple[str, ...]] = ()
     """Columns that are readings with some settings and not with others: a table with one of them,
     but without the readings of the current settings, is not a plan.

@@ -160,6 +160,7 @@ def read_table(
     labels: Sequence[str] = (),
     readings: Collection[str] = (),
     form: TableFormat = DEFAULT,
+    read_by: str = "",
 ) -> Table:
     """Columns of a file with a header line, as float64 in the units of their names.
 
@@ -179,7 +180,9 @@ def read_table(
 
     A cell in a column of `readings` may be blank, that is, empty or NaN, where nothing was read.
     `Table.blank` marks these rows. The cell gets the number of the row before, or of the next row
-    at the beginning, so that a look at the whole table finds plausible numbers.
+    at the beginning, so that a look at the whole table finds plausible numbers. With an index
+    column `read_by`, readings that are blank in all rows of an index are not part of these rows:
+    they are NaN, and do not make the rows blank.
 
     Raises `StudyError` for a file that is missing, empty or truncated, for a column that is missing
     or repeated, for a cell that is not a finite number, not whole where it must be, or outside its
@@ -189,7 +192,14 @@ def read_table(
     asked = {*labels, *(column.name for column in columns)}
     found = assign(grid, asked, optional, Place())
     return table_of(
-        grid, found, columns, optional=optional, labels=labels, readings=readings, clock=Clock()
+        grid,
+        found,
+        columns,
+        optional=optional,
+        labels=labels,
+        readings=readings,
+        clock=Clock(),
+        read_by=read_by,
     )
 
 
@@ -202,6 +212,7 @@ def table_of(
     labels: Sequence[str],
     readings: Collection[str],
     clock: Clock,
+    read_by: str = "",
 ) -> Table:
     """The checked table of a grid whose columns are assigned; see `read_table`.
 
@@ -216,6 +227,7 @@ def table_of(
             # A column that has a meaning of its own is not a misspelling of this one.
             free = [c for c in header if c not in asked and c not in labels and not optional(c)]
             raise _missing(table.name, name, header, free)
+    unread: dict[str, np.ndarray] = {}
     if not grid.lines:
         raise refusal(table.name, "row 1", "no row below the header", "data", "add the rows")
     known = []
@@ -240,12 +252,18 @@ def table_of(
             blank = cells.blank
             if blank.all():
                 raise _nothing_read(table, name)
-            table.blank |= blank
+            for other in assigned:
+                if read_by and other.column == read_by:
+                    index = np.array([cell.strip() for cell in cells_of(grid, other).texts])
+                    unread[name] = ~np.isin(index, index[~blank])
+            table.blank |= blank & ~unread.get(name, np.zeros(len(blank), bool))
         else:
             blank = np.zeros(len(values), bool)
         table[name] = _checked(
             table, column or Column(name=name), cells, values, name in asked, blank, one, grid.form
         )
+        if name in unread:
+            table[name] = np.where(unread[name], np.nan, table[name])
         table[name].flags.writeable = False
     table.assigned = tuple(known)
     for column in columns:

@@ -139,6 +139,7 @@ class Folder:
         optional: Callable[[str], Column | None] | None = None,
         labels: Sequence[str] = (),
         readings: Collection[str] = (),
+        read_by: str = "",
     ) -> Table:
         """A checked table; see `vcal.study.csv_table.read_table`."""
         optional = optional or _nothing
@@ -151,6 +152,7 @@ class Folder:
             labels=labels,
             readings=readings,
             clock=self.clock,
+            read_by=read_by,
         )
         self.tables[name] = table
         return table

@@ -139,7 +139,7 @@ def check_alive(table: Table, columns: Collection[str], kind: str) -> None:
     """
     targets: dict[str, list[str]] = {}
     for name in columns:
-        if table.rows >= _FEWEST and table[name].dtype.kind == "f":
+        if table.rows >= _FEWEST and name in table and table[name].dtype.kind == "f":
             targets.setdefault(_AXIS.sub("", name), []).append(name)
     still = {name: bool(np.ptp(table[name]) == 0.0) for of in targets.values() for name in of}
     once = [of for of in targets.values() if len(of) > 1 and all(still[name] for name in of)]
@@ -190,7 +190,7 @@ def check_scatter(
         return
     names = [_column(name, columns) for name, *_ in still]
     name, std, declared = min(still, key=lambda one: one[1] / one[2])
-    own = np.std(table[column]) if (column := _column(name, columns)) in table else 0.0
+    own = np.nanstd(table[column]) if (column := _column(name, columns)) in table else 0.0
     # In the unit of the column.
     factor, unit = (float(own) / std, f" in the unit of {column}") if own else (1.0, " in SI")
     raise refusal(

@@ -72,6 +72,8 @@ def run_table(
     measured = not reading_names or any(column in reading_names for column in header)
     _check_machine(kind, chain, file, f"{key}instrument.kind")
     columns = [*places, *(full if measured else plain)]
+    if kind.read_by:
+        columns = [c for c in columns if c.name in header or c.name not in reading_names]
     if not measured:
         known = {*labels, *(c.name for c in columns)}
         further = [c for c in header if c not in known and not _condition(c)]
@@ -80,7 +82,12 @@ def run_table(
     linear = {file_column(axis, chain.axes)[0] for axis in chain.axes if axis in MAIN}
     read = reading_names or {c.name for c in places} & linear
     table = folder.table(
-        name, columns, _condition, labels=labels, readings=read if measured else ()
+        name,
+        columns,
+        _condition,
+        labels=labels,
+        readings=read if measured else (),
+        read_by=kind.read_by,
     )
     complete = table.complete
     if complete.rows < _FEWEST_ROWS:

@@ -1,9 +1,17 @@
 """Spaces of plans, one leaf file per kind of instrument; importing the package registers them."""
 
 from ..plan_space import SPACES, DesignSettings
-from . import ball_array, laser_tracker, reflectors, static_r_test
+from . import ball_array, interferometer, laser_tracker, reflectors, static_r_test
 
-__all__ = ["SPACES", "ball_array", "laser_tracker", "reflectors", "settings_of", "static_r_test"]
+__all__ = [
+    "SPACES",
+    "ball_array",
+    "interferometer",
+    "laser_tracker",
+    "reflectors",
+    "settings_of",
+    "static_r_test",
+]
 
 
 def settings_of(kind: str) -> type[DesignSettings]:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from ...geometry.acceptance import GeometricTest
 from ...geometry.error_motions import ErrorMotionTable
+from ...geometry.positioning_lines import PositioningTest
 from ...loop.outcome.closure import Closure
 from ...study.study import Study
 from ..html import text
@@ -13,6 +14,7 @@ from ..html.provenance import plain, provenance_section
 from ..html.sheet import Badge, Section, Tile, sheet
 from .findings import data_sets, declared_effects, errors, identified, unexplained
 from .geometry import conventions, geometry, noise
+from .positioning import positioning_section
 from .recorded import recorded_responses
 from .standards import standards
 from .tested import not_tested, tested
@@ -34,6 +36,7 @@ def page(
     tables: Sequence[ErrorMotionTable],
     drawn: Sequence[Picture],
     tests: Sequence[GeometricTest] = (),
+    positioned: Sequence[PositioningTest] = (),
     *,
     files: Mapping[str, str] | None = None,
     command: str = "",
@@ -65,6 +68,7 @@ def page(
             *not_tested(closure, study),
             *geometry(closure, study, tables, tests, shown),
             *standards(closure, study),
+            *positioning_section(positioned),
             noise(closure, shown),
             conventions(study),
             provenance_section(study, quoted, files or {}, command, seconds),

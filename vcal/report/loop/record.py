@@ -9,6 +9,7 @@ import numpy as np
 
 from ...effects.previous import posterior_of
 from ...geometry.acceptance import GeometricTest
+from ...geometry.positioning_lines import PositioningTest
 from ...identification.fit import Fit
 from ...loop.outcome.closure import Closure, Errors, FoundEffect
 from ...loop.outcome.confirmed import Confirmation, confirmations
@@ -29,6 +30,7 @@ from .derived import (
     shares_by_column,
     untested_beside,
 )
+from .positioning import positioning_record
 from .standards import standards_record
 
 SCHEMA = "vcal-report/1"
@@ -38,14 +40,16 @@ def record(
     closure: Closure,
     study: Study,
     tests: Sequence[GeometricTest] = (),
+    positioned: Sequence[PositioningTest] = (),
     *,
     command: str = "",
     seconds: float = math.nan,
 ) -> dict[str, Any]:
     """All results of a closure as plain values; see `SCHEMA`.
 
-    `tests` of the geometry are the content of `geometry`. A study with several data sets also has
-    `data_sets`, the share of each; one with a double ball bar also has `circular_tests`.
+    `tests` of the geometry are the content of `geometry`, `positioned` that of `positioning`, which
+    only studies with such tests have. A study with several data sets also has `data_sets`, the
+    share of each; one with a double ball bar also has `circular_tests`.
 
     An effect whose `placement` is a class of several, ``"X|Y"``, has the parameters of its
     `fitted_placement`. `unexplained` has a `size_um` and a `share_of_variance`, which `size_is` and
@@ -124,6 +128,7 @@ def record(
     found |= {"data_sets": several} if several else {}
     found |= {"recorded_responses": recorded} if recorded else {}
     found |= standards_record(closure, study)
+    found |= {"positioning": [positioning_record(one) for one in positioned]} if positioned else {}
     return plain(found)
 
 

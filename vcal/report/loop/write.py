@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ...geometry.acceptance import geometric_tests
 from ...geometry.error_motions import error_motion_tables
+from ...geometry.positioning_lines import positioning_tests
 from ...loop.outcome.closure import Closure
 from ...study.messages import listed, refusal
 from ...study.study import Study
@@ -68,6 +69,7 @@ def write_report(
         tables = error_motion_tables(fit, alternatives=others)
         size = 0 if closure.check is None else closure.check.plan.rows
         tests = geometric_tests(fit, alternatives=others, size=size)
+        positioned = positioning_tests(fit)
         results = Results(closure, study, tables, tests, compensate_anyway)
         written = {name: kind().text(results) for name, kind in FORMATS.items()}
         about = {name: kind.summary for name, kind in FORMATS.items()}
@@ -77,7 +79,8 @@ def write_report(
         files = {"report.json": "all results, for programs"} | {n: about[n] for n in texts}
         drawn = list(pictures(closure, tables))
         run = {"command": command, "seconds": seconds}
-        shown = page(closure, study, tables, drawn, tests, files=files, **run)
-        return Contents(record(closure, study, tests, **run), {"index.html": shown, **texts}, drawn)
+        shown = page(closure, study, tables, drawn, tests, positioned, files=files, **run)
+        found = record(closure, study, tests, positioned, **run)
+        return Contents(found, {"index.html": shown, **texts}, drawn)
 
     return _folder().publish(out, make)
