@@ -15,11 +15,16 @@ from vcal.demo import STARTS, starts
 from vcal.design.spaces import SPACES
 from vcal.instruments import INSTRUMENTS
 from vcal.study import settings
+from vcal.study.reading.formats import FORMAT_KEYS
 
 from . import rst
 
 _LEAST, _MOST = 1e-4, 1e4
 """Bounds beyond these only catch numbers in a wrong unit; they are not shown."""
+
+
+_NAMED = {"columns": "x_mm", "tables": '"check.csv"'}
+"""A name for tables that may have any; that of an axis for others."""
 
 
 class Key(NamedTuple):
@@ -64,7 +69,8 @@ def _tables(model: type[BaseModel], path: str, shown: str = "", skip: str = "") 
         yield Keys(shown or "Top level", _says(model), own)
     for name, (inner, kind) in below.items():
         place = f"{path}.{name}" if path else name
-        header = {"one": f"[{place}]", "rows": f"[[{place}]]", "named": f"[{place}.C]"}[kind]
+        one = _NAMED.get(name, "C")
+        header = {"one": f"[{place}]", "rows": f"[[{place}]]", "named": f"[{place}.{one}]"}[kind]
         yield from _variants(inner, place, header)
 
 
@@ -77,6 +83,11 @@ def _variants(inner: type[BaseModel], place: str, header: str) -> Iterator[Keys]
             yield from _tables(one.Settings, place, f'{header} kind = "{kind}"', common)
     elif place == "data.instrument":
         return  # as [instrument]
+    elif place == "tables":
+        yield from _tables(inner, place, header, "columns")
+    elif header == "[[data]]":
+        # The keys that say how the file is read are those of [data].
+        yield from _tables(inner, place, header, " ".join(FORMAT_KEYS))
     elif place == "design":
         yield from _tables(inner, place, header)
         common = " ".join(inner.model_fields)
@@ -99,6 +110,8 @@ def _nested(annotation: Any) -> tuple[type[BaseModel], str] | None:
         return annotation, "one"
     origin, args = get_origin(annotation), get_args(annotation)
     kind = {tuple: "rows", dict: "named"}.get(origin)  # type: ignore[call-overload]
+    if origin is dict:  # a value may be short, such as the name of a column
+        args = [part for one in args for part in (get_args(one) or (one,))]
     for one in args:
         if isinstance(one, type) and issubclass(one, BaseModel):
             return one, kind or "one"

@@ -363,7 +363,9 @@ class DataSettings(TableFormat):
 
 
 class DataSetSettings(TableFormat):
-    """A row of ``[[data]]``: one of several data sets of the machine, with its instrument."""
+    """A row of ``[[data]]``: one of several data sets of the machine, with its instrument. The keys
+    of ``[data]`` that say how the file is read (`sheet` to `columns`) are keys of the row too.
+    """
 
     name: str
     """Name in reports: letters, digits, ``-`` and ``_``."""

@@ -1,7 +1,7 @@
 """The keys that say how a table is read: those of ``[data]`` and of ``[tables."NAME"]``."""
 
 import codecs
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -24,7 +24,7 @@ class ColumnSettings(BaseModel):
     unit: _Text | None = None
     """Unit of the numbers in the file; by default that in the header or in the units row, or that
     in the name of the quantity."""
-    sign: Annotated[int, Field(ge=-1, le=1)] = 1
+    sign: Literal[1, -1] = 1
     """-1 where the file counts the other way."""
     offset: Annotated[float, Field(ge=-1e9, le=1e9)] = 0.0
     """What is added at last, in the unit in the name of the quantity."""
@@ -34,8 +34,6 @@ class ColumnSettings(BaseModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.sign == 0:
-            raise ValueError("found sign = 0, expected 1 or -1; correct it")
         if self.format is not None and (self.unit is not None or self.sign != 1):
             raise ValueError(
                 "found format together with unit or sign, expected a format for times and the "
@@ -65,10 +63,10 @@ class TableFormat(BaseModel):
     """Number of lines at the top of the file to be skipped, or a list of single lines, from 1."""
     comment: Annotated[str, Field(max_length=8)] = "#"
     """Beginning of lines that are comments; empty where there are none."""
-    decimal: Annotated[str, Field(pattern="^[.,]$")] | None = None
+    decimal: Literal[".", ","] | None = None
     """Decimal mark, ``"."`` or ``","``. By default a comma counts as one where cells are separated
     by something else and no number of the file has a decimal point."""
-    thousands: Annotated[str, Field(pattern="^[., '_]$")] | None = None
+    thousands: Literal[",", ".", " ", "'"] | None = None
     """Separator of thousands; none by default. ``" "`` stands for all kinds of blanks."""
     delimiter: Annotated[str, Field(min_length=1)] | None = None
     """Separator of the cells: one character, ``" "`` for any number of blanks, or ``"fixed"`` for

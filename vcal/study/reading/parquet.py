@@ -13,14 +13,14 @@ from .workbook import missing_extra
 def read_parquet(data: bytes, name: str, form: TableFormat) -> Grid:
     """The grid of a parquet file; raises `StudyError` where it cannot be read.
 
-    The reader is the optional extra ``tables``. Time stamps become texts in ISO 8601.
+    The reader is the optional extra ``parquet``. Time stamps become texts in ISO 8601.
     """
     try:
         import pyarrow as pa
         import pyarrow.compute as pc
         import pyarrow.parquet as pq
     except ImportError as error:
-        raise missing_extra(name, "a parquet file", "pyarrow") from error
+        raise missing_extra(name, "a parquet file", "parquet") from error
     try:
         table = pq.read_table(io.BytesIO(data))
     except (pa.ArrowException, OSError) as error:

@@ -4,6 +4,7 @@ import datetime
 import io
 from typing import Any
 
+from ...errors import StudyError
 from ..messages import listed, refusal
 from .formats import TableFormat
 from .grid import Grid, grid_of_rows
@@ -17,7 +18,7 @@ def read_workbook(data: bytes, name: str, sheet: str | int | None, form: TableFo
     try:
         import python_calamine
     except ImportError as error:
-        raise missing_extra(name, "a spreadsheet", "python-calamine") from error
+        raise missing_extra(name, "a spreadsheet", "tables") from error
     try:
         book = python_calamine.load_workbook(io.BytesIO(data))
         sheets = book.sheet_names
@@ -63,14 +64,14 @@ def read_workbook(data: bytes, name: str, sheet: str | int | None, form: TableFo
     return grid_of_rows(name, kind, _rows(cells, form), form, "")
 
 
-def missing_extra(name: str, what: str, package: str) -> Exception:
-    """The error where the package that reads a kind of file is not installed."""
+def missing_extra(name: str, what: str, extra: str) -> StudyError:
+    """The error where the package of an extra, which reads a kind of file, is not installed."""
     return refusal(
         name,
         "file",
-        f"{what}, but the package {package} is not installed",
-        "the optional packages that read it",
-        "run `pip install 'vcal[tables]'`, or save the table as CSV",
+        f"{what}, but not the package that reads it",
+        f"the optional extra {extra}",
+        f"run `pip install 'vcal[{extra}]'`, or save the table as CSV",
     )
 
 
