@@ -233,7 +233,8 @@ def make_case(
         travel: upper ends (3,) or both ends (3, 2) of the travels, m.
         tool_offset: m.
         table: declared half widths, um and urad; error_size scales the drawn errors only.
-        plan: keyword arguments of tracker_plan, lateration_plan, ball_plan, frame_plan, measure_circles, arm_plan.
+        plan: keyword arguments of tracker_plan, lateration_plan, ball_plan, frame_plan,
+            measure_circles, arm_plan.
         recording: further columns, see plans.conditions; of reflectors "t_s".
         family: the smooth family to declare and draw from instead of the table's.
         declared: rows for [[model.effect]] with their units in the keys (written, not applied).
