@@ -140,7 +140,7 @@ def test_chains_that_differ_only_in_the_order_of_linear_axes_are_one():
     assert list(other_chains(linear)) == []
 
 
-# --- arms ------------------------------------------------------------------------------------------
+# --- arms ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -222,7 +222,7 @@ def test_an_arm_as_declared_follows(arm):
     assert np.median(off) < 0.01
 
 
-# --- inputs that were once taken for good -------------------------------------------------------------
+# --- inputs that were once taken for good --------------------------------------------------------
 
 
 @pytest.mark.skipif(not BROKEN.exists(), reason="needs ../shared")
@@ -230,7 +230,7 @@ def test_an_arm_as_declared_follows(arm):
     ("name", "overrides", "said"),
     [
         ("arm_q1_sign", [], "they do with the other sign in q1_cmd_deg"),
-        ("arm_link_in_metres", ["machine.joint.1.a_mm=0.27"], "millimetres in machine.joint.1.a_mm"),
+        ("arm_link_in_metres", ["machine.joint.1.a_mm=0.27"], "in machine.joint.1.a_mm (0.27)"),
         ("rotary_axis_reversed", [], "they do with the other sign in c_deg, or with"),
     ],
 )  # fmt: skip

@@ -10,6 +10,7 @@ from oracle import as_study, lmmse, make_case, write_study
 from oracle.instruments import tracker_points
 from oracle.kinematics import euler_xyz, rotation_matrix
 from oracle.study import write_csv
+from vcal.design.plan_space import Subject
 from vcal.design.spaces import SPACES
 from vcal.errors import StudyError
 from vcal.instruments.base import remarks_of
@@ -74,7 +75,7 @@ def rms(study):
     return check_rms(fit, study.check)[0].value
 
 
-# --- coordinates -----------------------------------------------------------------------------------
+# --- coordinates ---------------------------------------------------------------------------------
 
 
 def test_coordinates_are_the_range_and_angles_that_they_came_from(polar, tmp_path):
@@ -124,7 +125,7 @@ def test_the_place_of_the_tracker_in_another_frame_is_asked_for(polar, tmp_path)
         vcal.load_study(path)
 
 
-# --- stations --------------------------------------------------------------------------------------
+# --- stations ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("place", ["[9000, -4000, 100]", ""])
@@ -174,7 +175,7 @@ def test_several_stations_in_one_file(polar, tmp_path):
         vcal.load_study(path, ["instrument.station_mm=[0, 0, 0]"])
 
 
-# --- tools -----------------------------------------------------------------------------------------
+# --- tools ---------------------------------------------------------------------------------------
 
 
 def test_tools_are_a_table_or_a_file(ranges, tmp_path):
@@ -202,7 +203,7 @@ def test_tools_are_a_table_or_a_file(ranges, tmp_path):
         vcal.load_study(other)
 
 
-# --- ranges alone ------------------------------------------------------------------------------------
+# --- ranges alone --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("flat", [False, True])
@@ -281,7 +282,7 @@ def test_ranges_that_do_not_follow_name_the_unit(ranges, tmp_path):
 
 
 def test_simulated_ranges_are_read_back(ranges, tmp_path):
-    """simulate: the stations and tools keep their names, and the result is a study like its model."""
+    """Stations and tools keep their names, and the result is a study like its model."""
     _, _, study = ranges
     made = write_simulated(study, tmp_path / "sim", seed=3)
     again = vcal.load_study(tmp_path / "sim")
@@ -295,7 +296,7 @@ def test_simulated_ranges_are_read_back(ranges, tmp_path):
 def test_design_places_points_and_keeps_stations_and_tools(ranges):
     _, _, study = ranges
     kind = SPACES["laser_tracker"]
-    subject = vcal.design.Subject(study.chain, study.instrument, study.plan, "setup.toml")
+    subject = Subject(study.chain, study.instrument, study.plan, "setup.toml")
     space = kind.of(subject, study.model, kind.Settings())
     placed = space.placed(space.start)
     plan = space.plan(placed)

@@ -9,7 +9,6 @@ alternate.
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -37,32 +36,26 @@ _SURPLUS = 2.0
 """Least ratio of coordinates to unknowns of the rigid fit."""
 
 
-class Fixed(NamedTuple):
-    """What is known of a measurement of reflectors."""
-
-    points: Float[np.ndarray, "k 3"] | None = None
-    """Places of the reflectors from the tool point in the frame of the flange, m; None: unknown."""
-
-
 def check_arm_follows(
     chain: Chain,
     position: Float[np.ndarray, "n joints"],
     seen: Float[np.ndarray, "n k 3"],
     columns: str,
     prefix: str = "commanded_",
-    known: Fixed = Fixed(),
+    known: Float[np.ndarray, "k 3"] | None = None,
 ) -> None:
     """Raise `RowError` where coordinates (m) of reflectors do not follow the nominal arm.
 
     The message lists every single change with which they do, the likeliest first: signs of joints;
     units of a joint column or a link; exchanged joint columns; coupled joints; the other
     Denavit-Hartenberg convention; a left-handed frame. `prefix` is that of the joint positions
-    among the covariates, ``"commanded_"`` or ``"read_"``.
+    among the covariates, ``"commanded_"`` or ``"read_"``; `known` are the places of the reflectors
+    from the tool point in the frame of the flange, m, where they are known.
     """
     n, k, _ = seen.shape
     if any(not joint.turns and not np.isfinite(joint.travel).all() for joint in chain.joints):
         return  # another check asks for its bounds
-    unknowns = 6 + (0 if known.points is not None else 3 * k)
+    unknowns = 6 + (0 if known is not None else 3 * k)
     if seen.size < _SURPLUS * unknowns:
         return
     found = arm_off(chain, position, seen, known, _ROUNDS)
@@ -91,13 +84,14 @@ def check_arm_follows(
     follow = [pair for pair in tried if pair[1] <= min(allowed, now / _BETTER)]
     if now <= allowed and not follow:
         return
+    bound = allowed if now > allowed else now / _BETTER
     causes = with_these(follow, min(allowed, now / _BETTER))
     raise RowError(
         row,
         columns,
-        f"a reflector {1e3 * found[row]:.4g} mm away from the nominal arm after the rigid best fit, "
-        f"in half of the rows more than {1e3 * now:.4g} mm",
-        f"readings that follow the joint positions to {1e3 * (allowed if now > allowed else now / _BETTER):.4g} mm",
+        f"a reflector {1e3 * found[row]:.4g} mm away from the nominal arm after the rigid best "
+        f"fit, in half of the rows more than {1e3 * now:.4g} mm",
+        f"readings that follow the joint positions to {1e3 * bound:.4g} mm",
         causes
         or "compare the signs, units and order of the joint columns, the rows of machine.joint and "
         "machine.coupling with the arm",
@@ -108,19 +102,19 @@ def arm_off(
     chain: Chain,
     position: Float[np.ndarray, "n joints"],
     seen: Float[np.ndarray, "n k 3"],
-    known: Fixed = Fixed(),
+    known: Float[np.ndarray, "k 3"] | None = None,
     rounds: int = _ROUNDS,
 ) -> Float[np.ndarray, " n"]:
     """Distance (n,), m, of the coordinates of reflectors from the nominal arm, rms over the
     reflectors, with the pose of the instrument and the places of the reflectors fitted.
     """
     rotations, origins = chain.tool_frame(position)
-    points = np.zeros((seen.shape[1], 3)) if known.points is None else known.points
+    points = np.zeros((seen.shape[1], 3)) if known is None else known
     turn, place = np.eye(3), np.zeros(3)
     for _ in range(rounds):
         model = origins[:, None] + np.einsum("nij,kj->nki", rotations, points)
         turn, place = best_rigid(seen.reshape(-1, 3), model.reshape(-1, 3))
-        if known.points is not None:
+        if known is not None:
             break
         there = seen @ turn.T + place
         new = np.einsum("nji,nkj->ki", rotations, there - origins[:, None]) / len(seen)

@@ -31,7 +31,7 @@ _HALF, _FAR = 0.5, 0.5
 """Largest relative error of the motion of readings; and least motion that is compared, as a share
 of the largest."""
 _AS_GOOD, _AS_NEAR, _MOST_CAUSES = 3.0, 0.02, 5
-"""Multiple of what the best change leaves, and share of what is allowed, within which another change
+"""Multiple of what the best change leaves, and share of what is allowed, within which another one
 is as good; and most changes that are listed."""
 _LENGTHS = (("inches", 25.4), ("metres", 1e3), ("micrometres", 1e-3))
 """Units of lengths that may have been written for millimetres, with their factors."""

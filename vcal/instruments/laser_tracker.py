@@ -1,22 +1,20 @@
-"""Laser tracker: range, azimuth and elevation of a reflector on the tool, from one or more stations;
-also Cartesian coordinates, and ranges alone (multilateration).
+"""Laser tracker: range, azimuth and elevation of a reflector on the tool, or its coordinates, or
+the range alone (multilateration), from one station or several.
 """
 
 import dataclasses
-import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation as Turn
 
 from ..effects.base import Effect, Response
 from ..effects.station import STATION, at_station
-from ..errors import KeyedError, RowError
+from ..errors import KeyedError
 from ..machine.chain import Chain
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
@@ -24,11 +22,7 @@ from ..machine.ports import group
 from ..numerics.arrays import Array
 from ..numerics.rigid import Rotation, Scalar, Vector
 from .base import (
-    LARGEST_NOISE,
-    SMALLEST_NOISE,
     Column,
-    FileName,
-    InstrumentSettings,
     Loader,
     Ports,
     TableInstrument,
@@ -38,108 +32,29 @@ from .conditions import linear_plan, linear_plan_table
 from .follow import Variant, check_follows
 from .frame import Station, displaced
 from .stations import Lateration, Pose, fitted_pose, laterated
+from .tracker_poses import composed, declared_pose, elsewhere, in_other_frame, read_otherwise_of
+from .tracker_settings import (
+    CARTESIAN,
+    COLUMNS,
+    POLAR,
+    TOOL,
+    LaserTrackerSettings,
+    Readings,
+    StationSettings,
+    indices,
+    station_names,
+    station_settings,
+    tool_offsets,
+)
 
-_Coordinate = Annotated[float, Field(ge=-200e3, le=200e3)]
-_Angle = Annotated[float, Field(ge=-360, le=360)]
-_Point = tuple[_Coordinate, _Coordinate, _Coordinate]
-_Readings = Literal["polar", "cartesian", "range"]
 _READ = ("range", "azimuth", "elevation")
-_POLAR = ("range_mm", "azimuth_rad", "elevation_rad")
-_CARTESIAN = ("meas_x_mm", "meas_y_mm", "meas_z_mm")
-_COLUMNS = {"polar": _POLAR, "cartesian": _CARTESIAN, "range": _POLAR[:1]}
-_TOOL = "tool"
-_MOST_TOOLS = 100
-
 _CLOSE, _CLOSE_M = 0.02, 5e-3
 """Share of the size of the measured region, and distance, within which the declared pose is an
 accurate start."""
-_OTHER_PLACE, _OTHER_PLACE_M = 0.2, 0.3
-"""Share of the distance from the measured region, and distance, from which the declared place of a
-station is reported as another one."""
-_OTHER_DEG = 5.0
-"""The same for its declared rotation."""
 _LINE_M = 1e-3
 """Width, m, below which points are on one line."""
 _FEWEST = 4
 """Least number of points that determine a pose with something left to check it."""
-
-
-class StationSettings(BaseModel):
-    """One station of several: a row of ``[instrument.stations]``, named as in column ``station``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    station_mm: _Point | None = None
-    """Approximate place of the tracker in the workpiece frame; it is identified."""
-    euler_xyz_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
-    """Approximate rotation of the tracker, R = Rx Ry Rz; it is identified."""
-    station_in_frame_mm: _Point | None = None
-    """Place of the tracker in the frame of the coordinates, for ``coordinates = "other"``."""
-    dead_path_mm: float = Field(default=0.0, ge=-200e3, le=200e3)
-    """Approximate dead path of ranges alone; it is identified."""
-
-
-class LaserTrackerSettings(InstrumentSettings):
-    """Keys of ``[instrument]`` for ``kind = "laser_tracker"``."""
-
-    readings: _Readings | None = None
-    """Columns of the readings: "polar" (range_mm, azimuth_rad, elevation_rad), "cartesian"
-    (meas_x_mm, meas_y_mm, meas_z_mm) or "range" (range_mm alone); by default "cartesian" where the
-    table has meas_x_mm, else "polar"."""
-    range_sigma_um: float = Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)
-    """Noise of the range, one standard deviation: the part that does not depend on the range."""
-    range_sigma_um_per_m: float = Field(default=0.0, ge=0, le=LARGEST_NOISE)
-    """The part that grows with the range."""
-    range_sigma_sum: Literal["linear", "quadrature"] | None = None
-    """How the two parts add up; by default "quadrature" for ranges alone, else "linear"."""
-    angle_sigma_urad: float | None = Field(default=None, ge=SMALLEST_NOISE, le=LARGEST_NOISE)
-    """Noise of azimuth and elevation, one standard deviation; required unless ranges alone are
-    read."""
-    station_mm: _Point | None = None
-    """Approximate place of the tracker in the workpiece frame; it is identified. Required for a
-    plan without readings."""
-    euler_xyz_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
-    """Approximate rotation of the tracker, R = Rx Ry Rz; it is identified."""
-    coordinates: Literal["tracker", "other"] = "tracker"
-    """Frame of Cartesian readings: the tracker's own, or another one that was fitted elsewhere."""
-    station_in_frame_mm: _Point | None = None
-    """Place of the tracker in that other frame, from where range and angles are counted; by default
-    it follows from `station_mm`."""
-    dead_path_mm: float = Field(default=0.0, ge=-200e3, le=200e3)
-    """Approximate distance at which the range is zero, for ranges alone; it is identified."""
-    dead_path_sigma_um: float | None = Field(default=None, ge=0, le=1e9)
-    """Prior standard deviation of the dead path of every station; 0 where it is known, as that of
-    an absolute distance meter. By default it is free for ranges alone, and known otherwise."""
-    stations: dict[str, StationSettings] | None = None
-    """Approximate poses of several stations, by their names in the column `station`."""
-    tools: dict[str, _Point] | None = None
-    """Tool offsets by their names in the column `tool`: from the frame of the last axis to the
-    reflector, as machine.tool_offset_mm."""
-    tools_file: FileName | None = None
-    """Table of the tool offsets in place of `tools`: columns tool, x_mm, y_mm, z_mm."""
-    tools_sigma_um: float = Field(default=0.0, ge=0, le=1e6)
-    """Standard uncertainty of every coordinate of the tool offsets relative to each other."""
-
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
-        if self.tools is not None and self.tools_file is not None:
-            raise ValueError("found both tools and tools_file, expected one of them; remove one")
-        if self.tools is not None and not 0 < len(self.tools) <= _MOST_TOOLS:
-            raise ValueError(
-                f"found {len(self.tools)} tools, expected 1 to {_MOST_TOOLS}; correct tools"
-            )
-        single = {"station_mm", "euler_xyz_deg", "station_in_frame_mm", "dead_path_mm"}
-        if self.stations is not None and (given := single & self.model_fields_set):
-            raise ValueError(
-                f"found both stations and {sorted(given)[0]}, expected the latter in the rows of "
-                "stations; move it there"
-            )
-        if self.stations is not None and not self.stations:
-            raise ValueError("found no stations, expected at least one row; add it")
-        return self
-
-    @property
-    def _kind(self) -> _Readings:
-        return self.readings or "polar"
 
 
 class DeadPath(Effect):
@@ -177,7 +92,7 @@ class ToolOffsets(Effect):
         return tuple(Parameter(f"{k}.{c}", "um", sigma=1.0) for k in self.tools for c in "XYZ")
 
     def response(self, plan: Plan, shape: Mapping[str, Array]) -> Response:
-        tool = np.asarray(plan.groups[_TOOL])
+        tool = np.asarray(plan.groups[TOOL])
         return {
             (f"offset.{c}", f"{k}.{c}"): (tool == i).astype(float)
             for i, k in enumerate(self.tools)
@@ -214,7 +129,7 @@ class LaserTracker(TableInstrument):
     derived = _READ
     rotary = True
     parallel = True
-    read_otherwise = (*_POLAR, *_CARTESIAN)
+    read_otherwise = (*POLAR, *CARTESIAN)
 
     station: np.ndarray
     """Place of the station (3,), m; the mean of several."""
@@ -222,7 +137,7 @@ class LaserTracker(TableInstrument):
     range_sigma: float
     range_sigma_per_m: float
     angle_sigma: float
-    reads: _Readings = eqx.field(static=True, default="polar")
+    reads: Readings = eqx.field(static=True, default="polar")
     quadrature: bool = eqx.field(static=True, default=False)
     names: tuple[str, ...] = eqx.field(static=True, default=())
     """Names of several stations; empty where there is one."""
@@ -270,7 +185,7 @@ class LaserTracker(TableInstrument):
     def recognised(
         cls, settings: LaserTrackerSettings, header: Sequence[str]
     ) -> LaserTrackerSettings:
-        if settings.readings is None and _CARTESIAN[0] in header:
+        if settings.readings is None and CARTESIAN[0] in header:
             return settings.model_copy(update={"readings": "cartesian"})
         return settings
 
@@ -280,7 +195,7 @@ class LaserTracker(TableInstrument):
     ) -> tuple[str, ...]:
         wanted = {
             STATION: settings.stations is not None,
-            _TOOL: settings.tools is not None or settings.tools_file is not None,
+            TOOL: settings.tools is not None or settings.tools_file is not None,
         }
         return tuple(name for name, needed in wanted.items() if needed or name in header)
 
@@ -290,9 +205,9 @@ class LaserTracker(TableInstrument):
     ) -> list[Column]:
         if not readings:
             return []
-        if settings._kind == "cartesian":
-            return [Column(name=name, low=-200e3, high=200e3) for name in _CARTESIAN]
-        if settings._kind == "range":
+        if settings.columns_of == "cartesian":
+            return [Column(name=name, low=-200e3, high=200e3) for name in CARTESIAN]
+        if settings.columns_of == "range":
             return [Column(name="range_mm", low=-200e3, high=200e3)]
         return [
             Column(name="range_mm", low=1.0, high=200e3),
@@ -308,7 +223,7 @@ class LaserTracker(TableInstrument):
         table: Mapping[str, np.ndarray],
         load: Loader,
     ) -> Self:
-        if settings.angle_sigma_urad is None and settings._kind != "range":
+        if settings.angle_sigma_urad is None and settings.columns_of != "range":
             raise KeyedError(
                 "instrument.angle_sigma_urad",
                 "nothing",
@@ -316,10 +231,10 @@ class LaserTracker(TableInstrument):
                 '(readings = "range")',
                 "add it",
             )
-        names = _station_names(settings, table)
-        rows = _station_settings(settings, names)
-        tools = _tools(settings, table, load)
-        kind = settings._kind
+        names = station_names(settings, table)
+        rows = station_settings(settings, names)
+        tools = tool_offsets(settings, table, load)
+        kind = settings.columns_of
         sigma = settings.dead_path_sigma_um
         if sigma is None:
             sigma = None if kind == "range" else 0.0
@@ -355,7 +270,7 @@ class LaserTracker(TableInstrument):
         """The instrument with its starting poses and dead paths, and what they contradict."""
         key = "instrument.stations.{}" if self.names else "instrument"
         keys = [key.format(name) for name in self.names or ("",)]
-        declared = [_declared(row) for row in rows]
+        declared = [declared_pose(row) for row in rows]
         at = self._station_of(table)
         if not self._has_readings(table):
             for row, own in zip(rows, keys, strict=True):
@@ -387,9 +302,9 @@ class LaserTracker(TableInstrument):
                 continue
             fit = fitted_pose(seen[here], nominal[here])
             if settings.coordinates == "other" and self.reads == "cartesian":
-                other = _in_other_frame(row, pose, fit, own)
+                other = in_other_frame(row, pose, fit, own)
                 others.append(other)
-                fit = _composed(fit, other)
+                fit = composed(fit, other)
             size = float(np.linalg.norm(nominal[here] - nominal[here].mean(0), axis=1).max())
             if pose is not None and not others:
                 off = seen[here] @ pose.orientation.T + pose.place - nominal[here]
@@ -398,7 +313,7 @@ class LaserTracker(TableInstrument):
                     continue
             found.append(fit)
             new = True
-            said += _elsewhere(row, own, pose, fit, nominal[here])
+            said += elsewhere(row, own, pose, fit, nominal[here])
         return dataclasses.replace(self._at(found, others), found=new, said=tuple(said))
 
     def _laterated(
@@ -413,7 +328,7 @@ class LaserTracker(TableInstrument):
         """The instrument with stations from ranges alone."""
         poses, dead, said = [], self.dead.copy(), []
         for i, (row, own) in enumerate(zip(rows, keys, strict=True)):
-            here, pose = at == i, _declared(row)
+            here, pose = at == i, declared_pose(row)
             if here.sum() <= _FEWEST:
                 self._need_place(pose, own)
                 assert pose is not None
@@ -423,7 +338,7 @@ class LaserTracker(TableInstrument):
             poses.append(Pose(np.eye(3), found.place))
             dead[i] = found.dead_path
             if pose is not None:
-                said += _elsewhere(row, own, pose, poses[-1], nominal[here], turned=False)
+                said += elsewhere(row, own, pose, poses[-1], nominal[here], turned=False)
         return dataclasses.replace(self._at(poses, ()), dead=dead, found=True, said=tuple(said))
 
     def _lateration(
@@ -498,7 +413,7 @@ class LaserTracker(TableInstrument):
 
         changed = [
             Variant(words, off(self._seen({**table, **columns})))
-            for words, columns in _read_otherwise(self.reads, table)
+            for words, columns in read_otherwise_of(self.reads, table)
         ]
         check_follows(
             chain,
@@ -540,14 +455,14 @@ class LaserTracker(TableInstrument):
     # --- plan and readings ------------------------------------------------------------------------
     @property
     def _own_columns(self) -> tuple[str, ...]:
-        return _COLUMNS[self.reads]
+        return COLUMNS[self.reads]
 
     def _has_readings(self, table: Mapping[str, np.ndarray]) -> bool:
         return all(name in table for name in self._own_columns)
 
     def _station_of(self, table: Mapping[str, np.ndarray]) -> Int[np.ndarray, " n"]:
         """Index of the station of every row."""
-        return _index(table, STATION, self.names)
+        return indices(table, STATION, self.names)
 
     def _points(
         self, chain: Chain, position: np.ndarray, table: Mapping[str, np.ndarray]
@@ -556,7 +471,7 @@ class LaserTracker(TableInstrument):
         turn, point = chain.tool_frame(position)
         if not self.tools:
             return point
-        return point + np.einsum("nij,nj->ni", turn, self.offsets[_index(table, _TOOL, self.tools)])
+        return point + np.einsum("nij,nj->ni", turn, self.offsets[indices(table, TOOL, self.tools)])
 
     def _seen(self, table: Mapping[str, np.ndarray]) -> Float[np.ndarray, "n k"]:
         """Coordinates (n, 3) in the frame of the readings, or ranges alone (n, 1), m."""
@@ -576,7 +491,7 @@ class LaserTracker(TableInstrument):
         if self.names:
             groups[STATION] = self._station_of(table)
         if self.tools:
-            groups[_TOOL] = _index(table, _TOOL, self.tools)
+            groups[TOOL] = indices(table, TOOL, self.tools)
         plan = dataclasses.replace(plan, groups=groups)
         if self._has_readings(table):
             return self._with_read(plan, self.measured(table))
@@ -631,7 +546,7 @@ class LaserTracker(TableInstrument):
         if self.reads == "range":
             return seen
         if self.reads == "polar":
-            r, azimuth, elevation = (np.asarray(table[name], float) for name in _POLAR)
+            r, azimuth, elevation = (np.asarray(table[name], float) for name in POLAR)
             return np.column_stack([1e-3 * r, azimuth, elevation])
         if len(self.other_places):
             at = self._station_of(table)
@@ -640,7 +555,7 @@ class LaserTracker(TableInstrument):
         return _polar(seen)
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
-        named = {STATION: self.names, _TOOL: self.tools}
+        named = {STATION: self.names, TOOL: self.tools}
         plain = {k: v for k, v in plan.groups.items() if not named.get(k)}
         table = linear_plan_table(dataclasses.replace(plan, groups=plain), _READ)
         for column, names in named.items():
@@ -661,7 +576,7 @@ class LaserTracker(TableInstrument):
             at = self._at_station(plan)
             v = np.einsum("nij,nj->ni", np.asarray(self.other_turns)[at], v)
             v = v + np.asarray(self.other_places)[at]
-        return {**table, **{name: 1e3 * v[:, i] for i, name in enumerate(_CARTESIAN)}}
+        return {**table, **{name: 1e3 * v[:, i] for i, name in enumerate(CARTESIAN)}}
 
     def rows(self, plan: Plan) -> dict[str, np.ndarray]:
         found: dict[str, np.ndarray] = {}
@@ -669,8 +584,8 @@ class LaserTracker(TableInstrument):
             found["turn"], found["station"] = self._stands(plan)
         if self.dead.any():
             found["dead"] = self._dead_of(plan)
-        if self.tools and _TOOL in plan.groups:
-            found["offset"] = np.asarray(self.offsets)[np.asarray(plan.groups[_TOOL], int)]
+        if self.tools and TOOL in plan.groups:
+            found["offset"] = np.asarray(self.offsets)[np.asarray(plan.groups[TOOL], int)]
         return found
 
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
@@ -698,7 +613,7 @@ class LaserTracker(TableInstrument):
         return d - jnp.array([0.0, 2 * jnp.pi, 0.0]) * jnp.round(d / (2 * jnp.pi))
 
     # --- what it declares -------------------------------------------------------------------------
-    def noise(self, plan: Plan, readings: np.ndarray) -> np.ndarray:
+    def noise(self, plan: Plan, readings: Any) -> Any:
         # Whole arrays, so that the readings may be traced while a design optimises positions.
         r = readings[:, :1] + self._dead_of(plan)[:, None]
         constant, growing = self.range_sigma, self.range_sigma_per_m * r
@@ -761,207 +676,3 @@ def _polar(v: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Range, azimuth and elevation of coordinates in the tracker's frame."""
     r = np.linalg.norm(v, axis=1)
     return np.column_stack([r, np.arctan2(v[:, 1], v[:, 0]), np.arcsin(v[:, 2] / r)])
-
-
-def _index(
-    table: Mapping[str, np.ndarray], column: str, names: Sequence[str]
-) -> Int[np.ndarray, " n"]:
-    """Index of the name in a column in every row; zero where there are no names."""
-    rows = len(next(iter(table.values())))
-    if not names:
-        return np.zeros(rows, int)
-    place = {name: i for i, name in enumerate(names)}
-    return np.array([place[str(name)] for name in table[column]], int)
-
-
-def _names(column: np.ndarray) -> tuple[str, ...]:
-    """The names in a column of text, in the order of their first rows."""
-    return tuple(dict.fromkeys(str(name) for name in column))
-
-
-def _check_named(column: str, values: np.ndarray, names: Sequence[str], key: str) -> None:
-    """Raise `RowError` for a row with another name, or none."""
-    for row, name in enumerate(values):
-        if str(name) not in names:
-            raise RowError(
-                row,
-                f"column {column}",
-                repr(str(name)) if str(name) else "an empty cell",
-                f"one of {', '.join(names)} ({key})",
-                f"correct the name, or add it to {key}",
-            )
-
-
-def _station_names(
-    settings: LaserTrackerSettings, table: Mapping[str, np.ndarray]
-) -> tuple[str, ...]:
-    """Names of several stations; empty where there is one."""
-    if STATION not in table:
-        return ()
-    found = _names(table[STATION])
-    if "" in found:
-        _check_named(STATION, table[STATION], [n for n in found if n], "a name in every row")
-    if settings.stations is None:
-        return found if len(found) > 1 else ()
-    _check_named(STATION, table[STATION], [*settings.stations], "instrument.stations")
-    return tuple(name for name in settings.stations if name in found)
-
-
-def _station_settings(
-    settings: LaserTrackerSettings, names: Sequence[str]
-) -> list[StationSettings]:
-    if settings.stations is not None:
-        return [settings.stations[name] for name in names]
-    own = {name: getattr(settings, name) for name in StationSettings.model_fields}
-    given = {name: own[name] for name in own if name in settings.model_fields_set}
-    if not names:
-        return [StationSettings(**given)]
-    if any(name in given for name in ("station_mm", "station_in_frame_mm")):
-        raise KeyedError(
-            "instrument.station_mm" if "station_mm" in given else "instrument.station_in_frame_mm",
-            f"one place for the {len(names)} stations {', '.join(names[:5])} of column station",
-            "one for each in [instrument.stations], or none where the readings determine it",
-            "write [instrument.stations] with a row per station, or remove the key",
-        )
-    return [StationSettings(**given) for _ in names]
-
-
-def _tools(
-    settings: LaserTrackerSettings, table: Mapping[str, np.ndarray], load: Loader
-) -> dict[str, Any]:
-    """Offsets of the tools by their names, mm; empty where all rows have that of the machine."""
-    tools: Mapping[str, Any] | None = settings.tools
-    key = "instrument.tools"
-    if settings.tools_file is not None:
-        key = settings.tools_file
-        file = load(
-            settings.tools_file,
-            [Column(name=f"{c}_mm", low=-200e3, high=200e3) for c in "xyz"],
-            labels=(_TOOL,),
-        )
-        tools = {
-            str(name): (x, y, z)
-            for name, x, y, z in zip(*(file[c] for c in (_TOOL, "x_mm", "y_mm", "z_mm")))
-        }
-        if len(tools) < len(file[_TOOL]):
-            raise KeyedError(
-                "instrument.tools_file",
-                f"a tool twice in {settings.tools_file}",
-                "every tool once",
-                "remove one of them",
-            )
-    if _TOOL not in table:
-        return {}
-    found = _names(table[_TOOL])
-    if tools is None:
-        if len(found) == 1:
-            return {}
-        raise KeyedError(
-            "instrument.tools",
-            f"no offsets for the {len(found)} tools {', '.join(found[:5])} of column tool",
-            "the offset of each, from the frame of the last axis to the reflector",
-            f"add tools = {{ {found[0]} = [x, y, z], ... }}, or tools_file",
-        )
-    _check_named(_TOOL, table[_TOOL], [*tools], key)
-    return {name: offset for name, offset in tools.items() if name in found}
-
-
-def _declared(row: StationSettings) -> Pose | None:
-    """The declared pose of a station; None without a place."""
-    if row.station_mm is None:
-        return None
-    turn = Turn.from_euler("XYZ", row.euler_xyz_deg, degrees=True).as_matrix()
-    return Pose(turn, 1e-3 * np.array(row.station_mm))
-
-
-def _composed(frame: Pose, inner: Pose) -> Pose:
-    """A pose in a frame, in the frame of that frame."""
-    return Pose(
-        frame.orientation @ inner.orientation, frame.orientation @ inner.place + frame.place
-    )
-
-
-def _in_other_frame(row: StationSettings, declared: Pose | None, frame: Pose, key: str) -> Pose:
-    """Pose of a station in the frame of its coordinates, which is at `frame` in the workpiece's."""
-    if declared is None and row.station_in_frame_mm is None:
-        raise KeyedError(
-            f"{key}.station_in_frame_mm",
-            "nothing for coordinates in another frame than that of the tracker",
-            "the place of the tracker in that frame, from where its noise is counted; or "
-            "station_mm, its approximate place in the workpiece frame",
-            "add one of them",
-        )
-    if declared is None:
-        turn = np.eye(3)
-    else:
-        turn = frame.orientation.T @ declared.orientation
-    if row.station_in_frame_mm is not None:
-        return Pose(turn, 1e-3 * np.array(row.station_in_frame_mm))
-    assert declared is not None
-    return Pose(turn, frame.orientation.T @ (declared.place - frame.place))
-
-
-def _elsewhere(
-    row: StationSettings,
-    key: str,
-    declared: Pose | None,
-    found: Pose,
-    nominal: Float[np.ndarray, "n 3"],
-    turned: bool = True,
-) -> list[str]:
-    """What is wrong with a declared pose, in words."""
-    if declared is None:
-        return []
-    said, middle = [], nominal.mean(0)
-    apart = float(np.linalg.norm(found.place - declared.place))
-    if apart > max(_OTHER_PLACE * np.linalg.norm(found.place - middle), _OTHER_PLACE_M):
-        place = ", ".join(f"{1e3 * v:.0f}" for v in found.place)
-        said.append(
-            f"the readings place the station at [{place}] mm, {apart:.3g} m from {key}.station_mm "
-            f"= [{', '.join(f'{v:g}' for v in row.station_mm or ())}]; the place from the readings "
-            "is used: compare station_mm with where the tracker stood"
-        )
-    if turned and "euler_xyz_deg" in row.model_fields_set:
-        angle = Turn.from_matrix(declared.orientation.T @ found.orientation).magnitude()
-        if np.rad2deg(angle) > _OTHER_DEG:
-            said.append(
-                f"the readings turn the station by {np.rad2deg(angle):.3g} deg from "
-                f"{key}.euler_xyz_deg; the rotation from the readings is used: compare the azimuth "
-                "zero with euler_xyz_deg"
-            )
-    return said
-
-
-def _read_otherwise(
-    reads: _Readings, table: Mapping[str, np.ndarray]
-) -> list[tuple[str, dict[str, np.ndarray]]]:
-    """Single changes of the columns of readings: what is changed, and the columns after it."""
-    columns = {name: np.asarray(table[name], float) for name in _COLUMNS[reads]}
-    lengths = [name for name in columns if name.endswith("_mm")]
-    found: list[tuple[str, dict[str, np.ndarray]]] = []
-    units = (("inches", 25.4), ("metres", 1e3), ("micrometres", 1e-3))
-    for unit, factor in units:
-        for names in ([name] for name in lengths):
-            changed = {name: factor * columns[name] for name in names}
-            found.append((f"{unit} turned into millimetres in {', '.join(names)}", changed))
-        if len(lengths) > 1:
-            changed = {name: factor * columns[name] for name in lengths}
-            found.append((f"{unit} turned into millimetres in {', '.join(lengths)}", changed))
-    if reads == "polar":
-        angles = _POLAR[1:]
-        for unit, factor in (("degrees", np.pi / 180.0), ("gon", np.pi / 200.0)):
-            for names in (angles, angles[:1], angles[1:]):
-                changed = {name: factor * columns[name] for name in names}
-                found.append((f"{unit} turned into radians in {', '.join(names)}", changed))
-        zenith = {angles[1]: 0.5 * np.pi - columns[angles[1]]}
-        found.append((f"elevations instead of zenith angles in {angles[1]}", zenith))
-        swapped = {angles[0]: columns[angles[1]], angles[1]: columns[angles[0]]}
-        found.append((f"{' and '.join(angles)} exchanged", swapped))
-        for name in angles:
-            found.append((f"the other sign in {name}", {name: -columns[name]}))
-    if reads == "cartesian":
-        for a, b in itertools.combinations(_CARTESIAN, 2):
-            found.append((f"{a} and {b} exchanged", {a: columns[b], b: columns[a]}))
-        for name in _CARTESIAN:
-            found.append((f"the other sign in {name}", {name: -columns[name]}))
-    return found

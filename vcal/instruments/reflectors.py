@@ -22,7 +22,7 @@ from ..machine.ports import COMPONENTS, group
 from ..numerics.arrays import Array
 from ..numerics.rigid import Rotation, Scalar, Vector
 from ..numerics.spatial import best_rigid
-from .arm_follow import Fixed, check_arm_follows
+from .arm_follow import check_arm_follows
 from .arm_table import arm_columns, arm_plan, arm_table
 from .base import (
     LARGEST_NOISE,
@@ -319,7 +319,7 @@ class Reflectors(TableInstrument):
             seen.reshape(plan.rows, self.count, 3),
             "columns smr1_x_mm, smr1_y_mm, smr1_z_mm" + (", ..." if self.count > 1 else ""),
             f"{self.joints}_",
-            Fixed(None if self.points_u is None else np.asarray(self.points)),
+            None if self.points_u is None else np.asarray(self.points),
         )
         return self._placed(chain, plan, readings, self.points_u is not None)
 

@@ -231,9 +231,10 @@ def _together(
     left = [i for i in range(len(names)) if shared[i, i]]
     found: list[tuple[tuple[str, ...], int]] = []
     while left:
-        group, grown = {left[0]}, {left[0]}
+        group: set[int] = {left[0]}
+        grown: set[int] = {left[0]}
         while grown:
-            grown = {k for i in grown for k in np.flatnonzero(shared[i])} - group
+            grown = {k for i in grown for k in np.flatnonzero(shared[i]).tolist()} - group
             group |= grown
         left = [i for i in left if i not in group]
         count = int(np.linalg.matrix_rank(null[sorted(group)], tol=_PART))
