@@ -226,7 +226,7 @@ def test_slope_is_free_or_known_or_none():
     assert names == {"0": set(), "0.5": {"beam_slope"}, "free": {"free_beam_slope"}}
     # With an unknown slope, the scale of no axis is determined.
     found = determined_errors(study.chain, study.instrument, study.plan)
-    assert found.rank == 51 - 3 and set(found.mixed) == set()
+    assert found.rank == 51 - 3 and set(found.mixed) == {"EXX", "EYY", "EZZ"}
     must = ["data.must_see={EXX=1}", "instrument.slope_sigma_um_per_m=free"]
     with pytest.raises(StudyError, match="EXX is not identified"):
         vcal.load_study(STARTS / "interferometer", must)
@@ -338,7 +338,7 @@ MISTAKES = {
     ),
     "one line": (
         lambda t: t | {"line": np.zeros_like(t["line"])},
-        "correct the column line: rows of one index have the same readings",
+        "rows of one index have the same readings",
     ),
     "positions": (
         lambda t: t | {"meas_position_um": 1e3 * t["x_mm"] + t["meas_position_um"]},
