@@ -19,7 +19,10 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-STARTS = ("ball_array", "laser_frame", "laser_tracker", "r_test", "reflectors", "static_r_test")
+STARTS = (
+    "ball_array", "interferometer", "laser_frame", "laser_tracker", "r_test", "reflectors",
+    "static_r_test",
+)  # fmt: skip
 REPRODUCTIONS = {
     "acceleration": 20,
     "artefact-design": 100,

@@ -272,7 +272,7 @@ def _determined(one: DataSet) -> list[tuple[str, str]]:
             )
         )
     if found.mixed:
-        words = "shown in combinations with each other only"
+        words = "in part not separated from each other, or from the zero, slope or alignment"
         rows.append((f"not separated{of}", f"{', '.join(found.mixed)}: {words}"))
     return rows
 

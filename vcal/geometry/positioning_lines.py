@@ -1,6 +1,5 @@
 """ISO 230-2 evaluation of the lines of an interferometer, beside the identified machine."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -132,7 +131,7 @@ def _contributors(instrument: Interferometer, plan: Plan, rows: np.ndarray) -> C
     slope = s.slope_sigma_um_per_m
     return Contributors(
         device=s.laser_u_um_per_m,
-        misalignment=slope if math.isfinite(slope) else 0.0,
+        misalignment=0.0 if slope == "free" else slope,
         temperature=s.material_u_K,
         expansion=s.expansion_um_per_m_K or 0.0,
         expansion_u=s.expansion_u_um_per_m_K,

@@ -5,7 +5,6 @@ clauses 8 and 10 (straightness, squareness and angles by interferometers).
 """
 
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
@@ -54,6 +53,8 @@ from .line_table import approach_directions, check_deviations, moving_axes
 
 _FOLDS = 5
 """Number of parts of a line that are held out in turn."""
+_LARGEST_UM, _LARGEST_URAD = 2e8, 2e4
+"""Largest readings: the travel of any machine, and any error of an angle."""
 _Coordinate = Annotated[float, Field(ge=-20e3, le=20e3)]
 _Noise = Annotated[float, Field(ge=SMALLEST_NOISE, le=LARGEST_NOISE)]
 _Uncertainty = Annotated[float, Field(ge=0, le=LARGEST_NOISE)]
@@ -99,10 +100,10 @@ class InterferometerSettings(InstrumentSettings):
     """Noise of roll, pitch and yaw, one standard deviation."""
     zero: Literal["line", "run"] = "line"
     """Whether the readings are set to zero once in a line, or at the start of every `run` of it."""
-    slope_sigma_um_per_m: float = Field(default=0.5, ge=0)
+    slope_sigma_um_per_m: _Uncertainty | Literal["free"] = 0.5
     """Prior standard deviation of the slope of the positioning in every line: misalignment of the
-    beam with the axis (1 mm in 1 m is a cosine error of 0.5 um/m), refractive index. 0 where it is
-    none, inf where it is unknown: the scale of the axis is then not determined."""
+    beam with the axis (1 mm in 1 m is a cosine error of 0.5 um/m), refractive index. 0 where there
+    is none, "free" where it is unknown: the scale of the axis is then not determined."""
     laser_u_um_per_m: _Uncertainty = 0.0
     """Standard uncertainty of the scale of the laser, common to all lines."""
     square_u_urad: _Uncertainty = 0.0
@@ -197,7 +198,10 @@ class Interferometer(TableInstrument):
         if settings.dead_path_u_um_per_m_K:
             found.append(Column(name=f"{AIR}_degC", low=-50.0, high=150.0))
         if readings:
-            found += [Column(name=column_of(name), low=-2e4, high=2e4) for name in READ]
+            for name in READ:
+                # Positions instead of deviations are reported with their cause.
+                most = _LARGEST_URAD if name in ANGLES else _LARGEST_UM
+                found.append(Column(name=column_of(name), low=-most, high=most))
         return found
 
     @classmethod
@@ -304,7 +308,7 @@ class Interferometer(TableInstrument):
         else:
             x, y, z = rotation.rows
             angle = Vector(z.y - y.z, x.z - z.x, y.x - x.y) * 0.5
-        ideal = {
+        ideal: dict[str, Scalar] = {
             POSITION: Vector.of(along).dot(d) - shrunk,
             **dict(zip(STRAIGHT, d.parts, strict=True)),
             **dict(zip(ANGLES, angle.parts, strict=True)),
@@ -350,7 +354,7 @@ class Interferometer(TableInstrument):
             )
         found: list[Effect] = [LineZero(lines=lines, runs=runs)]
         if lines.with_position():
-            if math.isinf(s.slope_sigma_um_per_m):
+            if s.slope_sigma_um_per_m == "free":
                 found.append(FreeBeamSlope(lines=lines))
             elif s.slope_sigma_um_per_m:
                 found.append(BeamSlope(lines=lines, sigma=1e-6 * s.slope_sigma_um_per_m))

@@ -6,6 +6,7 @@ moving axis from the middle c of the line. A line is a set-up: one moving axis, 
 optics, one place of the reflector.
 """
 
+import abc
 from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
@@ -179,9 +180,9 @@ class _Rotations(Effect):
     lines: Lines
     kind: ClassVar[Kind]
 
+    @abc.abstractmethod
     def _owners(self) -> Iterator[tuple[str, int]]:
         """Owner of the rotations of every line, and the index of the line."""
-        raise NotImplementedError
 
     def _terms(self) -> Iterator[tuple[str, str, int, float]]:
         for owner, k in self._owners():

@@ -97,7 +97,12 @@ def run_table(
             f"the end of the table after {counted(complete.rows, 'row')}"
             + ("" if complete is table else " without a blank reading"),
             f"at least {_FEWEST_ROWS} rows",
-            "measure more points",
+            "measure more points"
+            + (
+                f", or correct the column {kind.read_by}: rows of one index have the same readings"
+                if kind.read_by and complete is not table
+                else ""
+            ),
         )
     _check_spelling(table, [c.name for c in columns])
     _check_names(table, chain, (*labels, *reading_names))

@@ -36,7 +36,7 @@ class Determined:
     unseen: tuple[str, ...]
     """Errors on which no reading depends, other than as a nuisance of the instrument does."""
     mixed: tuple[str, ...]
-    """Errors that the readings show in combinations only."""
+    """Errors of which some coefficients cannot be separated from others, or from nuisances."""
 
 
 def determined_errors(chain: Chain, instrument: Instrument, plan: Plan) -> Determined:
