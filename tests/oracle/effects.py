@@ -252,6 +252,7 @@ ALLOWED = {
     "laser_frame": (*ON_MACHINE, *ON_LASER),
     "r_test": ON_CIRCLES,
     "double_ball_bar": ON_BAR,
+    "touch_probe": ON_MACHINE,
     "reflectors": ON_ARM,
 }
 
