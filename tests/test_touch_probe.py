@@ -276,9 +276,8 @@ def test_the_generator_touches(tmp_path):
 
 
 def case(folder, effects=(), seed=1, noise_factor=1.0):
-    # Without noise, a repeated contact is the same row again.
     make_case("touch_probe", seed=seed, effects=effects, family=FAMILY, folder=folder,
-              noise_factor=noise_factor, plan={"repeats": 2 if noise_factor else 1})  # fmt: skip
+              noise_factor=noise_factor)  # fmt: skip
     return load_study(folder)
 
 

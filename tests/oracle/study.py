@@ -379,7 +379,8 @@ def make_case(
         probe = GaugeProbe(**noise)
         found, certificate = measure_gauge(machine, planned, probe, for_noise, si, noise_factor)
         run = run.at(found)
-        data = {"setup": planned.setup, "face": planned.face, "approach": planned.way}
+        data = {"setup": planned.setup, "run": planned.turn}
+        data |= {"face": planned.face, "approach": planned.way}
         data = {name: values.astype(float) for name, values in data.items()}
         data |= {f"{a.lower()}_mm": 1e3 * run.q[:, i] for i, a in enumerate(AXES)}
         gauge = {"face": np.arange(len(certificate), dtype=float)}

@@ -47,6 +47,8 @@ class GaugePlan:
     """Nominal direction of the gauge (n, 3)."""
     origin: Array
     """Nominal place of its zero in the workpiece frame (n, 3), m."""
+    turn: NDArray[np.int64]
+    """Which of the passes along the gauge (n,)."""
 
 
 def positions_of(face: NDArray[np.int64]) -> Array:
@@ -66,6 +68,7 @@ def gauge_plan(
     low, high = machine.travel.T
     faces = np.arange(2 * steps)
     along = np.concatenate([faces[:: 1 - 2 * (k % 2)] for k in range(repeats)])
+    passes = np.repeat(np.arange(repeats), faces.size)
     columns: list[list[Array]] = [[] for _ in range(6)]
     for k, d in enumerate(np.array(directions, float)):
         d = d / np.linalg.norm(d)
@@ -83,7 +86,8 @@ def gauge_plan(
     run = Run(q, turn, t, np.full((n, 3), 20.0), np.full(n, 20.0))
     d = np.array(directions, float)[setup]
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    return GaugePlan(run, setup, face, way, d, start + machine.tool_offset)
+    passes = np.tile(passes, len(directions))
+    return GaugePlan(run, setup, face, way, d, start + machine.tool_offset, passes)
 
 
 def measure_gauge(
