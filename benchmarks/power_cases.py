@@ -32,7 +32,7 @@ from oracle.study import FRAME_SIZES, SIZES, Case
 
 INSTRUMENTS = (
     "laser_tracker", "ball_array", "r_test", "laser_frame", "reflectors", "double_ball_bar",
-    "interferometer",
+    "touch_probe", "interferometer",
 )  # fmt: skip
 ON_MACHINE = ("laser_tracker", "ball_array", "laser_frame")
 CHAINS = ("w X b Y Z t", "w Y b X Z t", "w b X Y Z t")
@@ -500,7 +500,8 @@ def _drifting(rng: Rng, world: World) -> Sized:
 
 
 TRACKER, BALLS, FRAME, CIRCLES = ("laser_tracker",), ("ball_array",), ("laser_frame",), ("r_test",)
-ARMS, BARS, LASERS = ("reflectors",), ("double_ball_bar",), ("interferometer",)
+ARMS, LASERS = ("reflectors",), ("interferometer",)
+BARS, PROBES = ("double_ball_bar",), ("touch_probe",)
 BOTH = TRACKER + BALLS
 ON_LINES = ON_MACHINE + LASERS
 STATIONS = TRACKER + FRAME
@@ -584,6 +585,10 @@ KINDS: tuple[Kind, ...] = (
     Kind("backlash on circles", "um", 1, _on_circles("backlash", "size_um", one=True), CIRCLES),
     Kind("lateral_reversal on circles", "um", 1,
          _on_circles("lateral_reversal", "size_um", one=True), CIRCLES),
+    Kind("backlash on a step gauge", "um", 5, _on_circles("backlash", "size_um", one=True), PROBES),
+    Kind("screw_cyclic on a step gauge", "um", 4, _screw, PROBES),
+    Kind("lateral_reversal on a step gauge", "um", 5,
+         _on_circles("lateral_reversal", "size_um", one=True), PROBES),
     Kind("backlash with a ball bar", "um", 5, _on_circles("backlash", "size_um", one=True), BARS),
     Kind("lateral_reversal with a ball bar", "um", 5,
          _on_circles("lateral_reversal", "size_um", one=True), BARS),
@@ -831,7 +836,7 @@ def make(
         centred = any(kind.centred for kind in entry.kinds)
         options["travel"] = np.stack([-0.5 * span, 0.5 * span], axis=1) if centred else span
         options["recording"] = tuple(dict.fromkeys(r for k in entry.kinds for r in k.recording))
-    if at in ("laser_frame", "double_ball_bar"):
+    if at in ("laser_frame", *BARS, *PROBES):
         options |= {"family": FRAME_SMOOTH} if world.seed // 3 % 2 else {"table": FRAME_TABLE}
     case = make_case(at, effects=effects, declared=declared, **options)
     if entry.zero:

@@ -254,6 +254,7 @@ ALLOWED = {
     "interferometer": ON_MACHINE,
     "r_test": ON_CIRCLES,
     "double_ball_bar": ON_BAR,
+    "touch_probe": ON_MACHINE,
     "reflectors": ON_ARM,
 }
 

@@ -59,6 +59,7 @@ from .plans import (
     tracker_plan,
 )
 from .r_test import EXTERNAL_SIGMA, INTERNAL_SIGMA, RADIUS, measure_circles
+from .touch_probe import GaugeProbe, gauge_plan, measure_gauge
 
 # travel (m) and tool offset (m) by chain, as in the practice cases; anything else takes the first
 SIZES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
@@ -71,6 +72,7 @@ FRAME_SIZES = {
     "w X b Y Z t": ((0.8, 0.5, 0.4), (0.0, 0.0, -0.15)),
     "w Y b X Z t": ((0.6, 0.5, 0.45), (0.0, 0.0, -0.12)),
 }
+SMALL = ("laser_frame", "double_ball_bar", "touch_probe")  # measured on a machine of these sizes
 # What changes of a machine between two runs of a laser frame, as a smooth and as a Fourier family.
 FRAME_SMOOTH = Smooth(translation=6e-6, rotation=8e-6, squareness=10e-6)
 FRAME_TABLE: ErrorTable = {
@@ -87,8 +89,8 @@ Columns = dict[str, Array]
 class Case:
     """One synthetic study: what is declared, what was measured, and what is true.
 
-    Exactly one of the pairs (tracker, run), (balls, run), (frame, run), (bar, run), (laser, lines),
-    (arm, arm_run) is set beside the rest, and none of an R-test.
+    Exactly one of the pairs (tracker, run), (balls, run), (frame, run), (bar, run), (probe, run),
+    (laser, lines), (arm, arm_run) is set beside the rest, and none of an R-test.
     """
 
     name: str
@@ -128,6 +130,8 @@ class Case:
     """The true interferometer, with its set-ups."""
     lines: LinePlan | None = None
     """Its rows."""
+    probe: GaugeProbe | None = None
+    """Declared probe and step gauge."""
     arm: Arm | None = None
     """The true arm."""
     arm_run: ArmPlan | None = None
@@ -171,6 +175,8 @@ class Case:
         if self.laser is not None and self.lines is not None:
             sigma = 1e6 * laser_noise(self.laser, self.lines)
             return {n: sigma[:, i] for i, n in enumerate(COLUMNS) if n in data}
+        if self.probe is not None:
+            return {f"{a}_mm": np.full(n_rows(data), 1e3 * self.probe.sigma) for a in "xyz"}
         if self.instrument == "r_test":
             return {f"{a}_ext_mm": np.full(n_rows(data), 1e3 * EXTERNAL_SIGMA) for a in "xyz"}
         if self.instrument == "reflectors":
@@ -249,7 +255,7 @@ def make_case(
 
     Args:
         instrument: "laser_tracker", "multilateration", "ball_array", "laser_frame",
-            "double_ball_bar", "interferometer"; "r_test" or "reflectors" (the chain is then
+            "double_ball_bar", "touch_probe", "interferometer"; "r_test" or "reflectors" (the chain is then
             unused).
         effects: undeclared effects, see the table in effects.py.
         noise_factor: true noise / declared noise.
@@ -321,7 +327,7 @@ def make_case(
             write_study(folder, case)
         return case
 
-    sizes = FRAME_SIZES if instrument in ("laser_frame", "double_ball_bar") else SIZES
+    sizes = FRAME_SIZES if instrument in SMALL else SIZES
     size, offset = sizes.get(chain, sizes["w X b Y Z t"])
     nominal = nominal_machine(
         chain,
@@ -337,8 +343,8 @@ def make_case(
         plan, noise = {"lines": laser.lines, **plan}, {}
     planned: Any = {
         "laser_tracker": tracker_plan, "ball_array": ball_plan, "laser_frame": frame_plan,
-        "double_ball_bar": bar_plan, "multilateration": lateration_plan,
-        "interferometer": line_plan,
+        "double_ball_bar": bar_plan, "touch_probe": gauge_plan,
+        "multilateration": lateration_plan, "interferometer": line_plan,
     }[instrument](machine, for_plan, **plan)  # fmt: skip
     if instrument == "multilateration":
         run, station, tool = planned
@@ -427,6 +433,19 @@ def make_case(
         kept = ("x_mm", "y_mm", "z_mm", "tcp_x_mm", "tcp_y_mm", "tcp_z_mm")
         shared["check"] = {name: check[name] for name in kept}
         case = Case(name, instrument, given, data, run=run, bar=bar, **shared)
+    elif instrument == "touch_probe":
+        probe = GaugeProbe(**noise)
+        found, certificate = measure_gauge(machine, planned, probe, for_noise, si, noise_factor)
+        run = run.at(found)
+        data = {"setup": planned.setup, "run": planned.turn}
+        data |= {"face": planned.face, "approach": planned.way}
+        data = {name: values.astype(float) for name, values in data.items()}
+        data |= {f"{a.lower()}_mm": 1e3 * run.q[:, i] for i, a in enumerate(AXES)}
+        gauge = {"face": np.arange(len(certificate), dtype=float)}
+        gauge["position_mm"] = 1e3 * certificate
+        kept = ("x_mm", "y_mm", "z_mm", "tcp_x_mm", "tcp_y_mm", "tcp_z_mm")
+        shared["check"] = {name: check[name] for name in kept}
+        case = Case(name, instrument, given, data, run=run, probe=probe, artefact=gauge, **shared)
     else:
         balls, ball_noise = replace(planned, run=run), BallNoise(**noise)
         found, _, calibrated = measure_balls(
@@ -546,6 +565,15 @@ def _machine_lines(case: Case) -> list[str]:
             "length_mm = 150   # nominal; data.csv has that of every row",
             f"length_u_um = {1e6 * case.bar.length_u:.6g}",
             f"sigma_um = {1e6 * case.bar.sigma:.6g}",
+        ]
+    if case.probe is not None:
+        lines += [
+            'artefact = "step_gauge"',
+            'gauge = "artefact.csv"',
+            f"face_u_um = {1e6 * case.probe.face_u:.6g}",
+            f"stylus_radius_mm = {1e3 * case.probe.stylus:.6g}",
+            f"stylus_u_um = {1e6 * case.probe.stylus_u:.6g}",
+            f"probe_sigma_um = {1e6 * case.probe.sigma:.6g}",
         ]
     if case.frame is not None:
         lines += [f"sigma_um = {1e6 * case.frame.sigma:.6g}", 'beam_path = "3d"']

@@ -20,7 +20,9 @@ class ServoLag(Effect):
     own motion, which is against its command.
 
     It is placed on one axis, or on all of them with one T: axes with equal gains, or, where
-    positions and readings are taken by two devices, clocks that differ by T.
+    positions and readings are taken by two devices, clocks that differ by T. On a circle, a common
+    lag displaces the tool along the path; the lag of one axis alone is the servo mismatch of ISO
+    230-4, an ellipse at 45 degrees that turns over with the sense.
     """
 
     name = "servo_lag"

@@ -26,7 +26,7 @@ def _lobes(phi: Array, order: int) -> Mapping[str, Array]:
 
 
 def _along_approach(phi: Array, sizes: Mapping[str, Array]) -> Response:
-    """Displacements of the tool point along the approach of azimuth phi, in the frame of the tool."""
+    """Displacements of the tool point along an approach of azimuth phi, in the tool's frame."""
     xp = namespace(phi)
     ways = {"tool.X": xp.cos(phi), "tool.Y": xp.sin(phi)}
     return {(port, name): way * size for port, way in ways.items() for name, size in sizes.items()}

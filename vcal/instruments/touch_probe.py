@@ -208,6 +208,8 @@ class TouchProbe(TableInstrument):
     rotary = True
     Settings = TouchProbeSettings
     derived = _DERIVED
+    # Contacts along an axis, or in a ring, are at one commanded position of the other axes.
+    steady = ("x_mm", "y_mm", "z_mm")
 
     artefact_kind: Artefact = eqx.field(static=True)
     across: tuple[int, ...] = eqx.field(static=True)

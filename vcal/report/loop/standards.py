@@ -3,7 +3,7 @@ estimates of vcal.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -126,7 +126,7 @@ def standards(closure: Closure, study: Study) -> list[Section]:
     return found
 
 
-def standards_record(closure: Closure, study: Study) -> dict[str, Sequence[dict[str, Any]]]:
+def standards_record(closure: Closure, study: Study) -> dict[str, list[dict[str, Any]]]:
     """The same for programs, by key; empty without such an instrument."""
     found: dict[str, list[dict[str, Any]]] = {}
     for one in study.sets:
