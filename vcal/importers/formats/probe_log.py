@@ -27,7 +27,7 @@ _SIZES = {
     "diameter_mm": "calibrated diameter of the sphere or ring, mm",
     "stylus_radius_mm": "effective radius of the stylus tip, mm; 0 where the control corrected it",
 }
-_OWN = re.compile(r"setup|face|approach|dir_[a-cu-z]|t_s|T_\w+_degC")
+_OWN = re.compile(r"setup|run|face|approach|dir_[a-cu-z]|t_s|T_\w+_degC")
 """Columns of a table that have vcal's own names."""
 
 
@@ -212,7 +212,7 @@ def _touched(
         instrument |= {"artefact": "step_gauge", "gauge": "gauge.csv"}
         text = "".join(f"{int(face)},{float(place)!r}\n" for face, place in faces)
         files["gauge.csv"] = f"face,position_mm\n{text}".encode()
-    for name in ("setup", "face", "approach"):
+    for name in ("setup", "run", "face", "approach"):
         if name in columns:
             columns[name] = columns[name].astype(int)
     setups = len(np.unique(columns["setup"]))
