@@ -783,3 +783,27 @@ def test_the_command_line(tmp_path, monkeypatch):
         ["import", "x.csv", "--out", "y", "--at", "Y"],
     ):
         assert CliRunner().invoke(app, arguments).exit_code == 2
+
+
+def test_a_rotary_axis_needs_a_point_on_it(tmp_path):
+    """A table that turns: angles in radians, and the place of the axis from the user."""
+    rng = np.random.default_rng(7)
+    positions = rng.uniform([0, 0, 0, -3], [1000, 600, 500, 3], (40, 4))
+    centre = np.array([500.0, 300.0, 0.0])
+    # The tool point in the frame of the table, which turns against its command (ISO 10791-6).
+    back = Rotation.from_euler("z", positions[:, 3:])
+    seen = back.apply(positions[:, :3] + OFFSET - centre) + centre
+    turn = Rotation.from_euler("z", 40, degrees=True).as_matrix()
+    seen = (seen - [2000.0, 100.0, 300.0]) @ turn
+    rows = np.c_[positions, seen]
+    head = "nom x mm,nom y mm,nom z mm,nom c rad,meas x mm,meas y mm,meas z mm"
+    export = write(tmp_path / "points.csv", [head, *lines_of(rows)])
+    out = tmp_path / "study"
+    machine = {"machine": "w C X b Y Z t", "tool_offset": "0,0,-150"}
+    with pytest.raises(StudyError, match=r"machine.rotary.C.at_mm=\[X,Y,Z\]"):
+        import_study([export], out, overrides=TRACKER, **machine)
+    overrides = [*TRACKER, "machine.rotary.C.at_mm=[500,300,0]"]
+    import_study([export], out, overrides=overrides, **machine)
+    same(table(out)["c_deg"], np.rad2deg(positions[:, 3]))
+    station = setup(out)["instrument"]["station_mm"]
+    np.testing.assert_allclose(station, [2000.0, 100.0, 300.0], atol=1e-3)

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..errors import StudyError
 from ..machine.chain import Chain
 from ..registry import Catalogue
+from ..study.messages import refusal
 from .export import Export
 
 FORMATS: Catalogue[type["Format"]] = Catalogue("format")
@@ -70,9 +70,12 @@ class Needs:
         """Raise `StudyError` where something is lacking."""
         if self._found:
             each = "; ".join(f"{option} ({what})" for option, what in self._found.items())
-            raise StudyError(
-                f"{file}, options: found nothing that says what the file does not hold, expected "
-                f"{each}; add {'it' if len(self._found) == 1 else 'them'} to the command"
+            raise refusal(
+                file,
+                "options",
+                "nothing that says what the file does not hold",
+                each,
+                f"add {'it' if len(self._found) == 1 else 'them'} to the command",
             )
 
     def __bool__(self) -> bool:

@@ -170,6 +170,14 @@ def number(cell: str, decimal: str = ".") -> float:
     Thousands may be separated by the other mark, an apostrophe or a space.
     """
     text = cell.strip()
+    # Most cells are numbers as Python writes them, apart from the decimal mark.
+    if decimal == "." or "." not in text:
+        try:
+            value = float(text if decimal == "." else text.replace(",", ".", 1))
+        except ValueError:
+            value = math.nan
+        if math.isfinite(value) and "_" not in text and ("," not in text or decimal == ","):
+            return value
     plain, thousands = (_POINT, _THOUSANDS_COMMA) if decimal == "." else (_COMMA, _THOUSANDS_POINT)
     if not plain.fullmatch(text):
         if not thousands.fullmatch(text):
@@ -184,10 +192,10 @@ def decimal_of(cells: Sequence[str]) -> str | None:
     point = comma = False
     for cell in cells:
         text = cell.strip()
-        if math.isfinite(number(text, ".")):
-            point |= "." in text and not math.isfinite(number(text, ","))
-        elif math.isfinite(number(text, ",")):
-            comma = True
+        if "," in text:
+            comma |= math.isnan(number(text, ".")) and not math.isnan(number(text, ","))
+        elif not point and "." in text:
+            point = not math.isnan(number(text, ".")) and math.isnan(number(text, ","))
     # A dot that could part thousands is a decimal point unless a decimal comma says otherwise.
     return None if point and comma else "," if comma else "."
 
@@ -279,7 +287,8 @@ def split_text(
             "a text export",
             "export it as text from the program that wrote it",
         )
-    lines = [(i, line.strip("\ufeff \r\n\x1a")) for i, line in enumerate(text.split("\n"), 1)]
+    parts = enumerate(re.split(r"\r\n|\r|\n", text), 1)
+    lines = [(i, line.strip("\ufeff \x1a")) for i, line in parts]
     lines = [(i, line) for i, line in lines if line.strip("\t ,;")]
     comments = [line.lstrip("/#%! \t") for _, line in lines if line.startswith(COMMENTS)]
     plain = [(i, line) for i, line in lines if not line.startswith(COMMENTS)]
@@ -305,10 +314,19 @@ def _splitter(lines: Sequence[str]) -> Callable[[str], list[str]]:
 
 
 def _csv(line: str, mark: str) -> list[str]:
-    cells = [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=mark), [])]
+    found = _quoted(line, mark) if '"' in line else line.split(mark)
+    cells = [cell.strip() for cell in found]
     while cells and not cells[-1]:
         cells.pop()
     return cells
+
+
+def _quoted(line: str, mark: str) -> list[str]:
+    """The cells of a line with texts in quotes."""
+    try:
+        return next(csv.reader(io.StringIO(line), delimiter=mark), [])
+    except csv.Error:  # a cell of more than 100 000 characters
+        return line.split(mark)
 
 
 def _blanks(line: str) -> list[str]:

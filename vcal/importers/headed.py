@@ -32,6 +32,10 @@ _DOWN = (
     *("↓", "⇓", "-", "−", "–", "down", "neg", "negative", "reverse", "rev", "backward", "bwd"),
     *("backwards", "return", "decreasing", "cw", "clockwise"),
 )
+SNIFFED = 400
+"""Lines that suffice to recognise a format."""
+_HEAD = 200
+"""Lines at the beginning of a file among which the headers are."""
 _ARROWS = "↑⇑↓⇓+−–"
 
 
@@ -53,21 +57,23 @@ class Headed:
     """Cells."""
 
 
-def read_headed(export: Export, fewest: int = 2) -> Headed:
+def read_headed(export: Export, most: int | None = None, fewest: int = 2) -> Headed:
     """The table of an export whose headers may stand in several rows.
 
     The headers end with the last row that names a direction (an arrow, ``+``, ``forward``, ...), or
     with the row above the first row of numbers. A row whose first cell is a word, such as a mean
-    below the table, is left out. Raises `StudyError` for a file without such a table.
+    below the table, is left out. With `most`, only that many lines are read. Raises `StudyError`
+    for a file without such a table.
     """
     comments, rows = export.raw
+    rows = rows[:most]
     decimal = decimal_of([cell for _, row in rows for cell in row]) or "."
     width = max((len(row) for _, row in rows), default=0)
     rows = [(line, [*row, *[""] * (width - len(row))]) for line, row in rows]
     numbers = [[number(cell, decimal) for cell in row] for _, row in rows]
     directed = [
         k
-        for k, (_, row) in enumerate(rows)
+        for k, (_, row) in enumerate(rows[:_HEAD])
         if sum(direction(cell) is not None for cell in row) >= 2
         and not sum(map(math.isfinite, numbers[k])) > 0.5 * len(row)
     ]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from ..instruments.conditions import LINEAR, ROTARY
+from ..instruments.conditions import ROTARY
 from ..study.folder import Folder
 from ..study.messages import refusal
 from ..study.settings import MachineSettings, validate
@@ -23,8 +23,8 @@ TOOL_OFFSET = (
     "vector from the frame of the last axis to the measured point, mm: the lever of angular errors",
 )
 """What a machine tool needs of the user, with its meaning."""
-_GRID_MM = 10.0
-"""A travel that only the measured positions tell ends at a multiple of this."""
+_GRID = 10.0
+"""A travel that only the measured positions tell ends at a multiple of this, mm or deg."""
 
 
 def declared(text: str) -> tuple[dict[str, Any], dict[str, bytes]]:
@@ -45,7 +45,10 @@ def declared(text: str) -> tuple[dict[str, Any], dict[str, bytes]]:
             )
         files = {}
         if isinstance(urdf := machine.get("urdf"), str):
-            files[urdf] = Folder(path.parent).path(urdf, "a URDF file").read_bytes()
+            # The copy lies in the study folder, wherever the file of the other study lies.
+            name = Path(urdf).name
+            files[name] = Folder(path.parent).path(urdf, "a URDF file").read_bytes()
+            machine = {**machine, "urdf": name}
         return machine, files
     if path.suffix.casefold() in (".urdf", ".xml"):
         if not path.is_file():
@@ -72,12 +75,26 @@ def built(
         path.write_text(tomli_w.dumps({"machine": dict(tree)}), encoding="utf-8")
         raw, given = read_setup(path, own)
         table = raw["machine"]
+        filled = _with_places(table)
         # Validated with an instrument of every machine, so that messages name keys of [machine].
         kind = {"kind": "reflectors", "tool_reflectors": 1, "sigma_um": 1.0}
-        whole = validate({"machine": table, "instrument": kind}, SETUP, given, Folder(folder))
+        whole = validate({"machine": filled, "instrument": kind}, SETUP, given, Folder(folder))
         settings: MachineSettings = whole.machine
         chain = build_chain(settings, SETUP, Folder(folder))
     return table, Machine(table, chain, files)
+
+
+def _with_places(table: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The table with any place of the rotary axes that have none: `completed` asks for them."""
+    chain, rotary = table.get("chain"), table.get("rotary", {})
+    if not isinstance(chain, str) or not isinstance(rotary, dict):
+        return table
+    found = dict(rotary)
+    for axis in chain.split():
+        own = found.get(axis, {})
+        if axis in ROTARY and isinstance(own, dict) and "at_mm" not in own:
+            found[axis] = {"at_mm": [0.0, 0.0, 0.0], **own}
+    return {**table, "rotary": found} if found else table
 
 
 def completed(
@@ -95,32 +112,39 @@ def completed(
     if "tool_offset_mm" not in table:
         needs.add(*TOOL_OFFSET)
     travel = dict(table.get("travel_mm", {}))
+    rotary = {axis: dict(row) for axis, row in table.get("rotary", {}).items()}
     guessed = []
     for axis in machine.chain.axes:
-        values = columns.get(f"{axis.lower()}_{'mm' if axis in LINEAR else 'deg'}")
-        if axis in ROTARY:
-            rotary = table.get("rotary", {}).get(axis, {})
-            if "at_mm" not in rotary:
-                needs.add(
-                    f"--set machine.rotary.{axis}.at_mm=[x,y,z]", "a point on the rotary axis, mm"
-                )
-        elif axis not in travel and values is not None:
-            low, high = float(np.min(values)), float(np.max(values))
-            if high - low < _GRID_MM:
-                needs.add(
-                    f"--set machine.travel_mm.{axis}=[LOW,HIGH]",
-                    f"travel of {axis} in mm, as it stands still in the file",
-                )
-                continue
-            low = _GRID_MM * np.floor(low / _GRID_MM)
-            high = _GRID_MM * np.ceil(high / _GRID_MM)
-            travel[axis] = [float(low), float(high)]
-            guessed.append(axis)
-    if guessed:
+        turns = axis in ROTARY
+        if turns and "at_mm" not in rotary.get(axis, {}):
+            needs.add(
+                f"--set machine.rotary.{axis}.at_mm=[X,Y,Z]", "a point on the rotary axis, mm"
+            )
+        values = columns.get(f"{axis.lower()}_{'deg' if turns else 'mm'}")
+        if values is None or (axis in travel or "travel_deg" in rotary.get(axis, {})):
+            continue
+        key = f"machine.rotary.{axis}.travel_deg" if turns else f"machine.travel_mm.{axis}"
+        low, high = float(np.min(values)), float(np.max(values))
+        if high - low < _GRID:
+            needs.add(
+                f"--set {key}=[LOW,HIGH]",
+                f"travel of {axis} in {'deg' if turns else 'mm'}, as it stands still in the file",
+            )
+            continue
+        ends = [float(_GRID * np.floor(low / _GRID)), float(_GRID * np.ceil(high / _GRID))]
+        guessed.append(axis)
+        if turns:
+            rotary.setdefault(axis, {})["travel_deg"] = ends
+        else:
+            travel[axis] = ends
+    if travel:
         table["travel_mm"] = travel
+    if rotary:
+        table["rotary"] = rotary
+    if guessed:
         notes.append(
-            f"machine.travel_mm of {', '.join(guessed)} is the range of the measured positions: "
-            "replace it by the travel of the machine"
+            f"the travel of {', '.join(guessed)} in [machine] is the range of the measured "
+            "positions: replace it by that of the machine"
         )
     return notes
 

@@ -1,13 +1,14 @@
 """Positions of the axes or joints at the points of an export, from it or from a second table."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from ..instruments.conditions import LINEAR, file_column
 from ..study.messages import listed, refusal
-from .base import Machine, Needs, Options
+from .base import Columns, Machine, Needs, Options
 from .columns import Name, names_of, places
 from .export import Export, TextTable
 from .points import Units
@@ -199,6 +200,6 @@ def left_out(table: TextTable, used: Sequence[int] | set[int] | frozenset[int]) 
     return [f"columns left out: {listed(rest)}"] if rest else []
 
 
-def columns_with(base: Mapping[str, np.ndarray], *more: Mapping[str, np.ndarray]) -> dict:
+def columns_with(*groups: Columns) -> dict[str, Any]:
     """Several groups of columns in one table, in their order."""
-    return {name: values for group in (base, *more) for name, values in group.items()}
+    return {name: values for group in groups for name, values in group.items()}

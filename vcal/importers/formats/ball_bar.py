@@ -10,7 +10,7 @@ from ...study.messages import listed, refusal
 from ..base import LIKELY, NO, DataSet, Format, Machine, Needs, Options, register
 from ..columns import parsed
 from ..export import Export
-from ..headed import Headed, direction, number_in, read_headed, still
+from ..headed import SNIFFED, Headed, direction, number_in, read_headed, still
 from ..units import ANGLES_RAD, LENGTHS_MM, stated_units
 from .laser_tracker import MACHINE
 
@@ -63,10 +63,10 @@ class BallBarRecord(Format):
     levers = True
 
     def sniff(self, export: Export) -> float:
-        if export.text is None or len(export.text) > 50_000_000:
+        if export.text is None:
             return NO
         try:
-            table = read_headed(export)
+            table = read_headed(export, SNIFFED)
             _columns(table)
         except ValueError:
             return NO

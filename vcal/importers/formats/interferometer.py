@@ -11,7 +11,7 @@ from ...study.messages import listed, refusal
 from ..base import LIKELY, NO, DataSet, Format, Machine, Needs, Options, register
 from ..columns import parsed
 from ..export import Export
-from ..headed import Headed, direction, number_in, read_headed, run_of, still
+from ..headed import SNIFFED, Headed, direction, number_in, read_headed, run_of, still
 from ..units import ANGLES_RAD, LENGTHS_MM, stated_units, unit_of
 from .laser_tracker import MACHINE
 
@@ -75,10 +75,10 @@ class InterferometerRuns(Format):
     levers = True
 
     def sniff(self, export: Export) -> float:
-        if export.text is None or not 1 <= len(export.text) < 5_000_000:
+        if export.text is None:
             return NO
         try:
-            table = read_headed(export)
+            table = read_headed(export, SNIFFED)
             _runs(table)
         except ValueError:
             return NO

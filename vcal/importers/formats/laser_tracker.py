@@ -1,5 +1,6 @@
 """Point lists of laser trackers, as metrology software exports them as text."""
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -116,7 +117,7 @@ class LaserTrackerPoints(Format):
         if machine.arm:
             return [arm_set(export, table, points, own, more, notes)]
         columns = columns_with(
-            {"point": point_numbers(points.names, len(table.rows)), **own},
+            {"point": point_numbers(points.names, len(table.rows)), **own, **_labels(points)},
             more,
             dict(zip(("range_mm", "azimuth_rad", "elevation_rad"), points.polar.T, strict=True)),
         )
@@ -148,6 +149,13 @@ def arm_set(
     if any(name.endswith(("_read_deg", "_read_mm")) for name in joints):
         instrument["joints"] = "read"
     return DataSet(export.path.stem, instrument, columns, SIGMA, notes)
+
+
+def _labels(points: Points) -> dict[str, Sequence[str]]:
+    """A column of the names of the points, where they are more than their numbers."""
+    if points.names is None or any(re.match(r"[\d+\-.]", name) for name in points.names):
+        return {}
+    return {"point_name": points.names}
 
 
 def _bare(table: TextTable) -> float:

@@ -10,7 +10,7 @@ from ...instruments.conditions import LINEAR, ROTARY, file_column
 from ...study.messages import listed, refusal
 from ..base import LIKELY, NO, POSSIBLE, SURE, DataSet, Format, Machine, Needs, Options, register
 from ..columns import names_of, places
-from ..export import Export
+from ..export import Export, number
 from ..points import Units
 from ..units import ANGLES_RAD
 from .laser_tracker import MACHINE
@@ -27,7 +27,7 @@ _SIZES = {
     "diameter_mm": "calibrated diameter of the sphere or ring, mm",
     "stylus_radius_mm": "effective radius of the stylus tip, mm; 0 where the control corrected it",
 }
-_OWN = re.compile(r"setup|face|approach|dir_[a-cu-z]|t_s|T_\w+_degC")
+_OWN = re.compile(r"setup|run|face|approach|dir_[a-cu-z]|t_s|T_\w+_degC")
 """Columns of a table that have vcal's own names."""
 
 
@@ -212,7 +212,7 @@ def _touched(
         instrument |= {"artefact": "step_gauge", "gauge": "gauge.csv"}
         text = "".join(f"{int(face)},{float(place)!r}\n" for face, place in faces)
         files["gauge.csv"] = f"face,position_mm\n{text}".encode()
-    for name in ("setup", "face", "approach"):
+    for name in ("setup", "run", "face", "approach"):
         if name in columns:
             columns[name] = columns[name].astype(int)
     setups = len(np.unique(columns["setup"]))
@@ -225,7 +225,7 @@ def _contacts(export: Export, options: Options, needs: Needs) -> tuple[dict[str,
     text = export.text or ""
     factor = Units.given_mm(options)
     if grbl := _GRBL.findall(text):
-        table = [[float(v) for v in values.split(",")] for values, hit in grbl if hit == "1"]
+        table = [[number(v) for v in values.split(",")] for values, hit in grbl if hit == "1"]
         return _by_axis(export, table, _NINE, factor), False
     if export.attempted is None:
         lines = [dict(_WORD.findall(line)) for line in text.splitlines()]
@@ -255,11 +255,20 @@ def _contacts(export: Export, options: Options, needs: Needs) -> tuple[dict[str,
 def _by_axis(
     export: Export, table: Sequence[Sequence[float]] | np.ndarray, axes: Sequence[str], mm: float
 ) -> dict[str, np.ndarray]:
-    values = np.asarray(table, float)
-    if values.ndim != 2 or values.shape[1] < 3:
+    if not len(table):
         raise refusal(
             export.name, "file", "no contact", "positions of X, Y and Z", "name another file"
         )
+    for k, row in enumerate(table):
+        if len(row) != len(table[0]) or len(row) < 3 or not np.isfinite(row).all():
+            raise refusal(
+                export.name,
+                f"contact {k + 1}",
+                f"{len(row)} cells, {int(np.isfinite(row).sum())} of them numbers",
+                f"{max(len(table[0]), 3)} numbers, as in the first contact",
+                "correct the line, or remove it",
+            )
+    values = np.asarray(table, float)
     return {
         axis: column * (1.0 if axis in ROTARY else mm)
         for axis, column in zip(axes, values.T, strict=False)
