@@ -483,13 +483,39 @@ def reproduce(
 
 @app.command()
 @guarded
-def check(setup: Setup, override: Override = None, trust: Trust = False) -> None:
+def check(
+    setup: Setup,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            parser=_folder,
+            metavar="PATH",
+            help="Folder for a page with the summary and pictures of the declared machine.",
+        ),
+    ] = None,
+    override: Override = None,
+    trust: Trust = False,
+) -> None:
     """Read and check a study without a fit, and print a summary of it."""
     start()
     from .. import load_study
-    from .show import show_study
+    from .show import show_rows, study_rows
 
-    show_study(load_study(setup, override or [], trust=trust))
+    if out is not None:
+        from ..report.check.write import check_check_folder, write_check
+
+        check_check_folder(out)  # before the work, not after it
+    study = load_study(setup, override or [], trust=trust)
+    rows = study_rows(study)
+    show_rows(study, rows)
+    if out is not None:
+        command = ["vcal", "check", str(setup), "--out", str(out)]
+        for text in override or []:
+            command += ["--set", text]
+        command += ["--trust"] if trust else []
+        page = write_check(study, rows, out, command=shlex.join(command))
+        say(f"Page: {page}")
 
 
 @app.command()

@@ -29,6 +29,7 @@ from .base import (
 from .conditions import linear_plan, linear_plan_table
 from .follow import check_follows
 from .frame import Station, displaced
+from .marks import Mark
 
 _Coordinate = Annotated[float, Field(ge=-200e3, le=200e3)]
 _Angle = Annotated[float, Field(ge=-360, le=360)]
@@ -152,6 +153,16 @@ class LaserTracker(TableInstrument):
         length = jnp.sqrt(v.dot(v))
         ideal = length, jnp.arctan2(v.y, v.x), jnp.arcsin(v.z / length)
         return [value + port for value, port in zip(ideal, ports["read"], strict=True)]
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        place = np.reshape(self.station, (1, 3))
+        return (Mark("station", place, frame=np.asarray(self.orientation), azimuth=True),)
+
+    def seen_points(self, readings: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k 3"]:
+        r, azimuth, elevation = np.asarray(readings).T
+        level = r * np.cos(elevation)
+        xyz = level * np.cos(azimuth), level * np.sin(azimuth), r * np.sin(elevation)
+        return np.stack(xyz, axis=-1)[:, None]
 
     def difference(self, measured: Array, predicted: Array) -> Array:
         d = measured - predicted
