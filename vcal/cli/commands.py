@@ -500,22 +500,29 @@ def check(
     """Read and check a study without a fit, and print a summary of it."""
     start()
     from .. import load_study
+    from ..errors import StudyError
+    from ..report.check.write import check_check_folder, write_check, write_refused
+    from ..study.outline import outline
     from .show import show_rows, study_rows
 
     if out is not None:
-        from ..report.check.write import check_check_folder, write_check
-
         check_check_folder(out)  # before the work, not after it
-    study = load_study(setup, override or [], trust=trust)
+    words = ["vcal", "check", str(setup), "--out", str(out)]
+    for text in override or []:
+        words += ["--set", text]
+    command = shlex.join([*words, *(["--trust"] if trust else [])])
+    try:
+        study = load_study(setup, override or [], trust=trust)
+    except StudyError as error:
+        # The picture of the declared machine may show why.
+        seen = None if out is None else outline(setup, override or [])
+        if out is not None and seen is not None:
+            say(f"Page: {write_refused(seen, str(error), out, command=command)}")
+        raise
     rows = study_rows(study)
     show_rows(study, rows)
     if out is not None:
-        command = ["vcal", "check", str(setup), "--out", str(out)]
-        for text in override or []:
-            command += ["--set", text]
-        command += ["--trust"] if trust else []
-        page = write_check(study, rows, out, command=shlex.join(command))
-        say(f"Page: {page}")
+        say(f"Page: {write_check(study, rows, out, command=command)}")
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""The declared machine as numbers for a picture: axes with their senses, travels, tool, instruments.
+"""The declared machine as numbers for a picture: axes, senses, travels, tool and instruments.
 
 Everything is in the frame of the workpiece (of an arm: of its base), in m and rad, and follows from
 the chain by its nominal forward kinematics. An axis that carries the workpiece moves it against its
@@ -104,7 +104,7 @@ class ShownAxis:
     travel: Float[np.ndarray, "2"]
     """Declared travel, m or rad; infinite where not declared."""
     covered: Float[np.ndarray, "2"]
-    """Lowest and highest position of the measurement, m or rad."""
+    """Lowest and highest position of the measurement, m or rad; nan without one."""
 
     @property
     def relative(self) -> Float[np.ndarray, "3"]:
@@ -212,9 +212,9 @@ class Measured(NamedTuple):
     """The instrument in words."""
     chain: Chain
     """The machine with the tool of this data set."""
-    declared: Instrument
-    """The instrument as declared."""
-    started: Instrument
+    declared: Instrument | None
+    """The instrument as declared; None where it could not be built."""
+    started: Instrument | None
     """The instrument with its starting values."""
     plan: Plan
     readings: Float[np.ndarray, "n m"] | None
@@ -224,7 +224,8 @@ class Measured(NamedTuple):
 def declared_machine(chain: Chain, sets: Sequence[Measured]) -> DeclaredMachine:
     """The machine of `chain` at its zero pose, with the data sets measured on it."""
     zero = nominal_frames(chain, np.zeros(len(chain.joints)))
-    position = np.concatenate([np.asarray(one.plan.position, float) for one in sets])
+    none = np.zeros((0, len(chain.joints)))
+    position = np.concatenate([none, *(np.asarray(one.plan.position, float) for one in sets)])
     order = (*reversed(chain.workpiece_side), *chain.tool_side)
     # The workpiece and the bed coincide at the zero pose of a machine tool.
     up = np.asarray(chain.up, float)
@@ -242,7 +243,9 @@ def declared_machine(chain: Chain, sets: Sequence[Measured]) -> DeclaredMachine:
             place=glyphs[i],
             direction=joint.sign * zero.rotation[i] @ np.asarray(joint.direction),
             travel=np.asarray(joint.travel, float),
-            covered=np.array([position[:, i].min(), position[:, i].max()]),
+            covered=np.array([position[:, i].min(), position[:, i].max()])
+            if len(position)
+            else np.full(2, np.nan),
         )
         for i, joint in ((i, chain.joints[i]) for i in order)
     )
@@ -320,6 +323,8 @@ def _seen(one: Measured) -> Seen:
     """The points of a data set, and the frame of its instrument according to them."""
     position = np.asarray(one.plan.position, float)
     rotation, tool = one.chain.tool_frame(position)
+    if one.started is None:
+        return Seen(one.name, one.words, tool, None, np.arange(len(tool)), ())
     places = [np.asarray(place, float) for place in one.started.tool_places.values()]
     offsets = np.array(places or [np.zeros(3)])
     nominal = tool[:, None] + np.einsum("nij,kj->nki", rotation, offsets)
@@ -347,6 +352,8 @@ def _seen(one: Measured) -> Seen:
 
 def _marks(one: Measured) -> tuple[Mark, ...]:
     """Declared marks as declared; free ones with their starting values, if there are any."""
+    if one.declared is None or one.started is None:
+        return ()
     declared = [m for m in one.declared.marks(one.chain, one.plan) if not m.free]
     if one.readings is None:
         return tuple(declared)

@@ -4,7 +4,8 @@ Every picture is drawn from `vcal.geometry.declared_machine.DeclaredMachine`, so
 a rotary axis with the other sense or a station on the wrong side is seen.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import dataclasses
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -22,13 +23,13 @@ TOOL, WORKPIECE, INSTRUMENT, MEASURED = AFTER, BEFORE, "#00664b", "#aa3377"
 measured points."""
 _POSES = ("#5b7083", "#8a9a5b", "#b08d57")
 """Colours of the measured poses of an arm."""
-_WIDTH, _BOX, _TALLEST, _FLATTEST = 4.7, 3.95, 4.2, 1.5
+_WIDTH, _BOX, _TALLEST, _FLATTEST = 4.7, 3.72, 4.2, 1.5
 """Width of a picture, width of its axes, and the largest and least height of these, inches."""
 _ROOM = 0.38
 """Width around the places for symbols and labels, inches."""
 _SMALL = 1.5
 """Ratio of the common scale to that of a view from which the view has its own."""
-_LEFT, _TOP, _BOTTOM = 0.62, 0.3, 0.5
+_LEFT, _TOP, _BOTTOM = 0.74, 0.3, 0.5
 _ARROW, _TURN = 0.15, 0.055
 """Length of the arrow of a linear axis and radius of that of a rotary axis, shares of the size."""
 _FAR = 1.5
@@ -72,7 +73,8 @@ _ORTHOGONAL = (
 
 def machine_views(machine: DeclaredMachine) -> Mapping[str, Figure]:
     """Pictures of the declared machine by name: ``"xz"``, ``"yz"`` and ``"xy"`` to scale, and
-    ``"space"``, a pictorial view with the direction against gravity upwards.
+    ``"space"``, a pictorial view with the direction against gravity upwards, of an arm at its zero
+    pose alone.
     """
     scene = _Scene.of(machine)
     own = {view.key: scene.scale(view) for view in _ORTHOGONAL}
@@ -83,6 +85,9 @@ def machine_views(machine: DeclaredMachine) -> Mapping[str, Figure]:
         for view in _ORTHOGONAL
     }
     space = _pictorial(machine.up)
+    if machine.arm:  # alone, so that the senses of all joints are seen
+        scene = _Scene.of(dataclasses.replace(machine, poses=machine.poses[:1], seen=()))
+        space = space._replace(title=f"{space.title}, zero pose")
     return found | {space.key: _drawn(scene, space, scene.scale(space))}
 
 
@@ -403,7 +408,7 @@ def _machine(pen: _Pen, scene: _Scene) -> None:
 
 
 def axis_label(axis: ShownAxis) -> str:
-    """``"+X"`` for an axis that moves the tool; ``"+X′"`` where it moves the workpiece (ISO 841)."""
+    """``"+X"``, or ``"+X′"`` for an axis that moves the workpiece (ISO 841)."""
     return f"+{axis.name}" + ("′" if axis.moves == "workpiece" else "")
 
 
@@ -502,6 +507,3 @@ def _frame(pen: _Pen, scene: _Scene, mark: Mark, fitted: bool) -> None:
         arc = place + 0.7 * size * (np.cos(t) * turn[:, 0] + np.sin(t) * turn[:, 1])
         pen.line(arc, INSTRUMENT, 1.0, order=4.4)
         pen.arrow(arc[-3], arc[-1], INSTRUMENT, 1.0)
-
-
-__all__: Sequence[str] = ["INSTRUMENT", "MEASURED", "TOOL", "WORKPIECE", "axis_label", "machine_views"]

@@ -1,14 +1,19 @@
 """Writing the page of `vcal check --out`."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+from ...geometry.declared_machine import DeclaredMachine, declared_machine
+from ...study.outline import Outline
 from ...study.study import Study
 from ..html.folder import Contents, ReportFolder
+from ..html.picture import by_section
 from ..html.provenance import plain, provenance_section, versions
-from ..html.sheet import Section, Table, sheet
+from ..html.sheet import Badge, Section, Table, sheet
 from ..machine.record import machine_record
-from ..machine.section import machine_pictures, machine_section, of_study
+from ..machine.section import machine_pictures, machine_sections, of_study
 
 _FOLDER = ReportFolder("check.json", "vcal-check/")
 
@@ -38,10 +43,11 @@ def write_check(
             study.name,
             f"{study.path.name} can be used.",
             [
-                machine_section(machine, drawn),
+                *machine_sections(machine, by_section(drawn)),
                 Section("What was read", tables=(Table(("", ""), list(rows)),)),
-                provenance_section(study, {}, {"check.json": "the same, for programs"}, command,
-                                   float("nan")),  # fmt: skip
+                provenance_section(
+                    study, {}, {"check.json": "the same, for programs"}, command, math.nan
+                ),  # fmt: skip
             ],
             kicker="vcal check",
             facts=[
@@ -50,15 +56,51 @@ def write_check(
                 ("Measurement", study.observations),
             ],
         )
-        record = {
-            "schema": f"{_FOLDER.schema}1",
-            "name": study.name,
-            "lines": [{"label": label, "text": text} for label, text in rows],
-            "machine": plain(machine_record(machine)),
-            "input_files": dict(study.hashes),
-            "versions": versions(),
-            "command": command,
-        }
+        lines = [{"label": label, "text": text} for label, text in rows]
+        record = {**_record(study.name, machine, study.hashes, command), "lines": lines}
         return Contents(record, {"index.html": page}, drawn)
 
     return _FOLDER.publish(out, make)
+
+
+def write_refused(refused: Outline, why: str, out: Path | str, *, command: str = "") -> Path:
+    """Write why a study is refused into the folder `out`, with the machine that it declares;
+    returns the path of the page.
+
+    As `write_check`; ``refused`` of the record is the message `why`, and None in that of a study
+    that can be used. Raises `StudyError` as `check_check_folder` does.
+    """
+
+    def make(work: Path) -> Contents:
+        machine = declared_machine(refused.chain, refused.sets)
+        drawn = machine_pictures(machine)
+        lines = [("SHA-256 of " + name, value) for name, value in refused.hashes.items()]
+        page = sheet(
+            refused.name,
+            why,
+            [
+                *machine_sections(machine, by_section(drawn)),
+                Section("What was read", tables=(Table(("", ""), lines),)),
+            ],
+            kicker="vcal check",
+            badge=Badge("Refused", "bad"),
+            facts=[("Machine", refused.chain.text)],
+        )
+        record = {**_record(refused.name, machine, refused.hashes, command), "refused": why}
+        return Contents(record, {"index.html": page}, drawn)
+
+    return _FOLDER.publish(out, make)
+
+
+def _record(
+    name: str, machine: DeclaredMachine, hashes: Mapping[str, str], command: str
+) -> dict[str, Any]:
+    return {
+        "schema": f"{_FOLDER.schema}1",
+        "name": name,
+        "refused": None,
+        "machine": plain(machine_record(machine)),
+        "input_files": dict(hashes),
+        "versions": versions(),
+        "command": command,
+    }

@@ -15,6 +15,7 @@ class Picture:
     section: str
     """Part of the page that shows it, such as ``"effect 1"`` or ``"noise"``."""
     caption: str
+    """Words below it; empty for none."""
     data: bytes
     """PNG or SVG."""
     alt: str = ""

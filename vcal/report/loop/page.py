@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from ...geometry.acceptance import GeometricTest
+from ...geometry.declared_machine import DeclaredMachine
 from ...geometry.error_motions import ErrorMotionTable
 from ...loop.outcome.closure import Closure
 from ...study.study import Study
@@ -11,6 +12,7 @@ from ..html import text
 from ..html.picture import Picture, by_section
 from ..html.provenance import plain, provenance_section
 from ..html.sheet import Badge, Section, Tile, sheet
+from ..machine.section import machine_sections
 from .findings import data_sets, declared_effects, errors, identified, unexplained
 from .geometry import conventions, geometry, noise
 from .recorded import recorded_responses
@@ -34,13 +36,15 @@ def page(
     drawn: Sequence[Picture],
     tests: Sequence[GeometricTest] = (),
     *,
+    machine: DeclaredMachine | None = None,
     files: Mapping[str, str] | None = None,
     command: str = "",
     seconds: float = math.nan,
 ) -> str:
     """The page as one self-contained HTML text, pictures included.
 
-    `files` describe the files beside it by their names; `seconds` is the run time of the loop.
+    `machine` is the declared machine, whose pictures are among `drawn`; `files` describe the files
+    beside it by their names; `seconds` is the run time of the loop.
     """
     shown = by_section(drawn)
     volumetric = shown.get("volumetric", ())
@@ -64,6 +68,7 @@ def page(
             *not_tested(closure, study),
             *geometry(closure, study, tables, tests, shown),
             noise(closure, shown),
+            *machine_sections(machine, shown),
             conventions(study),
             provenance_section(study, quoted, files or {}, command, seconds),
         ],

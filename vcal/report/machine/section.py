@@ -15,11 +15,11 @@ from ...geometry.declared_machine import (
 from ...plots import axis_label, machine_views, svg
 from ...plots.declared_machine import SHOWN
 from ...study.study import Study
-from ..html.picture import Picture
+from ..html.picture import Picture, Shown
 from ..html.sheet import Section, Table
 from ..html.text import DASH, number
 
-SECTION = "machine"
+SECTION = "declared machine"
 """Part of the page in which the pictures are shown."""
 _TITLES = {
     "xz": "XZ, seen from −Y",
@@ -57,7 +57,7 @@ def machine_pictures(machine: DeclaredMachine) -> list[Picture]:
         Picture(
             f"machine_{key}",
             SECTION,
-            f"The declared machine, {_TITLES[key]}.",
+            "",
             svg(drawn),
             alt=f"The declared machine, {_TITLES[key]}. {words}",
             half=True,
@@ -66,8 +66,14 @@ def machine_pictures(machine: DeclaredMachine) -> list[Picture]:
     ]
 
 
-def machine_section(machine: DeclaredMachine, drawn: Sequence[Picture]) -> Section:
-    """Chain, axes with their senses, zero, travels, tool and instruments, with the pictures."""
+def machine_sections(machine: DeclaredMachine | None, shown: Shown) -> list[Section]:
+    """Chain, axes with their senses, zero, travels, tool and instruments, with the pictures of
+    `machine_pictures` among those `shown`; nothing without a machine.
+    """
+    return [] if machine is None else [_section(machine, shown.get(SECTION, ()))]
+
+
+def _section(machine: DeclaredMachine, drawn: Sequence[Picture]) -> Section:
     pose = "with all joints" if machine.arm else "with all axes"
     frame = "base" if machine.arm else "workpiece"
     paragraphs = [
@@ -119,9 +125,7 @@ def _of_data(one: Seen) -> str:
         if one.moved is not None:
             place += f", {number(1e3 * one.moved)} mm from where it is declared"
         if one.station.azimuth and one.station.frame is not None:
-            place += (
-                f", with the zero of its azimuth along {_direction(one.station.frame[:, 0])}"
-            )
+            place += f", with the zero of its azimuth along {_direction(one.station.frame[:, 0])}"
         words.append(f"{place}.")
     if not words:
         return ""
@@ -142,12 +146,13 @@ def _legend(machine: DeclaredMachine) -> str:
         )
     if machine.travel is not None:
         words.append(
-            "Frame: tool points over the declared travel"
+            "Grey box: tool points over the declared travel"
             + (", with the rotary axes at zero." if any(a.turns for a in machine.axes) else ".")
         )
     if machine.arm:
         words.append(
-            "Black: links at the zero pose; thin: links at some measured poses, by their rows."
+            "Black: links at the zero pose, which is alone in the pictorial view; thin: links at "
+            "some measured poses, by their rows."
         )
     words.append("Grey dots: nominal places of the measured points.")
     if any(one.measured is not None for one in machine.seen):
@@ -173,7 +178,7 @@ def _row(axis: ShownAxis) -> tuple[str, ...]:
         motion,
         _place(axis.place) if axis.turns else DASH,
         _range(factor * axis.travel, unit) if known else "not declared",
-        _range(factor * axis.covered, unit),
+        _range(factor * axis.covered, unit) if np.isfinite(axis.covered).all() else DASH,
     )
 
 
