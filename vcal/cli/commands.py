@@ -500,13 +500,17 @@ def check(
     """Read and check a study without a fit, and print a summary of it."""
     start()
     from .. import load_study
+    from .show import show_rows, study_rows
+
+    if out is None:
+        study = load_study(setup, override or [], trust=trust)
+        show_rows(study, study_rows(study))
+        return
     from ..errors import StudyError
     from ..report.check.write import check_check_folder, write_check, write_refused
     from ..study.outline import outline
-    from .show import show_rows, study_rows
 
-    if out is not None:
-        check_check_folder(out)  # before the work, not after it
+    check_check_folder(out)  # before the work, not after it
     words = ["vcal", "check", str(setup), "--out", str(out)]
     for text in override or []:
         words += ["--set", text]
@@ -515,14 +519,13 @@ def check(
         study = load_study(setup, override or [], trust=trust)
     except StudyError as error:
         # The picture of the declared machine may show why.
-        seen = None if out is None else outline(setup, override or [])
-        if out is not None and seen is not None:
+        seen = outline(setup, override or [])
+        if seen is not None:
             say(f"Page: {write_refused(seen, str(error), out, command=command)}")
         raise
     rows = study_rows(study)
     show_rows(study, rows)
-    if out is not None:
-        say(f"Page: {write_check(study, rows, out, command=command)}")
+    say(f"Page: {write_check(study, rows, out, command=command)}")
 
 
 @app.command()

@@ -7,7 +7,7 @@ to the workpiece.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
@@ -25,6 +25,9 @@ _POSES = 3
 _APART = 0.02
 """Distance of the station as declared from that by the readings, as a share of its distance from
 the points, from which they are two places; and the angle of their frames, rad."""
+_FOLLOWS = 0.01
+"""Largest rms distance of measured points from the nominal ones of the right machine, as a share of
+the rms distance of the points from their middle."""
 _FLAT = 1e-3
 """Ratio of the second to the first singular value of points that lie on one line."""
 _SAME_M = 1e-9
@@ -153,6 +156,16 @@ class Seen:
         if self.measured is None:
             return None
         return float(np.sqrt(((self.measured - self.nominal) ** 2).sum(1).mean()))
+
+    @property
+    def follows(self) -> bool:
+        """Whether the measured points follow the declared machine, but for its errors: their rms
+        distance is below 1 % of that from their middle.
+        """
+        if self.measured is None or self.rms is None:
+            return True
+        arms = self.nominal - self.nominal.mean(0)
+        return bool(self.rms < _FOLLOWS * np.sqrt((arms**2).sum(1).mean()))
 
     @property
     def moved(self) -> float | None:
@@ -345,9 +358,11 @@ def _seen(one: Measured) -> Seen:
     station = Mark("instrument", origin[None], frame=turn, free=True)
     if frames:
         station = station._replace(name=frames[0].name, azimuth=frames[0].azimuth)
-    if given is not None and _same(given, station, flat):
-        station = None
-    return Seen(one.name, one.words, flat, seen @ turn.T + origin, rows, marks, station)
+    fitted = seen @ turn.T + origin
+    found = Seen(one.name, one.words, flat, fitted, rows, marks, station)
+    if given is not None and _same(given, station, flat) or not found.follows:
+        return replace(found, station=None)
+    return found
 
 
 def _marks(one: Measured) -> tuple[Mark, ...]:

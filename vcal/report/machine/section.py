@@ -120,6 +120,8 @@ def _of_data(one: Seen) -> str:
             "After the best rigid fit, the measured points differ from the declared machine by "
             f"{number(1e3 * one.rms)} mm (rms)."
         )
+        if not one.follows:
+            words.append("They do not follow it: check the chain, signs, units and columns.")
     if one.station is not None:
         place = f"The readings place the {one.station.name} at {_place(one.station.places[0])} mm"
         if one.moved is not None:
