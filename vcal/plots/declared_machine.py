@@ -10,13 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 
 from ..geometry.declared_machine import DeclaredMachine, Seen, ShownAxis
 from ..instruments.marks import Mark
-from .style import AFTER, BEFORE, DOTS, INK, NOMINAL, figure, plain, ticks_apart, titled, width_of
+from .space_pen import EDGE_ON, Pen, View, on_page
+from .style import AFTER, BEFORE, DOTS, INK, NOMINAL, figure, plain, ticks_apart, titled
 
 TOOL, WORKPIECE, INSTRUMENT, MEASURED = AFTER, BEFORE, "#00664b", "#aa3377"
 """Colours of axes that move the tool, of axes that move the workpiece, of the instrument, and of
@@ -38,29 +37,6 @@ _MOST = 300
 """Largest number of points of a data set that are drawn."""
 SHOWN = 0.004
 """Least distance of a measured point from the nominal one that is drawn, in sizes."""
-_TILT = 0.34
-"""Least sine at which the circle of a rotation is drawn: seen from the side it would be a line."""
-_FONT = 9.0
-
-
-class View(NamedTuple):
-    """A parallel projection onto the page."""
-
-    key: str
-    title: str
-    right: Float[np.ndarray, "3"]
-    upward: Float[np.ndarray, "3"]
-    labels: tuple[str, str] | None
-    """Labels of the scales; None for a pictorial view without scales."""
-
-    @property
-    def toward(self) -> Float[np.ndarray, "3"]:
-        """Direction to the viewer."""
-        return np.cross(self.right, self.upward)
-
-    def at(self, points: np.ndarray) -> np.ndarray:
-        """Places on the page (..., 2), mm, of places in space (..., 3), m."""
-        return 1e3 * np.asarray(points, float) @ np.array([self.right, self.upward]).T
 
 
 _X, _Y, _Z = np.eye(3)
@@ -213,11 +189,11 @@ def _drawn(scene: _Scene, view: View, scale: float) -> Figure:
         ax.axis("off")
         titled(ax, view.title)
     ax.annotate(
-        f"gravity {_way(view, -scene.machine.up)}",
+        f"gravity {on_page(view, -scene.machine.up)}",
         (1.0, 1.0), (0.0, 6.0), "axes fraction", textcoords="offset points",
         ha="right", va="bottom", fontsize=9, color=INK,
     )  # fmt: skip
-    pen = _Pen(ax, view, scale)
+    pen = Pen(ax, view, scale)
     _machine(pen, scene)
     for one in scene.machine.seen:
         _seen(pen, scene, one)
@@ -225,155 +201,7 @@ def _drawn(scene: _Scene, view: View, scale: float) -> Figure:
     return drawn
 
 
-def _way(view: View, direction: np.ndarray) -> str:
-    """A direction as an arrow on the page."""
-    along = np.array([view.right @ direction, view.upward @ direction])
-    if np.linalg.norm(along) < 0.3:
-        return "⊙ (to the viewer)" if view.toward @ direction > 0.0 else "⊗ (away)"
-    turn = int(np.round(np.arctan2(along[1], along[0]) / (np.pi / 4.0))) % 8
-    return "→↗↑↖←↙↓↘"[turn]
-
-
-class _Pen:
-    """Drawing of places in space on one view; labels are written last, apart from each other."""
-
-    def __init__(self, ax: Axes, view: View, scale: float):
-        self.ax, self.view, self.scale = ax, view, scale
-        self.labels: list[tuple[np.ndarray, str, str, np.ndarray]] = []
-        self.taken: list[np.ndarray] = []
-        self.ends: list[np.ndarray] = []
-
-    def line(self, points, color: str, width: float = 1.2, style="-", order=2.0, alpha=1.0) -> None:
-        """A polygonal line."""
-        x, y = self.view.at(points).T
-        self.ax.plot(x, y, color=color, lw=width, ls=style, zorder=order, alpha=alpha,
-                     solid_capstyle="round", solid_joinstyle="round")  # fmt: skip
-
-    def dots(self, points, mark: str, color: str, size: float, order=3.0, fill=True) -> None:
-        """Marks at places."""
-        x, y = self.view.at(np.atleast_2d(points)).T
-        self.ax.plot(x, y, mark, color=color, ms=size, mfc=color if fill else "white", mew=1.0,
-                     zorder=order, ls="none")  # fmt: skip
-
-    def taken_by(self, points, step: int = 1) -> None:
-        """Keep labels away from these places."""
-        self.taken += [*self.view.at(np.atleast_2d(points))[::step] / self.scale]
-
-    def label(self, place, text: str, color: str, way=(0.0, 0.0)) -> None:
-        """Words near a place, if possible on the side `way` of it (page)."""
-        self.labels.append((self.view.at(place), text, color, np.asarray(way, float)))
-
-    def arrow(
-        self, start, end, color: str, width=1.6, order=5.0, text: str = "", beside: float = 0.0
-    ) -> None:
-        """An arrow; towards the viewer a circle with a dot, away a circle with a cross. It is drawn
-        `beside` (inches) its place.
-        """
-        a, b = self.view.at(start), self.view.at(end)
-        length = 1e3 * float(np.linalg.norm(np.subtract(end, start)))
-        way = (b - a) / max(length, 1e-12)
-        aside = beside * self.scale * np.array([-way[1], way[0]])
-        a, b = a + aside, b + aside
-        if np.linalg.norm(way) < 0.25:
-            away = self.view.toward @ np.subtract(end, start) < 0.0
-            # Beside the place, which has a mark of its own; several ones side by side.
-            b = a + np.array([-0.13, -0.13]) * self.scale
-            while any(np.linalg.norm(b - other) < 0.1 * self.scale for other in self.ends):
-                b = b + np.array([-0.17, 0.0]) * self.scale
-            self.ends.append(b)
-            self.ax.plot(*b, "o", ms=8, mfc="white", mec=color, mew=1.2, zorder=order)
-            self.ax.plot(*b, "x" if away else ".", ms=4.5, color=color, mew=1.2, zorder=order + 0.1)
-            self.taken.append(b / self.scale)
-            way = np.array([-1.0, -1.0])
-        else:
-            look = {"arrowstyle": "-|>,head_width=0.2,head_length=0.45", "shrinkA": 0, "shrinkB": 0}
-            self.ax.annotate("", b, a, arrowprops={**look, "color": color, "lw": width},
-                             zorder=order, annotation_clip=False)  # fmt: skip
-            self.taken += [*(a + (b - a) * np.linspace(0.1, 1.0, 5)[:, None]) / self.scale]
-        if text:
-            self.labels.append((b, text, color, way))
-
-    def turn(self, place, axis, radius: float, color: str, text: str) -> None:
-        """The sense of a rotation about `axis` by the right-hand rule, as an arc with an arrow.
-
-        The near side of the circle is drawn thick. An axis in the plane of the page is tilted
-        towards the viewer to show it.
-        """
-        toward = self.view.toward
-        depth = float(np.dot(axis, toward))
-        flat = np.asarray(axis, float) - depth * toward
-        if abs(depth) < _TILT:
-            depth = -_TILT if depth < -1e-9 else _TILT
-            flat = flat / np.linalg.norm(flat) * np.sqrt(1.0 - depth**2)
-        shown = flat + depth * toward
-        # The point of the circle that is nearest to the viewer, and the direction of motion there.
-        near = toward - (toward @ shown) * shown
-        size = np.linalg.norm(near)
-        near = near / size if size > 0.05 else -self.view.upward
-        ahead = np.cross(shown, near)
-        t = np.deg2rad(np.linspace(-150.0, 95.0, 60))[:, None]
-        circle = place + radius * (np.cos(t) * near + np.sin(t) * ahead)
-        hidden = int(len(t) * (60.0 / 245.0)) if abs(depth) < 0.9 else 0
-        self.line(circle[: hidden + 1], color, 0.8, order=4.0)
-        self.line(circle[hidden:-3], color, 1.6, order=4.5)
-        a, b = self.view.at(circle[-4]), self.view.at(circle[-1])
-        look = {"arrowstyle": "-|>,head_width=0.2,head_length=0.4", "shrinkA": 0, "shrinkB": 0}
-        self.ax.annotate("", b, a, arrowprops={**look, "color": color, "lw": 1.6}, zorder=5.0,
-                         annotation_clip=False)  # fmt: skip
-        self.taken_by(circle, 6)
-        self.labels.append((self.view.at(circle[-1]), text, color, np.zeros(2)))
-
-    def edge(self, place, color: str, text: str) -> None:
-        """An arrow at the edge of the picture towards a place outside."""
-        (x0, x1), (y0, y1) = self.ax.get_xlim(), self.ax.get_ylim()
-        middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
-        half = 0.94 * np.array([0.5 * (x1 - x0), 0.5 * (y1 - y0)])
-        way = self.view.at(place) - middle
-        tip = middle + way / max(np.max(np.abs(way) / half), 1.0)
-        unit = way / max(float(np.linalg.norm(way)), 1e-12)
-        tail = tip - unit * 0.35 * self.scale
-        self.ax.annotate("", tip, tail, arrowprops={"arrowstyle": "-|>", "color": color, "lw": 1.8},
-                         zorder=6.0, annotation_clip=False)  # fmt: skip
-        self.labels.append((tail, text, color, -unit))
-        self.taken += [*(np.linspace(tail, tip, 4) / self.scale)]
-
-    def write(self) -> None:
-        """Write the labels, each where it covers least."""
-        (x0, x1), (y0, y1) = self.ax.get_xlim(), self.ax.get_ylim()
-        low, high = np.array([x0, y0]) / self.scale, np.array([x1, y1]) / self.scale
-        boxes: list[np.ndarray] = []
-        taken = np.array(self.taken).reshape(-1, 2)
-        angles = np.deg2rad(np.arange(0.0, 360.0, 30.0))
-        offsets = [
-            radius * np.array([np.cos(a), np.sin(a)]) for radius in (0.1, 0.2, 0.34) for a in angles
-        ]
-        for place, text, color, way in self.labels:
-            half = 0.5 * np.array([width_of(text) * _FONT / 9.0 + 0.02, 0.14])
-            best, least = None, np.inf
-            for offset in offsets:
-                unit = offset / np.linalg.norm(offset)
-                # The box touches the circle of the offset with the side that faces the place.
-                centre = place / self.scale + offset + unit * half
-                box = np.array([centre - half, centre + half])
-                cost = 2.0 * float(np.linalg.norm(offset)) - 0.25 * float(unit @ way)
-                cost += 40.0 * float(np.maximum(low - box[0], 0.0).sum())
-                cost += 40.0 * float(np.maximum(box[1] - high, 0.0).sum())
-                inside = ((taken > box[0]) & (taken < box[1])).all(1)
-                cost += 0.35 * float(inside.sum())
-                for other in boxes:
-                    overlap = np.minimum(box[1], other[1]) - np.maximum(box[0], other[0])
-                    cost += 3.0 * bool((overlap > 0.0).all())
-                if cost < least - 1e-9:
-                    best, least = box, cost
-            assert best is not None
-            boxes.append(best)
-            x, y = best.mean(0) * self.scale
-            written = self.ax.text(x, y, text, ha="center", va="center", fontsize=_FONT,
-                                   color=color, zorder=9.0)  # fmt: skip
-            written.set_path_effects([withStroke(linewidth=2.2, foreground="white")])
-
-
-def _machine(pen: _Pen, scene: _Scene) -> None:
+def _machine(pen: Pen, scene: _Scene) -> None:
     """The machine at its zero pose."""
     machine, size = scene.machine, scene.size
     if machine.travel is not None:
@@ -412,12 +240,12 @@ def axis_label(axis: ShownAxis) -> str:
     return f"+{axis.name}" + ("′" if axis.moves == "workpiece" else "")
 
 
-def _rotary(pen: _Pen, scene: _Scene, axis: ShownAxis) -> None:
+def _rotary(pen: Pen, scene: _Scene, axis: ShownAxis) -> None:
     colour = TOOL if axis.moves == "tool" else WORKPIECE
     reach = 2.0 * scene.small if scene.machine.arm else 2.6 * _TURN * scene.size
     ends = axis.place + reach * np.outer([-1.0, 1.0], axis.direction)
     pen.line(ends, colour, 0.9, (0, (9, 3, 2, 3)), 3.0)
-    pen.taken_by(np.linspace(*ends, 5))
+    pen.taken_by(np.linspace(ends[0], ends[1], 5))
     if scene.machine.arm:
         pen.dots(axis.place, "o", colour, 3.5, 4.0)
         radius, place = scene.small, axis.place
@@ -428,7 +256,7 @@ def _rotary(pen: _Pen, scene: _Scene, axis: ShownAxis) -> None:
     pen.turn(place, axis.direction, radius, colour, axis_label(axis))
 
 
-def _box(pen: _Pen, ends: Float[np.ndarray, "2 3"]) -> None:
+def _box(pen: Pen, ends: Float[np.ndarray, "2 3"]) -> None:
     """The edges of the travel."""
     low, high = ends
     for along in range(3):
@@ -442,7 +270,7 @@ def _box(pen: _Pen, ends: Float[np.ndarray, "2 3"]) -> None:
     pen.label(high, "travel", NOMINAL)
 
 
-def _seen(pen: _Pen, scene: _Scene, one: Seen) -> None:
+def _seen(pen: Pen, scene: _Scene, one: Seen) -> None:
     """Points and marks of a data set."""
     step = max(1, -(-len(one.nominal) // _MOST))
     shown = slice(None, None, step)
@@ -464,7 +292,7 @@ def _seen(pen: _Pen, scene: _Scene, one: Seen) -> None:
         _mark(pen, scene, one.station, one, said)
 
 
-def _mark(pen: _Pen, scene: _Scene, mark: Mark, one: Seen, said: set[str]) -> None:
+def _mark(pen: Pen, scene: _Scene, mark: Mark, one: Seen, said: set[str]) -> None:
     machine = scene.machine
     places = np.asarray(mark.places, float)
     if mark.on == "tool":
@@ -491,7 +319,7 @@ def _mark(pen: _Pen, scene: _Scene, mark: Mark, one: Seen, said: set[str]) -> No
     said.add(name)
 
 
-def _frame(pen: _Pen, scene: _Scene, mark: Mark, fitted: bool) -> None:
+def _frame(pen: Pen, scene: _Scene, mark: Mark, fitted: bool) -> None:
     """A station with the zero and the sense of its azimuth, or a frame with its axes."""
     place, turn = np.asarray(mark.places[0], float), np.asarray(mark.frame, float)
     size = _ARROW * scene.size
@@ -502,7 +330,7 @@ def _frame(pen: _Pen, scene: _Scene, mark: Mark, fitted: bool) -> None:
             long = size if name != "z" or not mark.azimuth else 0.6 * size
             width = 1.6 if direction is turn.T[0] or not mark.azimuth else 0.9
             pen.arrow(place, place + long * direction, INSTRUMENT, width, 4.6, name)
-    if mark.azimuth and abs(pen.view.toward @ turn[:, 2]) > _TILT:
+    if mark.azimuth and abs(pen.view.toward @ turn[:, 2]) > EDGE_ON:
         t = np.deg2rad(np.linspace(0.0, 70.0, 20))[:, None]
         arc = place + 0.7 * size * (np.cos(t) * turn[:, 0] + np.sin(t) * turn[:, 1])
         pen.line(arc, INSTRUMENT, 1.0, order=4.4)
