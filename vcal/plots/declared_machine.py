@@ -31,8 +31,8 @@ _SMALL = 1.5
 _LEFT, _TOP, _BOTTOM = 0.74, 0.3, 0.5
 _ARROW, _TURN = 0.15, 0.055
 """Length of the arrow of a linear axis and radius of that of a rotary axis, shares of the size."""
-_FAR = 1.5
-"""Distance from the middle, in sizes, from which a mark is only pointed at."""
+_FAR = 2.2
+"""Distance from the middle, in sizes, from which a mark is drawn in its direction only."""
 _MOST = 300
 """Largest number of points of a data set that are drawn."""
 SHOWN = 0.004
@@ -103,10 +103,13 @@ class _Scene(NamedTuple):
                 more.append(axis.place + 1.3 * _TURN * size * np.vstack([np.eye(3), -np.eye(3)]))
         for one in machine.seen:
             for mark in _of_instrument(one):
-                if scene.near(mark):
-                    more.append(mark.places)
-                    if mark.frame is not None:
-                        more.append(mark.places + _ARROW * size * np.asarray(mark.frame).T)
+                places = mark.places
+                if not scene.near(mark):
+                    places = scene.toward(places)[0][None]
+                    more.append(places + 0.2 * (places - middle))
+                more.append(places)
+                if mark.frame is not None:
+                    more.append(places + _ARROW * size * np.asarray(mark.frame).T)
             if one.measured is not None:
                 away = np.linalg.norm(one.measured - middle, axis=1)
                 more.append(one.measured[away < _FAR * size])
@@ -115,6 +118,14 @@ class _Scene(NamedTuple):
     def near(self, mark: Mark) -> bool:
         """Whether all places of a mark are near enough to be drawn to scale."""
         return bool((np.linalg.norm(mark.places - self.middle, axis=1) < _FAR * self.size).all())
+
+    def toward(self, places: np.ndarray) -> tuple[np.ndarray, float]:
+        """A place in the direction of far ones, as far from the middle as the machine is large, and
+        their distance from the middle, m.
+        """
+        way = np.asarray(places, float).mean(0) - self.middle
+        away = float(np.linalg.norm(way))
+        return self.middle + self.size * way / away, away
 
     def on(self, view: View) -> Float[np.ndarray, "2 2"]:
         """Least and largest coordinates of the places on the page, mm."""
@@ -302,11 +313,13 @@ def _mark(pen: Pen, scene: _Scene, mark: Mark, one: Seen, said: set[str]) -> Non
     if fitted:
         name += " by the readings"
     if not scene.near(mark._replace(places=places)):
-        away = float(np.linalg.norm(places - scene.middle, axis=1).max())
-        if name not in said:
-            pen.edge(places.mean(0), INSTRUMENT, f"{name}, {away:.1f} m away")
-        said.add(name)
-        return
+        spot, away = scene.toward(places)
+        name += f", {away:.1f} m away"
+        outwards = (spot - scene.middle) / scene.size
+        if np.linalg.norm(pen.view.at(outwards)) > 0.25e3:
+            pen.arrow(spot, spot + 0.2 * scene.size * outwards, INSTRUMENT, 0.8, 4.0)
+        places = spot[None]
+        mark = mark._replace(places=places)
     if mark.joined and len(places) > 1:
         pen.line(places, INSTRUMENT, 1.1, order=2.2)
     if mark.frame is not None:

@@ -137,19 +137,6 @@ class Pen:
         self.taken_by(circle, 6)
         self.labels.append((self.view.at(circle[-1]), text, color, np.zeros(2)))
 
-    def edge(self, place, color: str, text: str) -> None:
-        """An arrow at the edge of the picture towards a place outside."""
-        (x0, x1), (y0, y1) = self.ax.get_xlim(), self.ax.get_ylim()
-        middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
-        half = 0.94 * np.array([0.5 * (x1 - x0), 0.5 * (y1 - y0)])
-        way = self.view.at(place) - middle
-        tip = middle + way / max(np.max(np.abs(way) / half), 1.0)
-        unit = way / max(float(np.linalg.norm(way)), 1e-12)
-        tail = tip - unit * 0.35 * self.scale
-        self._head(tail, tip, color, 1.8, 6.0)
-        self.labels.append((tail, text, color, -unit))
-        self.taken += [*(np.linspace(tail, tip, 4) / self.scale)]
-
     def write(self) -> None:
         """Write the labels, each where it covers least."""
         (x0, x1), (y0, y1) = self.ax.get_xlim(), self.ax.get_ylim()

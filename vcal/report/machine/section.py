@@ -163,7 +163,10 @@ def _legend(machine: DeclaredMachine) -> str:
             f"{100 * SHOWN:g} % of the size of the machine from the nominal ones."
         )
     if any(one.marks or one.station for one in machine.seen):
-        words.append("Green: the instrument.")
+        words.append(
+            "Green: the instrument; one that is more than twice the size of the machine away is drawn in "
+            "its direction, with its distance."
+        )
     return " ".join(words)
 
 
