@@ -190,6 +190,30 @@ def test_station_on_the_other_side(tmp_path):
     assert "The declared machine, XZ, seen from −Y. Chain: workpiece → X → bed → Y → Z" in alt
 
 
+def test_two_data_sets_have_their_own_stations(tmp_path):
+    """Each with its own tool, by their names."""
+    tracker(tmp_path, (-900, 300, 500))
+    text = (tmp_path / "setup.toml").read_text()
+    machine, _, rest = text.partition("[instrument]")
+    instrument, _, model = rest.partition("[model.geometric]")
+    more = instrument.replace("-900", "-1300")
+    lines = (tmp_path / "data.csv").read_text().splitlines()
+    for name, part in (("hall", lines[1:31]), ("yard", lines[31:])):
+        (tmp_path / f"{name}.csv").write_text("\n".join([lines[0], *part]) + "\n")
+    (tmp_path / "setup.toml").write_text(
+        f"{machine}[[data]]\nname = 'hall'\nfile = 'hall.csv'\n[data.instrument]{instrument}"
+        f"[[data]]\nname = 'yard'\nfile = 'yard.csv'\ntool_offset_mm = [0, 0, -300]\n"
+        f"[data.instrument]{more}[model.geometric]{model}"
+    )
+    machine = of_study(load_study(tmp_path))
+    hall, yard = machine.seen
+    assert hall.station is None and hall.name == "hall"
+    # The tool of the other data set is 100 mm longer, and so is its station lower.
+    np.testing.assert_allclose(yard.station.places, [[-0.9, 0.3, 0.4]], atol=1e-9)
+    words = [t.get_text() for t in machine_views(machine)["xz"].axes[0].texts]
+    assert {"hall: station", "yard: station", "yard: station by the readings"} <= {*words}
+
+
 @pytest.mark.parametrize("kind", sorted(path.name for path in STARTS.iterdir() if path.is_dir()))
 def test_every_instrument_has_its_marks(kind):
     study = load_study(STARTS / kind)

@@ -164,8 +164,8 @@ def _legend(machine: DeclaredMachine) -> str:
         )
     if any(one.marks or one.station for one in machine.seen):
         words.append(
-            "Green: the instrument; one that is more than twice the size of the machine away is drawn in "
-            "its direction, with its distance."
+            "Green: the instrument; one that is more than twice the size of the machine away is "
+            "drawn in its direction, with its distance."
         )
     return " ".join(words)
 
