@@ -626,13 +626,49 @@ def reproduce(
 
 @app.command()
 @guarded
-def check(setup: Setup, override: Override = None, trust: Trust = False) -> None:
+def check(
+    setup: Setup,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            parser=_folder,
+            metavar="PATH",
+            help="Folder for a page with the summary and pictures of the declared machine.",
+        ),
+    ] = None,
+    override: Override = None,
+    trust: Trust = False,
+) -> None:
     """Read and check a study without a fit, and print a summary of it."""
     start()
     from .. import load_study
-    from .show import show_study
+    from .show import show_rows, study_rows
 
-    show_study(load_study(setup, override or [], trust=trust))
+    if out is None:
+        study = load_study(setup, override or [], trust=trust)
+        show_rows(study, study_rows(study))
+        return
+    from ..errors import StudyError
+    from ..report.check.write import check_check_folder, write_check, write_refused
+    from ..study.outline import outline
+
+    check_check_folder(out)  # before the work, not after it
+    words = ["vcal", "check", str(setup), "--out", str(out)]
+    for text in override or []:
+        words += ["--set", text]
+    command = shlex.join([*words, *(["--trust"] if trust else [])])
+    try:
+        study = load_study(setup, override or [], trust=trust)
+    except StudyError as error:
+        # The picture of the declared machine may show why.
+        seen = outline(setup, override or [])
+        if seen is not None:
+            say(f"Page: {write_refused(seen, str(error), out, command=command)}")
+        raise
+    rows = study_rows(study)
+    show_rows(study, rows)
+    say(f"Page: {write_check(study, rows, out, command=command)}")
 
 
 @app.command()

@@ -131,6 +131,21 @@ def _rms(rms: Rms | None) -> str:
 
 def show_study(study: Study) -> None:
     """Print the contents of a study, and which effects the loop can test on it."""
+    show_rows(study, study_rows(study))
+
+
+def show_rows(study: Study, rows: Iterable[tuple[str, str]]) -> None:
+    """Print lines about a study: label and text."""
+    console = _console()
+    console.print(_text(f"{study.name}: {study.path} can be used.", style="bold"), soft_wrap=True)
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 2))
+    for label, value in rows:
+        table.add_row(_text(label), _text(value))
+    console.print(table)
+
+
+def study_rows(study: Study) -> list[tuple[str, str]]:
+    """The contents of a study, and which effects the loop can test on it: label and text."""
     plan, chain = study.plan, study.chain
     readings = len(study.instrument.readings)
     travels = ", ".join(_travel(j) for j in chain.joints if np.isfinite(j.travel).all())
@@ -181,12 +196,7 @@ def show_study(study: Study) -> None:
         shape = {name: grid[len(grid) // 2] for name, grid in effect.scan(plan).items()}
         for column in not_shown(effect, plan, shape):
             rows.append(("units", f"{effect.key}: {column.words}"))
-    console = _console()
-    console.print(_text(f"{study.name}: {study.path} can be used.", style="bold"), soft_wrap=True)
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 2))
-    for label, value in rows:
-        table.add_row(_text(label), _text(value))
-    console.print(table)
+    return rows
 
 
 def _identified(study: Study) -> list[tuple[str, str]]:

@@ -31,6 +31,7 @@ from .base import (
 from .conditions import ROTARY, linear_plan, linear_plan_table
 from .follow import check_follows
 from .frame import displaced, pose_parameters
+from .marks import Mark
 
 _FOUND_M = 1e-12
 _STEPS = 20
@@ -38,6 +39,8 @@ _LEAST_APART_MM = 0.1
 """Least distance of two balls: closer ones are one ball, or in another unit."""
 _AGAIN_MM = 2.0
 """Largest plausible distance between two readings of one ball in one pose."""
+_BAR = 0.1
+"""Ratio of breadth to length below which a picture shows the balls as a bar."""
 _LINE = 1e-5
 """Ratio of breadth to length of balls on one line: the rounding of a certificate."""
 _PROBE_M = 1e-3
@@ -176,6 +179,18 @@ class BallArray(TableInstrument):
     @property
     def ports(self) -> tuple[str, ...]:
         return group("target") + group("ball", _XYZ) + group("read", _XYZ)
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        poses, balls = np.asarray(plan.groups["pose"]), self._ball_rows(plan)
+        apart = np.linalg.svd(self.centres - self.centres.mean(0), compute_uv=False)
+        bar = len(self.centres) > 1 and bool(apart[1] < _BAR * apart[0])
+        found = []
+        for k, pose in enumerate(self.pose_numbers):
+            lone = pose in self.single  # the orientation of the artefact is not observable
+            places = self.centres[np.unique(balls[poses == pose])] if lone else self.centres
+            places = places @ self.pose_rotation[k].T + self.pose_origin[k]
+            found.append(Mark("ball", places, joined=bar, free=True))
+        return tuple(found)
 
     @property
     def readings(self) -> tuple[str, ...]:

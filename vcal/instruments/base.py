@@ -15,6 +15,7 @@ from ..numerics.arrays import Array
 from ..numerics.record import Record
 from ..numerics.rigid import Rotation, Scalar, Vector
 from ..registry import Catalogue
+from .marks import Mark
 
 
 class Column(BaseModel):
@@ -247,6 +248,30 @@ class Instrument(Record):
         ports that displace them; empty where it reads the tool point.
         """
         return {}
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        """Places that a picture of the declared machine shows: by default the frame of `frame_pose`
+        and the points of `tool_places`.
+        """
+        del chain, plan
+        found = []
+        if self.frame_pose is not None:
+            turn, origin = self.frame_pose
+            found.append(Mark("instrument", np.reshape(origin, (1, 3)), frame=np.asarray(turn)))
+        if self.tool_places:
+            places = np.array([np.asarray(place, float) for place in self.tool_places.values()])
+            found.append(Mark("point on the tool", places, "tool", free=True))
+        return tuple(found)
+
+    def seen_points(self, readings: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k 3"] | None:
+        """Measured points (n, k, 3), m, in a frame of the instrument that is at rest to the
+        workpiece: of the tool point (k = 1), or of the k `tool_places` in their order. None, the
+        default, where the readings are no points.
+
+        `readings` (n, m) are SI and not reduced. They serve the picture of the machine only.
+        """
+        del readings
+        return None
 
     @property
     def artefact(self) -> Artefact | None:

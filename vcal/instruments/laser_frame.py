@@ -35,6 +35,7 @@ from .base import (
 )
 from .conditions import linear_plan, linear_plan_table
 from .frame import Station, displaced
+from .marks import Mark
 from .psd_map import PsdMap
 
 _XYZ = "XYZ"
@@ -253,6 +254,10 @@ class LaserFrame(TableInstrument):
     @property
     def ports(self) -> tuple[str, ...]:
         return group("frame") + group("head", tuple(_XYZ)) + group("read", _READ)
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        ends = ((np.array([one.start, one.end]) + self.offset) for one in self.segments)
+        return tuple(Mark("beam", places, joined=True) for places in ends)
 
     @property
     def readings(self) -> tuple[str, ...]:

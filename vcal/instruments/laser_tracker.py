@@ -31,6 +31,7 @@ from .base import (
 from .conditions import linear_plan, linear_plan_table
 from .follow import Variant, check_follows
 from .frame import Station, displaced
+from .marks import Mark
 from .stations import Lateration, Pose, fitted_pose, laterated
 from .tracker_poses import composed, declared_pose, elsewhere, in_other_frame, read_otherwise_of
 from .tracker_settings import (
@@ -605,6 +606,31 @@ class LaserTracker(TableInstrument):
         length = jnp.sqrt(v.dot(v))
         ideal = length - dead, jnp.arctan2(v.y, v.x), jnp.arcsin(v.z / length)
         return [value + port for value, port in zip(ideal, read, strict=True)]
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        polar = self.reads != "range"
+        if not self.names:
+            named = (("station", self.station, self.orientation),)
+        else:
+            named = tuple(zip(self.names, self.places, self.orientations, strict=True))
+        return tuple(
+            Mark(
+                name,
+                np.reshape(place, (1, 3)),
+                frame=np.asarray(turn) if polar else None,
+                azimuth=polar,
+            )
+            for name, place, turn in named
+        )
+
+    def seen_points(self, readings: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k 3"] | None:
+        # Points in several frames, or ranges alone, are not points in one frame.
+        if self.names or self.reads == "range":
+            return None
+        r, azimuth, elevation = np.asarray(readings).T
+        level = r * np.cos(elevation)
+        xyz = level * np.cos(azimuth), level * np.sin(azimuth), r * np.sin(elevation)
+        return np.stack(xyz, axis=-1)[:, None]
 
     def difference(self, measured: Array, predicted: Array) -> Array:
         d = measured - predicted

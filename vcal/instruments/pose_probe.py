@@ -29,6 +29,7 @@ from .base import (
     register,
 )
 from .frame import Station, displaced
+from .marks import Mark
 from .orientation import (
     CONVENTIONS,
     Convention,
@@ -182,6 +183,14 @@ class PoseProbe(TableInstrument):
     @property
     def tool_places(self) -> Mapping[str, np.ndarray]:
         return {"point1": self.point}
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        place, frame = np.reshape(self.station, (1, 3)), np.asarray(self.orientation)
+        station = Mark("instrument", place, frame=frame, free=True)
+        return station, Mark("probe", np.reshape(self.point, (1, 3)), "tool", free=True)
+
+    def seen_points(self, readings: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k 3"]:
+        return np.asarray(readings, float)[:, None, :3]
 
     @property
     def readings(self) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from ..numerics.rigid import Rotation, Scalar, Vector
 from .base import LARGEST_NOISE, Column, Loader, Ports, TableInstrument, register
 from .conditions import linear_plan, linear_plan_table
 from .follow import check_moves
+from .marks import Mark
 from .nest import COORDINATES, PROBES, Nest, NestSettings, PlaceOfRuns, reading_columns
 
 _XYZ = "XYZ"
@@ -106,6 +107,10 @@ class RTest(TableInstrument):
     @property
     def ports(self) -> tuple[str, ...]:
         return group("sphere", tuple(_XYZ))
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        first = np.unique(np.asarray(plan.groups["run"]), return_index=True)[1]
+        return (Mark("nest", self.rows(plan)[first], free=True),)
 
     @property
     def readings(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation as Turn
 
@@ -36,6 +37,7 @@ from .base import (
 )
 from .base_drift import BaseDrift
 from .frame import Station, displaced
+from .marks import Mark
 
 _MOTIONS = ("t1", "t2", "t3", "r1", "r2", "r3")
 """Motions along and about the principal axes of the reflectors on the base."""
@@ -213,6 +215,15 @@ class Reflectors(TableInstrument):
     @property
     def tool_places(self) -> Mapping[str, np.ndarray]:
         return {f"point{k + 1}": place for k, place in enumerate(np.asarray(self.points))}
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        place, frame = np.reshape(self.station, (1, 3)), np.asarray(self.orientation)
+        station = Mark("tracker", place, frame=frame, free=self.station_u is None)
+        reflectors = np.asarray(self.points)
+        return station, Mark("reflector", reflectors, "tool", free=self.points_u is None)
+
+    def seen_points(self, readings: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k 3"]:
+        return np.asarray(readings, float).reshape(-1, self.count, 3)
 
     @property
     def readings(self) -> tuple[str, ...]:

@@ -26,6 +26,7 @@ from ..words import counted
 from .base import LARGEST_NOISE, Column, Loader, Ports, TableInstrument, register
 from .conditions import ROTARY, file_column, linear_plan, linear_plan_table
 from .follow import cause
+from .marks import Mark
 from .nest import COORDINATES, PROBES, Nest, NestSettings, PlaceOfRuns, reading_columns
 
 _XYZ = ("X", "Y", "Z")
@@ -127,6 +128,9 @@ class StaticRTest(TableInstrument):
     @property
     def ports(self) -> tuple[str, ...]:
         return group("place", _XYZ) + group("zero", _XYZ) + group("matrix", _ELEMENTS)
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        return (Mark("sphere" if self.in_spindle else "nest", self.places, free=True),)
 
     @property
     def readings(self) -> tuple[str, ...]:

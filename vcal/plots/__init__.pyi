@@ -1,10 +1,11 @@
 from .changing import changing_sizes
+from .declared_machine import axis_label, machine_views
 from .effect_signature import Signature, signature, signatures
 from .labels import pretty_unit
 from .loop_search import minus_log10_p, search
 from .motions import error_motions
 from .residuals import before_after, normal_plot, unexplained, unexplained_views
-from .style import png
+from .style import png, svg
 from .views import View, column_of, effect_view, place_of, values_of
 from .volumetric_errors import (
     Field,
@@ -19,6 +20,7 @@ __all__ = [
     "Field",
     "Signature",
     "View",
+    "axis_label",
     "before_after",
     "changing_sizes",
     "check_errors",
@@ -29,6 +31,7 @@ __all__ = [
     "error_motions",
     "error_over_time",
     "field",
+    "machine_views",
     "minus_log10_p",
     "normal_plot",
     "place_of",
@@ -37,6 +40,7 @@ __all__ = [
     "search",
     "signature",
     "signatures",
+    "svg",
     "unexplained",
     "unexplained_views",
     "values_of",

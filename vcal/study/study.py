@@ -88,6 +88,8 @@ class DataSet:
     """The whole table, including the rows with a blank reading, which the plan leaves out."""
     tool: str = ""
     """Name of the tool that it shares with other data sets; empty for one of its own."""
+    declared: TableInstrument | None = None
+    """The instrument as declared, before its starting values."""
 
     @property
     def label(self) -> str:
@@ -620,11 +622,15 @@ def _data_set(
     table, measured = run_table(table_name, settings, chain, folder, file, key)
     try:
         with _naming_rows(settings, folder, table.complete):
-            instrument, plan, readings = _instrument(settings, chain, table, measured, folder)
+            declared, instrument, plan, readings = _instrument(
+                settings, chain, table, measured, folder
+            )
     except KeyedError as error:
         own = key if error.key.startswith("instrument.") else ""
         raise StudyError(f"{file}, key {own}{error.key}: {error.what}") from error
-    return DataSet(name, table_name, settings, instrument, chain, plan, readings, table)
+    return DataSet(
+        name, table_name, settings, instrument, chain, plan, readings, table, declared=declared
+    )
 
 
 @contextlib.contextmanager
@@ -641,9 +647,9 @@ def _naming_rows(settings: InstrumentSettings, folder: Folder, table: Table) -> 
 
 def _instrument(
     settings: InstrumentSettings, chain: Chain, whole: Table, measured: bool, folder: Folder
-) -> tuple[TableInstrument, Plan, np.ndarray | None]:
-    """The instrument of a table, with starting values from its readings; the plan and the readings
-    of the rows without a blank reading.
+) -> tuple[TableInstrument, TableInstrument, Plan, np.ndarray | None]:
+    """The instrument of a table as declared, and with starting values from its readings; the plan
+    and the readings of the rows without a blank reading.
     """
     kind, table = instrument_class(settings, folder), whole.complete
     if measured:
@@ -665,7 +671,7 @@ def _instrument(
         plan = _planned(settings, instrument, chain, table)
     if table is not whole:
         plan = replace(plan, numbers=np.array(table.numbers))
-    readings = None
+    declared, readings = instrument, None
     if measured:
         with calling(settings, kind, "measured", "readings in SI from the columns of the table"):
             readings = instrument.measured(table)
@@ -679,7 +685,7 @@ def _instrument(
         check_instrument(settings, instrument, chain, table, alone, readings)
     if readings is not None:
         check_scatter(table, readings_of(settings, kind, chain.axes), instrument, plan, readings)
-    return instrument, plan, readings
+    return declared, instrument, plan, readings
 
 
 def _planned(

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...design.optimiser import Designed, Seen, Task, Value, valuation
+from ...geometry.declared_machine import DeclaredMachine
 from ...study.study import Study
 from ...words import counted
 from ..html import text
 from ..html.picture import Picture, Shown, by_section
 from ..html.provenance import EXPANDED, NAMES, provenance_section
 from ..html.sheet import Badge, Section, Table, Tile, sheet
+from ..machine.section import machine_sections
 from .pictures import uncertain
 from .record import notes, sentence
 
@@ -44,10 +46,14 @@ def page(
     drawn: Sequence[Picture],
     *,
     seed: int,
+    machine: DeclaredMachine | None = None,
     command: str = "",
     seconds: float = math.nan,
 ) -> str:
-    """The page as one self-contained HTML text, pictures included."""
+    """The page as one self-contained HTML text, pictures included.
+
+    The pictures of the declared `machine` are among `drawn`.
+    """
     shown = by_section(drawn)
     better = done.best is not done.nominal
     return sheet(
@@ -60,6 +66,7 @@ def page(
             _errors(done, shown),
             _worth(done, shown),
             _starts(done),
+            *machine_sections(machine, shown),
             Section("Frames, signs, units", points=CONVENTIONS),
             provenance_section(study, {"seed": f"{seed}"}, FILES, command, seconds),
         ],

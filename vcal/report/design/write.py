@@ -9,6 +9,7 @@ from ...design.optimiser import Designed, Seen
 from ...study.design.written_plan import ARTEFACT, PLAN, SETUP, write_designed
 from ...study.study import Study
 from ..html.folder import Contents, ReportFolder
+from ..machine.section import machine_pictures, of_study
 from .page import page
 from .pictures import pictures
 from .record import record
@@ -46,9 +47,10 @@ def write_design(
 
     def make(work: Path) -> Contents:
         files = write_designed(study, overrides, done.task.space, done.best, work)
-        drawn = list(pictures(done))
+        machine = of_study(study)
+        drawn = [*pictures(done), *machine_pictures(machine)]
         run = {"seed": seed, "command": command, "seconds": seconds}
-        shown = page(done, seen, study, drawn, **run)
+        shown = page(done, seen, study, drawn, machine=machine, **run)
         return Contents(record(done, seen, study, **run), {"index.html": shown}, drawn, files)
 
     return FOLDER.publish(out, make)

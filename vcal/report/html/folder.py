@@ -19,7 +19,7 @@ from .picture import Picture
 _KEPT = ".earlier"
 _SUMS = "sha256"
 """Key of a record for the SHA-256 sums of all files."""
-_NOT_EDITED = (".html", ".png")
+_NOT_EDITED = (".html", ".png", ".svg")
 """Files that nobody edits: replaced even where a record of an older vcal has no sums."""
 
 

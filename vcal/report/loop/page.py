@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from ...geometry.acceptance import GeometricTest
+from ...geometry.declared_machine import DeclaredMachine
 from ...geometry.error_motions import ErrorMotionTable
 from ...geometry.positioning_lines import PositioningTest
 from ...loop.outcome.closure import Closure
@@ -12,6 +13,7 @@ from ..html import text
 from ..html.picture import Picture, by_section
 from ..html.provenance import plain, provenance_section
 from ..html.sheet import Badge, Section, Tile, sheet
+from ..machine.section import machine_sections
 from .findings import data_sets, declared_effects, errors, identified, unexplained
 from .geometry import conventions, geometry, noise
 from .positioning import positioning_section
@@ -38,13 +40,15 @@ def page(
     tests: Sequence[GeometricTest] = (),
     positioned: Sequence[PositioningTest] = (),
     *,
+    machine: DeclaredMachine | None = None,
     files: Mapping[str, str] | None = None,
     command: str = "",
     seconds: float = math.nan,
 ) -> str:
     """The page as one self-contained HTML text, pictures included.
 
-    `files` describe the files beside it by their names; `seconds` is the run time of the loop.
+    `machine` is the declared machine, whose pictures are among `drawn`; `files` describe the files
+    beside it by their names; `seconds` is the run time of the loop.
     """
     shown = by_section(drawn)
     volumetric = shown.get("volumetric", ())
@@ -70,6 +74,7 @@ def page(
             *standards(closure, study),
             *positioning_section(positioned),
             noise(closure, shown),
+            *machine_sections(machine, shown),
             conventions(study),
             provenance_section(study, quoted, files or {}, command, seconds),
         ],

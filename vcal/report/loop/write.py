@@ -12,6 +12,7 @@ from ...study.messages import listed, refusal
 from ...study.study import Study
 from ..formats import FORMATS, Results
 from ..html.folder import Contents, ReportFolder
+from ..machine.section import machine_pictures, of_study
 from .own_effect import FILE, own_effect
 from .page import page
 from .pictures import pictures
@@ -77,9 +78,10 @@ def write_report(
         about[FILE] = "an effect of your own to start from"
         texts = {name: text for name, text in written.items() if text is not None}
         files = {"report.json": "all results, for programs"} | {n: about[n] for n in texts}
-        drawn = list(pictures(closure, tables))
+        machine = of_study(study)
+        drawn = [*pictures(closure, tables), *machine_pictures(machine)]
         run = {"command": command, "seconds": seconds}
-        shown = page(closure, study, tables, drawn, tests, positioned, files=files, **run)
+        shown = page(closure, study, tables, drawn, tests, positioned, machine=machine, files=files, **run)
         found = record(closure, study, tests, positioned, **run)
         return Contents(found, {"index.html": shown, **texts}, drawn)
 

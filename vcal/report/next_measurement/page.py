@@ -7,6 +7,7 @@ import numpy as np
 
 from ...design.next_measurement import NextMeasurement
 from ...design.separation import ALPHA, Lambda, Separation
+from ...geometry.declared_machine import DeclaredMachine
 from ...study.design.written_plan import plan_table
 from ...study.study import Study
 from ...words import counted
@@ -15,6 +16,7 @@ from ..html import text
 from ..html.picture import Picture, by_section
 from ..html.provenance import provenance_section
 from ..html.sheet import Badge, Section, Table, sheet
+from ..machine.section import machine_sections
 from .record import carried_over, centre, conditions_of, decrease, lambda_text, lambdas, sentence
 
 _TESTS = (
@@ -32,11 +34,15 @@ def page(
     drawn: Sequence[Picture],
     *,
     seed: int,
+    machine: DeclaredMachine | None = None,
     why: str,
     command: str = "",
     seconds: float = math.nan,
 ) -> str:
-    """The page as one self-contained HTML text, pictures included."""
+    """The page as one self-contained HTML text, pictures included.
+
+    The pictures of the declared `machine` are among `drawn`.
+    """
     shown = by_section(drawn)
     task, present, apart = done.task, done.present, done.separation
     rows = counted(study.plan.rows, "row")
@@ -52,6 +58,7 @@ def page(
             pictures=shown.get("places", ()),
         ),
         Section("Uncertainty of every error", pictures=shown["uncertainties"]),
+        *machine_sections(machine, shown),
         Section("Frames, signs, units", points=(*CONVENTIONS, _TESTS)),
         provenance_section(study, {"seed": f"{seed}"}, FILES, command, seconds),
     ]

@@ -8,6 +8,7 @@ from ...study.design.written_plan import write_plan
 from ...study.study import Study
 from ..design.write import FOLDER
 from ..html.folder import Contents
+from ..machine.section import machine_pictures, of_study
 from .page import page
 from .pictures import pictures
 from .record import record
@@ -31,9 +32,10 @@ def write_next(
 
     def make(work: Path) -> Contents:
         files = write_plan(study, done.task.space, done.best.placed, work)
-        drawn = list(pictures(done))
+        machine = of_study(study)
+        drawn = [*pictures(done), *machine_pictures(machine)]
         run = {"seed": seed, "why": why, "command": command, "seconds": seconds}
-        shown = page(done, study, drawn, **run)
+        shown = page(done, study, drawn, machine=machine, **run)
         return Contents(record(done, study, **run), {"index.html": shown}, drawn, files)
 
     return FOLDER.publish(out, make)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ...geometry.declared_machine import DeclaredMachine
 from ...study.study import Study
 from ...uncertainty.comparison import Comparison
 from ...uncertainty.virtual import STATISTICS, WHEN, VirtualCalibration
@@ -12,6 +13,7 @@ from ..html import text
 from ..html.picture import Picture, Shown, by_section
 from ..html.provenance import EXPANDED, NAMES, plain, provenance_section
 from ..html.sheet import Badge, Section, Table, Tile, sheet
+from ..machine.section import machine_sections
 from .record import VERDICTS, notes, sentence
 
 FILES = {"result.json": "all results, for programs"}
@@ -43,10 +45,14 @@ def page(
     drawn: Sequence[Picture],
     *,
     settings: Mapping[str, Any],
+    machine: DeclaredMachine | None = None,
     command: str = "",
     seconds: float = math.nan,
 ) -> str:
-    """The page as one self-contained HTML text, pictures included."""
+    """The page as one self-contained HTML text, pictures included.
+
+    The pictures of the declared `machine` are among `drawn`.
+    """
     shown = by_section(drawn)
     quoted = {"settings": ", ".join(f"{k} = {v}" for k, v in plain(settings).items())}
     sections = [
@@ -57,6 +63,7 @@ def page(
         *_lines(result),
         _unseen(result),
         _draws(result),
+        *machine_sections(machine, shown),
         Section("Frames, signs, units", points=_CONVENTIONS),
         provenance_section(study, quoted, FILES, command, seconds),
     ]

@@ -8,6 +8,7 @@ from typing import Any
 from ...study.study import Study
 from ...uncertainty.virtual import VirtualCalibration
 from ..html.folder import Contents, ReportFolder
+from ..machine.section import machine_pictures, of_study
 from .page import page
 from .pictures import pictures
 from .record import record
@@ -43,9 +44,10 @@ def write_uncertainty(
     """
 
     def make(work: Path) -> Contents:
-        drawn = list(pictures(result))
+        machine = of_study(study)
+        drawn = [*pictures(result), *machine_pictures(machine)]
         run = {"settings": settings, "command": command, "seconds": seconds}
-        shown = page(result, study, drawn, **run)
+        shown = page(result, study, drawn, machine=machine, **run)
         return Contents(record(result, study, **run), {"index.html": shown}, drawn)
 
     return _FOLDER.publish(out, make)

@@ -1,0 +1,1 @@
+"""The page of `vcal check --out`: what was read, and the declared machine."""

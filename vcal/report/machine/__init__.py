@@ -1,0 +1,1 @@
+"""The declared machine in the pages of all reports: pictures and table."""
