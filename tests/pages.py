@@ -27,6 +27,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import command_server
+
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
 RUN = ("sh", "python")
@@ -121,10 +123,10 @@ def run(page: Path, folder: Path, environment: Mapping[str, str] | None = None) 
     Raises `PageError` for a shell block that fails, and what a block of Python raises.
     """
     variables = {**os.environ, "COLUMNS": "80", "MPLBACKEND": "Agg", **(environment or {})}
-    commands = folder.with_name(f"{folder.name}-commands")
-    variables["PATH"] = os.pathsep.join([_commands(commands), variables["PATH"]])
     paths = [_parent_of_vcal(), variables.get("PYTHONPATH", "")]
     variables["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
+    commands = _commands(folder.with_name(f"{folder.name}-commands"), variables)
+    variables["PATH"] = os.pathsep.join([commands, variables["PATH"]])
     space: dict[str, Any] = {"__name__": "__main__"}
     with contextlib.chdir(folder):
         return [_run(page, block, space, variables) for block in blocks(page)]
@@ -230,12 +232,15 @@ def _near(said: str, printed: str) -> bool:
     return abs(a - b) <= max(_WITHIN * abs(a) if places or "e" in said else 0.0, 2.0 * last)
 
 
-def _commands(folder: Path) -> str:
+def _commands(folder: Path, variables: Mapping[str, str]) -> str:
     """A folder with the command `vcal` of the vcal that is tested, and the Python that tests it."""
     folder.mkdir(exist_ok=True)
-    for name, call in {"vcal": " -m vcal", "python": "", "python3": ""}.items():
+    start = f'#!/bin/sh\nexec "{sys.executable}"{{}} "$@"\n'
+    vcal = command_server.client(variables) or start.format(" -m vcal")
+    scripts = {"vcal": vcal, "python": start.format(""), "python3": start.format("")}
+    for name, script in scripts.items():
         path = folder / name
-        path.write_text(f'#!/bin/sh\nexec "{sys.executable}"{call} "$@"\n', encoding="utf-8")
+        path.write_text(script, encoding="utf-8")
         path.chmod(0o755)
     return str(folder)
 

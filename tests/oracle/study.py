@@ -255,8 +255,8 @@ def make_case(
 
     Args:
         instrument: "laser_tracker", "multilateration", "ball_array", "laser_frame",
-            "double_ball_bar", "touch_probe", "interferometer"; "r_test" or "reflectors" (the chain is then
-            unused).
+            "double_ball_bar", "touch_probe", "interferometer"; "r_test" or "reflectors" (the chain
+            is then unused).
         effects: undeclared effects, see the table in effects.py.
         noise_factor: true noise / declared noise.
         travel: upper ends (3,) or both ends (3, 2) of the travels, m.

@@ -618,7 +618,7 @@ def _data_set(
 ) -> DataSet:
     """One data set; `key` is its place in the study file."""
     kind = instrument_class(settings, folder)
-    settings = kind.recognised(settings, folder.header(table_name))
+    settings = kind.recognised(settings, folder.written(table_name))
     table, measured = run_table(table_name, settings, chain, folder, file, key)
     try:
         with _naming_rows(settings, folder, table.complete):

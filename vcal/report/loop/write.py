@@ -81,7 +81,9 @@ def write_report(
         machine = of_study(study)
         drawn = [*pictures(closure, tables), *machine_pictures(machine)]
         run = {"command": command, "seconds": seconds}
-        shown = page(closure, study, tables, drawn, tests, positioned, machine=machine, files=files, **run)
+        shown = page(
+            closure, study, tables, drawn, tests, positioned, machine=machine, files=files, **run
+        )
         found = record(closure, study, tests, positioned, **run)
         return Contents(found, {"index.html": shown, **texts}, drawn)
 
