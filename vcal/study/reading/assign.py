@@ -254,6 +254,8 @@ def _read(
         own = ""  # a column that vcal does not know
     text = own or unit
     target = _target(stem if own else name, text, asked, optional, names) if text else None
+    if target is not None and target not in asked and target.casefold() == name.casefold():
+        target = None  # a condition in other letters, whose name the effects that need it suggest
     if target is not None:
         to = unit_of_name(target)
         assert to is not None
