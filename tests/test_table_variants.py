@@ -428,6 +428,19 @@ REFUSED = {
         '[data.columns]\nt_s = { from = "t_s", format = "%d.%m.%Y %H:%M" }',
         ("row 1 (line 2), column t_s", "expected a time of the form '%d.%m.%Y %H:%M'"),
     ),
+    "seconds for days of a spreadsheet": Variant(
+        PLAIN,
+        'columns.t_s = { from = "t_s", format = "excel" }',
+        ("row 1 (line 2), column t_s", "found '0'", "days since 1899-12-30"),
+    ),
+    "a misspelled key of the mapping": Variant(
+        PLAIN,
+        'columns.x_mm = { from = "x_mm", unti = "mm" }',
+        ("setup.toml, key data.columns.x_mm.unti", "did you mean 'unit'?"),
+    ),
+    "a mapping without a column": Variant(
+        PLAIN, 'columns.x_mm = { unit = "mm" }', ("key data.columns.x_mm.from", "found nothing")
+    ),
     "some times with an offset": Variant(
         text(renamed({}, t_s=[one + ("Z" if i == 7 else "") for i, one in enumerate(stamps())])),
         "",

@@ -110,8 +110,6 @@ def _nested(annotation: Any) -> tuple[type[BaseModel], str] | None:
         return annotation, "one"
     origin, args = get_origin(annotation), get_args(annotation)
     kind = {tuple: "rows", dict: "named"}.get(origin)  # type: ignore[call-overload]
-    if origin is dict:  # a value may be short, such as the name of a column
-        args = [part for one in args for part in (get_args(one) or (one,))]
     for one in args:
         if isinstance(one, type) and issubclass(one, BaseModel):
             return one, kind or "one"

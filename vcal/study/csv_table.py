@@ -87,7 +87,7 @@ class Table(dict[str, np.ndarray]):
         if not self.blank.any():
             return self
         rows = np.flatnonzero(~self.blank)
-        lines, numbers = ([of[row] for row in rows] for of in (self.lines, self.numbers))
+        lines, numbers = ([of[row] for row in rows.tolist()] for of in (self.lines, self.numbers))
         found = Table(self.name, lines, numbers, tuple(self.read))
         found.kind, found.assigned = self.kind, self.assigned
         found.update({name: values[rows] for name, values in self.items()})
@@ -96,7 +96,7 @@ class Table(dict[str, np.ndarray]):
     @property
     def blank_rows(self) -> tuple[int, ...]:
         """Numbers of the rows with a blank reading."""
-        return tuple(self.numbers[row] for row in np.flatnonzero(self.blank))
+        return tuple(self.numbers[row] for row in np.flatnonzero(self.blank).tolist())
 
     def where(self, row: int) -> str:
         """Number and line in the file of a row, which counts from 0."""

@@ -120,7 +120,7 @@ def assign(
     `asked` are names of expected columns. Raises `StudyError` for a mapping that does not fit the
     file, for units that contradict each other, and for two columns of one quantity.
     """
-    found = [_mapped(grid, name, one, place) for name, one in grid.form.mapping.items()]
+    found = [_mapped(grid, name, one, place) for name, one in grid.form.columns.items()]
     used = {i for one in found for i in one.places}
     taken = {one.column for one in found}
     free = [i for i in range(len(grid.names)) if i not in used]
@@ -254,6 +254,8 @@ def _read(
         own = ""  # a column that vcal does not know
     text = own or unit
     target = _target(stem if own else name, text, asked, optional, names) if text else None
+    if target is not None and target not in asked and target.casefold() == name.casefold():
+        target = None  # a condition in other letters, whose name the effects that need it suggest
     if target is not None:
         to = unit_of_name(target)
         assert to is not None
@@ -406,7 +408,7 @@ def expected_cell(one: Assigned) -> str:
     if one.format == times.ISO:
         return "a time of ISO 8601, such as 2025-01-31T08:00:00, all with or all without an offset"
     if one.format == times.EXCEL:
-        return "days since 1899-12-30"
+        return "days since 1899-12-30, such as 45000 in the year 2023"
     if one.format:
         return f"a time of the form {one.format!r}"
     if one.unit is DMS:

@@ -77,10 +77,21 @@ class TableFormat(BaseModel):
     encoding: _Text = "auto"
     """Encoding of the text: ``"auto"`` (UTF-8, UTF-16, Windows-1252 or Latin-1), or a name that
     Python knows, such as ``"cp932"``."""
-    columns: dict[str, _Text | ColumnSettings] = {}
+    columns: dict[str, ColumnSettings] = {}
     """Quantities by the names that vcal gives them; the value is the name of a column in the file,
     or a table with `from`, `unit`, `sign`, `offset` and `format`. Columns that are not named keep
     their meaning."""
+
+    @field_validator("columns", mode="before")
+    @classmethod
+    def _in_long_form(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        found = {k: {"from": one} if isinstance(one, str) else one for k, one in value.items()}
+        for key, one in found.items():
+            if isinstance(one, dict) and isinstance(one.get("from"), list):
+                found[key] = {**one, "from": tuple(one["from"])}  # as strict validation asks for
+        return found
 
     @field_validator("delimiter")
     @classmethod
@@ -127,14 +138,6 @@ class TableFormat(BaseModel):
                 "remove one of them"
             )
         return self
-
-    @property
-    def mapping(self) -> dict[str, ColumnSettings]:
-        """The entries of `columns`, all in the long form."""
-        return {
-            name: ColumnSettings.model_validate({"from": one}) if isinstance(one, str) else one
-            for name, one in self.columns.items()
-        }
 
 
 DEFAULT = TableFormat()

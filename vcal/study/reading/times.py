@@ -11,6 +11,8 @@ ISO, EXCEL = "iso8601", "excel"
 _EPOCH = datetime.datetime(1970, 1, 1)
 _EXCEL_DAYS = 25569
 """Days from 1899-12-30, from which spreadsheets count, to 1970-01-01."""
+_EARLIEST, _LATEST = 10_000.0, 80_000.0
+"""Days of 1927 and of 2119: other numbers are no dates of measurements."""
 _DATE = re.compile(r"\s*\d{4}-?\d\d-?\d\d([T\s]+\d\d:?\d\d.*)?\s*")
 _TIME = re.compile(r"\s*\d{1,2}:\d\d(:\d\d([.,]\d+)?)?\s*")
 _LOCAL = re.compile(r"\s*\d{1,4}[./-]\d{1,2}[./-]\d{1,4}([,T\s]+\d{1,2}:\d\d.*)?\s*")
@@ -81,8 +83,10 @@ def pattern_ns(text: str, pattern: str) -> int | None:
 
 
 def excel_ns(days: float) -> int | None:
-    """The same for days since 1899-12-30, to the microsecond."""
-    if not 0.0 <= days < 3e6:
+    """The same for days since 1899-12-30, to the microsecond; None for a day that is not of this
+    century or the last.
+    """
+    if not _EARLIEST <= days <= _LATEST:
         return None
     return round((days - _EXCEL_DAYS) * 86400e6) * 1000
 
