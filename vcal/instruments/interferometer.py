@@ -313,7 +313,7 @@ class Interferometer(TableInstrument):
             **dict(zip(STRAIGHT, d.parts, strict=True)),
             **dict(zip(ANGLES, angle.parts, strict=True)),
         }
-        read = dict(zip(READ, ports["read"], strict=True))
+        read: dict[str, Scalar] = dict(zip(READ, ports["read"], strict=True))
         # Readings that a line does not have are zero.
         return [(ideal[name] + read[name]) * here[i] for i, name in enumerate(self.names)]
 
