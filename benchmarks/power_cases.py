@@ -31,14 +31,17 @@ from oracle.kinematics import SQUARENESS
 from oracle.study import FRAME_SIZES, SIZES, Case
 
 INSTRUMENTS = (
-    "laser_tracker", "ball_array", "r_test", "laser_frame", "reflectors", "double_ball_bar",
-    "touch_probe", "interferometer",
+    "laser_tracker", "multilateration", "ball_array", "r_test", "laser_frame", "reflectors",
+    "double_ball_bar", "touch_probe", "interferometer",
 )  # fmt: skip
+"""Of these, multilateration is a laser tracker that reads ranges alone."""
 ON_MACHINE = ("laser_tracker", "ball_array", "laser_frame")
+LATERATED = ("multilateration",)
 CHAINS = ("w X b Y Z t", "w Y b X Z t", "w b X Y Z t")
 ARM_POSES = 150
-DURATION_S = {"laser_tracker": 5000.0, "ball_array": 10000.0, "laser_frame": 4800.0,
-              "reflectors": 12.0 * ARM_POSES, "interferometer": 6500.0}  # fmt: skip
+DURATION_S = {"laser_tracker": 5000.0, "multilateration": 4800.0, "ball_array": 10000.0,
+              "laser_frame": 4800.0, "reflectors": 12.0 * ARM_POSES,
+              "interferometer": 6500.0}  # fmt: skip
 JOINTS = 6
 STRAYS = 0.02
 """Share of outliers among the readings of a set with outliers."""
@@ -521,17 +524,17 @@ _PERIOD: dict[str, Callable[[Rng], Any]] = {
 }
 
 KINDS: tuple[Kind, ...] = (
-    Kind("backlash", "um", 10, _on_axis("backlash", "size_um", "="), ON_LINES),
+    Kind("backlash", "um", 10, _on_axis("backlash", "size_um", "="), ON_LINES + LATERATED),
     Kind("lateral_reversal", "um", 10, _on_axis("lateral_reversal", "size_um", "x", "size"),
-         ON_LINES),
+         ON_LINES + LATERATED),
     Kind("angular_reversal", "urad", 20, _on_axis("angular_reversal", "size_urad", "ABC", "size"),
-         ON_LINES),
-    Kind("scale_growth", "um/(m K)", 10, _on_axis("scale_growth", "um_per_m_K", "="), ON_LINES,
-         cycles=True),
+         ON_LINES + LATERATED),
+    Kind("scale_growth", "um/(m K)", 10, _on_axis("scale_growth", "um_per_m_K", "="),
+         ON_LINES + LATERATED, cycles=True),
     Kind("thermal_offset", "um/K", 10, _on_axis("thermal_offset", "um_per_K", "XYZ", "k"),
-         ON_LINES, cycles=True),
+         ON_LINES + LATERATED, cycles=True),
     Kind("thermal_tilt", "urad/K", 30, _on_axis("thermal_tilt", "urad_per_K", "ABC", "k"),
-         ON_LINES, cycles=True),
+         ON_LINES + LATERATED, cycles=True),
     Kind("squareness_temperature", "urad/K", 20,
          _on_axis("squareness_temperature", "urad_per_K", "x", "k"), BOTH,
          cycles=True),
@@ -543,15 +546,15 @@ KINDS: tuple[Kind, ...] = (
          cycles=True),
     Kind("drift of an angle", "urad/h", 30, _on_axis("drift", "urad_per_h", "ABC", "rate"),
          ON_LINES, cycles=True),
-    Kind("jump of the tool", "um", 10, _jump, ON_MACHINE),
+    Kind("jump of the tool", "um", 10, _jump, ON_MACHINE + LATERATED),
     Kind("jump of the frame", "um and urad", 10, _frame_jump, STATIONS),
     Kind("station_drift", "um/h and urad/h", 20, _station_drift, STATIONS),
-    Kind("screw_cyclic", "um", 8, _screw, BOTH + LASERS),
+    Kind("screw_cyclic", "um", 8, _screw, BOTH + LASERS + LATERATED),
     Kind("cross_axis", "um", 10, _crossed, ON_MACHINE),
     Kind("geometric_order", "um", 10, _order, BOTH),
     Kind("payload_sag", "um/kg", 1, _sag, BOTH, recording=("payload_kg",)),
     Kind("spindle_growth", "um", 20, _spindle, BOTH, recording=("speed_rpm",)),
-    Kind("range_scale", "um/m", 10, _scaled("range_scale", "ppm"), TRACKER),
+    Kind("range_scale", "um/m", 10, _scaled("range_scale", "ppm"), TRACKER + LATERATED),
     Kind("encoder_eccentricity", "urad", 20,
          _scaled("encoder_eccentricity", "amplitude_urad", "encoder_eccentricity azimuth",
                  phase=_phase), TRACKER),
@@ -761,7 +764,7 @@ def world_of(instrument: str, seed: int) -> World:
     interferometer every travel is 0.8 to 1.25 times the usual one of the chain.
     """
     chain = CHAINS[seed % 3]
-    if instrument in BOTH + LASERS:
+    if instrument in BOTH + LASERS + LATERATED:
         rng = np.random.default_rng([seed, 1])
         usual = np.array(SIZES[chain][0])
         return World(instrument, seed, chain, tuple(usual * rng.uniform(0.8, 1.25, 3)))

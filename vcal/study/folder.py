@@ -117,7 +117,7 @@ class Folder:
     def written(self, name: str) -> tuple[str, ...]:
         """Names of the columns of a table as the file and the mapping of the study give them."""
         grid = self._grid(name)
-        return (*grid.form.mapping, *grid.names)
+        return (*grid.form.columns, *grid.names)
 
     def header(
         self,

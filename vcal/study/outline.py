@@ -69,7 +69,7 @@ def _tables(
 ) -> Iterator[tuple[str, str, InstrumentSettings, Chain]]:
     """Name, table, instrument and machine of every data set."""
     if isinstance(settings, StudySettings):
-        yield "", settings.data.data, settings.instrument, chain
+        yield "", settings.data.table, settings.instrument, chain
         return
     for row in settings.data:
         own = chain
