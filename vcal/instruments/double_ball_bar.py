@@ -35,6 +35,7 @@ from .base import (
 )
 from .conditions import file_column, linear_plan, linear_plan_table
 from .follow import cause
+from .marks import Mark
 
 _XYZ = ("X", "Y", "Z")
 _READING = "deviation_um"
@@ -200,6 +201,9 @@ class DoubleBallBar(TableInstrument):
     @property
     def ports(self) -> tuple[str, ...]:
         return group("centre", _XYZ) + group("read", ("length",))
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        return (Mark("ball", np.asarray(self.centres), free=True),)
 
     @property
     def readings(self) -> tuple[str, ...]:

@@ -50,6 +50,7 @@ from .line_setup import (
     OpticalSquare,
 )
 from .line_table import approach_directions, check_deviations, moving_axes
+from .marks import Mark
 
 _FOLDS = 5
 """Number of parts of a line that are held out in turn."""
@@ -180,6 +181,16 @@ class Interferometer(TableInstrument):
     @property
     def ports(self) -> tuple[str, ...]:
         return group("read", READ)
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        """The lines of the beam, between their outermost positions."""
+        point, line = chain.tool_point(np.asarray(plan.position)), np.asarray(plan.groups["line"])
+        found = []
+        for own in np.unique(line):
+            mine = point[line == own]
+            ends = mine[[np.argmin(far := np.ptp(mine, axis=0) @ mine.T), np.argmax(far)]]
+            found.append(Mark("beam", ends, joined=True, free=True))
+        return tuple(found)
 
     @property
     def readings(self) -> tuple[str, ...]:

@@ -159,6 +159,9 @@ class LaserTracker(TableInstrument):
     coordinates are in the tracker's own frame."""
     other_turns: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3, 3)))
     """Rotation Q of every station in that frame (stations, 3, 3)."""
+    declared: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 4, 3)))
+    """Rotation and, in the last row, place (m) of every station as declared (stations, 4, 3); NaN
+    where none is. It serves the picture of the machine only."""
     found: bool = eqx.field(static=True, default=False)
     """Whether a pose follows from readings."""
     said: tuple[str, ...] = eqx.field(static=True, default=())
@@ -272,6 +275,7 @@ class LaserTracker(TableInstrument):
         key = "instrument.stations.{}" if self.names else "instrument"
         keys = [key.format(name) for name in self.names or ("",)]
         declared = [declared_pose(row) for row in rows]
+        self = dataclasses.replace(self, declared=_stacked(declared))
         at = self._station_of(table)
         if not self._has_readings(table):
             for row, own in zip(rows, keys, strict=True):
@@ -608,20 +612,21 @@ class LaserTracker(TableInstrument):
         return [value + port for value, port in zip(ideal, read, strict=True)]
 
     def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
-        polar = self.reads != "range"
-        if not self.names:
-            named = (("station", self.station, self.orientation),)
-        else:
-            named = tuple(zip(self.names, self.places, self.orientations, strict=True))
-        return tuple(
-            Mark(
-                name,
-                np.reshape(place, (1, 3)),
-                frame=np.asarray(turn) if polar else None,
-                azimuth=polar,
+        """The stations as declared, and where the readings place those that are not."""
+        names = self.names or ("station",)
+        places = self.places if self.names else np.reshape(self.station, (1, 3))
+        turns = self.orientations if self.names else np.asarray(self.orientation)[None]
+        found = []
+        for i, name in enumerate(names):
+            turn, place, free = turns[i], places[i], True
+            if i < len(self.declared) and np.isfinite(self.declared[i]).all():
+                turn, place, free = self.declared[i, :3], self.declared[i, 3], False
+            polar = self.reads != "range"
+            frame = np.asarray(turn) if polar else None
+            found.append(
+                Mark(name, np.reshape(place, (1, 3)), frame=frame, azimuth=polar, free=free)
             )
-            for name, place, turn in named
-        )
+        return tuple(found)
 
     def seen_points(self, readings: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k 3"] | None:
         # Points in several frames, or ranges alone, are not points in one frame.
@@ -702,3 +707,9 @@ def _polar(v: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Range, azimuth and elevation of coordinates in the tracker's frame."""
     r = np.linalg.norm(v, axis=1)
     return np.column_stack([r, np.arctan2(v[:, 1], v[:, 0]), np.arcsin(v[:, 2] / r)])
+
+
+def _stacked(poses: Sequence[Pose | None]) -> Float[np.ndarray, "k 4 3"]:
+    """Poses as arrays, NaN for none."""
+    none = Pose(np.full((3, 3), np.nan), np.full(3, np.nan))
+    return np.array([np.vstack(pose or none) for pose in poses])

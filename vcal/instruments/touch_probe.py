@@ -41,6 +41,7 @@ from .base import (
 from .conditions import ROTARY, file_column, linear_plan, linear_plan_table
 from .follow import cause
 from .frame import displaced
+from .marks import Mark
 
 Artefact = Literal["sphere", "ring", "step_gauge"]
 
@@ -238,6 +239,13 @@ class TouchProbe(TableInstrument):
     @property
     def ports(self) -> tuple[str, ...]:
         return group("artefact") + group("size", ("stylus", "radius", "position"))
+
+    def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
+        if len(self.positions) == 0:
+            return (Mark("artefact", np.asarray(self.places), free=True),)
+        along = np.asarray(self.positions) - np.asarray(self.middles)[:, None]
+        gauges = self.places[:, None] + along[..., None] * self.directions[:, None]
+        return tuple(Mark("face", places, joined=True, free=True) for places in gauges)
 
     @property
     def readings(self) -> tuple[str, ...]:
