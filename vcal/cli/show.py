@@ -200,7 +200,11 @@ def study_rows(study: Study) -> list[tuple[str, str]]:
 
 
 def _identified(study: Study) -> list[tuple[str, str]]:
-    """Rank of the errors of the machine, and its null directions."""
+    """Rank of the errors of the machine, and its null directions; an instrument of lines has rows
+    of its own (`_determined`).
+    """
+    if any(one.instrument.shows_unseen for one in study.sets):
+        return []
     found = observed_errors(study.chain, study.instrument, study.plan)
     return [] if found is None else [("identified", found.words)]
 
