@@ -308,7 +308,9 @@ def test_the_loop_names_what_is_missing_from_ranges_alone(tmp_path, effect, key)
     write_study(tmp_path, case)
     study = vcal.load_study(tmp_path)
     found = vcal.close_loop(study.model, study.measurement, check=study.check, draws=100)
-    assert [one.effect.key for one in found.found] == [key]
+    (one,) = found.found
+    # A displaced tool is a displaced station: what follows at other stations has their own places.
+    assert key in (one.effect.key, *one.equivalent)
 
 
 def test_design_places_points_and_keeps_stations_and_tools(ranges):
