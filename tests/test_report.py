@@ -788,6 +788,30 @@ def test_noise_far_beyond_what_was_declared_is_part_of_the_verdict(
         assert not dataclasses.replace(found, noise_components=tuple(unsure)).louder
 
 
+@pytest.mark.parametrize(
+    ("scale", "uneven", "verdict", "said"),
+    [
+        (10.0, False, "nothing_missing", "The declared noise is 10 times too small: "),
+        (0.1, False, "nothing_missing", "The declared noise is 10 times too large: "),
+        (10.0, False, "named", "The declared noise is 10 times too small: "),
+        (10.0, True, "nothing_missing", ""),
+        (2.5, False, "nothing_missing", ""),
+    ],
+)
+def test_a_noise_declared_wrong_by_one_factor_comes_first(closed, scale, uneven, verdict, said):
+    """In the first sentence, with the factor; not where the kinds of reading differ."""
+    parts = tuple(Component(name, scale, 0.1) for name in "XZ")
+    found = dataclasses.replace(
+        closed[2], verdict=verdict, unexplained=None, noise_scale=scale, noise_uneven=uneven,
+        noise_components=parts, noise_scales={},
+    )  # fmt: skip
+    assert found.wrong_noise == (scale if said else None)
+    assert found.sentence.startswith(said)
+    assert ("The declared noise is" in found.sentence) == bool(said)
+    if said and verdict == "named":
+        assert "The declared model lacked" in found.sentence
+
+
 def test_many_declared_values_are_told_in_short(closed, monkeypatch, capsys):
     """In one line where commands print, and folded on the page."""
     _, study, closure = closed

@@ -337,7 +337,8 @@ def test_every_sign_that_fits_is_named():
         assert np.median(off(chain.tool_point(wrong))) > 1e-3
         assert cause(chain, chain.axes, wrong, off, 1e-6) == (
             "they do with the other sign in c_deg, or with the other sign in x_mm, or with the "
-            "other sign in y_mm: compare these, the likeliest first, with the machine"
+            "other sign in y_mm, or with x_mm and y_mm exchanged: compare these, the likeliest "
+            "first, with the machine"
         )
 
 

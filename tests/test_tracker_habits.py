@@ -293,6 +293,26 @@ def test_simulated_ranges_are_read_back(ranges, tmp_path):
     assert fit.chi2 / fit.dof == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "key"),
+    [
+        ({"effect": "jump", "axis": "X", "component": "X", "t0_s": 2000.0, "size_um": 8.0},
+         "jump tool"),
+        ({"effect": "backlash", "axis": "Y", "size_um": 5.0}, "backlash Y"),
+    ],
+)  # fmt: skip
+def test_the_loop_names_what_is_missing_from_ranges_alone(tmp_path, effect, key):
+    """With check points, which belong to no station."""
+    case = make_case("multilateration", seed=7, effects=[effect], n_check=60)
+    write_study(tmp_path, case)
+    study = vcal.load_study(tmp_path)
+    found = vcal.close_loop(study.model, study.measurement, check=study.check, draws=100)
+    (one,) = found.found
+    # A displaced tool is a displaced station: what follows at other stations has their own places.
+    assert key in (one.effect.key, *one.equivalent)
+
+
 def test_design_places_points_and_keeps_stations_and_tools(ranges):
     _, _, study = ranges
     kind = SPACES["laser_tracker"]

@@ -14,10 +14,13 @@ STATION = "station"
 
 def at_station(plan: Plan, number: int) -> Float[np.ndarray, " n"]:
     """One in the rows (n,) of a station by its index in the group ``"station"``, zero in others;
-    one in all rows for a negative index.
+    one in all rows for a negative index. It is zero in a plan without stations, such as that of
+    check points.
     """
     if number < 0:
         return np.ones(plan.rows)
+    if STATION not in plan.groups:
+        return np.zeros(plan.rows)
     return (np.asarray(plan.groups[STATION]) == number).astype(float)
 
 

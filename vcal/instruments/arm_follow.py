@@ -42,23 +42,20 @@ def check_arm_follows(
     seen: Float[np.ndarray, "n k 3"],
     columns: str,
     prefix: str = "commanded_",
-    known: Float[np.ndarray, "k 3"] | None = None,
 ) -> None:
     """Raise `RowError` where coordinates (m) of reflectors do not follow the nominal arm.
 
     The message lists every single change with which they do, the likeliest first: signs of joints;
     units of a joint column or a link; exchanged joint columns; coupled joints; the other
     Denavit-Hartenberg convention; a left-handed frame. `prefix` is that of the joint positions
-    among the covariates, ``"commanded_"`` or ``"read_"``; `known` are the places of the reflectors
-    from the tool point in the frame of the flange, m, where they are known.
+    among the covariates, ``"commanded_"`` or ``"read_"``.
     """
     n, k, _ = seen.shape
     if any(not joint.turns and not np.isfinite(joint.travel).all() for joint in chain.joints):
         return  # another check asks for its bounds
-    unknowns = 6 + (0 if known is not None else 3 * k)
-    if seen.size < _SURPLUS * unknowns:
+    if seen.size < _SURPLUS * (6 + 3 * k):
         return
-    found = arm_off(chain, position, seen, known, _ROUNDS)
+    found = arm_off(chain, position, seen)
     _, nominal = chain.tool_frame(position)
     size = float(np.linalg.norm(nominal - nominal.mean(0), axis=1).max())
     allowed, now = max(_MOST_OFF * size, _LEAST_M), float(np.median(found))
@@ -68,7 +65,7 @@ def check_arm_follows(
     some = np.unique(np.linspace(0, n - 1, _LARGEST_ROWS).astype(int))
 
     def left(one: Change, coordinates: np.ndarray) -> float:
-        off = arm_off(one.chain, one.position, coordinates, known, _FEW_ROUNDS)
+        off = arm_off(one.chain, one.position, coordinates, _FEW_ROUNDS)
         return float(np.median(off)) if np.isfinite(off).all() else np.inf
 
     tried = [
@@ -102,20 +99,17 @@ def arm_off(
     chain: Chain,
     position: Float[np.ndarray, "n joints"],
     seen: Float[np.ndarray, "n k 3"],
-    known: Float[np.ndarray, "k 3"] | None = None,
     rounds: int = _ROUNDS,
 ) -> Float[np.ndarray, " n"]:
     """Distance (n,), m, of the coordinates of reflectors from the nominal arm, rms over the
     reflectors, with the pose of the instrument and the places of the reflectors fitted.
     """
     rotations, origins = chain.tool_frame(position)
-    points = np.zeros((seen.shape[1], 3)) if known is None else known
+    points = np.zeros((seen.shape[1], 3))
     turn, place = np.eye(3), np.zeros(3)
     for _ in range(rounds):
         model = origins[:, None] + np.einsum("nij,kj->nki", rotations, points)
         turn, place = best_rigid(seen.reshape(-1, 3), model.reshape(-1, 3))
-        if known is not None:
-            break
         there = seen @ turn.T + place
         new = np.einsum("nji,nkj->ki", rotations, there - origins[:, None]) / len(seen)
         if np.abs(new - points).max() < _SETTLED:

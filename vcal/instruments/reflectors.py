@@ -330,7 +330,6 @@ class Reflectors(TableInstrument):
             seen.reshape(plan.rows, self.count, 3),
             "columns smr1_x_mm, smr1_y_mm, smr1_z_mm" + (", ..." if self.count > 1 else ""),
             f"{self.joints}_",
-            None if self.points_u is None else np.asarray(self.points),
         )
         return self._placed(chain, plan, readings, self.points_u is not None)
 
