@@ -9,7 +9,7 @@ import pytest
 from conftest import write_csv
 from joint import write_joint
 from oracle import make_case, write_study
-from test_own_instruments import BAR, circles, write_bar
+from test_own_instruments import DISC, circles, write_disc
 from vcal import close_loop, identify, load_study
 from vcal.cli.show import show_study
 from vcal.errors import StudyError
@@ -225,11 +225,11 @@ REMEMBERS = """        steps = np.diff(table["z_mm"], prepend=0.0)
 def test_an_instrument_of_ones_own(remembers, tmp_path):
     """Whether it gets these rows is for it to say."""
     plain = 'return linear_plan(chain, table, readings=("deviation_um",))'
-    text = BAR.replace(f"        {plain}\n", REMEMBERS)
+    text = DISC.replace(f"        {plain}\n", REMEMBERS)
     text = text.replace("    dimension = 1", f"    remembers = {remembers}\n    dimension = 1")
     columns = circles(points=12)
     columns["deviation_um"] = np.random.default_rng(1).normal(0.0, 0.3, len(columns["run"]))
-    folder = write_bar(tmp_path / "bar", columns, text)
+    folder = write_disc(tmp_path / "disc", columns, text)
     whole = load_study(folder, trust=True)
     columns["deviation_um"][[29, 30]] = np.nan
     write_csv(folder / "data.csv", columns)

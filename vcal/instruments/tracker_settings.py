@@ -114,7 +114,7 @@ def indices(
     table: Mapping[str, np.ndarray], column: str, names: Sequence[str]
 ) -> Int[np.ndarray, " n"]:
     """Index of the name in a column in every row; zero where there are no names."""
-    rows = len(next(iter(table.values())))
+    rows = len(next(iter(table.values()), ()))
     if not names:
         return np.zeros(rows, int)
     place = {name: i for i, name in enumerate(names)}
