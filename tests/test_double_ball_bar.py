@@ -429,7 +429,7 @@ def test_report(tmp_path):
     assert "Circular tests (ISO 230-4)" in page and "G(b)" in page
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_uncertainty_before_measuring(tmp_path):
     told = run("uncertainty", STARTS / "double_ball_bar", "--out", tmp_path / "out",
                "--draws", 200).stdout  # fmt: skip

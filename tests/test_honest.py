@@ -250,7 +250,11 @@ def test_correlated_noise_gets_no_name(tracker):
 
 
 @pytest.mark.parametrize(
-    ("seed", "phi"), [(3, 0.9), pytest.param(5, 0.98, marks=pytest.mark.campaign)]
+    ("seed", "phi"),
+    [
+        pytest.param(3, 0.9, marks=pytest.mark.slow),
+        pytest.param(5, 0.98, marks=pytest.mark.campaign),
+    ],
 )
 def test_noise_that_only_persists_is_told_as_such(tracker, seed, phi):
     """Whatever changes slowly describes some of it: no jump, no temperature, no product of them."""

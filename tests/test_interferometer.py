@@ -491,7 +491,7 @@ def test_a_design_keeps_the_lines(tmp_path):
     assert (np.asarray(study.plan.groups["line"])[rows] == 0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_design_is_no_worse_than_its_start():
     study = vcal.load_study(
         STARTS / "interferometer", ["design.places=true", "design.grid=[4, 3, 3]"]

@@ -314,7 +314,7 @@ def test_lobes_are_named(tmp_path, effect):
     assert [e.effect.name for e in closure.effects] == [effect], closure.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_uncertainty_before_measuring(tmp_path):
     told = run("uncertainty", STARTS / "touch_probe", "--out", tmp_path / "out",
                "--draws", 200).stdout  # fmt: skip

@@ -263,6 +263,12 @@ class Instrument(Record):
             found.append(Mark("point on the tool", places, "tool", free=True))
         return tuple(found)
 
+    def as_declared(self) -> Self:
+        """The instrument where the study file declares it, wherever its readings place it: that of
+        a simulation. The same instrument by default.
+        """
+        return self
+
     def seen_points(self, readings: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n k 3"] | None:
         """Measured points (n, k, 3), m, in a frame of the instrument that is at rest to the
         workpiece: of the tool point (k = 1), or of the k `tool_places` in their order. None, the

@@ -611,6 +611,15 @@ class LaserTracker(TableInstrument):
         ideal = length - dead, jnp.arctan2(v.y, v.x), jnp.arcsin(v.z / length)
         return [value + port for value, port in zip(ideal, read, strict=True)]
 
+    def as_declared(self) -> Self:
+        turns = self.orientations if self.names else np.asarray(self.orientation)[None]
+        places = self.places if self.names else np.asarray(self.station)[None]
+        poses = [Pose(np.asarray(t), np.asarray(p)) for t, p in zip(turns, places, strict=True)]
+        for i, own in enumerate(self.declared):
+            if np.isfinite(own).all():
+                poses[i] = Pose(own[:3], own[3])
+        return self._at(poses, ())
+
     def marks(self, chain: Chain, plan: Plan) -> tuple[Mark, ...]:
         """The stations as declared, and where the readings place those that are not."""
         names = self.names or ("station",)

@@ -1,5 +1,6 @@
 """Several data sets of one machine, each with its own instrument, as one instrument."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate
 from typing import Any, NamedTuple, Self
@@ -49,6 +50,10 @@ class Several(Instrument):
     """
     shared: tuple[str, ...] = eqx.field(static=True, default=())
     """Name of the tool that every data set shares with others; empty for a tool of its own."""
+
+    def as_declared(self) -> Self:
+        own = tuple(member.as_declared() for member in self.instruments)
+        return dataclasses.replace(self, instruments=own)
 
     @property
     def members(self) -> Mapping[str, Instrument]:

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from ..effects.base import Effect, Setup
 from ..errors import StudyError
 from ..instruments.conditions import file_name, inside_name, linear_plan, linear_plan_table
+from ..model.forward import Model
 from ..model.simulate import Simulated, scattered, simulate
 from .csv_table import Table, write_table
 from .declared_effects import Catalogue, beside, declared_effects, unknown_effect
@@ -194,9 +195,11 @@ def write_simulated(
 def _simulated(
     study: Study, effects: Sequence[Effect], key: jax.Array, noise_factor: float
 ) -> Simulated:
+    own = study.model
+    model = Model(own.chain, own.instrument.as_declared(), (*own.effects, *own.random))
     try:
         return simulate(
-            study.model,
+            model,
             study.plan,
             key,
             effects=effects,
