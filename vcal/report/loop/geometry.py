@@ -188,16 +188,30 @@ def _different(closure: Closure) -> list[str]:
     return found
 
 
+def _rows(study: Study) -> str:
+    """The order of link, joint and error in the declared rows of an arm."""
+    return {
+        "standard DH": "Joints follow standard Denavit-Hartenberg rows: motion of the joint about "
+        "or along z, then the error twist, then the link (d along z, a along x, alpha about x)",
+        "modified DH": "Joints follow modified Denavit-Hartenberg rows (Craig): the link (a along "
+        "x, alpha about x), motion of the joint about or along z, then the error twist, then d "
+        "along z",
+    }.get(
+        study.chain.text,
+        f"Joints follow {study.chain.text}: the origin of the joint, motion about or along its "
+        "axis, then the error twist",
+    )
+
+
 def conventions(study: Study) -> Section:
     """Frames, signs and units of all numbers in the report."""
     rotary = _rotary(study)
     if study.chain.arm:
         points = [
             "Right-handed frames. Error = actual − nominal; a compensation subtracts it.",
-            "Joints follow standard Denavit-Hartenberg rows: rotation by the joint angle about z, "
-            "then the error twist (E, component X, Y, Z, A, B, C, joint), then the link. ECJ2 is "
-            "an error of the angle of joint 2. The pose of the base in the instrument's frame and "
-            "the points on the tool are unknown and fitted.",
+            f"{_rows(study)}. The error twist has the names E, component X, Y, Z, A, B, C, joint: "
+            "ECJ2 is an error of the angle of joint 2. The pose of the base in the instrument's "
+            "frame and the points on the tool are unknown and fitted, unless they are declared.",
             "Residuals of the tool point are given in the frame of the tool.",
         ]
     else:
