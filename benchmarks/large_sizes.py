@@ -67,6 +67,8 @@ def summed(lines: Sequence[dict]) -> dict:
     sizes = []
     for factor in FACTORS:
         part = [line for line in lines if line["multiple"] == factor]
+        if not part:
+            continue
         right = sum(outcome(line) in CERTAIN for line in part)
         wrong = sum(outcome(line) == "wrong" for line in part)
         sizes.append({"times": factor, "right": share(right, len(part)),

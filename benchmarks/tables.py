@@ -27,6 +27,8 @@ COMMANDS = {
     "dynamics_gpu": "dynamics.py --repeats 2",
     "power": "power.py --sets 20 --jobs 2 --minutes 60",
     "several": "several.py --sets 20 --jobs 2 --minutes 60",
+    "declared_sizes": "declared_sizes.py --sets 24",
+    "large_sizes": "large_sizes.py --sets 1",
     "five_axes": "five_axes.py --sets 30 --jobs 2 --minutes 20",
     "within_u": "within_u.py --sets 90 --jobs 2",
     "practice": "practice.py --data ../shared/data",
@@ -200,6 +202,24 @@ def several(found: dict) -> str:
     keys = ["sets", *outcomes, "contradiction"]
     rows = ([kind, *(total[key] for key in keys)] for kind, total in totals.items())
     return table(f"case,sets,{','.join(outcomes)},reported not to fit one machine", rows)
+
+
+def large_sizes(found: dict) -> str:
+    rows = (
+        [f"{row['times']:g}", *("{} of {}".format(*row[key][:2]) for key in ("right", "wrong"))]
+        for row in found["sizes"]
+    )
+    return table("times the expected size,right name,wrong for certain", rows)
+
+
+def declared_sizes(found: dict) -> str:
+    keys = ("misfit said", "false names", "anything")
+    rows = (
+        [f"{row['factor']:.2g}", *("{} of {}".format(*row[key][:2]) for key in keys)]
+        for row in found["rows"]
+        if row["case"] == "all"
+    )
+    return table("declared size / true size,said not to fit,false names,any finding", rows)
 
 
 def five_axes(found: dict) -> str:
@@ -384,7 +404,10 @@ def r_tests(*founds: dict) -> str:
 TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     "results": (results, ()),
     **{f.__name__: (f, ("power",)) for f in (power, power_instruments)},
-    **{f.__name__: (f, (f.__name__,)) for f in (several, five_axes, within_u, practice, speed)},
+    **{
+        f.__name__: (f, (f.__name__,))
+        for f in (several, five_axes, large_sizes, declared_sizes, within_u, practice, speed)
+    },
     "batch": (batch, ("batch", "batch_gpu")),
     "campaigns": (campaigns, ("batch", "campaigns_gpu")),
     **{f.__name__: (f, (f.__name__,)) for f in (strd, laser_frame, artefact_design)},
