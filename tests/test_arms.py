@@ -11,12 +11,15 @@ import pytest
 from oracle import make_case, write_study
 from oracle.effects import joint_angles
 from oracle.kinematics import arm_frames
-from vcal import close_loop, load_study
+from vcal import close_loop, identify, load_study
 from vcal.effects.base import Setup
+from vcal.effects.cyclic import GearHarmonic
 from vcal.effects.events import Jump
+from vcal.effects.reversal import Backlash
 from vcal.effects.thermal import Drift, WarmUp
 from vcal.effects.tracker import StationDrift, StationSettling
 from vcal.identification.linearised import linearised_terms
+from vcal.loop.search.certainty import rotation_of_machine, second_order
 from vcal.model.forward import port_values
 from vcal.report import effects_csv
 
@@ -208,3 +211,34 @@ def test_a_reflector_that_slipped_by_millimetres_hides_nothing(tmp_path):
         assert abs(values[axis][0] - 1e6 * expected) < 3.0 * values[axis][1] + 20.0
     assert 79.0 < values["at"][0] < 80.0
     assert found.errors["after"].chi2_per_dof < 1.3
+
+
+@pytest.mark.parametrize(("harmonic", "backlash", "doubtful"), [(2e4, 15, True), (2e4, 3000, False),
+                                                                (2e2, 15, False)])  # fmt: skip
+def test_what_may_be_a_product_of_a_larger_effect_is_not_certain(
+    harmonic, backlash, doubtful, tmp_path
+):
+    """A harmonic of 20 mrad in an arm whose links are turned by 15 mrad in all has products of at
+    most 700 urad with them and with itself; one of 0.2 mrad, of 3 urad.
+    """
+    effects = (
+        {"effect": "gear_harmonic", "joint": 1, "order": 2, "amplitude_urad": harmonic},
+        {"effect": "backlash", "joint": 2, "size_urad": backlash},
+    )
+    case = make_case("reflectors", seed=5, plan={"n": 60}, effects=effects)
+    study = load_study(write_study(tmp_path / "arm", case))
+    setup = study.model.setup(study.measurement.plan)
+    harmonics = (e for e in GearHarmonic.candidates(setup) if e.placement == "J2")
+    large = next(e for e in harmonics if e.order == 2)
+    small = next(e for e in Backlash.candidates(setup) if e.key == "backlash J3")
+    # Declared with the sizes that they have, so that the fit does not put them into the links.
+    expected = tuple((p.name, 0.0, harmonic) for p in large.amplitudes)
+    large = dataclasses.replace(large, given=expected)
+    small = dataclasses.replace(small, given=(("size", 0.0, backlash),))
+    fit = identify(study.model.with_effects(large, small), study.measurement)
+    place = len(fit.model.effects) - 1
+    assert 0.01 < rotation_of_machine(fit) < 0.04
+    why = second_order(fit, place)
+    assert bool(why) == doubtful
+    assert not doubtful or "gear_harmonic J2" in why
+    assert second_order(fit, place - 1) == ""

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from ...effects.data_set import OfDataSet
+from ...effects.geometric import GeometricErrors
 from ...effects.reference import with_known_reference
+from ...geometry.compensated import machine_terms
 from ...identification.fit import POORLY_DETERMINED, Fit, declared_chi2
 from ...instruments.conditions import file_column
 from ..outcome.closure import FoundEffect
@@ -33,7 +35,8 @@ def doubted(
 
     Such reasons are a larger unexplained residual that depends on the same covariate, a shape
     parameter outside its grid, an effect that could not be tested, an amplitude that is poorly
-    determined, and a size that is physically impossible.
+    determined, a size that is physically impossible, and an effect no larger than what the model
+    neglects of a far larger one.
     """
     if found.status != "named":
         return found
@@ -44,6 +47,7 @@ def doubted(
         or untested_twin(fit, place, untestable)
         or poorly_determined(fit, place)
         or impossible_size(fit, place)
+        or second_order(fit, place)
     )
     return replace(found, status="ambiguous", separation=why) if why else found
 
@@ -169,6 +173,50 @@ def impossible_size(fit: Fit, place: int) -> str:
         f"positions, look for another cause that depends on {' and '.join(columns) or 'the same'}, "
         "or declare the effect with its size if it is real"
     )
+
+
+def second_order(fit: Fit, place: int) -> str:
+    """Reason where the effect changes the readings by no more than what the model may neglect of a
+    far larger one.
+
+    The response of an effect is that of the nominal machine. What it neglects is of second order:
+    the product of the effect with a rotation that the machine really makes besides, such as a load
+    at the pose that is reached. Its share of the larger effect is at most the largest sum of
+    rotations (rad) of the identified machine. The changes are compared as norms of the whitened
+    readings.
+    """
+    changes = [
+        float(np.linalg.norm(fit.jacobian[:, mine] @ fit.theta[mine]))
+        for mine in (fit.places_of(i)[0] for i in range(len(fit.model.effects)))
+    ]
+    # Geometric errors are composed exactly.
+    linear = [
+        i
+        for i, e in enumerate(fit.model.effects)
+        if e.kind == "systematic" and e.name != GeometricErrors.name and i != place
+    ]
+    larger = max(linear, key=lambda i: changes[i], default=place)
+    if changes[place] > rotation_of_machine(fit) * changes[larger]:
+        return ""
+    return (
+        f"it changes the readings by {changes[place] / changes[larger]:.1e} of what "
+        f"{fit.model.effects[larger].key} does, and may be a product of that effect with a rotation "
+        "of the machine, which the model neglects: correct the larger effect on the machine and "
+        "measure again"
+    )
+
+
+def rotation_of_machine(fit: Fit) -> float:
+    """The largest sum over the axes, at any row, of the rotations by which the identified machine
+    differs from the nominal one, rad.
+    """
+    model, plan = fit.model, fit.measurement.plan
+    terms, _ = machine_terms(fit, plan)
+    ports = terms.offset + (terms.values * fit.theta[terms.parameter]) @ np.eye(len(model.layout))[
+        terms.port
+    ]
+    twists = ports[:, : 6 * len(model.chain.joints)].reshape(plan.rows, -1, 6)
+    return float(np.linalg.norm(twists[..., 3:], axis=2).sum(1).max(initial=0.0))
 
 
 def jump_time_uncertainty(state: State, place: int, room: int) -> dict[str, float]:
