@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from fnmatch import fnmatch
 
 from power import FIRST_SEED, one_set
-from power_summary import CERTAIN, counted, outcome
+from power_summary import counted, is_of, outcome
 from records import campaign, campaign_parser, make_sets, share
 
 FACTORS = (10.0, 100.0, 1000.0)
@@ -62,6 +62,16 @@ def work(options: argparse.Namespace) -> None:
     make_sets(options, jobs(sets, options.cases), ("case", "multiple", "seed"), made)
 
 
+def is_right(line: dict) -> bool:
+    """Whether the first name is right and no other name is certain: beside an effect far beyond its
+    prior, the loop lists products of it with the pose as uncertain.
+    """
+    found, truth = line["found"], [key for key, *_ in line["truth"]]
+    if not found or not any(is_of(key, found[0]) for key in truth):
+        return False
+    return outcome(line) != "wrong"
+
+
 def summed(lines: Sequence[dict]) -> dict:
     """Right and wrong names by size, and the outcomes of every case."""
     sizes = []
@@ -69,7 +79,7 @@ def summed(lines: Sequence[dict]) -> dict:
         part = [line for line in lines if line["multiple"] == factor]
         if not part:
             continue
-        right = sum(outcome(line) in CERTAIN for line in part)
+        right = sum(is_right(line) for line in part)
         wrong = sum(outcome(line) == "wrong" for line in part)
         sizes.append({"times": factor, "right": share(right, len(part)),
                       "wrong": share(wrong, len(part))})  # fmt: skip

@@ -200,9 +200,9 @@ def second_order(fit: Fit, place: int) -> str:
         return ""
     return (
         f"it changes the readings by {changes[place] / changes[larger]:.1e} of what "
-        f"{fit.model.effects[larger].key} does, and may be a product of that effect with a rotation "
-        "of the machine, which the model neglects: correct the larger effect on the machine and "
-        "measure again"
+        f"{fit.model.effects[larger].key} does, and may be a product of that effect with a "
+        "rotation of the machine, which the model neglects: correct the larger effect on the "
+        "machine and measure again"
     )
 
 
@@ -212,9 +212,10 @@ def rotation_of_machine(fit: Fit) -> float:
     """
     model, plan = fit.model, fit.measurement.plan
     terms, _ = machine_terms(fit, plan)
-    ports = terms.offset + (terms.values * fit.theta[terms.parameter]) @ np.eye(len(model.layout))[
-        terms.port
-    ]
+    ports = (
+        terms.offset
+        + (terms.values * fit.theta[terms.parameter]) @ np.eye(len(model.layout))[terms.port]
+    )
     twists = ports[:, : 6 * len(model.chain.joints)].reshape(plan.rows, -1, 6)
     return float(np.linalg.norm(twists[..., 3:], axis=2).sum(1).max(initial=0.0))
 
