@@ -18,7 +18,6 @@ import math
 
 import numpy as np
 from scipy.linalg import cho_solve
-from scipy.special import logsumexp
 
 from ...identification.fit import Fit
 
@@ -99,7 +98,9 @@ def log_gain(information: np.ndarray, scores: np.ndarray, squared: np.ndarray) -
 
 def log_mixture(information: np.ndarray, scores: np.ndarray) -> np.ndarray:
     """Log Bayes factor of the mixture over none, as (...)."""
-    return np.asarray(logsumexp(log_gain(information, scores, _SQUARED) + _LOG_ODDS, axis=-1))
+    each = log_gain(information, scores, _SQUARED) + _LOG_ODDS
+    most = each.max(-1)
+    return most + np.log(np.exp(each - most[..., None]).sum(-1))
 
 
 def over_scales(fit: Fit, entries: slice | np.ndarray, noise_scale: float = 1.0) -> float:

@@ -14,7 +14,7 @@ from .rivals import Rival
 
 CERTAIN = 0.95
 """Posterior probability from which an effect is named rather than called ambiguous."""
-_DISTINGUISHABLE = 1.0
+DISTINGUISHABLE = 1.0
 """Least chi-square, in units of the noise, that one candidate must leave of the other for the data
 to distinguish the two."""
 _SHAPE_LISTED = 0.02
@@ -137,7 +137,7 @@ def in_doubt(description: Rival, best: Rival) -> bool:
     """
     noise = max(1.0, best.fit.chi2 / best.fit.dof)
     return (
-        best.fit.chi2 - description.fit.chi2 > _DISTINGUISHABLE * noise
+        best.fit.chi2 - description.fit.chi2 > DISTINGUISHABLE * noise
         and best.log_weight_at_its_size < description.log_weight + _LIKELIER
     )
 
@@ -174,8 +174,8 @@ def same_for_these_data(base: Fit, a: Rival, b: Rival) -> bool:
         return False
     noise = max(1.0, min(a.fit.chi2 / a.fit.dof, b.fit.chi2 / b.fit.dof))
     return (
-        abs(a.fit.chi2 - b.fit.chi2) < _DISTINGUISHABLE * noise
-        and max(_left(base, a, b), _left(base, b, a)) < _DISTINGUISHABLE * noise
+        abs(a.fit.chi2 - b.fit.chi2) < DISTINGUISHABLE * noise
+        and max(_left(base, a, b), _left(base, b, a)) < DISTINGUISHABLE * noise
     )
 
 
