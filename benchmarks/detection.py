@@ -17,7 +17,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatch
 
-from power import ALPHA, DRAWS, FIRST_SEED, load
+from power import ALPHA, DRAWS, FIRST_SEED, load, screened
 from power_summary import is_of
 from records import campaign, campaign_parser, make_sets, share
 
@@ -53,7 +53,8 @@ def one_set(case: str, seed: int) -> dict | None:
     study = load(make(entry, world, sized, [0.0]).case)
     keep = ~folds_of(study.model, study.measurement)[1]  # the loop never fits the other rows
     fit = identify(study.model, study.measurement, keep=keep)
-    seen = detectable(fit, vcal.CATALOGUE.values(), alpha=ALPHA, draws=DRAWS, seed=seed)
+    screening = screened(study, fit, DRAWS, seed)
+    seen = detectable(fit, vcal.CATALOGUE.values(), screening, alpha=ALPHA, seed=seed)
     term = sized[0](1.0)
     limits = [
         limit.size

@@ -25,9 +25,8 @@ from ..effects.reference import with_known_reference
 from ..identification.fit import Fit
 from ..machine.parameters import Parameter
 from .screening.candidates import candidates
-from .screening.responses import Responses
 from .screening.score_test import ScoreTest, Tested
-from .screening.screening import Screening, screen
+from .screening.screening import Screening
 from .screening.size_evidence import log_mixture
 from .weighing.weighing import CERTAIN, DISTINGUISHABLE
 
@@ -71,18 +70,24 @@ class Detectable:
 
 
 def detectable(
-    fit: Fit, classes: Iterable[type[Effect]], *, alpha: float, draws: int, seed: int
+    fit: Fit, classes: Iterable[type[Effect]], screening: Screening, *, alpha: float, seed: int
 ) -> Detectable:
     """The detection limits of all effects of these classes beside the model of a fit.
 
-    `draws` null residuals from `seed` correct the p-value, of at most `alpha`, for the search.
+    `screening` is that of the model of the fit, or of one with an effect less: it has the numbers
+    of trials for which the p-value, of at most `alpha`, is corrected. Kinds of effects that it does
+    not have are left out.
     """
+    known = {kind.kind for kind in screening.kinds}
     tried, _ = candidates(fit.model, fit.measurement, classes, fit=fit)
-    plan = fit.measurement.plan
-    state = ScoreTest(fit, draws, seed, Responses(plan))
-    screening = screen(state, tried)
-    tested = [one for one in state.tests(tried) if one is not None]
-    spanned = [effect for effect in screening.unseen if with_known_reference(effect) is effect]
+    state = ScoreTest(fit, 1, seed)
+    every = state.tests(tried)
+    tested = [one for one in every if one is not None and one.effect.name in known]
+    spanned = [
+        effect
+        for effect, one in zip(tried, every, strict=True)
+        if one is None and with_known_reference(effect) is effect
+    ]
     limits = detection_limits(state, screening, tested, alpha=alpha, seed=seed)
     return Detectable(limits, spanned)
 
@@ -104,7 +109,7 @@ def detection_limits(
     *,
     alpha: float,
     seed: int,
-    draws: int = 200,
+    draws: int = 150,
 ) -> list[DetectionLimit]:
     """The detection limits of all candidates that the model does not span (`ScoreTest.tests`), one
     for each amplitude, in the order of `tested`.
@@ -115,25 +120,27 @@ def detection_limits(
     columns = _Columns(state, tested)
     widest = max((len(one.effect.amplitudes) for one in tested), default=1)
     normal = np.random.default_rng(seed).standard_normal((widest * (_RIVALS + 1), draws))
+    targets = [
+        (step, k, amplitude)
+        for one, step in zip(tested, columns.median, strict=True)
+        if with_known_reference(one.effect) is one.effect
+        for k, amplitude in enumerate(one.effect.amplitudes)
+        if not amplitude.known and columns.root(step)[k].any()
+    ]
+    places = np.array([step.columns.start + k for step, k, _ in targets], int)
+    across = columns.inner(slice(None), places)
     found = []
-    for member, one in enumerate(tested):
-        if with_known_reference(one.effect) is not one.effect:
-            continue
-        step = columns.median[member]
-        for k, amplitude in enumerate(one.effect.amplitudes):
-            place = step.columns.start + k
-            if amplitude.known or not columns.root(step)[k].any():
-                continue
-            outcomes = _Outcomes(columns, screening, step, place, alpha, normal)
-            found.append(
-                DetectionLimit(
-                    effect=one.effect,
-                    amplitude=amplitude,
-                    size=outcomes.smallest() * amplitude.step / amplitude.si,
-                    shape=columns.shape(step),
-                    rivals=outcomes.rivals,
-                )
+    for (step, _, amplitude), place, beside in zip(targets, places, across.T, strict=True):
+        outcomes = _Outcomes(columns, screening, step, beside, float(beside[place]), alpha, normal)
+        found.append(
+            DetectionLimit(
+                effect=tested[step.member].effect,
+                amplitude=amplitude,
+                size=outcomes.smallest() * amplitude.step / amplitude.si,
+                shape=columns.shape(step),
+                rivals=outcomes.rivals,
             )
+        )
     return found
 
 
@@ -197,20 +204,23 @@ class _Columns:
 
 
 class _Outcomes:
-    """Draws of the scores of an effect and of its nearest rivals."""
+    """Draws of the scores of an effect and of its nearest rivals.
+
+    `across` is <C, c> of all columns with that of the effect, and `whole` is <c, c>.
+    """
 
     def __init__(
         self,
         columns: _Columns,
         screening: Screening,
         own: _Step,
-        place: int,
+        across: np.ndarray,
+        whole: float,
         alpha: float,
         normal: np.ndarray,
     ):
-        across = columns.inner(slice(None), np.array([place]))[:, 0]
         explained = columns.explained(across)
-        self._whole = float(across[place])
+        self._whole = whole
         key = columns.tested[own.member].effect.key
         rivals = _nearest(columns.keys, explained / self._whole, key)
         self.rivals = tuple(str(columns.keys[at]) for at in rivals)
