@@ -130,7 +130,7 @@ def test_nothing_is_missing_from_a_clean_machine(tracker):
     assert closure.screenings[0].p_value > 0.01
     assert closure.unseen == ["tool_offset"]
     assert {"artefact_bending", "joint_compliance"}.isdisjoint(u.effect for u in closure.untestable)
-    assert "nothing is missing" in closure.sentence
+    assert "nothing was found that it lacks" in closure.sentence
 
 
 def test_backlash_is_named(backlash):

@@ -46,7 +46,7 @@ _RESOLVED = 1e-8
 
 
 @dataclass(frozen=True)
-class DetectionLimit:
+class SmallestSize:
     """The smallest size of one amplitude of an effect that this measurement names."""
 
     effect: Effect
@@ -64,7 +64,7 @@ class DetectionLimit:
 class Detectable:
     """What a measurement could have shown."""
 
-    limits: list[DetectionLimit]
+    limits: list[SmallestSize]
     spanned: list[Effect]
     """Effects that the model spans on this plan: no size of them can be seen."""
 
@@ -72,7 +72,7 @@ class Detectable:
 def detectable(
     fit: Fit, classes: Iterable[type[Effect]], screening: Screening, *, alpha: float, seed: int
 ) -> Detectable:
-    """The detection limits of all effects of these classes beside the model of a fit.
+    """The smallest sizes of all effects of these classes beside the model of a fit.
 
     `screening` is that of the model of the fit, or of one with an effect less: it has the numbers
     of trials for which the p-value, of at most `alpha`, is corrected. Kinds of effects that it does
@@ -88,7 +88,7 @@ def detectable(
         for effect, one in zip(tried, every, strict=True)
         if one is None and with_known_reference(effect) is effect
     ]
-    limits = detection_limits(state, screening, tested, alpha=alpha, seed=seed)
+    limits = smallest_sizes(state, screening, tested, alpha=alpha, seed=seed)
     return Detectable(limits, spanned)
 
 
@@ -102,7 +102,7 @@ class _Step(NamedTuple):
     columns: slice
 
 
-def detection_limits(
+def smallest_sizes(
     state: ScoreTest,
     screening: Screening,
     tested: Sequence[Tested],
@@ -110,8 +110,8 @@ def detection_limits(
     alpha: float,
     seed: int,
     draws: int = 150,
-) -> list[DetectionLimit]:
-    """The detection limits of all candidates that the model does not span (`ScoreTest.tests`), one
+) -> list[SmallestSize]:
+    """The smallest sizes of all candidates that the model does not span (`ScoreTest.tests`), one
     for each amplitude, in the order of `tested`.
 
     `screening` has the numbers of trials for which the p-value is corrected, of at most `alpha`.
@@ -133,7 +133,7 @@ def detection_limits(
     for (step, _, amplitude), place, beside in zip(targets, places, across.T, strict=True):
         outcomes = _Outcomes(columns, screening, step, beside, float(beside[place]), alpha, normal)
         found.append(
-            DetectionLimit(
+            SmallestSize(
                 effect=tested[step.member].effect,
                 amplitude=amplitude,
                 size=outcomes.smallest() * amplitude.step / amplitude.si,

@@ -294,7 +294,7 @@ class Closure:
                 "was tried."
             )
         if self.verdict == "nothing_missing" and self.wrong_noise and self.sizes is None:
-            return "With the noise that the readings show, nothing is missing from the model."
+            return "With the noise that the readings show, nothing was found that the model lacks."
         if self.louder:
             return (
                 f"No effect was found, but {self._scatter()} times as declared: the noise is "
@@ -303,7 +303,7 @@ class Closure:
         if self.verdict == "nothing_missing" and self.sizes is not None:
             return f"No effect was found, but the declared sizes do not fit: {self.sizes.words}."
         if self.verdict == "nothing_missing":
-            return "The declared model explains the measurement: nothing is missing."
+            return "The declared model explains the measurement: nothing was found that it lacks."
         if self.verdict == "named":
             return f"The declared model lacked {listed}."
         if self.verdict == "ambiguous":

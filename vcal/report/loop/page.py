@@ -7,6 +7,7 @@ from ...geometry.acceptance import GeometricTest
 from ...geometry.declared_machine import DeclaredMachine
 from ...geometry.error_motions import ErrorMotionTable
 from ...geometry.positioning_lines import PositioningTest
+from ...loop.detectable import Detectable
 from ...loop.outcome.closure import Closure
 from ...study.study import Study
 from ..html import text
@@ -14,6 +15,7 @@ from ..html.picture import Picture, by_section
 from ..html.provenance import plain, provenance_section
 from ..html.sheet import Badge, Section, Tile, sheet
 from ..machine.section import machine_sections
+from .could_be_seen import could_be_seen_section
 from .findings import data_sets, declared_effects, errors, identified, unexplained
 from .geometry import conventions, geometry, noise
 from .positioning import positioning_section
@@ -22,7 +24,7 @@ from .standards import standards
 from .tested import not_tested, tested
 
 _BADGES = {
-    "nothing_missing": Badge("Nothing is missing", "good"),
+    "nothing_missing": Badge("Nothing was found", "good"),
     "named": Badge("Named"),
     "ambiguous": Badge("Ambiguous", "caution"),
     "unexplained": Badge("Unexplained", "bad"),
@@ -42,13 +44,15 @@ def page(
     *,
     machine: DeclaredMachine | None = None,
     files: Mapping[str, str] | None = None,
+    seen: Detectable | None = None,
     command: str = "",
     seconds: float = math.nan,
 ) -> str:
     """The page as one self-contained HTML text, pictures included.
 
     `machine` is the declared machine, whose pictures are among `drawn`; `files` describe the files
-    beside it by their names; `seconds` is the run time of the loop.
+    beside it by their names; `seen` is what the measurement could have shown; `seconds` is the run
+    time of the loop.
     """
     shown = by_section(drawn)
     volumetric = shown.get("volumetric", ())
@@ -70,6 +74,7 @@ def page(
             *([Section("Volumetric error", pictures=volumetric)] if volumetric else []),
             *tested(closure, study, shown),
             *not_tested(closure, study),
+            *could_be_seen_section(seen),
             *geometry(closure, study, tables, tests, shown),
             *standards(closure, study),
             *positioning_section(positioned),

@@ -11,6 +11,7 @@ from ...effects.previous import posterior_of
 from ...geometry.acceptance import GeometricTest
 from ...geometry.positioning_lines import PositioningTest
 from ...identification.fit import Fit
+from ...loop.detectable import Detectable
 from ...loop.outcome.closure import Closure, Errors, FoundEffect
 from ...loop.outcome.confirmed import Confirmation, confirmations
 from ...loop.outcome.misdeclared import Misdeclared
@@ -21,6 +22,7 @@ from ...machine.plan import Plan
 from ...plots import column_of
 from ...study.study import DataSet, Study
 from ..html.provenance import plain, provenance_record
+from .could_be_seen import could_be_seen_record
 from .derived import (
     Listed,
     declared,
@@ -42,6 +44,7 @@ def record(
     tests: Sequence[GeometricTest] = (),
     positioned: Sequence[PositioningTest] = (),
     *,
+    seen: Detectable | None = None,
     command: str = "",
     seconds: float = math.nan,
 ) -> dict[str, Any]:
@@ -49,7 +52,8 @@ def record(
 
     `tests` of the geometry are the content of `geometry`, `positioned` that of `positioning`, which
     only studies with such tests have. A study with several data sets also has `data_sets`, the
-    share of each; one with a double ball bar also has `circular_tests`.
+    share of each; one with a double ball bar also has `circular_tests`. `seen` is the content of
+    `smallest_sizes`, which an interrupted search does not have.
 
     An effect whose `placement` is a class of several, ``"X|Y"``, has the parameters of its
     `fitted_placement`. `unexplained` has a `size_um` and a `share_of_variance`, which `size_is` and
@@ -128,6 +132,7 @@ def record(
     found |= {"data_sets": several} if several else {}
     found |= {"recorded_responses": recorded} if recorded else {}
     found |= standards_record(closure, study)
+    found |= could_be_seen_record(seen)
     found |= {"positioning": [positioning_record(one) for one in positioned]} if positioned else {}
     return plain(found)
 

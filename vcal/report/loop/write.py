@@ -13,6 +13,7 @@ from ...study.study import Study
 from ..formats import FORMATS, Results
 from ..html.folder import Contents, ReportFolder
 from ..machine.section import machine_pictures, of_study
+from .could_be_seen import could_be_seen
 from .own_effect import FILE, own_effect
 from .page import page
 from .pictures import pictures
@@ -81,10 +82,12 @@ def write_report(
         machine = of_study(study)
         drawn = [*pictures(closure, tables), *machine_pictures(machine)]
         run = {"command": command, "seconds": seconds}
+        seen = could_be_seen(closure, study)
         shown = page(
-            closure, study, tables, drawn, tests, positioned, machine=machine, files=files, **run
-        )
-        found = record(closure, study, tests, positioned, **run)
+            closure, study, tables, drawn, tests, positioned,
+            machine=machine, files=files, seen=seen, **run,
+        )  # fmt: skip
+        found = record(closure, study, tests, positioned, seen=seen, **run)
         return Contents(found, {"index.html": shown, **texts}, drawn)
 
     return _folder().publish(out, make)

@@ -1,14 +1,14 @@
-"""Detection limits against simulated data: how often an effect of that size is named.
+"""The smallest sizes that are stated to be named, against simulated data.
 
-The machines and instruments are those of power.py. For every effect, the size is the detection
-limit that `vcal.loop.detectable` states for the set without any effect; it is then measured with
-other noise, and the loop is closed.
+The machines and instruments are those of power.py. For every effect, the size is the
+smallest that `vcal.loop.detectable` states for the set without any effect; it is then measured
+with other noise, and the loop is closed. An effect of that size is named with 95 %.
 
-    python benchmarks/detection.py --sets 60 --jobs 2 --minutes 60
-    python benchmarks/detection.py --summary
+    python benchmarks/smallest_sizes.py --sets 60 --jobs 2 --minutes 60
+    python benchmarks/smallest_sizes.py --summary
 
-The first command appends one line per set to lines/detection.jsonl and skips the sets that are
-there. The second makes results/detection.json from the lines.
+The first command appends one line per set to lines/smallest_sizes.jsonl and skips the sets that are
+there. The second makes results/smallest_sizes.json from the lines.
 """
 
 import argparse
@@ -36,7 +36,7 @@ def jobs(sets: range, patterns: Sequence[str]) -> Iterator[tuple[str, int]]:
 
 
 def one_set(case: str, seed: int) -> dict | None:
-    """The stated limit of the drawn effect, and what the loop finds of that size; None where no
+    """The stated size of the drawn effect, and what the loop finds of that size; None where no
     size is stated.
     """
     from power_cases import ENTRIES, drawn, make, world_of
@@ -106,7 +106,7 @@ def summed(lines: Sequence[dict]) -> dict:
 
 def main() -> None:
     """Run the campaign in single-threaded processes, or summarise it."""
-    options = campaign_parser(__doc__, "detection", FIRST_SEED).parse_args()
+    options = campaign_parser(__doc__, "smallest_sizes", FIRST_SEED).parse_args()
     campaign(__file__, options, work, summed)
 
 

@@ -1,0 +1,95 @@
+"""The smallest effects that a measurement names, against closed forms and against the loop."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2
+
+from oracle import make_case, write_study
+from vcal import CATALOGUE, close_loop, identify, load_study
+from vcal.loop.detectable import detectable
+from vcal.loop.screening.candidates import candidates
+from vcal.loop.screening.score_test import ScoreTest
+from vcal.loop.screening.screening import screen
+
+ALPHA = 0.01
+
+
+def measured(folder, *effects, seed=4):
+    case = make_case("laser_tracker", seed=seed, effects=effects)
+    return load_study(write_study(folder, case))
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    return measured(tmp_path_factory.mktemp("seen") / "study")
+
+
+@pytest.fixture(scope="module")
+def fit(study):
+    return identify(study.model, study.measurement)
+
+
+def seen(fit, *names):
+    classes = [CATALOGUE[name] for name in names]
+    tried, _ = candidates(fit.model, fit.measurement, classes)
+    screening = screen(ScoreTest(fit, 200, 1), tried)
+    return screening, detectable(fit, classes, screening, alpha=ALPHA, seed=2)
+
+
+def test_without_rivals_it_is_the_power_of_a_chi_square_test(fit):
+    """Least squares of the whitened column on the Jacobian and the rows of the prior leave c; the
+    drop is non-central chi-square with a^2 |c|^2.
+    """
+    screening, found = seen(fit, "backlash")
+    state = ScoreTest(fit, 1, 0)
+    root = np.sqrt(fit.precision)
+    beside = np.concatenate([fit.jacobian, np.diag(root)])
+    (kind,) = screening.kinds
+    alone = 1.0 - (1.0 - ALPHA) ** (1.0 / screening.trials / kind.trials)
+    # Student's factor for an estimated noise.
+    needed = fit.dof * math.expm1(chi2.isf(alone, 1) / fit.dof)
+    power = brentq(lambda x: ncx2.sf(needed, 1, x) - 0.95, needed, 10.0 * needed)
+    assert len(found.limits) == 3
+    for limit in found.limits:
+        column = state.columns(limit.effect, {})[:, 0]
+        padded = np.concatenate([column, np.zeros(len(root))])
+        left = padded - beside @ np.linalg.lstsq(beside, padded, rcond=None)[0]
+        # 10 um is the unit of the solver.
+        expected = 10.0 * math.sqrt(power) / np.linalg.norm(left)
+        assert limit.rivals == ()
+        assert limit.size == pytest.approx(expected, rel=0.05)
+
+
+def test_a_rival_raises_the_limit_and_a_twin_prevents_the_name(fit):
+    """A step of the frame of the station by a translation is one of the tool, but for the axes that
+    carry the workpiece; one that drifts with time is one of the machine that does.
+    """
+    alone = {x.effect.placement: x.size for x in seen(fit, "drift")[1].limits}
+    _, both = seen(fit, "drift", "station_drift")
+    drifts = [x for x in both.limits if x.effect.name == "drift"]
+    assert all(math.isfinite(size) for size in alone.values())
+    raised = [x for x in drifts if "station_drift" in x.rivals]
+    assert raised
+    assert any(math.isinf(x.size) for x in raised)
+
+
+@pytest.mark.parametrize(("times", "status"), [(1.3, "named"), (0.4, None)])
+def test_the_loop_names_an_effect_of_that_size(fit, times, status, tmp_path):
+    _, found = seen(fit, *CATALOGUE)
+    limit = next(x for x in found.limits if x.effect.key == "lateral_reversal X")
+    component = limit.amplitude.name[-2]
+    size = times * limit.size
+    effect = {"effect": "lateral_reversal", "axis": "X", "component": component, "size_um": size}
+    study = measured(tmp_path / "study", effect)
+    closure = close_loop(study.model, study.measurement, draws=200)
+    told = {e.effect.key: e.status for e in closure.effects}
+    assert told == ({"lateral_reversal X": status} if status else {})
+
+
+def test_what_the_model_spans_has_no_limit(fit):
+    _, found = seen(fit, "tool_offset", "backlash")
+    assert [effect.key for effect in found.spanned] == ["tool_offset"]
+    assert {x.effect.name for x in found.limits} == {"backlash"}
