@@ -140,6 +140,7 @@ KEYS = {
     "untestable": list,
     "vibration": type(None),
     "unseen": list,
+    "smallest_sizes": list,
     "settings": dict,
     "versions": dict,
     "seconds": float,
@@ -169,6 +170,9 @@ def test_record_has_the_keys_and_types_of_its_schema(written):
     assert set(size) == {"name", "value", "unit", "standard_uncertainty"}
     assert size["name"] == "size" and size["unit"] == "um"
     assert abs(size["value"] - 15.0) < 4.0 * size["standard_uncertainty"] < 8.0
+    # Half of it on either side; the mean is not in the middle.
+    assert 0.5 * abs(size["value"]) < effect["at_the_tool_um"]["largest"] < abs(size["value"])
+    assert effect["at_the_tool_um"]["rms"] <= 0.51 * abs(size["value"])
 
 
 def test_record_tells_errors_before_and_after(written):

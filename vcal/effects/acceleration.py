@@ -66,6 +66,11 @@ class AccelerationCrosstalk(_Crosstalk):
 
     name = "acceleration_crosstalk"
     summary = "in-talk and cross-talk: displacements in proportion to acceleration"
+    remedy = (
+        "Check the stiffness of the drive train, the bearings and the guideways across the "
+        "motion, and where the scale sits relative to the tool; lower the acceleration, or use "
+        "the control's cross-talk compensation where it has one."
+    )
     unit = "um s2/m"
     sigma = 1.0
 
@@ -164,6 +169,10 @@ class JerkCrosstalk(_Derivative):
 
     name = "jerk_crosstalk"
     summary = "damping of the structure: displacements in proportion to jerk"
+    remedy = (
+        "Check damping elements, the foundation and loose connections of the structure; limit the "
+        "jerk."
+    )
     of = "v"
     unit = "nm s3/m"
     sigma = 0.3
@@ -180,6 +189,10 @@ class SnapCrosstalk(_Derivative):
 
     name = "snap_crosstalk"
     summary = "first mode of the structure: displacements that grow faster than acceleration"
+    remedy = (
+        "Find the first natural frequency of the structure by a frequency response; limit the "
+        "jerk, or filter the commands at that frequency."
+    )
     of = "a"
     unit = "nm s4/m"
     sigma = 0.01

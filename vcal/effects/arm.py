@@ -211,6 +211,10 @@ class JointCompliance(_Yielding):
 
     name = "joint_compliance"
     summary = "rotation of a joint under the torque of gravity"
+    remedy = (
+        "Check the gear and the balancer of the joint, and the declared mass and centre of mass "
+        "of tool and payload; compensate by the control's gravity model."
+    )
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
@@ -235,6 +239,10 @@ class BearingCompliance(_Yielding):
 
     name = "bearing_compliance"
     summary = "tilt of a joint across its axis under the moment of gravity"
+    remedy = (
+        "Check preload, wear and tightening torque of the bearing of the joint; compensate by the "
+        "control's gravity model where it has tilts."
+    )
 
     @classmethod
     def candidates(cls, setup: Setup) -> Iterable[Effect]:
@@ -256,6 +264,7 @@ class JointErrorMotion(Effect):
 
     name = "joint_error_motion"
     summary = "radial, axial and tilt error motion of a joint, periodic in its angle"
+    remedy = "Check the seat and the runout of the bearing of the joint; replace a worn bearing."
     uses = ("{axis}",)
     order: int = eqx.field(static=True)
 
@@ -308,6 +317,10 @@ class ReadbackLag(Effect):
 
     name = "readback_lag"
     summary = "read-back joint angles lag behind the true ones"
+    remedy = (
+        "Wait until the arm stands still before a reading is taken, or read the joint angles at "
+        "the time of the measurement."
+    )
     joints: tuple[str, ...] = eqx.field(static=True)
 
     @property

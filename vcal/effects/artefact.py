@@ -19,6 +19,10 @@ class BallError(Effect):
 
     name = "ball_error"
     summary = "wrong calibrated position of one ball"
+    remedy = (
+        "Clean the ball, check that it is tight, and calibrate the artefact again; the machine is "
+        "not affected."
+    )
     where = "instrument"
     uses = ("ball",)
     ball: int = eqx.field(static=True)
@@ -70,6 +74,10 @@ class ArtefactBending(Effect):
 
     name = "artefact_bending"
     summary = "sag of the artefact under its own weight"
+    remedy = (
+        "Support the artefact at its declared points, or declare its stiffness; the machine is "
+        "not affected."
+    )
     where = "instrument"
     uses = ("along_beam", "gravity_x", "gravity_y", "gravity_z")
     shown_by = ("along_beam", "tilt")
@@ -110,6 +118,10 @@ class ArtefactExpansion(Effect):
 
     name = "artefact_expansion"
     summary = "thermal expansion of the artefact"
+    remedy = (
+        "Measure the temperature of the artefact itself and let it settle; declare its "
+        "coefficient of expansion; the machine is not affected."
+    )
     where = "instrument"
     uses = ("T_air", "ball_x", "ball_y", "ball_z")
     shown_by = ("T_air", "along_beam")

@@ -110,6 +110,8 @@ class Effect(Record):
 
     name: ClassVar[str]
     summary: ClassVar[str] = ""
+    remedy: ClassVar[str] = ""
+    """What to check and what to do about it, for the page of a report."""
     kind: ClassVar[Kind] = "systematic"
     where: ClassVar[Literal["machine", "instrument"]] = "machine"
     """Whether it displaces the tool point, or only changes what the instrument reads."""

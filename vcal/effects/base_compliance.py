@@ -30,6 +30,10 @@ class BaseCompliance(GravityTilt):
 
     name = "base_compliance"
     summary = "tilt of an arm's base under the moment of the arm's weight"
+    remedy = (
+        "Tighten the bolts of the base, check the plate under it and the floor; stiffen them, or "
+        "compensate by the control's gravity model."
+    )
     usual = 200.0
 
     @classmethod

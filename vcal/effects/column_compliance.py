@@ -46,6 +46,10 @@ class ColumnCompliance(GravityTilt):
 
     name = "column_compliance"
     summary = "bending of a column under the moment of what it carries"
+    remedy = (
+        "Check the joint between column and base, and the counterweight; reduce what the column "
+        "carries, or compensate by position."
+    )
     usual = 200.0
     amount_unit = "urad/m^2"
     clamp: Clamp = eqx.field(static=True, default=_FOOT)

@@ -26,6 +26,10 @@ class CrossAxis(Effect):
 
     name = "cross_axis"
     summary = "error motion that depends on a second axis's position"
+    remedy = (
+        "Check the straightness and the alignment of the guideways that carry the second axis; "
+        "compensate by a volumetric table or a cross-error table."
+    )
     motion: str = eqx.field(static=True)
     other: str = eqx.field(static=True)
     travel: tuple[float, float, float, float] = eqx.field(static=True)
@@ -74,6 +78,10 @@ class JointCoupling(OneAmplitude):
 
     name = "joint_coupling"
     summary = "joint angle that depends linearly on another joint"
+    remedy = (
+        "Check the coupling factors of the joints in the control, and the mechanical coupling of "
+        "the wrist."
+    )
     other: str = eqx.field(static=True)
 
     @property
@@ -108,6 +116,7 @@ class ToolOffset(Constants):
 
     name = "tool_offset"
     summary = "constant error of the tool point"
+    remedy = "Measure the tool point again, and check the seat of the tool."
     group = "tool"
     sigma = 100.0
 

@@ -105,6 +105,10 @@ class ScrewCyclic(Wave):
 
     name = "screw_cyclic"
     summary = "periodic error of a screw, a rack, a worm or a scale, pitch unknown"
+    remedy = (
+        "Check the bearings and the alignment of the screw or rack, and the mounting of the "
+        "rotary encoder; compensate by a table with at least eight points per pitch."
+    )
     _usual: ClassVar[Mapping[str, float]] = {"prismatic": 3.0, "rotary": 15.0}
     """Prior standard deviation, um or urad, by the kinds of joints that may have it."""
     port: str = eqx.field(static=True)
@@ -217,6 +221,7 @@ class GearRipple(ScrewCyclic):
 
     name = "gear_ripple"
     summary = "periodic error of the gear of a joint within a turn of its input shaft"
+    remedy = "Check the gear and the motor encoder of the joint; a worn gear has to be replaced."
     _usual: ClassVar[Mapping[str, float]] = {"revolute": 50.0}
 
 
@@ -233,6 +238,10 @@ class ScaleInterpolation(Wave):
 
     name = "scale_interpolation"
     summary = "error of a scale within its signal period"
+    remedy = (
+        "Clean the scale and adjust the reading head: distance, tilt and the amplitude of its "
+        "signals."
+    )
     waves = sine_and_cosine("um", 0.5)
     port: str = eqx.field(static=True)
 
@@ -267,6 +276,10 @@ class GearHarmonic(Wave):
 
     name = "gear_harmonic"
     summary = "eccentric gear or encoder of a rotary axis or a revolute joint"
+    remedy = (
+        "Check the centring of the gear wheel or of the encoder disc on its axis; compensate by a "
+        "table over one turn."
+    )
     order: int = eqx.field(static=True)
     port: str = eqx.field(static=True)
 

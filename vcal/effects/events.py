@@ -39,6 +39,10 @@ class Jump(Effect):
 
     name = "jump"
     summary = "sudden displacement at an unknown moment"
+    remedy = (
+        "Find out what happened at that moment: a collision, a restart, a tool change, a touched "
+        "reflector or stand. Check clamping and reference marks, and measure again."
+    )
     ports: tuple[str, ...] = eqx.field(static=True)
     clock: Clock = eqx.field(static=True, default=TIME)
     station: int = eqx.field(static=True, default=-1)

@@ -88,6 +88,10 @@ class GeometricErrors(Effect):
 
     name = "geometric"
     summary = "error motions and location errors of the declared family"
+    remedy = (
+        "Compensate by the error motions and location errors of this report; realign where a "
+        "squareness is large."
+    )
     motions: tuple[ErrorMotion, ...] = ()
     locations: tuple[LocationError, ...] = ()
 
@@ -158,6 +162,9 @@ class GeometricOrder(Effect):
 
     name = "geometric_order"
     summary = "two more Legendre degrees of one error motion"
+    remedy = (
+        "Compensate by a table with more points along this axis; check the guideway for local wear."
+    )
     motion: str = eqx.field(static=True)
     axis: str = eqx.field(static=True)
     basis: Basis

@@ -38,6 +38,10 @@ class GuidewayCompliance(GravityTilt):
 
     name = "guideway_compliance"
     summary = "tilt and sag of an axis in proportion to the lever arm of the weight it carries"
+    remedy = (
+        "Check the preload of the guideway carriages and the load they carry; compensate by "
+        "position."
+    )
     usual = 50.0
 
     @classmethod

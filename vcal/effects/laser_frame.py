@@ -30,6 +30,10 @@ class HeadExpansion(AtInstrument, OneAmplitude):
 
     name = "head_expansion"
     summary = "thermal growth of the measuring head"
+    remedy = (
+        "Let the measuring head reach its temperature, and correct its growth; the machine is not "
+        "affected."
+    )
     requires_port = "head.Z"
     port = "head.Z"
     amplitude = Parameter("k", "um/K", sigma=2.0)
@@ -53,6 +57,10 @@ class FrameExpansion(Effect):
 
     name = "frame_expansion"
     summary = "thermal growth of the frame that carries the beams"
+    remedy = (
+        "Shield the frame from draught and sun, and correct its growth by its temperature; the "
+        "machine is not affected."
+    )
     where = "instrument"
     uses = (_HEAD, "{axis}")
     low: float
@@ -89,6 +97,10 @@ class FrameGrowth(Effect):
 
     name = "frame_growth"
     summary = "thermal growth of the frame alike in all directions"
+    remedy = (
+        "Shield the frame from draught and sun, and correct its growth by its temperature; the "
+        "machine is not affected."
+    )
     where = "instrument"
     middles: tuple[tuple[str, float], ...] = eqx.field(static=True)
     """Axis and the middle of its travel, m."""
@@ -136,6 +148,10 @@ class Refraction(AtInstrument, OneAmplitude):
 
     name = "refraction"
     summary = "beam bent by a temperature gradient of the air"
+    remedy = (
+        "Avoid temperature gradients along the beams: cover them, move the air, or measure at a "
+        "quiet time; the machine is not affected."
+    )
     requires_port = "head.Z"
     port = "frame.Z"
     amplitude = Parameter("c", "um/(m K)", sigma=1.0)
@@ -155,6 +171,7 @@ class PsdLinearity(Effect):
 
     name = "psd_linearity"
     summary = "linear and cubic error of the position-sensitive diode"
+    remedy = "Calibrate the diode, or work near its centre; the machine is not affected."
     where = "instrument"
     uses = ("psd_{axis}_mm",)
 
@@ -185,6 +202,7 @@ class HeadTemperature(Effect):
 
     name = "head_temperature"
     summary = "wrong temperature behind the correction of the head's growth"
+    remedy = "Check the temperature sensor of the measuring head; the machine is not affected."
     where = "instrument"
     growth: float = eqx.field(default=0.193 * 1.7)
     """Corrected growth, um/K."""
@@ -204,6 +222,7 @@ class ToolInterface(Constants):
 
     name = "tool_interface"
     summary = "repeatability of the tool interface after a tool change"
+    remedy = "Clean the tool interface, and check its clamping force."
     where = "instrument"
     group = "head"
     sigma = 0.1
@@ -226,6 +245,7 @@ class FilterRefraction(_PerReading):
 
     name = "filter_refraction"
     summary = "shift of the beam in the diode's filter, independent for every reading"
+    remedy = "Align the filter of the diode, or replace it; the machine is not affected."
     sigma = 0.3
 
 
@@ -235,4 +255,5 @@ class PsdResolution(_PerReading):
 
     name = "psd_resolution"
     summary = "resolution of the diode, independent for every reading"
+    remedy = "Average more readings; the machine is not affected."
     sigma = 0.06

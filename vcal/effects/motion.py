@@ -27,6 +27,10 @@ class ServoLag(Effect):
 
     name = "servo_lag"
     summary = "an axis, or a clock, that lags: displacement in proportion to velocity"
+    remedy = (
+        "Check the velocity feed-forward and the loop gains of the axes, and that all axes have "
+        "the same gain; check the clock of the recording."
+    )
     ports: tuple[tuple[str, str, float], ...] = eqx.field(static=True)
     """(axis, port along it, `vcal.machine.chain.Joint.sign`)."""
 

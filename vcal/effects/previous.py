@@ -26,6 +26,10 @@ class PreviousGeometry(Effect):
 
     name = "geometric"
     summary = "error motions and location errors, as known from an earlier campaign"
+    remedy = (
+        "Compensate by the error motions and location errors of this report; realign where a "
+        "squareness is large."
+    )
     errors: GeometricErrors
     root: Float[np.ndarray, "k k"]
     """M, in the units of the parameters of `errors`."""

@@ -44,6 +44,7 @@ class ProbeLobing(Effect):
 
     name = "probe_lobing"
     summary = "pre-travel of a touch probe that depends on the direction of approach"
+    remedy = "Qualify the stylus again in several directions; the machine is not affected."
     where = "instrument"
     uses = ("approach_rad",)
 
@@ -73,6 +74,10 @@ class ProbeTwoLobes(AtInstrument):
 
     name = "probe_two_lobes"
     summary = "pre-travel of a touch probe with two lobes over the direction of approach"
+    remedy = (
+        "Qualify the stylus again in several directions, and check its trigger force; the machine "
+        "is not affected."
+    )
     requires_port = "size.stylus"
     uses = ("approach_rad",)
     odds = 0.5
@@ -100,6 +105,10 @@ class ProbeMatrix(Effect):
     name = "probe_matrix"
     summary = (
         "sensitivities and directions of the probes of an R-test; or scales, squareness of axes"
+    )
+    remedy = (
+        "Calibrate the sensitivities of the displacement sensors again; the machine is not "
+        "affected."
     )
     where = "instrument"
     shown_by = tuple(_XYZ)

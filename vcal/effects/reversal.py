@@ -44,6 +44,10 @@ class Repeatability(_Positioning):
 
     name = "repeatability"
     summary = "random positioning error of an axis, independent at every approach"
+    remedy = (
+        "Check play, friction and the settling time of the axis; a random error cannot be "
+        "compensated."
+    )
     kind = "random"
     usual: ClassVar = {"um": 1.0, "urad": 10.0}
 
@@ -73,6 +77,10 @@ class Backlash(_Positioning, _Reversal):
 
     name = "backlash"
     summary = "reversal error along (or about) the axis"
+    remedy = (
+        "Check the preload of nut, pinion or gear and the coupling of the drive; compensate the "
+        "reversal error in the control."
+    )
     usual: ClassVar = {"um": 10.0, "urad": 100.0}
 
 
@@ -82,6 +90,10 @@ class LateralReversal(_Reversal):
 
     name = "lateral_reversal"
     summary = "reversal error across a linear axis"
+    remedy = (
+        "Check the preload and the clearance of the guideway across the axis; it can be "
+        "compensated only by a table that depends on the direction."
+    )
     acts_on = JointPorts("XYZ", own=False, linear=True)
     amplitude = Parameter("size_{port}", "um", sigma=5.0)
 
@@ -92,6 +104,10 @@ class AngularReversal(_Reversal):
 
     name = "angular_reversal"
     summary = "roll, pitch or yaw that depends on the direction of approach"
+    remedy = (
+        "Check the clearance of the guideway, and that the drive pulls near the centre of "
+        "friction; it can be compensated only by a table that depends on the direction."
+    )
     acts_on = JointPorts("ABC", own=False)
     amplitude = Parameter("size_{port}", "urad", sigma=10.0)
 
@@ -151,6 +167,10 @@ class ReversalSpike(_Friction):
 
     name = "reversal_spike"
     summary = "quadrant peak: friction holds an axis back after its reversal"
+    remedy = (
+        "Check friction and lubrication; tune the friction compensation (quadrant errors) of the "
+        "control."
+    )
     kinds = ("since", "dir")
     scale = Parameter("decay", "mm", shape=True, coordinate="log")
 
@@ -182,6 +202,10 @@ class StribeckFriction(_Friction):
 
     name = "stribeck_friction"
     summary = "friction that is larger the slower the axis moves"
+    remedy = (
+        "Check lubrication and the tension of wipers; tune the friction compensation of the "
+        "control."
+    )
     kinds = ("v", "dir")
     scale = Parameter("speed", "mm/s", shape=True, coordinate="log")
 
@@ -208,6 +232,10 @@ class CoulombFriction(_Friction):
 
     name = "coulomb_friction"
     summary = "friction that changes its direction smoothly at a reversal"
+    remedy = (
+        "Check lubrication and the tension of wipers; tune the friction compensation of the "
+        "control."
+    )
     odds = 0.05
     """Most friction is reported as the backlash, or the lag, that it resembles."""
     kinds = ("v",)

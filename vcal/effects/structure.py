@@ -32,6 +32,10 @@ class PayloadSag(Effect):
 
     name = "payload_sag"
     summary = "ram or column that bends as a beam under a payload"
+    remedy = (
+        "Check the counterweight and the stiffness of ram or column; compensate by position and "
+        "payload."
+    )
     uses = ("{axis}", "payload_kg")
     low: float
     high: float
@@ -101,6 +105,10 @@ class SpindleGrowth(OneAmplitude):
 
     name = "spindle_growth"
     summary = "growth of the spindle along the tool axis with its speed"
+    remedy = (
+        "Warm the spindle up before work; compensate its growth by speed or by a temperature of "
+        "the spindle."
+    )
     port = "tool.Z"
     amplitude = Parameter("size", "um", sigma=20.0)
     uses = ("t", "speed_rpm")

@@ -53,6 +53,10 @@ class ScaleGrowth(_ThermalSlope):
 
     name = "scale_growth"
     summary = "thermal expansion of an axis's scale or screw"
+    remedy = (
+        "Check the coefficient of expansion in the control and the temperature sensor of the "
+        "axis; compensate by temperature, or cool the screw."
+    )
     acts_on = JointPorts(own=True, linear=True)
     amplitude = Parameter("alpha", "um/(m K)", sigma=10.0)
 
@@ -63,6 +67,10 @@ class ThermalOffset(_Thermal):
 
     name = "thermal_offset"
     summary = "translation of a joint with its temperature"
+    remedy = (
+        "Look for the heat source near the axis; compensate by its temperature, or warm the "
+        "machine up before work."
+    )
     acts_on = JointPorts("XYZ")
     amplitude = Parameter("k_{port}", "um/K", sigma=10.0)
 
@@ -73,6 +81,10 @@ class ThermalTilt(_Thermal):
 
     name = "thermal_tilt"
     summary = "rotation of a joint with its temperature (column bending)"
+    remedy = (
+        "Look for heat on one side of the structure (motor, hydraulics, sun); compensate by "
+        "temperature, or warm the machine up before work."
+    )
     acts_on = JointPorts("ABC")
     amplitude = Parameter("k_{port}", "urad/K", sigma=50.0)
 
@@ -88,6 +100,10 @@ class SquarenessTemperature(_ThermalSlope):
 
     name = "squareness_temperature"
     summary = "squareness of an axis that changes with its temperature"
+    remedy = (
+        "Look for heat on one side of the structure; compensate by temperature, or keep the "
+        "shop's temperature constant."
+    )
     odds = SECONDARY_ODDS
     acts_on = JointPorts("XYZ", own=False, linear=True)
     amplitude = Parameter("k_{port}", "urad/K", sigma=20.0)
@@ -133,6 +149,10 @@ class WarmUp(_InTime):
 
     name = "warm_up"
     summary = "exponential approach to a steady state"
+    remedy = (
+        "Warm the machine up before work for three time constants; record temperatures, so that "
+        "the growth can be compensated by them."
+    )
 
     @property
     def size(self) -> Parameter:
@@ -170,6 +190,10 @@ class Drift(_InTime):
 
     name = "drift"
     summary = "linear drift of a joint with time"
+    remedy = (
+        "Wait until the machine and the shop have settled; record temperatures, so that the drift "
+        "can be compensated by them."
+    )
 
     @property
     def size(self) -> Parameter:

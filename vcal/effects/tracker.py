@@ -24,6 +24,10 @@ class RangeScale(AtInstrument):
 
     name = "range_scale"
     summary = "offset and scale error of the range"
+    remedy = (
+        "Check the meteorological correction of the instrument and the constant of the reflector; "
+        "the machine is not affected."
+    )
     requires_port = "read.range"
     uses = ("range",)
 
@@ -42,6 +46,10 @@ class EncoderEccentricity(Wave):
 
     name = "encoder_eccentricity"
     summary = "once-per-turn error of an angle encoder of the tracker"
+    remedy = (
+        "Have the angle encoders of the tracker checked, and use its two-face test; the machine "
+        "is not affected."
+    )
     where = "instrument"
     waves = sine_and_cosine("urad", 10.0)
     angle: str = eqx.field(static=True)
@@ -75,6 +83,9 @@ class TrackerAxes(AtInstrument):
 
     name = "tracker_axes"
     summary = "tilt of the transit axis and collimation error of a tracker"
+    remedy = (
+        "Use the two-face test of the tracker and its compensation; the machine is not affected."
+    )
     requires_port = "read.azimuth"
     uses = ("elevation",)
 
@@ -110,6 +121,10 @@ class StationDrift(SinceStart):
 
     name = "station_drift"
     summary = "drift of the instrument's frame with time"
+    remedy = (
+        "Let the stand settle, fasten it to the floor, and observe reference points again at the "
+        "end; the machine is not affected."
+    )
     where = "instrument"
     components: str = eqx.field(static=True, default="XYZABC")
     """The components that the readings depend on: ``"XYZ"`` for ranges alone."""
@@ -145,6 +160,10 @@ class StationSettling(SinceStart, OneAmplitude):
 
     name = "station_settling"
     summary = "the instrument's stand gives way in one direction"
+    remedy = (
+        "Fasten the stand to the floor, and let it settle before the measurement; the machine is "
+        "not affected."
+    )
     where = "instrument"
     odds = 0.3 * TIME_ODDS
     """So that no placement of it is likelier than a `drift` with the same effect."""

@@ -50,6 +50,10 @@ class GearWindUp(OneAmplitude):
 
     name = "gear_wind_up"
     summary = "gear of a joint that yields most to small loads: lost motion, soft wind-up"
+    remedy = (
+        "Check the play and the preload of the gear of the joint; a bidirectional or "
+        "load-dependent compensation is needed."
+    )
     chain: Chain
     load: Load = eqx.field(static=True)
     reach: float = eqx.field(static=True)

@@ -22,6 +22,7 @@ from .positioning import positioning_section
 from .recorded import recorded_responses
 from .standards import standards
 from .tested import not_tested, tested
+from .what_to_do import reaches, what_to_do
 
 _BADGES = {
     "nothing_missing": Badge("Nothing was found", "good"),
@@ -65,6 +66,7 @@ def page(
         study.name,
         closure.sentence,
         [
+            *what_to_do(closure, reaches(closure)),
             errors(closure),
             *data_sets(closure, study),
             *identified(closure, shown),

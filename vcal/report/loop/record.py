@@ -34,6 +34,7 @@ from .derived import (
 )
 from .positioning import positioning_record
 from .standards import standards_record
+from .what_to_do import reach_record, reaches
 
 SCHEMA = "vcal-report/1"
 
@@ -62,7 +63,7 @@ def record(
     Columns and their values are those of the data file. Numbers that do not exist are None, so
     that the record is strict JSON.
     """
-    plan = closure.after.measurement.plan
+    plan, moved = closure.after.measurement.plan, reaches(closure)
     settings = {
         **closure.settings,
         "effects": closure.searched,
@@ -73,7 +74,10 @@ def record(
         "name": study.name,
         "verdict": closure.verdict,
         "sentence": closure.sentence,
-        "effects": [_effect(closure, effect) for effect in closure.effects],
+        "effects": [
+            {**_effect(closure, one), **reach_record(moved.get(one.effect.key))}
+            for one in closure.effects
+        ],
         "hints": [
             {
                 "effect": hint.effect.name,
