@@ -1,5 +1,6 @@
 """Section and record of what the effects do at the tool point, and what to do about them."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from ...effects.base import Effect
@@ -39,20 +40,28 @@ def what_to_do(closure: Closure, moved: dict[str, Reach]) -> list[Section]:
         if size > 0.0
         else "What was found belongs to the instrument; it does not move the tool point."
     )
-    header = ("effect", "description", "at the tool point, µm, largest", "rms", "what to do")
+    header = ("effect", "description", "largest, µm", "rms, µm")
     note = (
-        "At the tool point: the distance from its mean over the measurement, at the conditions of "
-        "its rows. An effect of the instrument does not move the tool point."
+        "Distance at the tool point from its mean over the measurement, at the conditions of its "
+        "rows. An effect of the instrument does not move the tool point."
     )
-    return [Section("What to do", (lead,), tables=(Table(header, rows, "llrrl", note=note),))]
+    table = Table(header, rows, "llrr", note=note)
+    return [Section("What to do", (lead,), points=tuple(_remedies(listed)), tables=(table,))]
 
 
 def _row(one: FoundEffect, moved: Reach) -> tuple[str, ...]:
     inner = _inner(one)
     sizes = [text.number(_UM * v) if moved.largest > 0.0 else text.DASH for v in moved]
-    remedy = inner.remedy or "Look for its cause on the machine."
-    unsure = "" if one.status == "named" else "The name is not certain: decide it first. "
-    return one.name, inner.summary, *sizes, unsure + remedy
+    return one.name, inner.summary, *sizes
+
+
+def _remedies(listed: Sequence[FoundEffect]) -> list[str]:
+    said = []
+    for one in listed:
+        remedy = _inner(one).remedy or "Look for its cause on the machine."
+        unsure = "" if one.status == "named" else "The name is not certain: decide it first. "
+        said.append(f"{one.name}: {unsure}{remedy}")
+    return said
 
 
 def _inner(one: FoundEffect) -> Effect:
