@@ -44,6 +44,21 @@ def si_factor(unit: str) -> float:
     return _product(numerator, unit) / _product(denominator.strip("() "), unit)
 
 
+_SI = {
+    **dict.fromkeys(("m", "mm", "um", "nm"), "m"),
+    **dict.fromkeys(("rad", "mrad", "urad", "deg"), "rad"),
+    **dict.fromkeys(("s", "ms", "h"), "s"),
+    "%": "1",
+}
+
+
+def si_unit(unit: str) -> str:
+    """The SI unit of the same kind as `unit`: ``"um/(m K)"`` gives ``"m/(m K)"``, ``"deg"`` gives
+    ``"rad"``; ``"1"`` for a plain number. A temperature in degC stays in degC.
+    """
+    return re.sub(r"[^\d\s()/]+", lambda found: _SI.get(found[0], found[0]), unit) or "1"
+
+
 def _product(text: str, unit: str) -> float:
     value = 1.0
     for token in text.split():

@@ -4,17 +4,20 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import cho_factor, cho_solve
 
+from ..labelled import html_table
 from ..machine.parameters import Parameter
 from ..model.declared_noise import declared_whitener
 from ..model.forward import Model, Shapes
 from ..model.measurement import Measurement
 from ..numerics.least_squares import Status
+from ..words import counted
+from .labelled_fit import fit_dataset, fit_frame
 
 POORLY_DETERMINED = 0.05
 """Share of information below which the data contain practically nothing about a parameter."""
@@ -268,6 +271,37 @@ class Fit:
         shape parameters that move.
         """
         return entries(self.model)
+
+    def __repr__(self) -> str:
+        state = "converged" if self.converged else self.status.prose
+        return (
+            f"Fit({counted(len(self.theta), 'parameter')} from "
+            f"{counted(int(self.counted.sum()), 'reading')}, chi2 per degree of freedom "
+            f"{self.chi2 / self.dof:.3g}, {state})"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (key, p.name, f"{value:.4g}", f"{u:.2g}", p.unit)
+            for key, p, value, u in self.parameter_values()
+        ]
+        header = ("effect", "parameter", "value", "standard uncertainty", "unit")
+        return html_table(repr(self), header, rows)
+
+    def to_pandas(self) -> Any:
+        """All parameters as a `pandas.DataFrame` (`labelled_fit.fit_frame`).
+
+        Raises `ImportError` where pandas is not installed.
+        """
+        return fit_frame(self)
+
+    def to_xarray(self) -> Any:
+        """The estimated parameters with their covariance as an `xarray.Dataset` in SI units
+        (`labelled_fit.fit_dataset`).
+
+        Raises `ImportError` where xarray is not installed.
+        """
+        return fit_dataset(self)
 
     @property
     def information(self) -> np.ndarray:

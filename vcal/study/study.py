@@ -128,6 +128,12 @@ class Study:
     trust: bool = False
     """Whether the Python files that it names may be run."""
 
+    def __repr__(self) -> str:
+        kinds = ", ".join(one.settings.kind for one in self.sets)
+        readings = "no readings" if self.measurement is None else f"{self.plan.rows} rows"
+        check = "" if self.check is None else f", {self.check.plan.rows} check points"
+        return f"Study({self.name!r}: {self.chain.text}, {kinds}, {readings}{check})"
+
     @property
     def single(self) -> StudySettings:
         """The settings of a study of one data set.

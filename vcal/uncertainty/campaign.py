@@ -23,6 +23,7 @@ import numpy as np
 
 from ..identification.batch import identify_alone, identify_damped, identify_one, prepare_batch
 from ..instruments.base import Instrument
+from ..labelled import labelling
 from ..machine.chain import Chain
 from ..machine.plan import Plan
 from ..model.forward import Model, Shapes
@@ -39,6 +40,8 @@ from .streaming import MOST, Progress, stream
 _STEPS = "identification: exact gradients"
 _RETRIED = "identification: retried"
 _BLOCK = 1000
+_SHOWN = 8
+"""Most quantities that a campaign lists as text."""
 _PART = 125
 """Draws that one thread of a CPU computes per call."""
 TOGETHER = 25
@@ -55,6 +58,48 @@ class Campaign:
     quantities: tuple[str, ...]
     """Names of the scalar outputs that are quantities."""
     seed: int
+
+    def __repr__(self) -> str:
+        rows = [
+            f"  {name} = {self.ensemble.mean[i]:.4g} ± {self.ensemble.u[i]:.2g}"
+            for name in self.quantities[:_SHOWN]
+            for i in [self.ensemble.index(name)]
+        ]
+        more = len(self.quantities) - _SHOWN
+        rows += [f"  and {more} more"] if more > 0 else []
+        head = f"Campaign of {self.ensemble.draws} draws, seed {self.seed}, SI units"
+        return "\n".join([head, *rows])
+
+    def to_pandas(self) -> Any:
+        """Mean, standard uncertainty and extremes of every scalar output as a `pandas.DataFrame`,
+        in SI units.
+
+        Raises `ImportError` where pandas is not installed.
+        """
+        one = self.ensemble
+        values = {
+            "mean": one.mean, "standard_uncertainty": one.u, "minimum": one.minimum,
+            "maximum": one.maximum,
+        }  # fmt: skip
+        return labelling("pandas").DataFrame(values, index=list(one.labels))
+
+    def to_xarray(self) -> Any:
+        """The values of all draws that are kept as an `xarray.Dataset` in SI units: one variable
+        per scalar output, over the dimensions ``chain`` (a single one) and ``draw``, as ArviZ
+        expects of draws.
+
+        Raises `ImportError` where xarray is not installed.
+        """
+        xarray = labelling("xarray")
+        values = self.ensemble.values
+        return xarray.Dataset(
+            {
+                name: (("chain", "draw"), values[None, :, i])
+                for i, name in enumerate(self.ensemble.labels)
+            },
+            coords={"chain": [0], "draw": range(len(values))},
+            attrs={"seed": self.seed, "draws": self.ensemble.draws},
+        )
 
     @property
     def retried(self) -> float:

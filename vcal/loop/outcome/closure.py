@@ -1,14 +1,20 @@
 """The result of closing the loop: numbers and names only, from which pages and files are made."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+
 from ...effects.base import Effect
+from ...geometry.error_motions import error_motion_tables
 from ...identification.fit import Fit
 from ...identification.model_averaging import Alternatives
 from ...instruments.conditions import file_column, in_file
+from ...labelled import html_table, labelling
 from ...model.measurement import CheckPoints
+from ...units import si_factor, si_unit
 from ...words import counted
 from ..empirical import Empirical
 from ..residuals.outliers import Outlier
@@ -129,6 +135,12 @@ def outdone_by(effect: Effect) -> str:
     return f"an empirical description ({in_words(effect)}) describes the residual better"
 
 
+def _in_short(found: FoundEffect) -> str:
+    """Values of an effect with their standard uncertainties; the first three of many."""
+    said = [f"{name} = {v:.3g} ± {u:.2g} {unit}" for name, v, unit, u in found.parameters[:3]]
+    return ", ".join(said) + (", ..." if len(found.parameters) > 3 else "")
+
+
 def _and(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
@@ -176,6 +188,83 @@ class Closure:
     vibration: Vibration | None = None
     """A vibration in the residual, which runs of several feed rates can reveal."""
     notes: list[str] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        lines = [f"Closure: {self.sentence}"]
+        lines += [
+            f"  {e.effect.key}: {_in_short(e)} ({'hint' if e.hint else e.status})"
+            for e in self.effects
+        ]
+        for row in self._error_rows():
+            lines.append(f"  {row[0]}: {row[1]} uncompensated, {row[2]} before, {row[3]} after")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        header = ("", "uncompensated", "before", "after")
+        return html_table(self.sentence, header, self._error_rows())
+
+    def _error_rows(self) -> list[tuple[str, str, str, str]]:
+        """The measures of error at the three stages, in words."""
+        rows = []
+        for name, attribute in (
+            ("check points, um", "check"),
+            ("held-out readings, um", "heldout"),
+        ):
+            of = [getattr(self.errors[k], attribute) for k in ("uncompensated", "before", "after")]
+            if all(one is not None and math.isfinite(one.value) for one in of):
+                a, b, c = (f"{one.value:.3g} ± {one.u:.2g}" for one in of)
+                rows.append((name, a, b, c))
+        return rows
+
+    def to_pandas(self) -> Any:
+        """The effects that were added as a `pandas.DataFrame`: a row per parameter with the index
+        (effect, parameter) and the columns value, standard_uncertainty, unit, status, hint,
+        probability, p_value.
+
+        Raises `ImportError` where pandas is not installed.
+        """
+        pandas = labelling("pandas")
+        rows = [
+            (
+                one.effect.key,
+                name,
+                value,
+                u,
+                unit,
+                one.status,
+                one.hint,
+                one.probability,
+                one.p_value,
+            )
+            for one in self.effects
+            for name, value, unit, u in one.parameters
+        ]
+        columns = (
+            "effect", "parameter", "value", "standard_uncertainty", "unit", "status", "hint",
+            "probability", "p_value",
+        )  # fmt: skip
+        return pandas.DataFrame(rows, columns=columns).set_index(["effect", "parameter"])
+
+    def to_xarray(self) -> Any:
+        """The identified machine as an `xarray.Dataset` in SI units: the parameters
+        (`Fit.to_xarray`), and every error motion and location error with its standard uncertainty,
+        ``"EXX"`` and ``"u_EXX"``, over the positions of its axis (`error_motion_tables`).
+
+        Raises `ImportError` where xarray is not installed.
+        """
+        found = self.after.to_xarray()
+        for table in error_motion_tables(self.after, alternatives=self.alternatives):
+            dims, unit = (), si_unit(table.unit)
+            if len(table.position):
+                dims = (f"position_{table.axis}",)
+                place = {"units": si_unit(table.position_unit)}
+                position = table.position * si_factor(table.position_unit)
+                found = found.assign_coords({dims[0]: (dims, position, place)})
+            for name, values in ((table.name, table.value), (f"u_{table.name}", table.u)):
+                inside = np.asarray(values) * si_factor(table.unit)
+                shaped = inside if dims else inside[0]
+                found[name] = (dims, shaped, {"units": unit})
+        return found
 
     @property
     def variance(self) -> dict[str, float]:
