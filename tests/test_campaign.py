@@ -156,6 +156,11 @@ def test_monte_carlo_and_gum_agree_where_all_is_linear(known):
     points = it.plan.take(np.arange(0, it.plan.rows, 6))
     quantities = [*QUANTITIES, VolumetricErrors(points)]
     done = monte_carlo(it.model, it.model, it.plan, draws=3000, quantities=quantities, seed=2)
+    table, draws = done.to_pandas(), done.to_xarray()
+    name = done.quantities[0]
+    assert table.loc[name, "standard_uncertainty"] == pytest.approx(float(draws[name].std(ddof=1)))
+    assert draws[name].dims == ("chain", "draw") and draws.sizes == {"chain": 1, "draw": 3000}
+    assert name in repr(done) and len(repr(done).splitlines()) < 12
     assert done.retried == 0 and done.failed == 0
     measures = [q.measure(done.pair) for q in quantities]
     told = linearised(done.pair, measures)
