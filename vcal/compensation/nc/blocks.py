@@ -19,7 +19,9 @@ _FLOW = re.compile(
     r"[ \t]*/?[ \t]*(?:n[\d \t]+)?o[ \t]*(?P<label>\d+|<[^>]*>|#\S+|\[[^\]]*\])[ \t]*(?P<word>[a-z]*)",
     re.I,
 )
-_MACRO = re.compile(r"(?:IF|WHILE|GOTO|THEN|ELSE|DO|END|WHEN|POPEN|PCLOS|DPRNT|BPRNT)(?![a-z])", re.I)
+_MACRO = re.compile(
+    r"(?:IF|WHILE|GOTO|THEN|ELSE|DO|END|WHEN|POPEN|PCLOS|DPRNT|BPRNT)(?![a-z])", re.I
+)
 _VALUE = re.compile(r"(?P<letter>[A-Za-z@^])[ \t]*[+-]?[ \t]*(?=[#\[])")
 _ASSIGNED = re.compile(r"#[ \t]*(?:\d+|<[^>]*>|\[[^=]*\])[ \t]*=")
 _OFFSETS = re.compile(r"#[ \t]*(?:5[23]\d\d|\[|25\d\d|7\d\d\d|1[23]\d\d\d)")
@@ -127,7 +129,9 @@ def _special(block: Block, at: int) -> Block:
         block.kind, block.flow = "flow", _label(flow)
         return block
     code = re.sub(r"\([^)]*\)", lambda m: " " * len(m[0]), text).split(";")[0]
-    if _MACRO.search(re.sub(r"\[.*\]|<[^>]*>", "", code)):
+    if open_comment := re.search(r"[()]", code):
+        block.kind, block.found = "unreadable", code[open_comment.start() :].strip()
+    elif _MACRO.search(re.sub(r"\[.*\]|<[^>]*>", "", code)):
         block.kind = "macro"
     elif _ASSIGNED.search(code):
         plain = re.sub(r"^[ \t]*/?[ \t]*(?:[nN][\d \t]+)?", "", code).lstrip()

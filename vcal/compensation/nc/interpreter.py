@@ -431,11 +431,14 @@ class Interpreter:
             if arc is None:
                 text = "an arc whose circle is not determined by its words"
                 cause = self._cause(block.line, text) if begun else self._first_unknown()
-                return self._left(block, named, axes, cause, known=True)
+                return self._left(block, named, axes, cause, known=not begun)
             least = self.resolution_mm()
             pieces = arc_pieces(arc, start, end, self.directions, tool, least)
         elif self.motion == 0 or not begun or start == end:
             pieces = [end_piece(self.position, end, self.directions, tool)]
+            if self.motion and not begun:
+                text = "a feed from a position that is not known: only its end is corrected"
+                self._cause(block.line, text, True)
         else:
             pieces = [line_piece(start, end, self.directions, tool)]
         self.position = [*end]
@@ -478,9 +481,7 @@ class Interpreter:
                 end[i] = None if at is None else at + value
         return end
 
-    def _arc(
-        self, frame: Frame, start: Point, end: Point, words: dict[str, Word]
-    ) -> Arc | None:
+    def _arc(self, frame: Frame, start: Point, end: Point, words: dict[str, Word]) -> Arc | None:
         assert self.plane is not None
         if any(w.value is None for w in words.values()):
             return None
@@ -606,4 +607,3 @@ def code_of(tenths: int) -> str:
 
 def _has_point(text: str, word: Word) -> bool:
     return "." in text[word.start : word.end]
-

@@ -87,7 +87,8 @@ def correct_file(
 
 def _decoded(program: bytes, name: str) -> str:
     """Latin-1 gives every byte back; what is not ASCII stands in comments only."""
-    if program[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in program[:64].strip(b"\0"):
+    begin = program.lstrip(b"\0")[:400]  # NUL is a tape leader
+    if begin[:2] in (b"\xff\xfe", b"\xfe\xff") or 4 * begin.count(b"\0") > len(begin):
         raise StudyError(
             f"{name}: found UTF-16 or binary data, expected a text of one byte per character, as "
             "controls read it; save the program as ASCII or UTF-8"
@@ -170,7 +171,9 @@ class _Correction:
         assumptions = dict(interpreter.notes)
         if interpreter.tool_numbers and self.options.tool_lengths_mm is None:
             tools = ", ".join(f"H{number}" for number in sorted(interpreter.tool_numbers))
-            assumptions["tool"] = f"the tool of the calibration for {tools}, as no lengths were given"
+            assumptions["tool"] = (
+                f"the tool of the calibration for {tools}, as no lengths were given"
+            )
         return NcReport(
             self.name,
             1e3 * self.largest,

@@ -102,7 +102,7 @@ class Writer:
         """Text of a corrected move: one block or several."""
         self._style(move.block)
         step = self._grid(move.frame).resolution * move.frame.scale
-        if largest < 0.5 * step and self._is_at_start(move, 0.5 * step):
+        if largest < 0.5 * step and self._as_programmed(move, 0.5 * step):
             return self._unchanged(move)
         targets = self._targets(move, spans, step)
         self.corrected += 1
@@ -122,22 +122,26 @@ class Writer:
         eol = move.block.eol or self.eol
         return eol.join(texts) + move.block.eol
 
-    def _is_at_start(self, move: Move, half: float) -> bool:
-        """Whether the written program is where the programmed one is, within half a step."""
-        piece = move.pieces[0]
-        if not piece.whole:
-            return all(i in move.axes and move.frame.absolute for i in range(3)) or all(
-                abs(a - b) < half or i in move.axes
-                for i, (a, b) in enumerate(zip(self.at, piece.end, strict=True))
-                if move.frame.absolute
-            )
-        return all(abs(a - b) < half for a, b in zip(self.at, piece.start, strict=True))
+    def _as_programmed(self, move: Move, half: float) -> bool:
+        """Whether the block as it is drives the programmed way, within half a step."""
+        frame, first, end = move.frame, move.pieces[0], move.pieces[-1].end
+        reached = list(self.at)
+        for i, word in move.axes.items():
+            reached[i] = self._programmed(frame, i, word)
+        pairs = list(zip(reached, end, strict=True))
+        if first.whole:
+            pairs += zip(self.at, first.start, strict=True)
+        return all(abs(a - b) < half for a, b in pairs)
+
+    def _programmed(self, frame: Frame, axis: int, word: Word) -> float:
+        """Where the word as it is drives an axis."""
+        zero = frame.origin[axis] if frame.absolute else self.at[axis]
+        return zero + frame.scale * float(word.value or 0.0)
 
     def _unchanged(self, move: Move) -> str:
         frame = move.frame
         for i, word in move.axes.items():
-            value = frame.scale * float(word.value or 0.0)
-            self.at[i] = value + (frame.origin[i] if frame.absolute else self.at[i])
+            self.at[i] = self._programmed(frame, i, word)
         text = move.block.text
         if move.named is None and self.motion != move.motion:
             text = self._with_motion(move.block, move.motion)
@@ -239,9 +243,7 @@ class Writer:
     def _code(self, move: Move, target: Target) -> int:
         return min(move.motion, 1) if target.middle is None else move.motion
 
-    def _coordinates(
-        self, move: Move, target: Target, further: bool = False
-    ) -> list[str | None]:
+    def _coordinates(self, move: Move, target: Target, further: bool = False) -> list[str | None]:
         """Numbers (3,) of a block to the target; None where no word has to be written.
 
         The position that is kept is that of the written numbers, so that roundings of increments do
