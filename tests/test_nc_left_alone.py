@@ -44,7 +44,7 @@ def test_every_axis_gets_a_word_where_it_has_to_move():
         ("N0030G01X+0010.Y5F100M8", "N0030G01X9.99Y5.02F100M8"),
         ("  G 1  X 1 0 . 0\tY5 (to X99) F100 ; Y99", "  G 1  X9.99\tY5.02 (to X99) F100 ; Y99"),
         ("/2 G1 X10 Y5", "/2 G1 X9.99 Y5.02"),
-        ("G1 X10 Y5 T2 S500 H3 D4 E1", "G1 X9.99 Y5.02 T2 S500 H3 D4 E1"),
+        ("G1 X10 Y5 T2 S500 H3 D4", "G1 X9.99 Y5.02 T2 S500 H3 D4"),
         ("G1 X10. Y-.5", "G1 X9.99 Y-0.48"),
         ("G91 X10 Y5", "G91 X10 Y5"),
         ("G4 P0.5", "G4 P0.5"),
@@ -104,6 +104,7 @@ def test_ends_of_lines_and_bytes_stay(eol, last):
         ("G1 X#1 Y[2+[3*#2]]", "variables and expressions are not evaluated", 1),
         ("G1 @5 ^30", "polar words are not read", 1),
         ("G1 X1 X2", "a letter occurs twice", 1),
+        ("G1 X5 R2", "words I, J, K or R in a straight move", 1),
         ("G2 X5 Y5", "an arc whose circle is not determined", 1),
         ("G2 X5 Y5 I1 J1", "an arc whose circle is not determined", 1),
         ("G2 X3 Y0 R5", "an arc whose circle is not determined", 1),
@@ -127,10 +128,37 @@ def test_what_cannot_be_corrected_is_left_and_reported(blocks, words, moves):
     (found,) = [w for w in report.warnings if words in w.text]
     assert 4 <= found.lines[0] < 4 + size and found.moves >= moves
     assert f"line {found.lines[0]}: " in report.text()
+    whole = text.encode("latin-1")
+    assert correct_program(whole, lambda p, d: 0.0 * p).program == whole
     if "A30" not in blocks:
         assert lines[3 + size : 5 + size] == ["G91 G17", "G1 X1 Z1"]
         again, _ = lines_of(text.replace("X4 Y4", "X4 Y4 Z4"))
         assert again[6 + size] == "G1 X3.99 Y4.02 Z3.97"
+
+
+def test_a_rotary_axis_holds_corrections_back_until_it_is_at_zero_again():
+    lines, report = lines_of(HEAD + "G0 A30\nG1 X5 F100\nG91 Y1\nG90 A0 X6\nX7\n")
+    assert lines[2:] == ["G0 A30", "G1 X5 F100", "G91 Y1", "G90 A0 X6", "X5.99 Y1.02", "X6.99", ""]
+    (warning,) = report.warnings
+    assert (warning.lines, warning.moves, warning.last) == ((3,), 3, 6)
+
+
+def test_extrusion_is_not_shared():
+    lines, report = lines_of(HEAD + "G1 X5 Y0 Z0 E2 F100\nG1 X6\n")
+    assert lines[2:5] == ["G1 X5 Y0 Z0 E2 F100", "G1 X4.99 Y0.02 Z-0.03", "X5.99"]
+    assert report.warnings[0].lines == (3,)
+
+
+@pytest.mark.parametrize("block", ["G80 G0 X5", "G0 G80 X5", "X5 G01 G80"])
+def test_order_of_codes_in_a_block(block):
+    lines, _ = lines_of(HEAD + f"{block}\n")
+    assert lines[2] == block.replace("X5", "X4.99")
+
+
+def test_moves_of_the_control_set_the_modal_motion_too():
+    text = HEAD + "G1 X5 F100\nG53 G0 Z0\nX6 Y6 Z6\n"
+    lines, _ = lines_of(text)
+    assert lines[3:5] == ["G53 G0 Z0", "X5.99 Y6.02 Z5.97"]
 
 
 def test_loops_of_macros_end_what_is_known():
@@ -194,6 +222,17 @@ def test_small_arcs_follow_their_circle():
     tool = path + 1e3 * skewed(1e-3 * path, None)
     wanted, _, _ = nc.sampled(nc.driven(HEAD + arcs)[1:], 0.001)
     assert nc.distance_to(tool[::3], wanted).max() < 1.1e-3
+
+
+def test_several_turns():
+    text = HEAD + "G1 X10 F100\nG3 X0 Y10 Z-9 I-10 J0 P3\n"
+    lines, _ = lines_of(text, lambda p, d: 3e-4 * p[:, [1, 2, 0]])
+    moves = nc.driven("\n".join(lines))
+    arcs = [m for m in moves if m.motion == 3]
+    assert sum(m.turn for m in arcs) == pytest.approx(4.5 * np.pi, abs=1e-3)
+    path, _, _ = nc.sampled(moves[2:], 0.02)
+    wanted, _, _ = nc.sampled(nc.driven(text)[2:], 0.02)
+    assert nc.distance_to(path + 3e-4 * path[:, [1, 2, 0]], wanted).max() < 1.1e-3
 
 
 def test_m_codes_keep_their_side_of_a_split_move():
@@ -265,7 +304,7 @@ def test_a_feed_from_an_unknown_position():
     assert report.warnings[0].lines == (2,) and "only its end" in report.warnings[0].text
 
 
-# --- messages --------------------------------------------------------------------------------------
+# --- messages -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -318,7 +357,7 @@ def test_a_step_along_a_line_is_reported():
     assert any("too fast" in w.text and w.lines == (3,) for w in report.warnings)
 
 
-# --- files and speed -------------------------------------------------------------------------------
+# --- files and speed ------------------------------------------------------------------------------
 
 
 def test_files(tmp_path):

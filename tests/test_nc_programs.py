@@ -1,4 +1,4 @@
-"""NC programs: what is read, what is left alone, and where the corrected program drives the tool."""
+"""NC programs: where the corrected program drives the tool, as others read it."""
 
 import shutil
 
@@ -28,7 +28,7 @@ def fed(moves):
     return [m for m in moves if m.motion and m.length > 0]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(10))
 def test_without_errors_the_program_stays_byte_for_byte(seed):
     program = Author(seed).program(60)
     done = corrected(program, zero)
@@ -38,7 +38,7 @@ def test_without_errors_the_program_stays_byte_for_byte(seed):
     assert done.report.moves > 30 and not done.report.warnings
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(6))
 def test_the_displaced_tool_follows_the_programmed_path(seed):
     """A true machine (exact kinematics, oracle) driven by the corrected program, as read by an
     independent interpreter: at most the tolerance and the resolution are left.
@@ -62,7 +62,7 @@ def test_the_displaced_tool_follows_the_programmed_path(seed):
     assert all(np.linalg.norm(reached - end, axis=1).min() < 2 * resolution for end in ends)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_lost_motion_is_taken_up(seed):
     """Play of every axis, as the play operator, beside errors that change with the position."""
     half = np.array([6e-3, 4e-3, 9e-3])
@@ -87,7 +87,7 @@ def test_lost_motion_is_taken_up(seed):
 
 
 def test_a_circle_with_lost_motion_is_split_where_axes_turn_round():
-    """Quadrant by quadrant, with a block of the size of the play at every reversal (closed form)."""
+    """By quadrants, with a block of the size of the play at every reversal (closed form)."""
     half = np.array([5e-3, 3e-3, 0.0])
 
     def displacement(positions, directions):
@@ -183,7 +183,7 @@ needs_rs274 = pytest.mark.skipif(
 
 
 @needs_rs274
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(5))
 def test_linuxcnc_reads_the_corrected_program_as_the_oracle_does(seed, tmp_path):
     program = Author(500 + seed).program(60)
     done = corrected(program, machine_displacement(seed))

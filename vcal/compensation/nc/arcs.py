@@ -15,8 +15,9 @@ _RADIUS_MM, _RADIUS_SHARE = 0.01, 0.001
 
 
 class Arc(NamedTuple):
-    """p(f) = centre + r(f) (cos a(f), sin a(f)) in the plane, with r, a and the height linear in the
-    share f of the way; mm and rad.
+    """p(f) = centre + r(f) (cos a(f), sin a(f)) in the plane, mm and rad.
+
+    The radius r, the angle a and the height are linear in the share f of the way.
     """
 
     plane: int

@@ -11,12 +11,14 @@ from typing import NamedTuple
 
 _LINE = re.compile(r"([^\r\n]*)(\r\n|\n|\r|\Z)")
 _TOKEN = re.compile(
-    r"(?P<letter>[A-Za-z])[ \t]*(?P<number>[+-]?[ \t]*(?:\d[\d \t]*(?:\.[\d \t]*)?|\.[ \t]*\d[\d \t]*))"
+    r"(?P<letter>[A-Za-z])[ \t]*"
+    r"(?P<number>[+-]?[ \t]*(?:\d[\d \t]*(?:\.[\d \t]*)?|\.[ \t]*\d[\d \t]*))"
     r"|(?P<comment>\([^)]*\)|;.*)"
 )
 _START = re.compile(r"(?P<bom>\xef\xbb\xbf)?[ \t]*(?P<slash>/\d?)?")
 _FLOW = re.compile(
-    r"[ \t]*/?[ \t]*(?:n[\d \t]+)?o[ \t]*(?P<label>\d+|<[^>]*>|#\S+|\[[^\]]*\])[ \t]*(?P<word>[a-z]*)",
+    r"[ \t]*/?[ \t]*(?:n[\d \t]+)?"
+    r"o[ \t]*(?P<label>\d+|<[^>]*>|#\S+|\[[^\]]*\])[ \t]*(?P<word>[a-z]*)",
     re.I,
 )
 _MACRO = re.compile(

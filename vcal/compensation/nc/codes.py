@@ -14,7 +14,7 @@ EXTENDED_OFFSETS = {541: "G54.1", 1540: "G154"}
 """Their number is in a word P."""
 
 HARMLESS = frozenset(
-    # exact stop and path modes, spindle modes, stroke limits, levels of canned cycles, ends of modes
+    # exact stop and path modes, spindle modes, stroke limits, levels of canned cycles
     [90, 600, 610, 611, 620, 630, 640, 960, 970, 961, 980, 990, 110, 230, 250, 260, 401, 1030]
     + [281, 301]  # the reference position is stored, nothing moves
 )
@@ -114,6 +114,6 @@ AFTER_MOTION = frozenset([0, 1, 2, 5, 9, 30, 60])
 """M codes that act after it, or on some controls; later than with the move does no harm."""
 
 
-def code_name(letter: str, tenths: int) -> str:
-    """`code_name("G", 381)` is ``"G38.1"``."""
-    return f"{letter}{tenths // 10}" + (f".{tenths % 10}" if tenths % 10 else "")
+def code_of(tenths: int) -> str:
+    """`code_of(381)` is ``"G38.1"``."""
+    return f"G{tenths // 10}" + (f".{tenths % 10}" if tenths % 10 else "")

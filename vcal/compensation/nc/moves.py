@@ -1,4 +1,4 @@
-"""What a block of a program does: a move that can be corrected, or a block that is left as it is."""
+"""What a block of a program does: a move that is corrected, or a block that is left as it is."""
 
 import math
 from dataclasses import dataclass, field

@@ -40,8 +40,8 @@ def correct_program(
 
         q + c + displacement(q + c) = q
 
-    Straight lines and arcs are split where the correction between their ends deviates from a straight
-    line or an arc by more than the tolerance. All other bytes stay. Raises `StudyError` for a
+    Straight lines and arcs are split where the corrected path deviates from a straight line or an
+    arc by more than the tolerance. All other bytes stay. Raises `StudyError` for a
     program that cannot be read.
     """
     correction = _Correction(displacement, options or NcOptions(), name)
@@ -53,7 +53,7 @@ def correct_program(
 def correct_file(
     path: Path, out: Path, displacement: Displacement, options: NcOptions | None = None
 ) -> NcReport:
-    """`correct_program` from file to file. A file `out` that exists is replaced when all is written.
+    """`correct_program` from file to file; an existing `out` is replaced once all is written.
 
     Raises `StudyError` for a program that cannot be read, and where `out` is the program itself.
     """
@@ -98,9 +98,7 @@ def _decoded(program: bytes, name: str) -> str:
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """Without the collector of cycles, of which there are none here: its visits of every live object
-    took a third of the time.
-    """
+    """Without the collector of cycles: there are none here, and it took a third of the time."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -164,13 +162,13 @@ class _Correction:
 
     def report(self) -> NcReport:
         """The report of what has been read so far."""
-        interpreter, writer = self.interpreter, self.writer
-        causes = interpreter.causes
+        state, writer = self.interpreter.state, self.writer
+        causes = state.causes
         left = sum(cause.moves for cause in causes)
         warnings = [*warnings_of(causes), *self._own_warnings()]
-        assumptions = dict(interpreter.notes)
-        if interpreter.tool_numbers and self.options.tool_lengths_mm is None:
-            tools = ", ".join(f"H{number}" for number in sorted(interpreter.tool_numbers))
+        assumptions = dict(state.notes)
+        if state.tool_numbers and self.options.tool_lengths_mm is None:
+            tools = ", ".join(f"H{number}" for number in sorted(state.tool_numbers))
             assumptions["tool"] = (
                 f"the tool of the calibration for {tools}, as no lengths were given"
             )

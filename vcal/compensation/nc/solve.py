@@ -40,8 +40,8 @@ def evaluate(displacement: Displacement, points: Points) -> np.ndarray:
         worst = 1e3 * points.positions[~np.isfinite(found).all(axis=1)][0]
         where = ", ".join(f"{c} = {v:.3f} mm" for c, v in zip("XYZ", worst, strict=True))
         raise StudyError(
-            f"displacement at {where}: found no finite number, expected one; check that the program "
-            "and its work offsets lie within the calibrated travels"
+            f"displacement at {where}: found no finite number, expected one; check that the "
+            "program and its work offsets lie within the calibrated travels"
         )
     return found
 

@@ -57,7 +57,7 @@ class Writer:
         self.displaced: dict[int, list[int]] = {}
         """Lines of split blocks by their M codes whose time of action is not known."""
 
-    # --- blocks left as they are --------------------------------------------------------------------
+    # --- blocks left as they are ------------------------------------------------------------------
 
     def left(self, left: Left) -> str:
         """Text of a block that is left as it is."""
@@ -96,7 +96,7 @@ class Writer:
         self.motion = 1
         return self._line(block, words) + (block.eol or self.eol)
 
-    # --- corrected moves ------------------------------------------------------------------------------
+    # --- corrected moves --------------------------------------------------------------------------
 
     def move(self, move: Move, spans: list[list[Span]], largest: float) -> str:
         """Text of a corrected move: one block or several."""
@@ -275,8 +275,9 @@ class Writer:
         return found
 
     def _centre(self, move: Move, target: Target, start: list[float]) -> dict[str, float]:
-        """Centre or radius of the circle from the written start, through the middle of the corrected
-        path, to the written end; in the unit of the program.
+        """Centre or radius, in the unit of the program, of the circle to be driven.
+
+        It goes from the written start through the middle of the corrected path to the written end.
         """
         u, v, _ = AXES[move.plane]
         assert target.middle is not None
@@ -292,7 +293,7 @@ class Writer:
             second: (float(centre[0, 1]) - zero[v]) / frame.scale,
         }
 
-    # --- text ---------------------------------------------------------------------------------------
+    # --- text -------------------------------------------------------------------------------------
 
     def _grid(self, frame: Frame) -> Grid:
         return self.grids[frame.scale != 1.0]
