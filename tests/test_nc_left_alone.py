@@ -138,7 +138,7 @@ def test_what_cannot_be_corrected_is_left_and_reported(blocks, words, moves):
 
 def test_a_rotary_axis_holds_corrections_back_until_it_is_at_zero_again():
     lines, report = lines_of(HEAD + "G0 A30\nG1 X5 F100\nG91 Y1\nG90 A0 X6\nX7\n")
-    assert lines[2:] == ["G0 A30", "G1 X5 F100", "G91 Y1", "G90 A0 X6", "X5.99 Y1.02", "X6.99", ""]
+    assert lines[2:] == ["G0 A30", "G1 X5 F100", "G91 Y1", "G90 A0 X6", "X5.99", "X6.99", ""]
     (warning,) = report.warnings
     assert (warning.lines, warning.moves, warning.last) == ((3,), 3, 6)
 
