@@ -47,6 +47,7 @@ def test_every_axis_gets_a_word_where_it_has_to_move():
         ("G1 X10 Y5 T2 S500 H3 D4", "G1 X9.99 Y5.02 T2 S500 H3 D4"),
         ("G1 X10. Y-.5", "G1 X9.99 Y-0.48"),
         ("G91 X10 Y5", "G91 X10 Y5"),
+        ("M3 $0 S100", "M3 $0 S100"),
         ("G4 P0.5", "G4 P0.5"),
         ("G4 X1.5", "G4 X1.5"),
         ("(G1 X10) M3 S100", "(G1 X10) M3 S100"),

@@ -1,7 +1,7 @@
 """NC programs with corrected positions, for any control (ISO 6983-1, RS-274/NGC).
 
 - `blocks`: lines as words with their places; `codes`: what G and M codes do to a position;
-- `interpreter`: the modal state of a control, and the moves with their axis positions (`moves`);
+- `modal`: the modal state of a control; `interpreter`: the moves of each block (`moves`);
 - `arcs`: circular arcs and helices;
 - `solve`: the command whose displaced tool point is the wanted one;
 - `split`: where moves are split, with a bound on the deviation in between;

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 _LINE = re.compile(r"([^\r\n]*)(\r\n|\n|\r|\Z)")
 _TOKEN = re.compile(
-    r"(?P<letter>[A-Za-z])[ \t]*"
+    r"(?P<letter>[A-Za-z$])[ \t]*"
     r"(?P<number>[+-]?[ \t]*(?:\d[\d \t]*(?:\.[\d \t]*)?|\.[ \t]*\d[\d \t]*))"
     r"|(?P<comment>\([^)]*\)|;.*)"
 )
+"""The letter may be `$`, the number of a spindle in LinuxCNC."""
 _START = re.compile(r"(?P<bom>\xef\xbb\xbf)?[ \t]*(?P<slash>/\d?)?")
 _FLOW = re.compile(
     r"[ \t]*/?[ \t]*(?:n[\d \t]+)?"

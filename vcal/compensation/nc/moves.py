@@ -94,7 +94,9 @@ def line_piece(start: Point, end: Point, directions: list[float], tool_length: f
     return Piece(start, end, _frozen(directions), length, tool_length=tool_length)
 
 
-def end_piece(start: list[float | None], end: Point, directions: list[float], tool_length: float):
+def end_piece(
+    start: list[float | None], end: Point, directions: list[float], tool_length: float
+) -> Piece:
     """The end of a move that is not corrected on its way."""
     update(directions, [0.0 if a is None else b - a for a, b in zip(start, end, strict=True)])
     for i, a in enumerate(start):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...errors import StudyError
 from .codes import EXTENDED_OFFSETS, OFFSETS
@@ -20,7 +21,9 @@ class Displacement(Protocol):
     (n,) holds the length of the active tool in m. The number of rows n is one of few.
     """
 
-    def __call__(self, positions: np.ndarray, directions: np.ndarray, *args: np.ndarray): ...
+    def __call__(
+        self, positions: np.ndarray, directions: np.ndarray, *args: np.ndarray
+    ) -> ArrayLike: ...
 
 
 @dataclass(frozen=True)
