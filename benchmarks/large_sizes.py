@@ -11,10 +11,12 @@ there. The second makes results/large_sizes.json from the lines.
 """
 
 import argparse
+import math
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatch
 
-from power import FIRST_SEED, one_set
+from power import FIRST_SEED, limit_of, one_set
+from power_cases import Entry
 from power_summary import counted, is_of, outcome
 from records import campaign, campaign_parser, make_sets, share
 
@@ -46,13 +48,23 @@ def jobs(sets: range, patterns: Sequence[str]) -> Iterator[tuple[str, float, int
 
 def work(options: argparse.Namespace) -> None:
     """Make this worker's share of the sets."""
-    from power_cases import ENTRIES
+    from power_cases import ENTRIES, drawn, world_of
+
+    def visible(entry: Entry, seed: int) -> bool:
+        """Whether the plan shows the drawn effect: a tool that slips between two poses of an
+        artefact does not differ from another pose.
+        """
+        world, (kind,) = world_of(entry.instrument, seed), entry.kinds
+        return math.isfinite(limit_of(entry, world, drawn(entry, world)[0], kind))
 
     def made(case: str, factor: float, seed: int) -> dict:
         entry = ENTRIES[case]
         # In place of a detection limit: the size that is multiplied.
         limits = {(entry.instrument, k.name, entry.warming, seed): k.large for k in entry.kinds}
         try:
+            if not visible(entry, seed):
+                return {"case": case, "multiple": factor, "seed": seed, "limit": [], "truth": [],
+                        "found": [], "verdict": "not detectable"}  # fmt: skip
             return one_set(entry, factor, seed, limits)
         except Exception as error:  # a set that fails is a finding, and must not end the campaign
             return {"case": case, "multiple": factor, "seed": seed, "limit": [], "truth": [],
@@ -76,7 +88,11 @@ def summed(lines: Sequence[dict]) -> dict:
     """Right and wrong names by size, and the outcomes of every case."""
     sizes = []
     for factor in FACTORS:
-        part = [line for line in lines if line["multiple"] == factor]
+        part = [
+            line
+            for line in lines
+            if line["multiple"] == factor and line["verdict"] != "not detectable"
+        ]
         if not part:
             continue
         right = sum(is_right(line) for line in part)
