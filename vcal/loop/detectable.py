@@ -40,7 +40,7 @@ _RIVALS, _ALIKE = 6, 0.3
 """Most rivals of an effect, and the least share of its chi-square that a rival explains."""
 _FIRST, _LAST = 0.5, 64.0
 """Sizes that are searched, in units of that whose expected chi-square is the significant one."""
-_HALVINGS = 6
+_HALVINGS = 5
 _RESOLVED = 1e-8
 """Least eigenvalue of an information matrix, in units of its largest."""
 
@@ -109,7 +109,7 @@ def smallest_sizes(
     *,
     alpha: float,
     seed: int,
-    draws: int = 150,
+    draws: int = 100,
 ) -> list[SmallestSize]:
     """The smallest sizes of all candidates that the model does not span (`ScoreTest.tests`), one
     for each amplitude, in the order of `tested`.
