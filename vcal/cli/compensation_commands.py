@@ -1,0 +1,184 @@
+"""The commands `vcal compensate` and `vcal verify`: from an identified machine to a control."""
+
+import shlex
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..errors import StudyError
+from .commands import Override, Trust, _folder, app
+from .session import guarded, say, start, working
+
+if TYPE_CHECKING:
+    from ..compensation import Compensation, IdentifiedMachine
+
+_SOURCE = typer.Argument(
+    help="Report of vcal loop (its folder, report.json or machine.json), or a study file or "
+    "folder, whose loop is closed first.",
+    metavar="REPORT|STUDY",
+)
+OptionsOf = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--option",
+        metavar="KEY=VALUE",
+        help="An option of the format, such as points=21. Repeatable; --list shows all of them.",
+    ),
+]
+At = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--at",
+        metavar="CONDITION=VALUE",
+        help="Condition for which tables are made that cannot vary with it, such as T_Z=23.5 "
+        "(degC); by default its mean in the measurement. Repeatable.",
+    ),
+]
+
+
+@app.command()
+@guarded
+def compensate(
+    source: Annotated[Path | None, _SOURCE] = None,
+    to: Annotated[
+        str | None, typer.Option("--to", metavar="FORMAT", help="The format; --list shows all.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            parser=_folder,
+            metavar="PATH",
+            help="Folder for the files: a new folder, or that of an earlier compensation.",
+        ),
+    ] = None,
+    option: OptionsOf = None,
+    at: At = None,
+    anyway: Annotated[
+        bool,
+        typer.Option(
+            "--compensate-anyway", help="Also where compensation does not reduce the error."
+        ),
+    ] = False,
+    list_: Annotated[
+        bool, typer.Option("--list", help="List the formats with their options, and end.")
+    ] = False,
+    override: Override = None,
+    trust: Trust = False,
+) -> None:
+    """Write the files with which a control compensates the identified errors."""
+    if list_:
+        _list_formats()
+        return
+    given = {"REPORT|STUDY": source, "--to": to, "--out": out}
+    for name, value in given.items():
+        if value is None:
+            raise StudyError(
+                f"{name}: found none, expected one; give it, or list the formats with --list"
+            )
+    assert source is not None and to is not None and out is not None
+    start()
+    from ..compensation import FORMATS
+    from ..compensation import compensate as built
+    from ..report.compensation.write import check_compensation_folder, write_compensation
+
+    FORMATS.named(to)  # before the work, not after it
+    options = options_of(option or [], at or [])
+    reads = [source if source.is_dir() else source.parent]
+    check_compensation_folder(out, reads)
+    words = ["vcal", "compensate", str(source), "--to", to, "--out", str(out)]
+    for flag, texts in (("--option", option), ("--at", at), ("--set", override)):
+        words += [word for text in texts or [] for word in (flag, text)]
+    with working("reading the identified machine") as progress:
+        machine = machine_of(source, override or [], trust, progress)
+        if machine.no_gain and not anyway:
+            raise StudyError(
+                f"{source}: {machine.no_gain} Nothing was written; use --compensate-anyway to "
+                "write the files all the same"
+            )
+        progress("building the compensation")
+        found = built(machine, to, options)
+        files = write_compensation(found, out, command=shlex.join(words))
+    _show(found, out, files)
+
+
+def machine_of(
+    source: Path, overrides: Sequence[str], trust: bool, progress: Callable[[str], None]
+) -> "IdentifiedMachine":
+    """The identified machine of a report, or of a study whose loop is closed.
+
+    Raises `StudyError` where it is neither, and as the loop does.
+    """
+    from .. import load_study
+    from ..study.identified_machine import identified_machine, is_report, load_machine
+    from .loop import close_study
+
+    if is_report(source):
+        if overrides:
+            raise StudyError(
+                f"--set: found an override of a study with the report {source}, expected a study; "
+                "name the study instead"
+            )
+        return load_machine(source)
+    study = load_study(source, list(overrides), trust=trust)
+    if study.measurement is None:
+        raise StudyError(
+            f"{study.sets[0].file}, header: found a plan without readings, expected a measurement; "
+            "add the measured readings, or simulate some with `vcal simulate`"
+        )
+    return identified_machine(close_study(study, study.measurement, progress), study)
+
+
+def options_of(option: Sequence[str], at: Sequence[str]) -> dict[str, Any]:
+    """Options of a format from ``KEY=VALUE``. Raises `StudyError` for a text of another form."""
+    found: dict[str, Any] = dict(_pairs("--option", option))
+    conditions: dict[str, float] = {}
+    for name, text in _pairs("--at", at).items():
+        try:
+            conditions[name] = float(text)
+        except ValueError as error:
+            raise StudyError(
+                f"--at: found {name}={text!r}, expected a number, as in T_Z=23.5; correct it"
+            ) from error
+    return found | ({"at": conditions} if conditions else {})
+
+
+def _pairs(flag: str, texts: Sequence[str]) -> dict[str, str]:
+    found = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not (equals and name.strip()):
+            raise StudyError(f"{flag}: found {text!r}, expected KEY=VALUE; correct it")
+        found[name.strip()] = value.strip()
+    return found
+
+
+def _list_formats() -> None:
+    from ..compensation import FORMATS
+
+    for name, kind in FORMATS.items():
+        say(f"{name}: {kind.summary}")
+        say(f"  sign: {kind.sign}")
+        say(f"  units: {kind.units}; resolution: {kind.resolution}")
+        say(f"  limits: {kind.limits}")
+        say(f"  source: {kind.source}")
+        for key, about in kind.options.model_fields.items():
+            if key != "at":
+                what = f" ({about.description})" if about.description else ""
+                say(f"  option {key}={about.get_default()}{what}")
+
+
+def _show(found: "Compensation", out: Path, files: Sequence[str]) -> None:
+    for part in found.carried:
+        say(f"carried:        {part.name} ({part.rms_um:.3g} um rms at the tool)")
+    for part in found.not_carried:
+        because = f": {part.reason}" if part.reason else ""
+        say(
+            f"not carried:    {part.name}: {part.stays_rms_um:.3g} um rms, largest "
+            f"{part.stays_largest_um:.3g} um stay of {part.rms_um:.3g} um rms{because}"
+        )
+    for name in found.not_identified:
+        say(f"not identified: {name}: the readings know nothing of it; zero in the files")
+    say(f"Wrote {out}: {', '.join(files)}.")
