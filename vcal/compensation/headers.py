@@ -1,6 +1,7 @@
 """Comment lines that the files of all formats share: machine, date, sign, tool, conditions."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -9,11 +10,8 @@ from .fields import Field
 from .machine import IdentifiedMachine
 
 
-def header(
-    machine: IdentifiedMachine, form: type[Format], sign: str = "", tables: bool = True
-) -> list[str]:
+def header(machine: IdentifiedMachine, form: type[Format[Any]], sign: str = "") -> list[str]:
     """Lines, without a comment sign, that state what a file is and how it is to be used."""
-    del tables
     tool = ", ".join(f"{1e3 * v:.6g}" for v in np.asarray(machine.chain.tool_offset))
     lines = [
         f"compensation by vcal, format {form.name}: {form.summary}",
@@ -35,7 +33,9 @@ def header(
     return lines
 
 
-def conditions_in_words(machine: IdentifiedMachine, field: Field | None) -> list[str]:
+def conditions_in_words(
+    machine: IdentifiedMachine, field: Field | None, at: Mapping[str, float]
+) -> list[str]:
     """Lines on the conditions: those that vary, with the value at which the base holds, and those
     for which the table is made.
     """
@@ -51,16 +51,16 @@ def conditions_in_words(machine: IdentifiedMachine, field: Field | None) -> list
             )
         else:
             unit = "degC" if name.startswith("T_") else ""
-            at = outside(machine, name, zeros[name])
+            zero = outside(machine, name, zeros[name])
             lines.append(
-                f"{name}: base holds at {at:.6g} {unit}".rstrip()
-                + f"; correction = base + ({name} - {at:.6g}) * per_{name}"
+                f"{name}: base holds at {zero:.6g} {unit}".rstrip()
+                + f"; correction = base + ({name} - {zero:.6g}) * per_{name}"
             )
     for name in machine.ranges:
         if name not in slopes and _matters(machine, name):
-            at = outside(machine, name, machine.at_rest(name))
+            held = outside(machine, name, at.get(name, machine.at_rest(name)))
             unit = " degC" if name.startswith("T_") else " (SI)"
-            lines.append(f"{name}: the table holds at {at:.6g}{unit}")
+            lines.append(f"{name}: the table holds at {held:.6g}{unit}")
     if not any(name.startswith("T_") for name in machine.ranges):
         lines.append("temperature: no identified error depends on it; as during the measurement")
     return lines
@@ -79,8 +79,3 @@ def _span(machine: IdentifiedMachine, axis: int) -> str:
     low, high = machine.volume[axis]
     factor, unit = (57.29577951308232, "deg") if machine.chain.joints[axis].turns else (1e3, "mm")
     return f"{factor * low:.6g} to {factor * high:.6g} {unit}"
-
-
-def listed(values: Sequence[float]) -> str:
-    """Numbers with six digits."""
-    return " ".join(f"{v:.6g}" for v in values)

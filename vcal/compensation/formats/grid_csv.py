@@ -42,6 +42,7 @@ class CsvTables(Tables):
 
     machine: IdentifiedMachine
     options: CsvOptions
+    at: Mapping[str, float]
     field: Field
 
     def applied(
@@ -65,7 +66,7 @@ class CsvTables(Tables):
         rule = "add to the command" if add else "subtract from the command"
         field = self.field
         about = header(self.machine, GridCsv, sign=f"{rule}: {what} columns")
-        about += conditions_in_words(self.machine, field)
+        about += conditions_in_words(self.machine, field, self.at)
         columns = [f"{axis}_mm" for axis in field.axes]
         blocks = [field.base, *field.slopes.values()]
         columns += [f"{what}_{axis}_um" for axis in field.corrected]
@@ -115,7 +116,7 @@ class GridCsv(Format[CsvOptions]):
         lines = [spaced(low, high, options.points) for low, high in machine.volume]
         at = at_inside(machine, options)
         field = field_of(machine, lines, machine.varying, at)
-        return CsvTables(machine, options, _rounded(field))
+        return CsvTables(machine, options, at, _rounded(field))
 
 
 def _rounded(field: Field) -> Field:
