@@ -1,7 +1,7 @@
 """The commands `vcal compensate` and `vcal verify`: from an identified machine to a control."""
 
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,7 @@ from .commands import Override, Trust, _folder, app
 from .session import guarded, say, start, working
 
 if TYPE_CHECKING:
-    from ..compensation import Compensation, IdentifiedMachine
+    from ..compensation import Compensation, IdentifiedMachine, Verified
 
 _SOURCE = typer.Argument(
     help="Report of vcal loop (its folder, report.json or machine.json), or a study file or "
@@ -102,6 +102,87 @@ def compensate(
         found = built(machine, to, options)
         files = write_compensation(found, out, command=shlex.join(words))
     _show(found, out, files)
+
+
+@app.command()
+@guarded
+def verify(
+    source: Annotated[Path, _SOURCE],
+    to: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--to", metavar="FORMAT", help="A format to compare; repeatable. All without it."
+        ),
+    ] = None,
+    option: OptionsOf = None,
+    at: At = None,
+    raw: Annotated[
+        bool, typer.Option("--raw", help="Without the best rigid alignment of the points.")
+    ] = False,
+    draws: Annotated[
+        int, typer.Option(metavar="N", min=2, help="Machines drawn from the posterior.")
+    ] = 400,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the draws.")] = 0,
+    override: Override = None,
+    trust: Trust = False,
+) -> None:
+    """Predict the volumetric error before and after compensation, for every format."""
+    start()
+    from ..compensation import FORMATS, Verified
+    from ..compensation import compensate as built
+    from ..compensation import verify as verified
+
+    asked = [FORMATS.named(name).name for name in to or FORMATS]
+    if option and len(asked) != 1:
+        raise StudyError(
+            "--option: found options for several formats, expected one format with --to; name it"
+        )
+    options = options_of(option or [], at or [])
+    found: dict[str, Verified] = {}
+    refused: dict[str, str] = {}
+    with working("reading the identified machine") as progress:
+        machine = machine_of(source, override or [], trust, progress)
+        found["without"] = verified(machine, draws=draws, seed=seed)
+        for name in asked:
+            progress(f"simulating the machine with {name}")
+            try:
+                tables = built(machine, name, options, parts=False).tables
+            except StudyError as error:
+                refused[name] = str(error)
+                continue
+            found[name] = verified(machine, tables, draws=draws, seed=seed)
+    if machine.no_gain:
+        say(machine.no_gain)
+    _show_verified(found, raw)
+    for text in refused.values():
+        say(f"refused: {text}")
+    if refused and not found.keys() - {"without"}:
+        raise StudyError(f"{source}: no format that was asked for takes this machine")
+
+
+def _show_verified(found: "Mapping[str, Verified]", raw: bool) -> None:
+    """One line per format: rms and largest error at every place, with standard uncertainty."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..report.html.text import rounded
+
+    how = "without alignment" if raw else "after the best rigid alignment"
+    table = Table(box=None, pad_edge=False)
+    table.add_column("expected error, um")
+    places = list(found["without"].raw)
+    for place in places:
+        table.add_column(f"{place}: rms", justify="right")
+        table.add_column("largest", justify="right")
+    for name, one in found.items():
+        each = one.raw if raw else one.aligned
+        cells = []
+        for place in places:
+            for drawn in (each[place].rms, each[place].largest):
+                cells.append(" ± ".join(rounded(drawn.mean, drawn.u)))
+        table.add_row(name, *cells)
+    Console(soft_wrap=True, highlight=False).print(table)
+    say(f"Mean ± standard deviation over machines drawn from the posterior, {how}.")
 
 
 def machine_of(

@@ -7,6 +7,7 @@ tables correct (`Tables.applied`); what they cannot carry follows from that by s
 """
 
 from .base import Compensation, Format, Kept, Options, Tables, compensate
+from .expected import Expected, Verified, verify
 from .formats import FORMATS
 from .machine import IdentifiedMachine, Range, Rival
 from .volume import Use, working_volume
@@ -14,6 +15,7 @@ from .volume import Use, working_volume
 __all__ = [
     "FORMATS",
     "Compensation",
+    "Expected",
     "Format",
     "IdentifiedMachine",
     "Kept",
@@ -22,6 +24,8 @@ __all__ = [
     "Rival",
     "Tables",
     "Use",
+    "Verified",
     "compensate",
+    "verify",
     "working_volume",
 ]

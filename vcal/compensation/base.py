@@ -173,9 +173,13 @@ class Format(ABC, Generic[O]):
         return ""
 
     def build(
-        self, machine: IdentifiedMachine, options: Mapping[str, Any] | O | None = None
+        self,
+        machine: IdentifiedMachine,
+        options: Mapping[str, Any] | O | None = None,
+        *,
+        parts: bool = True,
     ) -> Compensation:
-        """The compensation of a machine.
+        """The compensation of a machine; without `parts`, what is carried is not computed.
 
         Raises `StudyError` for options that are not known, and where the machine does not fit.
         """
@@ -186,12 +190,12 @@ class Format(ABC, Generic[O]):
             raise StudyError(f"format {self.name}: {reason}")
         tables = self.tables(machine, chosen)  # type: ignore[arg-type]
         use = working_volume(machine, POINTS)
-        parts = tuple(
+        kept = tuple(
             self._kept(machine, part.name, chosen, use)  # type: ignore[arg-type]
             for part in machine.parts
-            if part.name in machine.shown
+            if parts and part.name in machine.shown
         )
-        return Compensation(self, machine, chosen, tables, parts)
+        return Compensation(self, machine, chosen, tables, kept)
 
     def _kept(self, machine: IdentifiedMachine, part: str, options: O, use: Use) -> Kept:
         alone = machine.restricted([part])
@@ -249,13 +253,18 @@ def left_over(machine: IdentifiedMachine, tables: Tables, use: Use) -> Float[np.
 
 
 def compensate(
-    machine: IdentifiedMachine, to: str, options: Mapping[str, Any] | None = None
+    machine: IdentifiedMachine,
+    to: str,
+    options: Mapping[str, Any] | None = None,
+    *,
+    parts: bool = True,
 ) -> Compensation:
-    """The compensation of a machine in the format named `to` (`FORMATS`), with its `options`.
+    """The compensation of a machine in the format named `to` (`FORMATS`), with its `options`;
+    without `parts`, what is carried is not computed.
 
     Raises `StudyError` for a format that is not known, and as `Format.build` does.
     """
-    return FORMATS.named(to)().build(machine, options)
+    return FORMATS.named(to)().build(machine, options, parts=parts)
 
 
 def _sizes_um(moved: Float[np.ndarray, "n 3"]) -> tuple[float, float]:

@@ -406,7 +406,8 @@ class IdentifiedMachine:
         if known:
             _, by_port = self._evaluated(plan, self._ports(plan)[0])
             for effect in known:
-                sigma = {p.name: p.sigma * p.si for p in effect.amplitudes}
+                # Its standard deviation is declared as its value, or is that of its prior.
+                sigma = {p.name: (p.mean or p.sigma) * p.si for p in effect.amplitudes}
                 for (port, name), values in effect.response(plan, {}).items():
                     column = np.broadcast_to(np.asarray(values, float), (plan.rows,)) * sigma[name]
                     moved = by_port[:, :, self.layout.index(port)] * column[:, None]
