@@ -135,6 +135,9 @@ def _drawn(values: np.ndarray) -> Drawn:
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
-    """A with A A' = C, for a covariance that rounding may have made slightly indefinite."""
+    """The symmetric A with A A = C, for a covariance that rounding may have made indefinite.
+
+    It is continuous in C, so that a machine that was stored has the same draws.
+    """
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

@@ -122,7 +122,12 @@ class VolumetricTables(Tables):
                 f"setp axis.{axis}.eoffset-scale {self.options.scale_mm:.9g}",
                 f"net vcal-{axis}-command axis.{axis}.pos-cmd => {_NAME}.{axis}",
                 f"net vcal-{axis}-counts {_NAME}.d{axis} => axis.{axis}.eoffset-counts",
+                f"net vcal-{axis}-request axis.{axis}.eoffset-request => {_NAME}.r{axis}",
             ]
+        lines += [
+            f"net vcal-enabled motion.motion-enabled => {_NAME}.enabled",
+            f"net vcal-homed motion.is-all-homed => {_NAME}.homed",
+        ]
         lines += [
             f"# net vcal-{pin} SENSOR => {_NAME}.{pin}  # connect the sensor: its value, in degC"
             if pin.startswith("T-")
