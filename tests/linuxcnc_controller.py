@@ -51,19 +51,30 @@ def settled():
     raise SystemExit("the motors did not come to rest")
 
 
+def start():
+    command.state(linuxcnc.STATE_ON)
+    command.wait_complete()
+    status.poll()
+    if not all(status.homed[: len(joints)]):
+        for joint in joints:
+            command.home(joint)
+        wait(lambda: all(status.homed[: len(joints)]))
+    command.mode(linuxcnc.MODE_MDI)
+    command.wait_complete()
+    if task["active"]:
+        wait(lambda: hal.get_value(task["active"]))
+
+
 command.state(linuxcnc.STATE_ESTOP_RESET)
 command.wait_complete()
-command.state(linuxcnc.STATE_ON)
-command.wait_complete()
-for joint in joints:
-    command.home(joint)
-wait(lambda: all(status.homed[: len(joints)]))
-command.mode(linuxcnc.MODE_MDI)
-command.wait_complete()
-if any("vcal-comp" in name for pins in task["pins"] for name in pins):
-    wait(lambda: hal.get_value("vcal-comp.active"))
+start()
 found = []
-for point, pins in zip(task["points"], task["pins"]):
+for number, (point, pins) in enumerate(zip(task["points"], task["pins"])):
+    if number == task["off_before"]:
+        command.state(linuxcnc.STATE_OFF)
+        command.wait_complete()
+        time.sleep(0.3)
+        start()
     for name, value in pins.items():
         hal.set_p(name, str(value))
     command.mdi("G53 G0 " + " ".join("%s%.9f" % one for one in zip(task["axes"], point)))
@@ -83,17 +94,19 @@ def why_not() -> str:
     return ""
 
 
-def driven(files, axes, volume_mm, points_mm, pins) -> np.ndarray:
+def driven(files, axes, volume_mm, points_mm, pins, active="", off_before=-1) -> np.ndarray:
     """Positions of the motors (n, axes), mm, at commanded points (n, axes), mm.
 
     `files` are those of a compensation; their INI lines are merged into the controller's. `pins`
-    are the values of HAL pins before every move.
+    are the values of HAL pins before every move, `active` is a pin to wait for before the first
+    one. The machine is switched off and on again before the point `off_before`.
     """
     folder = Path(tempfile.mkdtemp(prefix="vcal-linuxcnc-"))
     try:
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
         task = {"axes": axes, "points": np.asarray(points_mm).tolist(), "pins": pins}
+        task |= {"active": active, "off_before": off_before}
         (folder / "task.json").write_text(json.dumps(task), encoding="utf-8")
         (folder / "drive.py").write_text(DRIVE, encoding="utf-8")
         (folder / "drive.py").chmod(0o755)

@@ -14,7 +14,7 @@ import vcal
 from vcal.compensation import FORMATS, Tables, verify, working_volume
 from vcal.compensation.base import left_over
 from vcal.compensation.expected import after_alignment, drawn_errors, expected
-from vcal.compensation.stored import SCHEMA, machine_from, machine_record
+from vcal.compensation.stored import machine_from, machine_record
 from vcal.demo import FOLDER
 from vcal.geometry.compensated import compensated_points
 from vcal.geometry.error_motions import error_motion_tables
@@ -57,7 +57,9 @@ def machine(fit, study):
 
 @pytest.fixture(scope="module")
 def built(machine):
-    return {name: vcal.compensate(machine, name) for name in FORMATS if kind_takes(name)}
+    return {
+        name: vcal.compensate(machine, name, {"points": 9}) for name in FORMATS if kind_takes(name)
+    }
 
 
 def kind_takes(name):
@@ -134,7 +136,7 @@ def test_a_correction_takes_the_tool_to_its_nominal_place(machine):
 
     use = working_volume(machine)
     assert np.abs(machine.displacement(use.plan(machine))).max() > 5 * UM
-    assert np.abs(left_over(machine, Exact(), use)).max() < 1e-12
+    assert np.abs(left_over(machine, Exact(), use)).max() < 1e-10
 
 
 def test_positioning_and_backlash_of_an_axis(machine, fit):
@@ -174,7 +176,7 @@ def test_the_record_states_units(record, fit):
             one = stated[key, p.name]
             assert one["unit"] == p.unit and one["value"] == pytest.approx(value)
             assert one["standard_uncertainty"] == pytest.approx(u)
-    sizes = [math_u["standard_uncertainty"] for math_u in record["parameters"]]
+    sizes = [one["standard_uncertainty"] for one in record["parameters"]]
     diagonal = [row[-1] for row in record["covariance"]]
     np.testing.assert_allclose(np.sqrt(diagonal), sizes, rtol=1e-6)
 
@@ -248,7 +250,7 @@ def test_csv_against_scipy(built, machine):
 
 
 def test_csv_to_subtract(machine, built):
-    other = vcal.compensate(machine, "csv", {"sign": "subtract"}, parts=False)
+    other = vcal.compensate(machine, "csv", {"sign": "subtract", "points": 9}, parts=False)
     text = other.files["corrections.csv"]
     assert "# sign: subtract from the command: error columns" in text
     rows = [[*map(float, r.split(","))] for r in text.splitlines() if r[0].isdigit()]
@@ -289,7 +291,9 @@ def test_a_screw_table_of_the_volume_is_the_best_of_its_kind(machine):
     use = working_volume(machine, 9)
     left = []
     for line in ("volume", "own"):
-        tables = vcal.compensate(machine, "linuxcnc-screw", {"line": line}, parts=False).tables
+        tables = vcal.compensate(
+            machine, "linuxcnc-screw", {"line": line, "points": 21}, parts=False
+        ).tables
         left.append(np.sqrt((left_over(machine, tables, use) ** 2).sum(1).mean()))
     assert left[0] < 0.95 * left[1]
 
@@ -327,7 +331,7 @@ def test_tables_without_a_condition_hold_where_they_are_asked_to(machine):
     warm = machine.ranges["T_Y"].high
     use = replace(use, covariates={"T_Y": np.full(len(use.position), warm)})
     left = []
-    for options in ({}, {"at": {"T_Y": warm}}):
+    for options in ({"points": 11}, {"points": 11, "at": {"T_Y": warm}}):
         tables = vcal.compensate(machine, "linuxcnc-screw", options, parts=False).tables
         left.append(np.sqrt((left_over(machine, tables, use) ** 2).sum(1).mean()))
     assert left[1] < left[0]
@@ -370,7 +374,7 @@ def test_expected_error_is_the_realised_one(machine, fit):
     random = np.random.default_rng(5)
     sigma = np.where(fit.precision > 0, 1.0, 0.0)
     foretold, realised = [], []
-    for seed in range(80):
+    for seed in range(40):
         truth = random.standard_normal(len(sigma)) * sigma
         readings = fit.jacobian @ truth + random.standard_normal(len(fit.jacobian))
         mean = np.linalg.solve(fit.hessian(), fit.jacobian.T @ readings)
@@ -378,10 +382,9 @@ def test_expected_error_is_the_realised_one(machine, fit):
         true = replace(machine, theta=truth[places]).whole
         tables = vcal.compensate(estimated, "csv", {"points": 4}, parts=False).tables
         nominal = machine.nominal(use.position) if nominal is None else nominal
-        errors = after_alignment(drawn_errors(estimated, use, tables, draws=60, seed=seed), nominal)
+        errors = after_alignment(drawn_errors(estimated, use, tables, draws=40, seed=seed), nominal)
         foretold.append(expected(errors).rms.mean)
         left = after_alignment(left_over(true, tables, use)[None], nominal)
         realised.append(expected(left).rms.mean)
-    # The mean of 80 has a standard deviation of about 1 %.
-    assert np.mean(foretold) == pytest.approx(np.mean(realised), rel=0.04)
-    assert SCHEMA == "vcal-machine/1"
+    # The mean of 40 has a standard deviation of less than 2 %; benchmarks/compensation.py has 500.
+    assert np.mean(foretold) == pytest.approx(np.mean(realised), rel=0.05)

@@ -140,7 +140,15 @@ def test_on_a_running_controller(kind, name, request, record_property):
         for i, values in enumerate(pins):
             values |= {f"vcal-comp.{n.replace('_', '-')}": v[i] for n, v in use.covariates.items()}
     mm = 1e3 * use.position
-    motors = 1e-3 * linuxcnc_controller.driven(found.files, "XYZ", 1e3 * machine.volume, mm, pins)
+    motors = 1e-3 * linuxcnc_controller.driven(
+        found.files,
+        "XYZ",
+        1e3 * machine.volume,
+        mm,
+        pins,
+        active="vcal-comp.active" if name == "linuxcnc" else "",
+        off_before=POINTS // 3,
+    )
 
     # The control does what `applied` says, to the rounding of a count at most.
     applied = found.applied(use.position, use.directions, use.covariates)
@@ -154,10 +162,11 @@ def test_on_a_running_controller(kind, name, request, record_property):
         errors = (true.tool_points(plan) - nominal)[None]
         rms[what] = expected(after_alignment(errors, nominal)).rms.mean
     foretold = expected(after_alignment(drawn_errors(machine, use, found.tables), nominal)).rms
-    rms["foretold"] = foretold.mean
+    rms |= {"foretold": foretold.mean, "u": foretold.u}
     record_property("rms_um", rms)
     print(f"{kind}, {name}: " + ", ".join(f"{k} {v:.3f} um" for k, v in rms.items()))
-    assert rms["after"] <= 1.1 * foretold.mean
+    # One machine is one draw: its error may lie two standard deviations above the mean.
+    assert rms["after"] <= max(1.1 * foretold.mean, foretold.mean + 2.0 * foretold.u)
     assert rms["after"] < rms["before"]
     _DRIVEN[kind, name] = rms["after"]
     if (kind, "linuxcnc") in _DRIVEN and (kind, "linuxcnc-screw") in _DRIVEN:

@@ -31,7 +31,7 @@ from .parts import GEOMETRY, Kind, Part, in_order, part_names, part_of
 _BLOCK = 256
 """Rows that are evaluated together: one program is compiled for a chain, whatever the points."""
 _NODES = 41
-_STEPS = 3
+_STEPS = 2
 """Iterations of a correction; each leaves the 1e-4 th part of what the one before has left."""
 _STILL = ("v_", "a_", "j_", "jerk_", "snap_")
 """Beginnings of the names of covariates that are zero at rest."""
@@ -265,7 +265,9 @@ class IdentifiedMachine:
 
     def restricted(self, names: Collection[str]) -> "IdentifiedMachine":
         """The machine with these parts only."""
-        return replace(self, only=frozenset(names), rivals=())
+        found = replace(self, only=frozenset(names), rivals=())
+        found.__dict__["parts"] = self.parts  # they do not depend on what is shown
+        return found
 
     @property
     def whole(self) -> "IdentifiedMachine":
