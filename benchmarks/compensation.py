@@ -19,7 +19,8 @@ from vcal.compensation.expected import after_alignment, drawn_errors, expected
 from vcal.demo import FOLDER
 from vcal.model.simulate import simulate
 
-FORMATS = ("without", "csv", "linuxcnc-screw", "linuxcnc")
+FORMATS = {"without": 0, "linuxcnc-screw": 21, "linuxcnc": 7}
+"""Points per axis of each format."""
 
 
 def one_set(study, effects, seed: int) -> dict:
@@ -30,11 +31,10 @@ def one_set(study, effects, seed: int) -> dict:
     use = working_volume(machine, 5, seed)
     nominal = machine.nominal(use.position)
     found = {}
-    for name in FORMATS:
+    for name, points in FORMATS.items():
         tables = None
-        if name != "without":
-            options = {} if name == "linuxcnc-screw" else {"points": 9}
-            tables = vcal.compensate(machine, name, options, parts=False).tables
+        if points:
+            tables = vcal.compensate(machine, name, {"points": points}, parts=False).tables
         errors = drawn_errors(machine, use, tables, draws=100, seed=seed)
         added = 0.0
         if tables is not None:
