@@ -8,45 +8,74 @@ compensated commands is compared with the expected one, over the working volume.
 """
 
 import time
+from dataclasses import replace
 
 import jax
 import numpy as np
 from records import parser_of, write
 
 import vcal
-from vcal.compensation import working_volume
+from vcal.compensation import IdentifiedMachine, working_volume
+from vcal.compensation.base import left_over
 from vcal.compensation.expected import after_alignment, drawn_errors, expected
 from vcal.demo import FOLDER
-from vcal.model.simulate import simulate
+from vcal.identification.batch import identify_one, prepare_batch
+from vcal.model.simulate import draw, prepare, simulate
 
 FORMATS = {"without": 0, "linuxcnc-screw": 21, "linuxcnc": 7}
 """Points per axis of each format."""
 
 
-def one_set(study, effects, seed: int) -> dict:
+def one_set(estimated: IdentifiedMachine, true: IdentifiedMachine, seed: int) -> dict:
     """Expected and realised rms, um, of one machine, by format."""
-    true = simulate(study.model, study.plan, jax.random.key(seed), effects=effects)
-    fit = vcal.identify(true.model, true.measurement)
-    machine = vcal.IdentifiedMachine.of_fit(fit)
-    use = working_volume(machine, 5, seed)
-    nominal = machine.nominal(use.position)
+    use = working_volume(estimated, 5, seed)
+    nominal = estimated.nominal(use.position)
     found = {}
     for name, points in FORMATS.items():
         tables = None
         if points:
-            tables = vcal.compensate(machine, name, {"points": points}, parts=False).tables
-        errors = drawn_errors(machine, use, tables, draws=100, seed=seed)
-        added = 0.0
-        if tables is not None:
-            added = tables.applied(use.position, use.directions, use.covariates)
-        plan = machine.plan(use.position + added, use.directions, use.covariates)
-        left = (true.tool_points(plan) - nominal)[None]
-        found[name] = {
-            "expected": expected(after_alignment(errors, nominal)).rms.mean,
-            "realised": expected(after_alignment(left, nominal)).rms.mean,
-            "u": expected(after_alignment(errors, nominal)).rms.u,
-        }
+            tables = vcal.compensate(estimated, name, {"points": points}, parts=False).tables
+            left = left_over(true, tables, use)
+        else:
+            left = true.displacement(use.plan(true))
+        errors = drawn_errors(estimated, use, tables, draws=100, seed=seed)
+        foretold = expected(after_alignment(errors, nominal)).rms
+        realised = expected(after_alignment(left[None], nominal)).rms.mean
+        found[name] = {"expected": foretold.mean, "u": foretold.u, "realised": realised}
     return found
+
+
+def machines(sets: int):
+    """Pairs of the identified and the true machine: all have one plan, noise and posterior
+    covariance; errors and readings are drawn for each.
+    """
+    study = vcal.load_study(FOLDER / "setup.toml")
+    setup = study.model.setup(study.plan)
+    effects = [
+        next(e for e in vcal.CATALOGUE[name].candidates(setup) if e.placement == "Y")
+        for name in ("backlash", "thermal_tilt")
+    ]
+    model = study.model.with_effects(*effects)
+    first = simulate(model, study.plan, jax.random.key(0))
+    fit = vcal.identify(model, first.measurement)
+    pattern = IdentifiedMachine.of_fit(fit)
+    mine = [i for i, effect in enumerate(model.effects) if not effect.on_instrument]
+    places = np.concatenate([fit.places_of(i)[0] for i in mine])
+    simulator, batch = prepare(model, study.plan), prepare_batch(model, study.plan)
+
+    @jax.jit
+    def measured(key):
+        drawn = draw(simulator, key)
+        return drawn.theta, identify_one(batch, drawn.readings)
+
+    for seed in range(1, sets + 1):
+        truth, found = measured(jax.random.key(seed))
+        if not found.converged:
+            raise SystemExit(f"seed {seed}: the identification did not converge")
+        yield (
+            replace(pattern, theta=np.asarray(found.theta)[places]),
+            replace(pattern, theta=np.asarray(truth)[places]).whole,
+        )
 
 
 def main() -> None:
@@ -55,15 +84,9 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=500)
     options = parser.parse_args()
     vcal.enable_float64()
-    study = vcal.load_study(FOLDER / "setup.toml")
-    setup = study.model.setup(study.plan)
-    effects = [
-        next(e for e in vcal.CATALOGUE[name].candidates(setup) if e.placement == "Y")
-        for name in ("backlash", "thermal_tilt")
-    ]
     began, sets = time.process_time(), []
-    for seed in range(1, options.sets + 1):
-        sets.append(one_set(study, effects, seed))
+    for seed, (estimated, true) in enumerate(machines(options.sets), start=1):
+        sets.append(one_set(estimated, true, seed))
         if seed % 25 == 0:
             print(seed, round(time.process_time() - began), "s", flush=True)
     summary = {name: summary_of([one[name] for one in sets]) for name in FORMATS}

@@ -162,26 +162,20 @@ def verify(
 
 def _show_verified(found: "Mapping[str, Verified]", raw: bool) -> None:
     """One line per format: rms and largest error at every place, with standard uncertainty."""
-    from rich.console import Console
-    from rich.table import Table
-
     from ..report.html.text import rounded
 
     how = "without alignment" if raw else "after the best rigid alignment"
-    table = Table(box=None, pad_edge=False)
-    table.add_column("expected error, um")
     places = list(found["without"].raw)
-    for place in places:
-        table.add_column(f"{place}: rms", justify="right")
-        table.add_column("largest", justify="right")
+    heads = [head for place in places for head in (f"{place}: rms", "largest")]
+    rows = [["expected error, um", *heads]]
     for name, one in found.items():
         each = one.raw if raw else one.aligned
-        cells = []
-        for place in places:
-            for drawn in (each[place].rms, each[place].largest):
-                cells.append(" ± ".join(rounded(drawn.mean, drawn.u)))
-        table.add_row(name, *cells)
-    Console(soft_wrap=True, highlight=False).print(table)
+        drawn = [d for place in places for d in (each[place].rms, each[place].largest)]
+        rows.append([name, *(" ± ".join(rounded(d.mean, d.u)) for d in drawn)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for first, *cells in rows:
+        padded = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
+        say("  ".join([first.ljust(widths[0]), *padded]))
     say(f"Mean ± standard deviation over machines drawn from the posterior, {how}.")
 
 
