@@ -3,7 +3,8 @@
 `IdentifiedMachine` states the displacement of the tool point for any position, direction of
 approach and condition. A `Format` turns it into the tables of one control, and computes what these
 tables correct (`Tables.applied`); what they cannot carry follows from that by simulation
-(`Compensation`). Knows geometry and identification; nothing of the loop, of studies or of reports.
+(`Compensation`). `nc` corrects the positions of an NC program, for any control. Knows geometry and
+identification; nothing of the loop, of studies or of reports.
 """
 
 from .base import Compensation, Format, Kept, Options, Tables, compensate
