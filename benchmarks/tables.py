@@ -401,6 +401,23 @@ def r_tests(*founds: dict) -> str:
     return table(head, rows)
 
 
+def compensation(found: dict) -> str:
+    names = {"without": "without compensation"}
+    rows = (
+        [
+            names.get(name, f"`{name}`"),
+            f"{one['expected_um']:.3f}",
+            f"{one['realised_um']:.3f}",
+            f"{one['realised_over_expected']:.3f}",
+            f"{100.0 * one['within_2u']:.1f}",
+            f"{100.0 * one['at_most_1.1']:.1f}",
+        ]
+        for name, one in found["summary"].items()
+    )
+    head = "format,expected rms um,realised rms um,ratio,within 2 u %,at most 1.1 times %"
+    return table(head, rows)
+
+
 TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     "results": (results, ()),
     **{f.__name__: (f, ("power",)) for f in (power, power_instruments)},
@@ -410,7 +427,7 @@ TABLES: dict[str, tuple[Callable[..., str], tuple[str, ...]]] = {
     },
     "batch": (batch, ("batch", "batch_gpu")),
     "campaigns": (campaigns, ("batch", "campaigns_gpu")),
-    **{f.__name__: (f, (f.__name__,)) for f in (strd, laser_frame, artefact_design)},
+    **{f.__name__: (f, (f.__name__,)) for f in (strd, laser_frame, artefact_design, compensation)},
     "dynamics": (dynamics, ("dynamics", "dynamics_gpu")),
     "r_tests": (r_tests, ("dynamics", "dynamics_gpu")),
 }

@@ -472,7 +472,7 @@ def test_page_is_self_contained_and_says_what_matters(written):
     page = (written / "index.html").read_text(encoding="utf-8")
     targets = re.findall(r"""(?:src|href)\s*=\s*["']([^"']*)""", page)
     beside = [t for t in targets if not t.startswith(("data:image/", "#"))]
-    assert beside == ["report.json", "compensation.csv", "effects.csv"]
+    assert beside == ["report.json", "compensation.csv", "effects.csv", "machine.json"]
     assert set(beside) < set(strict(written / "report.json")["files"])
     plain = re.sub('data:image/[a-z+]*;base64,[^"]*', "", page)
     assert not any(word in plain for word in ("<script", "http", "@import", "url("))
@@ -1237,9 +1237,9 @@ def test_a_record_without_sums(closed, quick, tmp_path):
     (out / "report.json").write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(StudyError) as caught:
         write_report(closure, study, out)
-    expected = "found compensation.csv, effects.csv, which may have been changed since the earlier "
-    assert expected + "report left them" in str(caught.value)
-    for name in ("compensation.csv", "effects.csv"):
+    expected = "found compensation.csv, effects.csv, machine.json, which may have been changed "
+    assert expected + "since the earlier report left them" in str(caught.value)
+    for name in ("compensation.csv", "effects.csv", "machine.json"):
         (out / name).unlink()
     write_report(closure, study, out)
     assert set(strict(out / "report.json")["sha256"]) == set(record["files"])

@@ -11,6 +11,7 @@ from .startup import importing as _importing
 with _importing():
     import jax as _jax
 
+    from .compensation import IdentifiedMachine, compensate
     from .effects import CATALOGUE, Effect, register
     from .errors import StudyError
     from .identification.fit import Fit
@@ -22,6 +23,7 @@ with _importing():
     from .model.forward import Model, predict
     from .model.measurement import CheckPoints, Measurement
     from .study import Study, load_study
+    from .study.identified_machine import load_machine
 
 __version__ = "0.1.0"
 
@@ -37,6 +39,7 @@ __all__ = [
     "Closure",
     "Effect",
     "Fit",
+    "IdentifiedMachine",
     "Measurement",
     "Model",
     "Parameter",
@@ -45,8 +48,10 @@ __all__ = [
     "Study",
     "StudyError",
     "close_loop",
+    "compensate",
     "enable_float64",
     "identify",
+    "load_machine",
     "load_study",
     "predict",
     "register",

@@ -1,13 +1,18 @@
 """Writing the report of a closed loop."""
 
+import datetime
+import json
 import math
 from collections.abc import Iterable
 from pathlib import Path
 
+from ...compensation.stored import machine_record
 from ...geometry.acceptance import geometric_tests
 from ...geometry.error_motions import error_motion_tables
 from ...geometry.positioning_lines import positioning_tests
 from ...loop.outcome.closure import Closure
+from ...study.identified_machine import FILE as MACHINE
+from ...study.identified_machine import identified_machine
 from ...study.messages import listed, refusal
 from ...study.study import Study
 from ..formats import FORMATS, Results
@@ -21,7 +26,7 @@ from .record import record
 
 
 def _folder() -> ReportFolder:
-    return ReportFolder("report.json", "vcal-report/", sometimes=(FILE, *FORMATS))
+    return ReportFolder("report.json", "vcal-report/", sometimes=(FILE, MACHINE, *FORMATS))
 
 
 def check_folder(out: Path | str, reads: Iterable[Path] = ()) -> None:
@@ -55,9 +60,10 @@ def write_report(
 ) -> Path:
     """Write the report of a closed loop into the folder `out`; returns the path of its page.
 
-    `index.html` is the self-contained page, `report.json` the record for programs; every one of
-    the `FORMATS` adds its file. Where something is left unexplained, `own_effect.py` is an effect
-    of the user's own to start from. Pictures lie beside them.
+    `index.html` is the self-contained page, `report.json` the record for programs, `machine.json`
+    the identified machine (`load_machine`); every one of the `FORMATS` adds its file. Where
+    something is left unexplained, `own_effect.py` is an effect of the user's own to start from.
+    Pictures lie beside them.
 
     The compensation table is left out where compensation does not reduce the error, unless
     `compensate_anyway`.
@@ -77,6 +83,8 @@ def write_report(
         about = {name: kind.summary for name, kind in FORMATS.items()}
         written[FILE] = own_effect(closure)
         about[FILE] = "an effect of your own to start from"
+        written[MACHINE] = machine_text(closure, study)
+        about[MACHINE] = "the identified machine, for vcal compensate and vcal verify"
         texts = {name: text for name, text in written.items() if text is not None}
         files = {"report.json": "all results, for programs"} | {n: about[n] for n in texts}
         machine = of_study(study)
@@ -91,3 +99,10 @@ def write_report(
         return Contents(found, {"index.html": shown, **texts}, drawn)
 
     return _folder().publish(out, make)
+
+
+def machine_text(closure: Closure, study: Study) -> str:
+    """The identified machine as strict JSON, from which it is made again without its data."""
+    today = datetime.date.today().isoformat()
+    found = machine_record(identified_machine(closure, study, today))
+    return json.dumps(found, allow_nan=False, ensure_ascii=False) + "\n"

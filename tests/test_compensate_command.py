@@ -1,0 +1,193 @@
+"""`vcal compensate` and `vcal verify` as a user runs them, from a report and from a study."""
+
+import json
+
+import jax
+import pytest
+
+import vcal
+from test_cli import DEMO, refused, run
+from vcal.compensation import FORMATS
+from vcal.compensation.stored import machine_record
+from vcal.model.simulate import simulate
+from vcal.numerics.stored import Reader, Writer
+from vcal.report.compensation.write import RECORD
+from vcal.study.identified_machine import FILE
+
+
+@pytest.fixture(autouse=True)
+def no_cache(monkeypatch):
+    monkeypatch.setenv("VCAL_NO_CACHE", "1")
+
+
+@pytest.fixture(scope="module")
+def record():
+    """What the report of a machine with backlash in Y holds of it."""
+    study = vcal.load_study(DEMO / "setup.toml")
+    setup = study.model.setup(study.plan)
+    effect = next(e for e in vcal.CATALOGUE["backlash"].candidates(setup) if e.placement == "Y")
+    true = simulate(study.model, study.plan, jax.random.key(4), effects=(effect,))
+    fit = vcal.identify(true.model, true.measurement)
+    return machine_record(vcal.IdentifiedMachine.of_fit(fit, name="mine", date="2026-01-31"))
+
+
+@pytest.fixture
+def report(record, tmp_path):
+    folder = tmp_path / "report"
+    folder.mkdir()
+    (folder / FILE).write_text(json.dumps(record), encoding="utf-8")
+    return folder
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_files_are_written_and_what_stays_is_said(report, tmp_path):
+    out = tmp_path / "control"
+    said = run(
+        "compensate", report, "--to", "linuxcnc-screw", "--option", "points=5", "--out", out
+    ).stdout
+    record = json.loads((out / RECORD).read_text(encoding="utf-8"))
+    assert {p.name for p in out.iterdir()} == set(record["files"])
+    assert {"x.comp", "y.comp", "z.comp", "screw.ini"} < set(record["files"])
+    assert len((out / "x.comp").read_text().splitlines()) == 5
+    lines = said.splitlines()
+    for key, words in (("carried", "carried:"), ("not_carried", "not carried:")):
+        names = [one["name"] for one in record[key]]
+        assert names
+        for name in names:
+            assert any(line.startswith(words) and f"{name}" in line for line in lines)
+    assert "not identified: ECZ: the readings know nothing of it; zero in the files" in lines
+    assert record["options"]["points"] == 5 and "--to linuxcnc-screw" in record["command"]
+
+    # Again into the same folder, in another format: the earlier files are replaced.
+    run("compensate", report / FILE, "--to", "csv", "--option", "points=3", "--out", out)
+    assert {p.name for p in out.iterdir()} == {"corrections.csv", RECORD}
+
+
+def test_nothing_is_half_written(report, tmp_path, monkeypatch):
+    out = tmp_path / "control"
+
+    def broken(self):
+        raise vcal.StudyError("the disc is full of sand")
+
+    monkeypatch.setattr("vcal.compensation.formats.grid_csv.CsvTables._text", broken)
+    arguments = "compensate", report, "--to", "csv", "--option", "points=3", "--out", out
+    assert "sand" in refused(*arguments)
+    assert not out.exists()
+
+
+def test_verify_has_a_line_for_every_format(report):
+    said = run("verify", report, "--draws", 20).stdout
+    lines = [line for line in said.splitlines() if line]
+    first = [line.split()[0] for line in lines]
+    assert first.index("without") < min(first.index(name) for name in FORMATS if name in first)
+    assert {"csv", "linuxcnc", "linuxcnc-screw"} <= {*first}
+    rms = {line.split()[0]: float(line.split()[1]) for line in lines[1:-1]}
+    assert rms["csv"] < rms["linuxcnc-screw"] < rms["without"]
+
+
+def test_list_names_options_and_sources():
+    said = run("compensate", "--list").stdout
+    for name, kind in FORMATS.items():
+        assert f"{name}: {kind.summary}" in said and kind.source in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--to", "csv"), "--out: found none, expected one"),
+        (("--out", "x"), "--to: found none"),
+        (("--to", "cvs", "--out", "x"), "unknown compensation format 'cvs' (did you mean 'csv'?)"),
+        (("--to", "csv", "--out", "x", "--option", "points"), "found 'points', expected KEY=VALUE"),
+        (("--to", "csv", "--out", "x", "--at", "T_Y=warm"), "found T_Y='warm', expected a number"),
+        (("--to", "csv", "--out", "x", "--set", "a=1"), "found an override of a study"),
+        (("--to", "csv", "--out", "x", "--option", "points=1"), "option points: found '1'"),
+        (("--to", "csv", "--out", "x", "--at", "T_Y=20"), "option at: found 'T_Y'"),
+    ],
+)
+def test_mistakes(report, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    assert said in refused("compensate", report, *arguments)
+    assert not (tmp_path / "x").exists()
+
+
+def test_other_files_in_the_folder_are_safe(report, tmp_path):
+    out = tmp_path / "control"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    assert "other files (notes.txt" in refused("compensate", report, "--to", "csv", "--out", out)
+    assert "the folder that is read" in refused(
+        "compensate", report, "--to", "csv", "--out", report
+    )
+    assert contents(out) == {"notes.txt": b"mine"}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r: {**r, "schema": "vcal-machine/7"}, 'key schema: found "vcal-machine/7"'),
+        (lambda r: {**r, "schema": "vcal-report/1"}, 'found "vcal-report/1"'),
+        (lambda r: [], "found no table"),
+        (lambda r: {**r, "no_gain": "It makes things worse."}, "It makes things worse."),
+    ],
+)
+def test_reports_that_cannot_be_used(report, tmp_path, change, said):
+    record = json.loads((report / FILE).read_text(encoding="utf-8"))
+    (report / FILE).write_text(json.dumps(change(record)), encoding="utf-8")
+    message = refused("compensate", report, "--to", "csv", "--out", tmp_path / "x")
+    assert said in message and message.count("\n") == 1
+
+
+def test_a_folder_without_a_machine(tmp_path):
+    (tmp_path / "report.json").write_text('{"schema": "vcal-report/1"}', encoding="utf-8")
+    for source in (tmp_path, tmp_path / "report.json"):
+        message = refused("compensate", source, "--to", "csv", "--out", tmp_path / "x")
+        assert f"found no {FILE}, expected {FILE} of a report written by vcal loop" in message
+
+
+def test_an_effect_of_the_user_is_refused_by_name(report, tmp_path):
+    record = json.loads((report / FILE).read_text(encoding="utf-8"))
+    one = record["objects"]["effects"][-1]
+    one |= {"key": "sag Z", "object": None, "because": "Sag, a class outside vcal"}
+    (report / FILE).write_text(json.dumps(record), encoding="utf-8")
+    message = refused("verify", report)
+    assert "found the effect 'sag Z', which is one of the user's own" in message
+
+
+def test_stored_values():
+    """Every kind of value comes back to the last bit, and what is equal is written once."""
+    import numpy as np
+
+    value = {
+        "number": float("nan"),
+        "far": float("inf"),
+        "array": np.array([[1.0, 1e-300], [np.pi, -0.0]]),
+        "same": np.array([[1.0, 1e-300], [np.pi, -0.0]]),
+        "whole": np.arange(3),
+        "list": [1, (2, "x"), None, True],
+        "set": frozenset({"a", "b"}),
+    }
+    writer = Writer()
+    plain = json.loads(json.dumps(writer.plain(value), allow_nan=False))
+    assert len(writer.arrays) == 2
+    found = Reader(writer.records, writer.arrays).value(plain)
+    assert np.isnan(found.pop("number")) and np.isnan(value.pop("number"))
+    for name in ("array", "same", "whole"):
+        ours, theirs = found.pop(name), value.pop(name)
+        assert ours.dtype == theirs.dtype and (ours == theirs).all()
+    assert found == value
+
+
+@pytest.mark.slow
+def test_a_study_and_its_report_give_the_same_files(tmp_path):
+    setup = DEMO / "setup.toml"
+    quick = ("--set", "loop.draws=100", "--set", 'loop.effects=["thermal_tilt"]')
+    run("loop", setup, "--out", tmp_path / "report", *quick)
+    wanted = "--to", "csv", "--option", "points=3"
+    run("compensate", tmp_path / "report", *wanted, "--out", tmp_path / "a")
+    run("compensate", setup, *quick, *wanted, "--out", tmp_path / "b")
+    one, other = (contents(tmp_path / name)["corrections.csv"].decode() for name in "ab")
+    undated = [[r for r in t.splitlines() if "# date" not in r] for t in (one, other)]
+    assert undated[0] == undated[1] and "thermal_tilt" not in one

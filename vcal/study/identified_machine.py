@@ -1,0 +1,76 @@
+"""The machine that a closed loop has identified, from the closure itself or from its report."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from ..compensation.machine import IdentifiedMachine
+from ..compensation.stored import SCHEMA, machine_from
+from ..errors import StudyError
+from ..loop.outcome.closure import Closure
+from ..numerics.stored import NotStoredError
+from .messages import refusal, shown
+from .study import Study
+
+FILE = "machine.json"
+"""Name of the record in the folder of a report."""
+_REPORT = "report.json"
+
+
+def identified_machine(closure: Closure, study: Study, date: str = "") -> IdentifiedMachine:
+    """The machine of a closure: its final fit, the models that compete with the effects found, and
+    the check points.
+    """
+    return IdentifiedMachine.of_fit(
+        closure.after,
+        alternatives=closure.alternatives,
+        check=None if closure.check is None else closure.check.plan,
+        name=study.name,
+        date=date,
+        no_gain=closure.no_gain,
+    )
+
+
+def is_report(path: Path) -> bool:
+    """Whether a path is the folder of a report, or the record of one."""
+    if path.is_dir():
+        return (path / FILE).is_file() or (path / _REPORT).is_file()
+    return path.suffix == ".json"
+
+
+def load_machine(path: Path | str) -> IdentifiedMachine:
+    """The identified machine of a report of ``vcal loop``: its folder, ``report.json`` or
+    ``machine.json``. The measurement is not needed.
+
+    Raises `StudyError` for a file that is none, for one of another schema, and where an effect
+    cannot be restored.
+    """
+    path = Path(path)
+    file = path / FILE if path.is_dir() else path
+    if file.name == _REPORT:
+        file = file.with_name(FILE)
+    expected = f"{FILE} of a report written by vcal loop, schema {SCHEMA}"
+    again = "write the report again with vcal loop, or name the study instead"
+    if not file.is_file():
+        raise refusal(str(path), "report", f"no {FILE}", expected, again)
+    content = _content(file, expected, again)
+    schema = content.get("schema")
+    if schema != SCHEMA:
+        raise refusal(str(file), "key schema", shown(schema), expected, again)
+    try:
+        return machine_from(content)
+    except NotStoredError as error:
+        raise refusal(
+            str(file), "identified machine", str(error), "a machine that can be restored", again
+        ) from error
+
+
+def _content(file: Path, expected: str, again: str) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        found = f"what is no JSON ({error})"
+        raise refusal(str(file), "report", found, expected, again) from error
+    if not isinstance(content, dict):
+        raise StudyError(str(refusal(str(file), "report", "no table", expected, again)))
+    return content
