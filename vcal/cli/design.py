@@ -18,7 +18,7 @@ from ..study.design.rivals import Wanted, parse_rivals, rivals_of
 from ..study.design.task import StudyDesign, check_designed
 from .loop import close_study
 
-_MORE = {"pose": 1, "point": 10}
+_MORE = {"pose": 1, "point": 10, "setup": 1}
 """Default size of the next measurement, by the group that a space places."""
 
 

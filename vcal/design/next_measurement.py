@@ -101,7 +101,15 @@ def plan_next(
     chosen = [drawn[i] for i in order[:starts]]
     if differentiable:
         progress(f"searching from the best {len(chosen)}")
-        found = search(smooth, chosen, space.low, space.high, steps=steps, tolerance=_TOLERANCE)
+        found = search(
+            smooth,
+            chosen,
+            space.low,
+            space.high,
+            steps=steps,
+            tolerance=_TOLERANCE,
+            levels=space.levels,
+        )
         ends = [(f.z, f.start) for f in found]
     else:
         ends = [(drawn[i], float(values[i])) for i in order[:starts]]

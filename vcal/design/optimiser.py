@@ -157,7 +157,13 @@ def optimise(
     if len(space.start):
         begin = starts_of(space, seed, starts)
         found = search(
-            compiled.smooth, begin, space.low, space.high, steps=steps, tolerance=_TOLERANCE
+            compiled.smooth,
+            begin,
+            space.low,
+            space.high,
+            steps=steps,
+            tolerance=_TOLERANCE,
+            levels=space.levels,
         )
         placed = [space.settled(space.placed(jnp.asarray(f.z))) for f in found]
     fits = tuple(float(space.excess(p)) <= _FITS_M for p in placed)

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..errors import StudyError
@@ -93,11 +93,13 @@ class PlanSpace(abc.ABC):
     Settings: ClassVar[type[DesignSettings]]
     """Keys of the ``[design]`` table, validated."""
     group: ClassVar[str]
-    """Name of one group: ``"pose"``, ``"point"``."""
+    """Name of one group: ``"pose"``, ``"point"``, ``"setup"``."""
     rotary: ClassVar[bool] = False
     """Whether it also places the axes A, B and C of a machine tool."""
     lacking: ClassVar[str] = "room for all of them; start from a plan that lies further inside"
     """The expectation and the remedy of the message where no plan fits the travel."""
+    planned: ClassVar[tuple[str, ...]] = ()
+    """Columns of its tables, besides positions and those that every table needs, that it sets."""
 
     # --- construction ---------------------------------------------------------------------------
     @classmethod
@@ -130,6 +132,13 @@ class PlanSpace(abc.ABC):
     @abc.abstractmethod
     def high(self) -> Float[np.ndarray, " d"]:
         """Upper bounds."""
+
+    @property
+    def levels(self) -> Int[np.ndarray, " d"]:
+        """Number of the choices 0, 1, ... of which a number of a vector is one; 0, the default, for
+        a continuous number.
+        """
+        return np.zeros(len(self.low), int)
 
     @property
     @abc.abstractmethod
@@ -241,6 +250,15 @@ def joint_information(space: PlanSpace, placed: Any, model: Model) -> Float[np.n
     except NOT_TRACED:
         return np.asarray(information(placed))
     return np.asarray(jit_outermost(information)(placed))
+
+
+def beyond_m(
+    travel: Float[np.ndarray, "axes 2"], position: Float[Array, "n axes"], clear: Any = 0.0
+) -> Float[Array, "n axes"]:
+    """Distance by which positions exceed the travel minus a clearance (axes,), m; may be traced."""
+    low, high = np.asarray(travel).T
+    x = jax.numpy.asarray(position)
+    return jax.numpy.maximum(jax.numpy.maximum(low + clear - x, x - high + clear), 0.0)
 
 
 def path_m(position: Float[np.ndarray, "n axes"]) -> float:

@@ -16,13 +16,13 @@ from pydantic import Field
 from ..effects.base import Effect, Response
 from ..errors import RowError
 from ..machine.chain import Chain
-from ..machine.circles import Circle, circle_through
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..machine.ports import group
-from ..numerics.arrays import Array
+from ..numerics.arrays import Array, known
 from ..numerics.rigid import Rotation, Scalar, Vector
 from ..words import counted
+from .bar_motion import directed_at_rest, motion
 from .base import (
     LARGEST_NOISE,
     SMALLEST_NOISE,
@@ -41,9 +41,7 @@ _XYZ = ("X", "Y", "Z")
 _READING = "deviation_um"
 _BALL = ("ball_x_mm", "ball_y_mm", "ball_z_mm")
 _LENGTH = "length_mm"
-_FEED = "feed_mm_min"
 _OWN = (*_BALL, _LENGTH)
-_MM_MIN = 1e-3 / 60.0
 _INDEPENDENT = 1e-3
 """Least part of a column of the design matrix that the columns before it do not contain, as a share
 of a full column: below it, the readings do not show the coordinate."""
@@ -53,12 +51,6 @@ _FOLDS = 5
 """Number of parts of a run that are held out in turn."""
 _SAME_MM = 1e-3
 """Largest scatter of what is one position or one length in a table."""
-_AGAINST = 0.5
-"""Share of rows whose directions contradict the positions, above which the column is refused."""
-_CLEAR = 0.2
-"""Speed relative to the highest one, below which a direction is not compared: near reversals."""
-_APART = 2.0
-"""Least ratio of two accelerations on circles that separates them from errors of the shape."""
 
 
 class DoubleBallBarSettings(InstrumentSettings):
@@ -242,21 +234,19 @@ class DoubleBallBar(TableInstrument):
         at = centres[np.searchsorted(setups, setup)]
         _check_distance(chain, settings, table, position, (run, setup), (at, length), given)
         flat = settings.length_u_um is None
-        bars = tuple((int(k), int(b)) for k, b in np.unique(np.column_stack([setup, bar]), axis=0))
-        seen, unknown = list[tuple[int, str]](), np.zeros(len(setups), int)
-        for k in setups:
-            mine = np.flatnonzero(setup == k)
-            own = _seen((points[mine] - at[mine]) / length[mine, None], bar[mine] * flat, flat)
-            unknown[setups == k] = len(own) + flat * sum(s == k for s, _ in bars)
-            seen += [(int(k), c) for c in own]
-        _check_rows(setup, unknown + 1, setups, table)
+        bars = pairs_of(setup, bar)
+        seen = seen_in(setup, (points - at) / length[:, None], bar, flat)
+        unknown = [
+            sum(s == k for s, _ in seen) + flat * sum(s == k for s, _ in bars) for k in setups
+        ]
+        _check_rows(setup, np.array(unknown) + 1, setups, table)
         return cls(
             sigma=settings.sigma_um * 1e-6,
             length_sigma=None if settings.length_u_um is None else settings.length_u_um * 1e-6,
             lengths_mm=lengths_mm,
             setups=tuple(int(k) for k in setups),
             centres=centres,
-            seen=tuple(seen),
+            seen=seen,
             bars=bars,
             given=given,
             grouped="setup" in table,
@@ -267,7 +257,7 @@ class DoubleBallBar(TableInstrument):
         plan = linear_plan(chain, own, (_READING,), groups=("setup",))
         groups = {**plan.groups, "setup": _setups(table)}
         groups["bar"] = self._bar(table)
-        covariates = {**_motion(chain, plan, table), **plan.covariates}
+        covariates = {**motion(chain, plan), **plan.covariates}
         return Plan(plan.axes, plan.position, covariates, groups)
 
     def measured(self, table: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -275,7 +265,8 @@ class DoubleBallBar(TableInstrument):
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
         # What follows from the positions is not written: it follows from those of a new plan.
-        motion = [f"{kind}_{axis}" for kind in ("dir", "since", "v", "a") for axis in plan.axes]
+        motion = [f"{kind}_{axis}" for kind in ("since", "v", "a") for axis in plan.axes]
+        motion += [f"dir_{axis}" for axis in plan.axes if not directed_at_rest(plan, axis)]
         shown = linear_plan_table(plan, motion)
         bar, setup = shown.pop("bar"), shown.pop("setup")
         if self.grouped:
@@ -289,8 +280,9 @@ class DoubleBallBar(TableInstrument):
 
     def rows(self, plan: Plan) -> Any:
         place = np.searchsorted(self.setups, np.asarray(plan.groups["setup"]))
-        bar = np.asarray(plan.groups["bar"])
-        return self.centres[np.clip(place, 0, len(self.setups) - 1)], self._length[bar]
+        bar = plan.groups["bar"]  # traced where a design chooses the bar
+        length = self._length[np.asarray(bar)] if known(bar) else jnp.asarray(self._length)[bar]
+        return self.centres[np.clip(place, 0, len(self.setups) - 1)], length
 
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
         centre, length = row
@@ -361,15 +353,15 @@ def _lengths(
             "the distance of the balls at which the bar reads zero, above 0 to 5000 mm",
             "correct the column or its unit",
         )
-    known: list[float] = []
+    lengths: list[float] = []
     for value in np.unique(values):
-        if not known or value - known[-1] > _SAME_MM:
-            known.append(float(value))
-    return _nearest(values, known), tuple(known)
+        if not lengths or value - lengths[-1] > _SAME_MM:
+            lengths.append(float(value))
+    return _nearest(values, lengths), tuple(lengths)
 
 
-def _nearest(values: np.ndarray, known: Sequence[float]) -> Int[np.ndarray, " n"]:
-    return np.argmin(np.abs(values[:, None] - np.array(known)), axis=1)
+def _nearest(values: np.ndarray, lengths: Sequence[float]) -> Int[np.ndarray, " n"]:
+    return np.argmin(np.abs(values[:, None] - np.array(lengths)), axis=1)
 
 
 def _check_setups(run: np.ndarray, setup: np.ndarray) -> None:
@@ -483,99 +475,43 @@ def _sphere_centre(
     return middle + np.linalg.lstsq(matrix, right, rcond=1e-6)[0][:3]
 
 
+def pairs_of(
+    setup: Int[np.ndarray, " n"], bar: Int[np.ndarray, " n"]
+) -> tuple[tuple[int, int], ...]:
+    """Set-up and index of the length, each pair once."""
+    return tuple((int(k), int(b)) for k, b in np.unique(np.column_stack([setup, bar]), axis=0))
+
+
+def seen_in(
+    setup: Int[np.ndarray, " n"],
+    unit: Float[np.ndarray, "n 3"],
+    bar: Int[np.ndarray, " n"],
+    flat: bool,
+) -> tuple[tuple[int, str], ...]:
+    """Set-up and coordinate of the ball that the readings along unit vectors (n, 3) show; `flat`:
+    beside unknown lengths of the bar by index (n,).
+    """
+    found: list[tuple[int, str]] = []
+    for k in np.unique(setup):
+        mine = np.flatnonzero(setup == k)
+        found += [(int(k), c) for c in _seen(unit[mine], bar[mine] * flat, flat)]
+    return tuple(found)
+
+
 def _seen(
     unit: Float[np.ndarray, "n 3"], bar: Int[np.ndarray, " n"], flat: bool
 ) -> tuple[str, ...]:
     """Coordinates of the ball that readings along unit vectors (n, 3) show, beside unknown lengths
     (`flat`) by index (n,): the first ones whose columns are independent.
     """
-    known = [(bar == b) * 1.0 for b in np.unique(bar)] if flat else []
+    before = [(bar == b) * 1.0 for b in np.unique(bar)] if flat else []
     found = []
     for c, column in zip(_XYZ, unit.T, strict=True):
         rest = column
-        if known:
-            basis = np.column_stack(known)
+        if before:
+            basis = np.column_stack(before)
             rest = column - basis @ np.linalg.lstsq(basis, column, rcond=1e-9)[0]
         if np.sqrt((rest**2).mean()) > _INDEPENDENT:
-            known.append(column)
+            before.append(column)
             found.append(c)
     return tuple(found)
-
-
-# --- motion --------------------------------------------------------------------------------------
-
-
-def _motion(chain: Chain, plan: Plan, table: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Covariates of the motion that follow from the positions of every run."""
-    run, position = np.asarray(plan.groups["run"]), np.asarray(plan.position)
-    shape = position.shape
-    way, since, v, a = (np.zeros(shape) for _ in range(4))
-    feed = np.asarray(table.get(_FEED, np.zeros(plan.rows)), float) * _MM_MIN
-    if (feed < 0.0).any():
-        row = int(np.argmax(feed < 0.0))
-        raise RowError(row, f"column {_FEED}", "a negative feed", "mm/min", "correct the column")
-    circles, pace = chain.linear, []
-    for k in np.unique(run):
-        mine = np.flatnonzero(run == k)
-        found = circle_through(position[mine]) if chain.linear else None
-        if found is None:
-            way[mine] = _ways(position[mine])
-            circles = False
-            continue
-        circle, angle = found
-        way[mine] = circle.direction(angle)
-        since[mine] = circle.since_reversal(angle)
-        omega = (feed[mine] / np.linalg.norm(circle.cosine))[:, None]
-        v[mine] = omega * circle.velocity(angle)
-        a[mine] = omega**2 * circle.acceleration(angle)
-        pace.append(float(np.linalg.norm(a[mine], axis=1).mean()))
-        _check_directions(plan, mine, circle, angle)
-    kinds = {"dir": way}
-    if circles:
-        kinds["since"] = since
-        if _FEED in table:
-            kinds["v"] = v
-            if max(pace) > _APART * min(pace):
-                kinds["a"] = a
-    moving = [axis for i, axis in enumerate(plan.axes) if way[:, i].any()]
-    return {
-        f"{kind}_{axis}": values[:, plan.axes.index(axis)]
-        for kind, values in kinds.items()
-        for axis in (moving if kind == "dir" else plan.axes)
-    }
-
-
-def _ways(position: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, "n axes"]:
-    """Direction of approach of every position in a run, from the positions before it; of the first
-    position, that in which it is left. Zero for an axis that does not move in the run.
-    """
-    step = np.diff(position, axis=0)
-    still = np.abs(step) <= 1e-6 * np.ptp(position, axis=0)
-    way = np.zeros(position.shape)
-    for i in range(1, len(position)):
-        way[i] = np.where(still[i - 1], way[i - 1], np.sign(step[i - 1]))
-    for i in range(len(position) - 2, -1, -1):
-        way[i] = np.where(way[i] == 0.0, way[i + 1], way[i])
-    return way
-
-
-def _check_directions(
-    plan: Plan, rows: np.ndarray, circle: Circle, angle: Float[np.ndarray, " n"]
-) -> None:
-    """Raise `RowError` for a column of directions that contradicts the order of the positions."""
-    speed = circle.velocity(angle)
-    for i, axis in enumerate(plan.axes):
-        if not plan.has(f"dir_{axis}") or not circle.moving[i]:
-            continue
-        clear = np.abs(speed[:, i]) > _CLEAR * np.abs(speed).max()
-        wrong = clear & (np.asarray(plan.covariate(f"dir_{axis}"))[rows] != np.sign(speed[:, i]))
-        if wrong.sum() > _AGAINST * clear.sum():
-            run = int(np.asarray(plan.groups["run"])[rows[0]])
-            raise RowError(
-                int(rows[np.argmax(wrong)]),
-                f"run {run}, column {file_column(f'dir_{axis}', plan.axes)[0]}",
-                "directions against the order of the positions",
-                "those in which the rows of a run follow each other",
-                "correct the column or the order of the rows, or leave the column out: it follows "
-                "from the positions",
-            )

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +15,7 @@ from ..machine.chain import Chain
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..machine.ports import group
-from ..numerics.arrays import Array
+from ..numerics.arrays import Array, known
 from ..numerics.rigid import ORIGIN, Rotation, Scalar, Vector, exp
 from .arm_follow import check_arm_follows
 from .arm_table import arm_columns, arm_plan, arm_table
@@ -256,8 +257,13 @@ class PoseProbe(TableInstrument):
         rotations, _ = self.chain.tool_frame(np.asarray(plan.position))
         return self.orientation.T @ rotations @ self.probe
 
-    def rows(self, plan: Plan) -> Float[np.ndarray, "n 3 3"]:
-        return self._nominal(plan)
+    def rows(self, plan: Plan) -> Float[Array, "n 3 3"]:
+        if known(plan.position):
+            return self._nominal(plan)
+        # A design traces the positions.
+        still = jnp.zeros((len(self.chain.joints), 6))
+        turn = jax.vmap(lambda q: self.chain.pose_as_arrays(q, still)[0])(plan.position)
+        return self.orientation.T @ turn @ self.probe
 
     def observe(self, row: Any, rotation: Rotation, tool: Vector, ports: Ports) -> Sequence[Scalar]:
         rotation, tool = _computed_once(rotation, tool)

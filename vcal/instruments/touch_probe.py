@@ -296,15 +296,23 @@ class TouchProbe(TableInstrument):
             seen=(),
         )
         plan = built._indexed(chain, table)
-        position = np.asarray(plan.position)
-        built = built._placed(plan, chain.tool_point(position))
         built._check_follows(chain, plan)
-        seen, unknown = built._seen(plan, chain.tool_point(position))
+        built = built.at_contacts(chain, plan)
+        unknown = built._seen(plan, chain.tool_point(np.asarray(plan.position)))[1]
         _check_rows(setup, setups, unknown + 1)
-        return dataclasses.replace(built, seen=tuple(seen))
+        return built
+
+    def at_contacts(self, chain: Chain, plan: Plan) -> Self:
+        """The same probe with the artefact of every set-up where the contacts of a plan are."""
+        points = chain.tool_point(np.asarray(plan.position))
+        placed = self._placed(plan, points)
+        return dataclasses.replace(placed, seen=tuple(placed._seen(plan, points)[0]))
 
     def plan(self, chain: Chain, table: Mapping[str, np.ndarray]) -> Plan:
-        plan = self._indexed(chain, table)
+        return self.approached(chain, self._indexed(chain, table))
+
+    def approached(self, chain: Chain, plan: Plan) -> Plan:
+        """A plan with the covariates that follow from its approaches; its own have precedence."""
         position = np.asarray(plan.position)
         away = self._approach(plan, chain.tool_point(position))
         still = jnp.zeros((len(chain.joints), 6))
@@ -322,7 +330,7 @@ class TouchProbe(TableInstrument):
         return np.zeros((len(table["setup"]), 1))
 
     def to_table(self, plan: Plan, readings: np.ndarray) -> dict[str, np.ndarray]:
-        motion = [f"dir_{axis}" for axis in plan.axes]
+        motion = [f"dir_{axis}" for axis in _XYZ]
         return linear_plan_table(plan, (*_DERIVED, *motion))
 
     def rows(self, plan: Plan) -> Any:

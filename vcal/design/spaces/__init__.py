@@ -1,16 +1,28 @@
 """Spaces of plans, one leaf file per kind of instrument; importing the package registers them."""
 
 from ..plan_space import SPACES, DesignSettings
-from . import ball_array, interferometer, laser_tracker, reflectors, static_r_test
+from . import (
+    ball_array,
+    double_ball_bar,
+    interferometer,
+    laser_tracker,
+    pose_probe,
+    reflectors,
+    static_r_test,
+    touch_probe,
+)
 
 __all__ = [
     "SPACES",
     "ball_array",
+    "double_ball_bar",
     "interferometer",
     "laser_tracker",
+    "pose_probe",
     "reflectors",
     "settings_of",
     "static_r_test",
+    "touch_probe",
 ]
 
 

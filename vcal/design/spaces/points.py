@@ -226,7 +226,8 @@ class PointSpace(PlanSpace):
     @property
     def shared(self) -> Float[np.ndarray, "s s"]:
         effects = self.device.effects(self._plan(self.nominal))
-        return np.diag([float(p.informed) for e in effects for p in e.amplitudes])
+        every = (e for e in effects if e.kind != "random")
+        return np.diag([float(p.informed) for e in every for p in e.amplitudes])
 
     # --- output ---------------------------------------------------------------------------------
     def instrument(self, placed: Placed) -> TableInstrument:

@@ -16,7 +16,7 @@ from ...instruments.static_r_test import StaticRTest
 from ...machine.chain import Chain
 from ...model.forward import Model
 from ...numerics.arrays import Array
-from ..plan_space import Subject, Varied, register
+from ..plan_space import Subject, Varied, beyond_m, register
 from .points import Placed, PointsDesign, PointSpace, check_bounds
 
 _CLEAR = 0.01
@@ -132,9 +132,8 @@ class StaticRTestSpace(PointSpace):
 
     def _beyond(self, placed: Placed, clear: Any = 0.0) -> Float[Array, "n f"]:
         """Distance by which the following axes exceed their travel minus the clearance, m."""
-        low, high = self.chain.travel[self._following].T
         x = jnp.asarray(placed.position)[:, self._following]
-        return jnp.maximum(jnp.maximum(low + clear - x, x - high + clear), 0.0)
+        return beyond_m(self.chain.travel[self._following], x, clear)
 
     @property
     def _following(self) -> np.ndarray:

@@ -90,7 +90,7 @@ def carried_over(done: NextMeasurement, study: Study) -> str:
     instrument = space.instrument(done.best.placed)
     own = instrument.columns(study.one.settings, axes, readings=False)
     chosen = {file_name(axis, axes) for axis in axes} | {column.name for column in own}
-    chosen |= study.plan.groups.keys() | conditions_of(done, study)
+    chosen |= study.plan.groups.keys() | conditions_of(done, study) | {*space.planned}
     names = [n for n in plan_table(study, space, done.best.placed) if n not in chosen]
     if not names:
         return ""
