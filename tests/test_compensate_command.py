@@ -1,8 +1,10 @@
 """`vcal compensate` and `vcal verify` as a user runs them, from a report and from a study."""
 
 import json
+import re
 
 import jax
+import numpy as np
 import pytest
 
 import vcal
@@ -12,7 +14,7 @@ from vcal.compensation.stored import machine_record
 from vcal.model.simulate import simulate
 from vcal.numerics.stored import Reader, Writer
 from vcal.report.compensation.write import RECORD
-from vcal.study.identified_machine import FILE
+from vcal.study.identified_machine import FILE, load_machine
 
 
 @pytest.fixture(autouse=True)
@@ -191,3 +193,60 @@ def test_a_study_and_its_report_give_the_same_files(tmp_path):
     one, other = (contents(tmp_path / name)["corrections.csv"].decode() for name in "ab")
     undated = [[r for r in t.splitlines() if "# date" not in r] for t in (one, other)]
     assert undated[0] == undated[1] and "thermal_tilt" not in one
+
+
+PROGRAM = """%
+(a pocket)
+G21 G90 G17 G94
+G54
+G1 X100 Y50 Z-20 F500
+X300.
+Y250
+M30
+%
+"""
+
+
+def test_a_program_is_corrected(report, record, tmp_path):
+    """The tool of the identified machine is where the program wants it, at the end of every block
+    that it drives, with the backlash of the direction from which it comes.
+    """
+    program, out = tmp_path / "part.ngc", tmp_path / "corrected.ngc"
+    program.write_text(PROGRAM)
+    offset = ("--work-offset", "G54=50,40,-100")
+    said = run("compensate", report, "--nc", program, "--out", out, "--tolerance", "1", *offset)
+    assert f"Wrote {out}." in said.stdout
+    machine = load_machine(report)
+    ends, at = [], [np.nan] * 3
+    for line in out.read_text().splitlines():
+        words = dict(re.findall(r"([XYZ])(-?[\d.]+)", line.partition("(")[0]))
+        at = [float(words.get(axis, old)) for axis, old in zip("XYZ", at, strict=True)]
+        ends += [at] if words else []
+    zero = np.array([50.0, 40.0, -100.0])
+    commands = 1e-3 * (np.array(ends) + zero)
+    # The first move has no direction that is known; the last one comes in +X, +Y.
+    moved = machine.displacement(machine.plan(commands[-1:], np.array([[1.0, 1.0, 0.0]])))
+    reached = 1e3 * (commands[-1] + moved[0]) - zero
+    assert np.abs(reached - [300.0, 250.0, -20.0]).max() < 2e-4
+    assert np.abs(np.array(ends)[-1] - [300.0, 250.0, -20.0]).max() > 5e-4
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--to", "csv"), "found it together with --to, expected one of them"),
+        (("--work-offset", "G54=1,b"), "expected NAME=X,Y,Z in mm"),
+        (("--tolerance", "0"), "found 0.0, expected a number above zero"),
+    ],
+)
+def test_a_program_that_is_asked_for_wrongly(options, said, report, tmp_path):
+    program = tmp_path / "part.ngc"
+    program.write_text(PROGRAM)
+    out = tmp_path / "corrected.ngc"
+    assert said in refused("compensate", report, "--nc", program, "--out", out, *options)
+    assert not out.exists()
+
+
+def test_options_of_a_program_without_one(report, tmp_path):
+    said = refused("compensate", report, "--to", "csv", "--out", tmp_path / "c", "--tolerance", 1)
+    assert "--tolerance: found it without --nc, expected an NC program" in said

@@ -56,6 +56,36 @@ def compensate(
     ] = None,
     option: OptionsOf = None,
     at: At = None,
+    nc: Annotated[
+        Path | None,
+        typer.Option(
+            "--nc",
+            metavar="PROGRAM",
+            help="Correct the positions of this NC program instead; --out is the new program.",
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            "--tolerance", metavar="UM", help="Largest chordal error of the correction, um."
+        ),
+    ] = None,
+    work_offset: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--work-offset",
+            metavar="NAME=X,Y,Z",
+            help="Work offset of the program in mm, such as G54=150,80,-300. Repeatable.",
+        ),
+    ] = None,
+    ignore_code: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--ignore-code",
+            metavar="CODE",
+            help="A further G code that moves nothing, such as G187. Repeatable.",
+        ),
+    ] = None,
     anyway: Annotated[
         bool,
         typer.Option(
@@ -72,14 +102,36 @@ def compensate(
     if list_:
         _list_formats()
         return
-    given = {"REPORT|STUDY": source, "--to": to, "--out": out}
+    given = {"REPORT|STUDY": source, "--to": nc or to, "--out": out}
     for name, value in given.items():
         if value is None:
             raise StudyError(
                 f"{name}: found none, expected one; give it, or list the formats with --list"
             )
-    assert source is not None and to is not None and out is not None
+    assert source is not None and out is not None
+    for flag, text in (("--tolerance", tolerance), ("--work-offset", work_offset),
+                       ("--ignore-code", ignore_code)):  # fmt: skip
+        if text and nc is None:
+            raise StudyError(
+                f"{flag}: found it without --nc, expected an NC program; name the program with --nc"
+            )
+    if nc is not None and to is not None:
+        raise StudyError(
+            "--nc: found it together with --to, expected one of them; a program is corrected for "
+            "any control"
+        )
     start()
+    if nc is not None:
+        from .nc_program import corrected_program, nc_options
+
+        wanted = nc_options(tolerance, work_offset or [], ignore_code or [])
+        conditions = options_of(option or [], at or []).get("at", {})
+        with working("reading the identified machine") as progress:
+            machine = machine_of(source, override or [], trust, progress)
+            _check_gain(machine, source, anyway)
+        corrected_program(machine, nc, out, wanted, conditions)
+        return
+    assert to is not None
     from ..compensation import FORMATS
     from ..compensation import compensate as built
     from ..report.compensation.write import check_compensation_folder, write_compensation
@@ -93,15 +145,19 @@ def compensate(
         words += [word for text in texts or [] for word in (flag, text)]
     with working("reading the identified machine") as progress:
         machine = machine_of(source, override or [], trust, progress)
-        if machine.no_gain and not anyway:
-            raise StudyError(
-                f"{source}: {machine.no_gain} Nothing was written; use --compensate-anyway to "
-                "write the files all the same"
-            )
+        _check_gain(machine, source, anyway)
         progress("building the compensation")
         found = built(machine, to, options)
         files = write_compensation(found, out, command=shlex.join(words))
     _show(found, out, files)
+
+
+def _check_gain(machine: "IdentifiedMachine", source: Path, anyway: bool) -> None:
+    if machine.no_gain and not anyway:
+        raise StudyError(
+            f"{source}: {machine.no_gain} Nothing was written; use --compensate-anyway to "
+            "write the files all the same"
+        )
 
 
 @app.command()
