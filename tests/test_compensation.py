@@ -22,7 +22,7 @@ from vcal.identification.model_averaging import Alternatives, model_average
 from vcal.machine.chain import chain_from_string
 from vcal.machine.parameters import Parameter
 from vcal.model.simulate import simulate
-from vcal.numerics.stored import NotStoredError
+from vcal.numerics.stored import NotStoredError, Reader, Writer
 
 UM = 1e-6
 
@@ -222,6 +222,27 @@ def test_a_damaged_record_is_refused(record, change, said):
     change(broken)
     with pytest.raises(NotStoredError, match=said):
         machine_from(broken)
+
+
+def test_every_effect_of_a_machine_can_be_stored(study):
+    """Its response comes back to the last bit."""
+    setup, count = study.model.setup(study.plan), 0
+    effects = [e for kind in vcal.CATALOGUE.values() for e in list(kind.candidates(setup))[:1]]
+    for effect in (*study.model.effects, *effects):
+        if effect.on_instrument:
+            continue
+        writer = Writer()
+        plain = json.loads(json.dumps(writer.plain(effect), allow_nan=False))
+        again = Reader(writer.records, writer.arrays).value(plain)
+        if study.plan.has(*effect.needs):
+            shape = {n: grid[len(grid) // 2] for n, grid in effect.scan(study.plan).items()}
+            shape |= {p.name: p.mean * p.si for p in effect.shapes if p.name not in shape}
+            theirs = again.response(study.plan, shape)
+            for key, values in effect.response(study.plan, shape).items():
+                np.testing.assert_array_equal(np.asarray(theirs[key]), np.asarray(values))
+            count += 1
+        assert again.key == effect.key and again.parameters == effect.parameters
+    assert count > 10
 
 
 # --- formats: what is applied, against what is written -------------------------------------------
