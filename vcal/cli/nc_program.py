@@ -50,5 +50,5 @@ def nc_options(
                 f"--work-offset: found {text!r}, expected NAME=X,Y,Z in mm, such as "
                 "G54=150,80,-300; correct it"
             ) from error
-    more = {} if tolerance is None else {"tolerance_um": tolerance}
-    return NcOptions(work_offsets_mm=given, ignored_codes=tuple(codes), **more)
+    um = NcOptions.tolerance_um if tolerance is None else tolerance
+    return NcOptions(tolerance_um=um, work_offsets_mm=given, ignored_codes=tuple(codes))
