@@ -18,7 +18,8 @@ from vcal.cli.start_studies import write_start
 jax.config.update("jax_enable_x64", True)
 
 _LAZY = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-_QUICK = (f"{_LAZY} --xla_cpu_use_fusion_emitters=false", _LAZY)
+_WHOLE = f"{_LAZY} --xla_cpu_parallel_codegen_split_count=1"
+_QUICK = (f"{_WHOLE} --xla_cpu_use_fusion_emitters=false", _WHOLE, _LAZY)
 """The first that this release of XLA knows is taken; that of jax 0.12 has fewer flags."""
 
 

@@ -24,6 +24,7 @@ from ..machine.chain import Chain
 from ..machine.parameters import Parameter
 from ..machine.plan import Plan
 from ..numerics.arrays import Array
+from ..numerics.compiled import filter_jit_outermost
 from ..numerics.normal_draws import standard_normal
 from ..numerics.spatial import require_float64
 from .forward import (
@@ -136,6 +137,9 @@ class Simulated:
         return true_tool_points(self.model, plan, self.truth)
 
 
+_sample = filter_jit_outermost(Amplitudes.sample)
+
+
 def draw_truth(model: Model, plan: Plan, key: PRNGKeyArray) -> Truth:
     """A machine and an instrument drawn from the priors of a model.
 
@@ -144,7 +148,7 @@ def draw_truth(model: Model, plan: Plan, key: PRNGKeyArray) -> Truth:
     distribution, or are uniform over the scan of the loop on `plan`, in the coordinate of the scan.
     Every effect has its own key: an additional effect does not change the draws of the others.
     """
-    theta = np.asarray(Amplitudes.of(model.effects).sample(key))
+    theta = np.asarray(_sample(Amplitudes.of(model.effects), key))
     shapes = {
         i: {p.name: p.mean * p.si for p in effect.shapes}
         for i, effect in enumerate(model.effects)
@@ -273,6 +277,10 @@ def ideal_readings(
     return s.instrument.reduce(jnp.stack(readings, -1), s.plan)
 
 
+_ideal_readings = filter_jit_outermost(ideal_readings)
+"""One program that is kept from run to run, instead of one for every operation."""
+
+
 def simulate(
     model: Model,
     plan: Plan,
@@ -310,7 +318,7 @@ def simulate(
     def ideal(at: Plan) -> np.ndarray:
         # The terms of the effects depend on the positions of the axes.
         here = simulator if at is plan else prepare(model, at, truth.shapes)
-        return np.asarray(ideal_readings(here, jnp.asarray(truth.theta), scatter))
+        return np.asarray(_ideal_readings(here, jnp.asarray(truth.theta), scatter))
 
     recorded, readings = model.instrument.record(plan, ideal, np.asarray(drawn))
     return Simulated(

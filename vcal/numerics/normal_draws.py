@@ -1,6 +1,7 @@
 """Standard normal noise from explicit keys."""
 
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from .arrays import Array
 _HALF = 2.0**-32
 
 
+@partial(jax.jit, static_argnums=1, inline=True)
 def standard_normal(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "..."]:
     """Independent N(0, 1) numbers of that shape, in float64; a pure function of key and shape.
 
