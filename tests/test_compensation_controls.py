@@ -1,0 +1,207 @@
+"""Formats of commercial controls: every file is read by a reader of its own.
+
+The readers are written from the public documentation, and move the axes as the control does it.
+"""
+
+import re
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+import vcal
+from vcal.compensation import verify, working_volume
+from vcal.compensation.base import left_over
+from vcal.demo import FOLDER
+from vcal.machine.chain import chain_from_string
+from vcal.model.simulate import simulate
+
+UM = 1e-6
+OPTIONS = {"siemens-840d": {"points": 9}}
+
+
+@pytest.fixture(scope="module")
+def machine():
+    """A machine with backlash in Y, measured."""
+    study = vcal.load_study(FOLDER / "setup.toml")
+    setup = study.model.setup(study.plan)
+    backlash = next(e for e in vcal.CATALOGUE["backlash"].candidates(setup) if e.placement == "Y")
+    made = simulate(study.model, study.plan, jax.random.key(3), effects=(backlash,))
+    fit = vcal.identify(made.model, made.measurement)
+    return vcal.IdentifiedMachine.of_fit(fit, name="the machine", date="2026-01-31")
+
+
+@pytest.fixture(scope="module")
+def built(machine):
+    return {name: vcal.compensate(machine, name, OPTIONS[name]) for name in OPTIONS}
+
+
+@pytest.fixture(scope="module")
+def use(machine):
+    """Positions between the nodes, at random."""
+    found = working_volume(machine, 6)
+    low, high = machine.volume.T
+    random = np.random.default_rng(2)
+    return replace(found, position=random.uniform(low, high, found.position.shape))
+
+
+def applied(compensation, use):
+    return compensation.applied(use.position, use.directions, use.covariates)
+
+
+def rms_um(machine, tables, use):
+    return 1e6 * np.sqrt((left_over(machine, tables, use) ** 2).sum(1).mean())
+
+
+# --- all -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_rotary_axes_are_refused(machine, name):
+    chain = chain_from_string(
+        "w C b X Y Z t", {"X": (0, 0.5), "Y": (0, 0.5), "Z": (0, 0.5)}, rotary_m={"C": (0, 0, 0)}
+    )
+    more = replace(machine, chain=chain, volume=np.vstack([machine.volume, [0.0, 6.0]]), check=None)
+    with pytest.raises(vcal.StudyError, match=r"(?s)format .*: found .* C, expected"):
+        vcal.compensate(more, name)
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_the_expected_error_becomes_smaller(machine, built, name):
+    before, after = (
+        verify(machine, tables, points=4, draws=20).raw["working volume"].rms.mean
+        for tables in (None, built[name].tables)
+    )
+    assert after < before
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_what_stays_has_a_reason(built, name):
+    assert built[name].not_carried
+    for part in built[name].not_carried:
+        assert part.reason, part.name
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_an_axis_without_travel_is_refused(machine, name):
+    volume = machine.volume.copy()
+    volume[1, 1] = volume[1, 0]
+    with pytest.raises(vcal.StudyError, match=r"found no travel of Y, expected two"):
+        vcal.compensate(replace(machine, volume=volume), name)
+
+
+# --- SINUMERIK -----------------------------------------------------------------------------------
+
+
+class Sinumerik:
+    """Reads the system variables of K3 and moves the axes, mm."""
+
+    def __init__(self, files, names=("X1", "Y1", "Z1")):
+        self.names, self.set = names, {}
+        for name in ("AX_EEC.INI", "NC_CEC.INI"):
+            lines = [line for line in files[name].splitlines() if line[0] != ";"]
+            assert lines[0] == "%_N_" + name.replace(".", "_")
+            assert lines[1] == "CHANDATA(1)" and lines[-1] == "M17"
+            for line in lines[2:-1]:
+                found = re.fullmatch(r"\$(A[AN]_\w+)\[([^\]]+)\]=(.+)", line)
+                self.set[found[1], *found[2].split(",")] = found[3]
+
+    def value(self, prefix, index, x):
+        low, high, step = (float(self.set[f"{prefix}_{k}", *index]) for k in ("MIN", "MAX", "STEP"))
+        points = round((high - low) / step) + 1
+        assert low + (points - 1) * step == pytest.approx(high, abs=1e-6)
+        assert self.set[f"{prefix}_IS_MODULO", *index] == "0"
+        if prefix == "AN_CEC":
+            values = [float(self.set[prefix, *index, str(n)]) for n in range(points)]
+        else:
+            values = [float(self.set[prefix, "0", str(n), index[1]]) for n in range(points)]
+        return np.interp(x, low + step * np.arange(points), values)
+
+    def encoders(self, position, directions):
+        setpoint = position.copy()
+        tables = [key[1] for key in self.set if key[0] == "AN_CEC_INPUT_AXIS"]
+        times = {t: int(self.set["AN_CEC_MULT_BY_TABLE", t]) for t in tables}
+        factors = {str(n - 1) for n in times.values() if n}
+        for t in set(tables) - factors:
+            value = self.cec(t, position)
+            if times[t]:
+                value = value * self.cec(str(times[t] - 1), position)
+            way = int(self.set["AN_CEC_DIRECTION", t])
+            if way:
+                value = np.where(directions[:, self.axis("INPUT", t)] == way, value, 0.0)
+            setpoint[:, self.axis("OUTPUT", t)] += value
+        encoder = setpoint.copy()
+        for i, name in enumerate(self.names):
+            for _ in range(9):  # the actual position is the encoder with the value added
+                encoder[:, i] = setpoint[:, i] - self.value(
+                    "AA_ENC_COMP", ("0", name), encoder[:, i]
+                )
+        return encoder
+
+    def axis(self, which, t):
+        return self.names.index(self.set[f"AN_CEC_{which}_AXIS", t].strip("()"))
+
+    def cec(self, t, position):
+        return self.value("AN_CEC", (t,), position[:, self.axis("INPUT", t)])
+
+
+@pytest.mark.parametrize("products", [False, True])
+def test_sinumerik(machine, built, use, products):
+    found = built["siemens-840d"]
+    if products:
+        found = vcal.compensate(
+            machine, "siemens-840d", {"points": 9, "products": True}, parts=False
+        )
+    control = Sinumerik(found.files)
+    moved = control.encoders(1e3 * use.position, use.directions) - 1e3 * use.position
+    np.testing.assert_allclose(1e3 * applied(found, use), moved, atol=1e-7)
+
+
+def test_sinumerik_carries_what_depends_on_one_position(machine, built, use):
+    found = built["siemens-840d"]
+    carried = {part.name for part in found.carried}
+    assert {"EXX", "EYY", "EZZ", "EYX", "EXY", "EXZ", "EYZ", "backlash Y"} <= carried
+    assert not {"EBX", "ECX", "EAY"} & carried
+    plain = rms_um(machine, found.tables, use)
+    other = vcal.compensate(machine, "siemens-840d", {"points": 9, "products": True}, parts=False)
+    assert rms_um(machine, other.tables, use) < 0.2 * plain
+    screw = vcal.compensate(machine, "linuxcnc-screw", {"points": 9}, parts=False)
+    assert plain < rms_um(machine, screw.tables, use)
+
+
+def test_sinumerik_backlash(machine, built):
+    """Y1 to Y1 has a table for each direction; their difference is minus the backlash."""
+    control = Sinumerik(built["siemens-840d"].files)
+    ways = {}
+    for key, name in control.set.items():
+        t = key[1]
+        if key[0] == "AN_CEC_INPUT_AXIS" and name == "(Y1)":
+            if control.set["AN_CEC_OUTPUT_AXIS", t] == "(Y1)":
+                ways[control.set["AN_CEC_DIRECTION", t]] = float(control.set["AN_CEC", t, "4"])
+    y = machine.volume[1].mean()
+    up, down = (machine.positioning("Y", np.array([y]), d)[0] for d in (1.0, -1.0))
+    assert ways["1"] - ways["-1"] == pytest.approx(-1e3 * (up - down), abs=2e-6)
+
+
+def test_sinumerik_encoder_error_is_subtracted(machine):
+    """A positive value moves the axis in the negative direction: it is the positioning error."""
+    only = machine.restricted(["EXX"])
+    found = vcal.compensate(only, "siemens-840d", {"points": 5}, parts=False)
+    x = np.linspace(*machine.volume[0], 5)
+    control = Sinumerik({"NC_CEC.INI": "%_N_NC_CEC_INI\nCHANDATA(1)\nM17", **found.files})
+    values = control.value("AA_ENC_COMP", ("0", "X1"), 1e3 * x)
+    np.testing.assert_allclose(values, 1e3 * only.positioning("X", x, 0.0), atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"tables": 2}, r"the machine needs \d+ CEC tables, expected at most the 2"),
+        ({"names": "X1,X1,Z1"}, "expected three different names"),
+        ({"points": 802}, "option points: found 802"),
+    ],
+)
+def test_sinumerik_options(machine, options, said):
+    with pytest.raises(vcal.StudyError, match=said):
+        vcal.compensate(machine, "siemens-840d", {"points": 5, **options})
