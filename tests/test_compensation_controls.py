@@ -9,6 +9,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 
 import vcal
 from vcal.compensation import verify, working_volume
@@ -18,7 +19,7 @@ from vcal.machine.chain import chain_from_string
 from vcal.model.simulate import simulate
 
 UM = 1e-6
-OPTIONS = {"siemens-840d": {"points": 9}}
+OPTIONS = {"siemens-840d": {"points": 9}, "beckhoff-tf5280": {"points": 6}}
 
 
 @pytest.fixture(scope="module")
@@ -205,3 +206,64 @@ def test_sinumerik_encoder_error_is_subtracted(machine):
 def test_sinumerik_options(machine, options, said):
     with pytest.raises(vcal.StudyError, match=said):
         vcal.compensate(machine, "siemens-840d", {"points": 5, **options})
+
+
+# --- Beckhoff ------------------------------------------------------------------------------------
+
+
+def isg_csv(text):
+    """Columns of a table by their names: arguments in mm, parameters in mm."""
+    rows = [line.split() for line in text.splitlines() if line and not line.startswith("//")]
+    values = np.array(rows[1:], float)
+    return {name: values[:, i] for i, name in enumerate(rows[0])}
+
+
+def test_beckhoff(machine, built, use):
+    found = built["beckhoff-tf5280"]
+    table = isg_csv(found.files["volcomp.csv"])
+    lines = [np.unique(table[axis]) for axis in "XYZ"]
+    shape = [len(line) for line in lines]
+    corners = np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 3)
+    np.testing.assert_array_equal(corners, np.stack([table[axis] for axis in "XYZ"], 1))
+    errors = np.stack(
+        [
+            RegularGridInterpolator(lines, table[f"E{axis}{axis}"].reshape(shape))(
+                1e3 * use.position
+            )
+            for axis in "XYZ"
+        ],
+        1,
+    )
+    np.testing.assert_allclose(1e3 * applied(found, use), -errors, atol=1e-9)
+
+
+def test_beckhoff_gives_the_error_motion(machine):
+    """EXX of a machine with no other error, in every row of the same X."""
+    only = machine.restricted(["EXX"])
+    found = vcal.compensate(only, "beckhoff-tf5280", {"points": 4}, parts=False)
+    table = isg_csv(found.files["volcomp.csv"])
+    expected = 1e3 * only.positioning("X", 1e-3 * table["X"], 0.0)
+    np.testing.assert_allclose(table["EXX"], expected, atol=2e-6)
+    assert not table["EYY"].any() and not table["EZZ"].any()
+
+
+def test_beckhoff_configuration(built):
+    text = built["beckhoff-tf5280"].files["volcomp.lis"]
+    keys = dict(line.split() for line in text.splitlines() if line[0] != "#")
+    assert keys["file[0]"] == "volcomp.csv" and keys["file_format[0]"] == "ISG_CSV"
+    assert keys["interpolation"] == "GRID" and keys["X"] == "1" and keys["workpiece_axes"] == "0"
+    assert "max_records of at least 216" in text
+    stays = {part.name: part.reason for part in built["beckhoff-tf5280"].not_carried}
+    assert "depends on dir_Y" in stays["backlash Y"]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"points": 13}, "which makes 2197 nodes, expected at most 2000"),
+        ({"numbers": "1,1,2"}, "expected three different logical axis numbers"),
+    ],
+)
+def test_beckhoff_options(machine, options, said):
+    with pytest.raises(vcal.StudyError, match=said):
+        vcal.compensate(machine, "beckhoff-tf5280", options)
