@@ -19,7 +19,12 @@ from vcal.machine.chain import chain_from_string
 from vcal.model.simulate import simulate
 
 UM = 1e-6
-OPTIONS = {"siemens-840d": {"points": 9}, "beckhoff-tf5280": {"points": 6}}
+OPTIONS = {
+    "siemens-840d": {"points": 9},
+    "beckhoff-tf5280": {"points": 6},
+    "heidenhain": {"points": 9},
+    "fanuc": {"unit_um": 0.1, "magnification": 10, "reference_mm": "800,500,0", "interval_mm": 25},
+}
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +75,9 @@ def test_rotary_axes_are_refused(machine, name):
 
 @pytest.mark.parametrize("name", OPTIONS)
 def test_the_expected_error_becomes_smaller(machine, built, name):
+    """After alignment: a format may shift the zero of the machine."""
     before, after = (
-        verify(machine, tables, points=4, draws=20).raw["working volume"].rms.mean
+        verify(machine, tables, points=4, draws=20).aligned["working volume"].rms.mean
         for tables in (None, built[name].tables)
     )
     assert after < before
@@ -267,3 +273,154 @@ def test_beckhoff_configuration(built):
 def test_beckhoff_options(machine, options, said):
     with pytest.raises(vcal.StudyError, match=said):
         vcal.compensate(machine, "beckhoff-tf5280", options)
+
+
+# --- HEIDENHAIN ----------------------------------------------------------------------------------
+
+
+def tnc_table(text):
+    """Rows of a table by the names of its columns."""
+    lines = text.splitlines()
+    assert lines[0].startswith("BEGIN ") and lines[-1] == "[END]"
+    rows = [line.split() for line in lines[1:-1]]
+    assert [row[0] for row in rows[1:]] == [str(n) for n in range(len(rows) - 1)]
+    return [dict(zip(rows[0], row, strict=True)) for row in rows[1:]]
+
+
+def tnc_moves(files, position, directions):
+    """What the control adds, mm: minus the errors of the active row of the assignment table."""
+    added = np.zeros_like(position)
+    (active,) = [row for row in tnc_table(files["config.cma"]) if row["ACTIVE"] == "*"]
+    for j, by in enumerate("XYZ"):
+        table = tnc_table(files[active[by]])
+        at = [float(row["AXISPOS"]) for row in table]
+        for i, corrected in enumerate("XYZ"):
+            value = np.interp(position[:, j], at, [float(row[corrected]) for row in table])
+            if i == j:
+                back = np.interp(position[:, j], at, [float(row["BACKLASH"]) for row in table])
+                value = np.where(directions[:, j] < 0, back, value)
+            added[:, i] -= value
+    return added
+
+
+def test_heidenhain(built, use):
+    found = built["heidenhain"]
+    moved = tnc_moves(found.files, 1e3 * use.position, use.directions)
+    np.testing.assert_allclose(1e3 * applied(found, use), moved, atol=1e-9)
+    carried = {part.name for part in found.carried}
+    assert {"EXX", "EYY", "EZZ", "EYX", "EXY", "EXZ", "EYZ", "backlash Y"} <= carried
+    assert not {"EBX", "ECX", "EAY"} & carried
+
+
+@pytest.mark.parametrize(("motion", "by"), [("EXX", "X"), ("EZY", "Y"), ("EYZ", "Z")])
+def test_heidenhain_gives_the_error_motion(machine, motion, by):
+    """In the column of its direction; of a straightness, up to the mean."""
+    only = machine.restricted([motion])
+    found = vcal.compensate(only, "heidenhain", {"points": 9}, parts=False)
+    table = tnc_table(found.files[f"{by.lower()}.com"])
+    values = np.array([float(row[motion[1]]) for row in table])
+    (expected,) = [t.value for t in only.error_motions(9) if t.name == motion]
+    error = 1e3 * values - expected * only.chain.joint(by).sign
+    if motion[1] != by:
+        error = 1e3 * values - expected
+        error -= error.mean()
+    np.testing.assert_allclose(error, 0.0, atol=0.11)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"), [({"points": 257}, "option points: found 257"), ({"rows": 3}, "unknown")]
+)
+def test_heidenhain_options(machine, options, said):
+    with pytest.raises(vcal.StudyError, match=said):
+        vcal.compensate(machine, "heidenhain", options)
+
+
+def test_heidenhain_steep_errors(machine):
+    """Errors far above what a table may hold."""
+    volume = machine.volume.copy()
+    volume[0, 1] = volume[0, 0] + 1e-4
+    with pytest.raises(vcal.StudyError, match=r"a change of .* mm between neighbours in"):
+        vcal.compensate(
+            replace(machine, volume=volume, theta=1e4 * machine.theta), "heidenhain", {"points": 3}
+        )
+
+
+# --- FANUC ---------------------------------------------------------------------------------------
+
+
+class Pmm:
+    """Reads a parameter file, and outputs the pulses of an axis section by section."""
+
+    def __init__(self, text):
+        lines = text.split()
+        assert lines[0] == lines[-1] == "%"
+        self.data, self.axes = {}, {}
+        for line in lines[1:-1]:
+            number, rest = re.fullmatch(r"N(\d+)(.*);", line).groups()
+            if rest[0] == "P":
+                self.data[int(number) - 10000] = int(rest[1:])
+            for axis, value in re.findall(r"A(\d)P([^A;]+)", rest):
+                self.axes[int(number), int(axis)] = float(value)
+
+    def compensation(self, axis, x, way, reference, unit):
+        """From the reference to x, mm: every section whose middle is passed adds its value."""
+        origin, first, last, times, h, start, back = (
+            self.axes[number, axis] for number in (3620, 3621, 3622, 3623, 3624, 3626, 3627)
+        )
+        shift = 0 if way > 0 else start - first
+        total = 0
+        for number in range(int(first), int(last) + 1):
+            middle = reference + (number - origin - 0.5) * h
+            value = self.data[int(number + shift)]
+            if number > origin and x >= middle:
+                total += value
+            if number <= origin and x < middle:
+                total -= value
+        return unit * (times * total + (back if way < 0 else 0))
+
+
+def test_fanuc(built, use):
+    found = built["fanuc"]
+    control = Pmm(found.files["pitch.txt"])
+    moved = applied(found, use)
+    for row in range(0, len(moved), 5):
+        for i, reference in enumerate((800.0, 500.0, 0.0)):
+            x, way = 1e3 * use.position[row, i], use.directions[row, i]
+            added = control.compensation(i + 1, x, way, reference, 1e-4)
+            assert 1e3 * moved[row, i] == pytest.approx(added, abs=1e-9)
+
+
+def test_fanuc_gives_the_error_motion(machine):
+    """EXX at the points, to half a count of each of two rounded values."""
+    only = machine.restricted(["EXX"])
+    options = {"unit_um": 0.1, "magnification": 5, "interval_mm": 25, "reference_mm": "200,0,0"}
+    found = vcal.compensate(only, "fanuc", options, parts=False)
+    control = Pmm(found.files["pitch.txt"])
+    x = np.linspace(0.0, 0.8, 33)
+    values = np.array([control.compensation(1, 1e3 * v, 1, 200.0, 1e-4) for v in x])
+    error = only.positioning("X", x, 0.0) - only.positioning("X", np.array([0.2]), 0.0)
+    np.testing.assert_allclose(values, -1e3 * error, atol=2.6e-4)
+
+
+def test_fanuc_numbers_of_the_manual(machine):
+    """-400 to 800 mm, interval 50 mm, reference at number 40: sections 33 to 56."""
+    volume = machine.volume.copy()
+    volume[0] = -0.4, 0.8
+    only = replace(machine.restricted([]), volume=volume)
+    found = vcal.compensate(only, "fanuc", {"interval_mm": 50}, parts=False)
+    control = Pmm(found.files["pitch.txt"])
+    origin, first, last = (control.axes[number, 1] for number in (3620, 3621, 3622))
+    assert (first - origin, last - origin) == (33 - 40, 56 - 40)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"interval_mm": 5}, r"which makes 160 points of X, expected at most 128"),
+        ({"unit_um": 0.01}, r"a change of \d+ counts between two points of .*magnification \d+"),
+        ({"reference_mm": "0"}, "option reference_mm: found '0'"),
+    ],
+)
+def test_fanuc_options(machine, options, said):
+    with pytest.raises(vcal.StudyError, match=said):
+        vcal.compensate(machine, "fanuc", options)
