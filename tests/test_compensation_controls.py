@@ -24,6 +24,7 @@ OPTIONS = {
     "beckhoff-tf5280": {"points": 6},
     "heidenhain": {"points": 9},
     "fanuc": {"unit_um": 0.1, "magnification": 10, "reference_mm": "800,500,0", "interval_mm": 25},
+    "klipper": {},
 }
 
 
@@ -424,3 +425,43 @@ def test_fanuc_numbers_of_the_manual(machine):
 def test_fanuc_options(machine, options, said):
     with pytest.raises(vcal.StudyError, match=said):
         vcal.compensate(machine, "fanuc", options)
+
+
+# --- Klipper -------------------------------------------------------------------------------------
+
+
+def klipper_moves(text, position):
+    """The profile as the firmware reads it, undoing the measured skew x + y xy + z xz, y + z yz."""
+    section = text.partition("[skew_correction vcal]\n")[2].splitlines()
+    skew = {key: float(value) for key, value in (line.split(": ") for line in section)}
+    xy, xz, yz = (skew[f"{plane}_skew"] for plane in ("xy", "xz", "yz"))
+    unskew = np.array([[1.0, xy, xz], [0.0, 1.0, yz], [0.0, 0.0, 1.0]])
+    return position @ np.linalg.inv(unskew).T
+
+
+def test_klipper(built, use):
+    found = built["klipper"]
+    moved = klipper_moves(found.files["skew.cfg"], use.position) - use.position
+    np.testing.assert_allclose(applied(found, use), moved, atol=1e-14)
+
+
+def test_klipper_gives_the_squareness(machine, use):
+    """A location error is carried, up to its sign rule and a shift."""
+    (name,) = [p.name for p in machine.parts if re.fullmatch("EC0[XY]", p.name)]
+    only = machine.restricted([name])
+    found = vcal.compensate(only, "klipper", parts=False)
+    (angle,) = (1e-6 * t.value[0] for t in only.error_motions(3) if t.name == name)
+    xy = float(re.search(r"xy_skew: (.+)", found.files["skew.cfg"])[1])
+    assert abs(xy) == pytest.approx(abs(angle), abs=2e-9)
+    left = verify(only, found.tables, points=4, draws=2)
+    error = left_over(only, found.tables, use)
+    assert 1e6 * (error - error.mean(0)).std() < 0.01 and left.raw
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [({"profile": "a b"}, "option profile: found 'a b'"), ({"points": 3}, "unknown option")],
+)
+def test_klipper_options(machine, options, said):
+    with pytest.raises(vcal.StudyError, match=said):
+        vcal.compensate(machine, "klipper", options)
