@@ -397,7 +397,7 @@ def test_a_compiled_displacement_is_traced_for_few_sizes():
     assert len(traced) == len(set(traced)) <= 3
 
 
-def test_fifty_thousand_blocks():
+def test_five_thousand_blocks():
     """Within 10 s of CPU on one core, which a surface of short lines takes; a tenth of it here."""
     rng = np.random.default_rng(1)
     at = 200 + np.cumsum(rng.normal(0, 0.5, (5000, 3)), 0)
