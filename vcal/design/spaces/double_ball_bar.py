@@ -103,17 +103,17 @@ class DoubleBallBarDesign(DesignSettings):
 class Runs(NamedTuple):
     """The runs of a plan; angles in rad, from the first axis of the plane towards the second."""
 
-    setup: Int[np.ndarray, " r"]
+    setup: Int[Array, " r"]
     """Index of the set-up."""
-    plane: Int[np.ndarray, " r"]
-    bar: Int[np.ndarray, " r"]
+    plane: Int[Array, " r"]
+    bar: Int[Array, " r"]
     """Index of the length."""
-    sense: Float[np.ndarray, " r"]
+    sense: Float[Array, " r"]
     """1 from the first axis towards the second, else -1."""
-    first: Float[np.ndarray, " r"]
+    first: Float[Array, " r"]
     """Lower end of the arc."""
-    width: Float[np.ndarray, " r"]
-    latitude: Float[np.ndarray, " r"]
+    width: Float[Array, " r"]
+    latitude: Float[Array, " r"]
     """Angle of the bar to the plane of a cone; zero for circles about the ball."""
 
 
@@ -263,7 +263,7 @@ class DoubleBallBarSpace(SetupSpace):
             last = len(self.lengths) - 1
             found["lengths"] = Block(np.array(bars), 0, last, last + 1)
         if s.senses:
-            found["senses"] = Block(0.5 * (runs.sense + 1.0), 0, 1, 2)
+            found["senses"] = Block(np.asarray(runs.sense) > 0.0, 0, 1, 2)
         return found
 
     def _arc_shares(self) -> Float[np.ndarray, "r 2"]:
