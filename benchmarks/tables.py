@@ -246,8 +246,8 @@ def within_u(found: dict) -> str:
             len(r["parameters"]),
             _of(r["within_U"]),
             f"{r['sd_of_pulls']:.2f}",
-            _of(r["jointly_beyond_5_percent"]),
-            f"{r['largest_distance']:.1f}",
+            _of(r["jointly_beyond_5_percent"]) if "largest_distance" in r else "",
+            f"{r['largest_distance']:.1f}" if "largest_distance" in r else "",
         ]
         for r in found["cases"]
     ]
